@@ -1,0 +1,144 @@
+"""From the actuators' input forces tau to the generalised force Q = F(q) tau, and back.
+
+tau has shape (..., 2N) in the column order of eq (2): module 1 columns 1 and 2, module 2 columns
+1 and 2, and so on. Both maps here have determinant l^N, so both can always be inverted. They work
+by recursion along the arm, one arithmetic operation an element, so that an arm's result does not
+depend on the batch it is in.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar, Protocol
+
+import numpy as np
+
+from octarm.parameters import split
+
+
+class Actuation(Protocol):
+    """How input forces act on the arm."""
+
+    name: ClassVar[str]
+
+    def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Q = F(q) tau: shapes (..., 2N) [m], [rad] and [N] to (..., 2N) [N], [N m]."""
+        ...
+
+    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """tau = F(q)^-1 Q: shapes (..., 2N) to (..., 2N) [N]."""
+        ...
+
+    def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """The column forces f with T f = F(q) tau, shape (..., 2N) [N]."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class InternalActuation:
+    """A column pushes neighbouring modules apart: Q = T tau with T constant.
+
+    Column a of module i acts on s_i with its force and on theta_i with +-l/2 times it.
+
+    Attributes:
+        width: distance l between the two columns of a module, shape (...) [m].
+    """
+
+    name: ClassVar[str] = "internal"
+    width: np.ndarray
+
+    def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Q = T tau, shape (..., 2N) [N], [N m]."""
+        del q
+        n = tau.shape[-1] // 2
+        out = np.empty_like(tau)
+        for i in range(n):
+            left, right = tau[..., 2 * i], tau[..., 2 * i + 1]
+            out[..., i] = left + right
+            out[..., n + i] = 0.5 * self.width * (left - right)
+        return out
+
+    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """tau = T^-1 Q, shape (..., 2N) [N]."""
+        del q
+        n = force.shape[-1] // 2
+        out = np.empty_like(force)
+        for i in range(n):
+            push, couple = force[..., i], force[..., n + i] / self.width
+            out[..., 2 * i] = 0.5 * push + couple
+            out[..., 2 * i + 1] = 0.5 * push - couple
+        return out
+
+    def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """The inputs are the column forces: shape (..., 2N) [N]."""
+        del q
+        return tau
+
+
+@dataclasses.dataclass(frozen=True)
+class GroundedActuation:
+    """The paper's F_coeff, eq (2): forces and couples that react on the ground.
+
+    The two inputs of module i push its end along the axis of module i-1's plate, and turn it by
+    +-l/2 times their force.
+
+    Attributes:
+        width: distance l between the two columns of a module, shape (...) [m].
+    """
+
+    name: ClassVar[str] = "f-coeff"
+    width: np.ndarray
+
+    def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Q = F_coeff(q) tau, shape (..., 2N) [N], [N m]."""
+        n = q.shape[-1] // 2
+        s, (cos, sin) = split(q[..., :n]), _parent_axes(q)
+        left, right = split(tau[..., 0::2]), split(tau[..., 1::2])
+        out = np.empty_like(q)
+        fx, fy, moment = 0.0, 0.0, 0.0  # that module i carries
+        for i in reversed(range(n)):
+            if i + 1 < n:
+                moment = moment + s[i + 1] * (cos[i + 1] * fy - sin[i + 1] * fx)
+            push = left[i] + right[i]
+            fx, fy = fx + push * cos[i], fy + push * sin[i]
+            moment = moment + 0.5 * self.width * (left[i] - right[i])
+            out[..., i] = cos[i] * fx + sin[i] * fy
+            out[..., n + i] = moment
+        return out
+
+    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """tau = F_coeff(q)^-1 Q by back-substitution from the tip, shape (..., 2N) [N]."""
+        n = q.shape[-1] // 2
+        s, (cos, sin) = split(q[..., :n]), _parent_axes(q)
+        wanted = split(force)
+        out = np.empty_like(q)
+        fx, fy, moment = 0.0, 0.0, 0.0
+        for i in reversed(range(n)):
+            if i + 1 < n:
+                moment = moment + s[i + 1] * (cos[i + 1] * fy - sin[i + 1] * fx)
+            push = wanted[i] - (cos[i] * fx + sin[i] * fy)
+            couple = (wanted[n + i] - moment) / self.width
+            fx, fy, moment = fx + push * cos[i], fy + push * sin[i], wanted[n + i]
+            out[..., 2 * i] = 0.5 * push + couple
+            out[..., 2 * i + 1] = 0.5 * push - couple
+        return out
+
+    def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """f = T^-1 F_coeff(q) tau, shape (..., 2N) [N]."""
+        return InternalActuation(self.width).inputs(q, self.force(q, tau))
+
+
+ACTUATIONS: dict[str, type[GroundedActuation] | type[InternalActuation]] = {
+    kind.name: kind for kind in (GroundedActuation, InternalActuation)
+}
+
+
+def _parent_axes(q: np.ndarray) -> tuple[list, list]:
+    """Cosine and sine of the angle of the plate that module i stands on, i = 1..N."""
+    n = q.shape[-1] // 2
+    angle, cos, sin = 0.0, [1.0], [0.0]
+    for theta in split(q[..., n:-1]):
+        angle = angle + theta
+        cos.append(np.cos(angle))
+        sin.append(np.sin(angle))
+    return cos, sin

@@ -1,0 +1,90 @@
+"""The whole contract between the control loop and a controller.
+
+Once every control period the loop measures the arm, asks the reference what is wanted, and calls
+the controller:
+
+    command, state = controller(state, measurement, reference)
+
+`command.force` is a generalised force Q. The loop turns it into the actuators' input forces with
+what a controller may know, tau = F_coeff(q measured)^-1 Q, and holds tau until the next period.
+
+A controller is a frozen dataclass of gains, complete once constructed. It keeps nothing between
+calls: what it has to remember is the `state` it returns, and that state is handed back at the next
+call. The state that is passed in is consumed: its memory may be reused, so the caller goes on with
+the returned one. A controller has no clock and no randomness. It never sees the true plant; a
+model-based controller is given nominal parameters when it is built.
+
+All arrays carry the coordinate on the last axis, in the order q = [s1..sN, theta1..thetaN], and
+any batch axes before it: the same controller serves one arm and ten thousand. Gains broadcast
+against the batch. SI units: slides in m, angles in rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+
+class Measurement(NamedTuple):
+    """What the sensors report at one instant.
+
+    Attributes:
+        t: time since the start of the episode [s].
+        q: generalised coordinates, shape (..., 2N) [m], [rad].
+        v: generalised velocities, shape (..., 2N) [m/s], [rad/s].
+    """
+
+    t: float
+    q: np.ndarray
+    v: np.ndarray
+
+
+class Reference(NamedTuple):
+    """What is wanted at one instant.
+
+    Attributes:
+        q: desired coordinates q_d, shape (..., 2N) [m], [rad].
+        v: desired velocities, shape (..., 2N) [m/s], [rad/s].
+        a: desired accelerations, shape (..., 2N) [m/s^2], [rad/s^2].
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+
+
+class Command(NamedTuple):
+    """What a controller answers.
+
+    Attributes:
+        force: generalised force Q, shape (..., 2N) [N], [N m].
+        signals: inner quantities worth recording, by name, each of shape (..., k). The loop
+            records what is there and knows none of the names.
+    """
+
+    force: np.ndarray
+    signals: Mapping[str, np.ndarray]
+
+
+class Controller(Protocol):
+    """Anything that can be called like a controller."""
+
+    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> Any:
+        """The state before the first call, for arms of this batch shape; () for one arm."""
+        ...
+
+    def __call__(
+        self, state: Any, measurement: Measurement, reference: Reference
+    ) -> tuple[Command, Any]:
+        """The command for this instant, and the state to pass in at the next one."""
+        ...
+
+
+class Motion(Protocol):
+    """A desired motion: a pure function of time."""
+
+    def __call__(self, t: float) -> Reference:
+        """The desired coordinates, velocities and accelerations at time t [s]."""
+        ...

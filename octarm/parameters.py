@@ -1,0 +1,202 @@
+"""The numbers that describe one arm, or a batch of arms."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    import mujoco
+
+# field: (axes after the batch axes, smallest value allowed, may it equal that value)
+_RULES: dict[str, tuple[str, float, bool]] = {
+    "mass": ("N", 0.0, False),
+    "inertia": ("N", 0.0, False),
+    "width": ("", 0.0, False),
+    "stiffness": ("2N", 0.0, False),
+    "damping": ("2N", 0.0, True),
+    "rest_length": ("N", 0.0, False),
+    "gravity": ("", -np.inf, True),
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class ArmParameters:
+    """Parameters of N serially stacked modules, each a slide followed by a hinge.
+
+    Every field may carry batch axes before the axes named here. Arrays are copied and read-only.
+    Row 0 of the two-row fields is column 1 of each module, the one that lengthens with a positive
+    bending angle.
+
+    Attributes:
+        mass: lumped mass at the end of each module, shape (..., N) [kg].
+        inertia: its moment of inertia about the bending axis, shape (..., N) [kg m^2].
+        width: distance between the two columns of a module, shape (...) [m]; `l` in the paper,
+            whose printed text shows it as 1.
+        stiffness: of each column, shape (..., 2, N) [N/m].
+        damping: of each column, shape (..., 2, N) [N s/m].
+        rest_length: length of each module's columns without force, shape (..., N) [m].
+        gravity: acceleration along the hanging arm, shape (...) [m/s^2].
+
+    Raises:
+        ValueError: if a field has the wrong shape, sign, or a value that is not finite.
+    """
+
+    mass: np.ndarray
+    inertia: np.ndarray
+    width: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    rest_length: np.ndarray
+    gravity: np.ndarray
+
+    if TYPE_CHECKING:  # the constructor takes anything array-like
+
+        def __init__(
+            self,
+            *,
+            mass: npt.ArrayLike,
+            inertia: npt.ArrayLike,
+            width: npt.ArrayLike,
+            stiffness: npt.ArrayLike,
+            damping: npt.ArrayLike,
+            rest_length: npt.ArrayLike,
+            gravity: npt.ArrayLike,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        modules = np.shape(self.mass)[-1:] or (0,)
+        shapes = {"N": modules, "2N": (2, *modules), "": ()}
+        for name, (axes, smallest, inclusive) in _RULES.items():
+            value = _as_floats(name, getattr(self, name))
+            _check_shape(name, value, shapes[axes])
+            _check_values(name, value, smallest, inclusive)
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        _ = self.batch_shape  # raises when the batch axes do not fit together
+
+    @property
+    def modules(self) -> int:
+        """Number of modules N."""
+        return self.mass.shape[-1]
+
+    @property
+    def coordinates(self) -> int:
+        """Number of generalised coordinates 2N."""
+        return 2 * self.modules
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """Batch axes that the fields broadcast to; () for one arm."""
+        axes = {"N": 1, "2N": 2, "": 0}
+        shapes = [getattr(self, n).shape for n in _RULES]
+        batch = [s[: len(s) - axes[r[0]]] for s, r in zip(shapes, _RULES.values(), strict=True)]
+        try:
+            return np.broadcast_shapes(*batch)
+        except ValueError:
+            listed = ", ".join(f"{n} {b}" for n, b in zip(_RULES, batch, strict=True) if b)
+            raise ValueError(f"the batch axes of the parameters do not fit: {listed}") from None
+
+    def scaled(self, **factors: npt.ArrayLike) -> ArmParameters:
+        """A copy with the named fields multiplied.
+
+        Args:
+            **factors: field name to factor [1], anything that broadcasts against the field.
+
+        Raises:
+            ValueError: for an unknown field, or a factor that makes a field invalid.
+        """
+        unknown = sorted(set(factors) - set(_RULES))
+        if unknown:
+            raise ValueError(f"unknown parameter {unknown[0]!r}; known are {', '.join(_RULES)}")
+        return dataclasses.replace(
+            self, **{name: getattr(self, name) * np.asarray(f) for name, f in factors.items()}
+        )
+
+    def mismatched(self, mismatch: float) -> ArmParameters:
+        """A nominal model that is wrong by `mismatch` [1].
+
+        Mass, inertia and damping are multiplied by 1 + mismatch, stiffness by 1 + mismatch/2.
+
+        Raises:
+            ValueError: unless mismatch is a finite number above -1.
+        """
+        if not (np.isfinite(mismatch) and mismatch > -1.0):
+            raise ValueError(f"mismatch is {mismatch:g}; it must be a finite number above -1")
+        factor = 1.0 + mismatch
+        half = 1.0 + mismatch / 2.0
+        return self.scaled(mass=factor, inertia=factor, damping=factor, stiffness=half)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields as numbers and nested lists, ready for JSON."""
+        return {name: getattr(self, name).tolist() for name in _RULES}
+
+    @classmethod
+    def from_dict(cls, fields: Mapping[str, Any]) -> ArmParameters:
+        """The inverse of `to_dict`.
+
+        Raises:
+            ValueError: if a field is missing, unknown or invalid.
+        """
+        wrong = set(fields) ^ set(_RULES)
+        if wrong:
+            raise ValueError(f"parameters need exactly the fields {', '.join(_RULES)}; "
+                             f"missing or unknown: {', '.join(sorted(wrong))}")
+        return cls(**fields)
+
+    @classmethod
+    def from_model(cls, model: mujoco.MjModel) -> ArmParameters:
+        """Reads the parameters of a compiled arm, by the names in `models/octarm.xml`.
+
+        The arm hangs along the negative z axis of the world.
+        """
+        modules = range(1, model.nu // 2 + 1)
+        bodies = [model.body(f"module_{i}") for i in modules]
+        columns = [[model.tendon(f"column_{a}_{i}") for i in modules] for a in (1, 2)]
+        theta_of_column_1 = model.tendon_adr[model.tendon("column_1_1").id] + 1
+        return cls(
+            mass=[body.mass[0] for body in bodies],
+            inertia=[body.inertia[2] for body in bodies],
+            width=2.0 * model.wrap_prm[theta_of_column_1],
+            stiffness=[[model.tendon_stiffness[c.id] for c in row] for row in columns],
+            damping=[[model.tendon_damping[c.id] for c in row] for row in columns],
+            rest_length=[model.tendon_lengthspring[c.id, 0] for c in columns[0]],
+            gravity=-model.opt.gravity[2],
+        )
+
+
+def split(x: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The entries of the last axis: numbers for one arm, views of shape (...) for a batch.
+
+    Arithmetic on an entry is then elementwise along the batch, and as fast as it can be for one
+    arm, whose entries are scalars.
+    """
+    return tuple(x) if x.ndim == 1 else tuple(x[..., i] for i in range(x.shape[-1]))
+
+
+def _as_floats(name: str, value: npt.ArrayLike) -> np.ndarray:
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be numbers, got {value!r}") from None
+
+
+def _check_shape(name: str, value: np.ndarray, expected: tuple[int, ...]) -> None:
+    trailing = value.shape[value.ndim - len(expected) :]
+    if value.ndim < len(expected) or trailing != expected or 0 in expected:
+        wanted = f"(..., {', '.join(map(str, expected))})" if expected else "(...)"
+        raise ValueError(f"{name} has shape {value.shape}; it must be {wanted} for "
+                         f"{expected[-1] if expected else 'any number of'} modules, at least 1")
+
+
+def _check_values(name: str, value: np.ndarray, smallest: float, inclusive: bool) -> None:
+    good = np.isfinite(value) & ((value >= smallest) if inclusive else (value > smallest))
+    if not np.all(good):
+        bad = value[~good].flat[0]
+        allowed = "finite" + ("" if smallest == -np.inf else
+                              f" and {'at least' if inclusive else 'above'} {smallest:g}")
+        raise ValueError(f"{name} holds {bad:g}; it must be {allowed}")

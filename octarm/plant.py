@@ -1,0 +1,93 @@
+"""The arm as MuJoCo steps it, behind a few methods."""
+# pyright: reportAttributeAccessIssue=false
+# (mujoco ships no type stubs)
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from dm_control import mujoco as dm_mujoco
+from dm_control.mujoco import wrapper
+
+from octarm.actuation import Actuation, GroundedActuation
+from octarm.model import paper_order
+from octarm.parameters import ArmParameters
+
+
+class ArmPhysics(dm_mujoco.Physics):
+    """One arm behind dm_control's Physics, driven by the paper's input forces tau."""
+
+    actuation: Actuation
+    _tau: np.ndarray
+
+    @classmethod
+    def from_arm_model(
+        cls, model: mujoco.MjModel, actuation: Actuation | None = None
+    ) -> ArmPhysics:
+        """Physics for a model of `build_model`; `actuation` defaults to the paper's F_coeff."""
+        physics = cls(wrapper.MjData(wrapper.MjModel(model)))
+        physics.actuation = actuation or GroundedActuation(ArmParameters.from_model(model).width)
+        return physics
+
+    def _reload_from_data(self, data: wrapper.MjData) -> None:
+        super()._reload_from_data(data)
+        self._qpos_index, self._qvel_index = paper_order(self.model.ptr)
+        self._tip = self.model.ptr.sensor("tip_position").adr[0]
+        self._tau = np.zeros(self.model.nu)
+
+    def copy(self, share_model: bool = False) -> ArmPhysics:
+        """A physics in the same state, with the same actuation and inputs."""
+        other = super().copy(share_model)
+        other.actuation, other._tau = self.actuation, self._tau.copy()
+        return other
+
+    def q(self) -> np.ndarray:
+        """Generalised coordinates, shape (2N,) [m], [rad]; a copy."""
+        return self.data.qpos[self._qpos_index]
+
+    def v(self) -> np.ndarray:
+        """Generalised velocities, shape (2N,) [m/s], [rad/s]; a copy."""
+        return self.data.qvel[self._qvel_index]
+
+    def tip_position(self) -> np.ndarray:
+        """Tip in the world frame, shape (3,) [m]; a copy."""
+        return self.data.sensordata[self._tip : self._tip + 3].copy()
+
+    def input_limit(self) -> np.ndarray:
+        """Bound on the absolute input forces tau, shape (2N,) [N]."""
+        return self.model.actuator_ctrlrange[:, 1].copy()
+
+    def hanging(self) -> np.ndarray:
+        """The loaded equilibrium, shape (2N,) [m], [rad]; a copy."""
+        return self.model.ptr.key("hanging").qpos[self._qpos_index]
+
+    def set_motion(self, q: np.ndarray, v: np.ndarray) -> None:
+        """Places the arm at q, shape (2N,) [m], [rad], moving with v [m/s], [rad/s]."""
+        self.data.qpos[self._qpos_index] = q
+        self.data.qvel[self._qvel_index] = v
+
+    def set_control(self, control: np.ndarray) -> None:
+        """Holds the input forces tau, shape (2N,) [N], until the next call."""
+        self._tau = np.array(control, dtype=np.float64)
+
+    def reset(self, keyframe_id: int | None = None) -> None:
+        """Back to the model's defaults or a keyframe, with no input."""
+        super().reset(keyframe_id)
+        self._tau = np.zeros(self.model.nu)
+
+    def step(self, nstep: int = 1) -> None:
+        """Advances by `nstep` physics steps under Q = F(q) tau, q being the true coordinates.
+
+        Raises:
+            PhysicsError: when MuJoCo reports a bad state; the state is never reset.
+        """
+        model, data = self.model.ptr, self.data.ptr
+        with self.check_invalid_state():
+            for _ in range(nstep):
+                data.ctrl[:] = self.actuation.tendon_forces(self.q(), self._tau)
+                mujoco.mj_step(model, data)
+            mujoco.mj_step1(model, data)  # sensors of the new state
+
+    def integration_state(self) -> np.ndarray:
+        """All that the next step depends on (mjSTATE_INTEGRATION), shape (n,)."""
+        return self.get_state(mujoco.mjtState.mjSTATE_INTEGRATION.value)

@@ -1,0 +1,117 @@
+"""The immutable record of one run, and its twin on disk."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+_ARRAYS = ("t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance")
+_TEXTS = ("status", "message", "digest")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Trajectory:
+    """What happened at each control instant of one run; row k is time t[k].
+
+    All arrays are float64 and read-only. T is the number of control periods that were begun.
+
+    Attributes:
+        t: time, shape (T,) [s].
+        q: true generalised coordinates, shape (T, 2N) [m], [rad].
+        v: true generalised velocities, shape (T, 2N) [m/s], [rad/s].
+        q_d: desired coordinates, shape (T, 2N) [m], [rad].
+        v_d: desired velocities, shape (T, 2N) [m/s], [rad/s].
+        tau: input forces held during the period that begins at t, shape (T, 2N) [N].
+        force: generalised force Q the controller asked for, shape (T, 2N) [N], [N m].
+        disturbance: generalised force that disturbances added, shape (T, 2N) [N], [N m].
+        signals: the controller's own quantities by name, each of shape (T, k).
+        status: `ok`, or `diverged` when the run ended before its time.
+        message: one sentence on how a diverged run ended; empty otherwise.
+        digest: SHA-256 over MuJoCo's integration state at every control instant.
+
+    Raises:
+        ValueError: if lengths differ, or a signal has the name of an array above.
+    """
+
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    q_d: np.ndarray
+    v_d: np.ndarray
+    tau: np.ndarray
+    force: np.ndarray
+    disturbance: np.ndarray
+    signals: Mapping[str, np.ndarray]
+    status: Literal["ok", "diverged"] = "ok"
+    message: str = ""
+    digest: str = ""
+
+    def __post_init__(self) -> None:
+        taken = [name for name in self.signals if name in (*_ARRAYS, *_TEXTS)]
+        if taken:
+            raise ValueError(f"a signal cannot be called {taken[0]!r}: the trajectory has that")
+        for name, array in self.arrays():
+            if len(array) != len(self.t):
+                raise ValueError(f"{name} has {len(array)} rows; t has {len(self.t)}")
+        for name in _ARRAYS:
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
+        signals = {name: _read_only(array) for name, array in self.signals.items()}
+        object.__setattr__(self, "signals", MappingProxyType(signals))
+
+    def __len__(self) -> int:
+        """Number of rows T."""
+        return len(self.t)
+
+    @property
+    def error(self) -> np.ndarray:
+        """Tracking error e = q - q_d, shape (T, 2N) [m], [rad]."""
+        return self.q - self.q_d
+
+    def arrays(self) -> Iterator[tuple[str, np.ndarray]]:
+        """Name and array of everything that has a row an instant, signals included."""
+        for name in _ARRAYS:
+            yield name, getattr(self, name)
+        yield from self.signals.items()
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the twin `.npz`, whole or not at all; equal trajectories give equal bytes."""
+        path = Path(path)
+        part = path.with_name(path.name + ".part")
+        texts = {name: np.array(getattr(self, name)) for name in _TEXTS}
+        try:
+            with open(part, "wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **dict(self.arrays()), **texts)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Trajectory:
+        """Reads what `save` wrote.
+
+        Raises:
+            ValueError: if the file is not a trajectory.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                content = dict(file)
+            fixed = {name: content.pop(name) for name in _ARRAYS}
+            texts = {name: str(content.pop(name)) for name in _TEXTS}
+        except (KeyError, ValueError, zipfile.BadZipFile) as error:
+            raise ValueError(f"{path} is not a trajectory file ({error})") from None
+        return cls(**fixed, **texts, signals=content)  # pyright: ignore[reportArgumentType]
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    array = np.array(array, dtype=np.float64)
+    array.setflags(write=False)
+    return array
