@@ -13,7 +13,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from octarm.parameters import split
+from octarm.arrays import Entry, cos_sin, entry, split
 
 
 class Actuation(Protocol):
@@ -51,20 +51,22 @@ class InternalActuation:
         """Q = T tau, shape (..., 2N) [N], [N m]."""
         del q
         n = tau.shape[-1] // 2
+        left, right = split(tau[..., 0::2]), split(tau[..., 1::2])
+        half = 0.5 * entry(self.width)
         out = np.empty_like(tau)
         for i in range(n):
-            left, right = tau[..., 2 * i], tau[..., 2 * i + 1]
-            out[..., i] = left + right
-            out[..., n + i] = 0.5 * self.width * (left - right)
+            out[..., i] = left[i] + right[i]
+            out[..., n + i] = half * (left[i] - right[i])
         return out
 
     def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
         """tau = T^-1 Q, shape (..., 2N) [N]."""
         del q
         n = force.shape[-1] // 2
+        wanted, width = split(force), entry(self.width)
         out = np.empty_like(force)
         for i in range(n):
-            push, couple = force[..., i], force[..., n + i] / self.width
+            push, couple = wanted[i], wanted[n + i] / width
             out[..., 2 * i] = 0.5 * push + couple
             out[..., 2 * i + 1] = 0.5 * push - couple
         return out
@@ -92,33 +94,38 @@ class GroundedActuation:
     def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Q = F_coeff(q) tau, shape (..., 2N) [N], [N m]."""
         n = q.shape[-1] // 2
-        s, (cos, sin) = split(q[..., :n]), _parent_axes(q)
+        s, axes = split(q[..., :n]), _parent_axes(q)
         left, right = split(tau[..., 0::2]), split(tau[..., 1::2])
+        half = 0.5 * entry(self.width)
         out = np.empty_like(q)
         fx, fy, moment = 0.0, 0.0, 0.0  # that module i carries
         for i in reversed(range(n)):
             if i + 1 < n:
-                moment = moment + s[i + 1] * (cos[i + 1] * fy - sin[i + 1] * fx)
+                cos, sin = axes[i + 1]
+                moment = moment + s[i + 1] * (cos * fy - sin * fx)
+            cos, sin = axes[i]
             push = left[i] + right[i]
-            fx, fy = fx + push * cos[i], fy + push * sin[i]
-            moment = moment + 0.5 * self.width * (left[i] - right[i])
-            out[..., i] = cos[i] * fx + sin[i] * fy
+            fx, fy = fx + push * cos, fy + push * sin
+            moment = moment + half * (left[i] - right[i])
+            out[..., i] = cos * fx + sin * fy
             out[..., n + i] = moment
         return out
 
     def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
         """tau = F_coeff(q)^-1 Q by back-substitution from the tip, shape (..., 2N) [N]."""
         n = q.shape[-1] // 2
-        s, (cos, sin) = split(q[..., :n]), _parent_axes(q)
-        wanted = split(force)
+        s, axes = split(q[..., :n]), _parent_axes(q)
+        wanted, width = split(force), entry(self.width)
         out = np.empty_like(q)
         fx, fy, moment = 0.0, 0.0, 0.0
         for i in reversed(range(n)):
             if i + 1 < n:
-                moment = moment + s[i + 1] * (cos[i + 1] * fy - sin[i + 1] * fx)
-            push = wanted[i] - (cos[i] * fx + sin[i] * fy)
-            couple = (wanted[n + i] - moment) / self.width
-            fx, fy, moment = fx + push * cos[i], fy + push * sin[i], wanted[n + i]
+                cos, sin = axes[i + 1]
+                moment = moment + s[i + 1] * (cos * fy - sin * fx)
+            cos, sin = axes[i]
+            push = wanted[i] - (cos * fx + sin * fy)
+            couple = (wanted[n + i] - moment) / width
+            fx, fy, moment = fx + push * cos, fy + push * sin, wanted[n + i]
             out[..., 2 * i] = 0.5 * push + couple
             out[..., 2 * i + 1] = 0.5 * push - couple
         return out
@@ -133,12 +140,12 @@ ACTUATIONS: dict[str, type[GroundedActuation] | type[InternalActuation]] = {
 }
 
 
-def _parent_axes(q: np.ndarray) -> tuple[list, list]:
+def _parent_axes(q: np.ndarray) -> list[tuple[Entry, Entry]]:
     """Cosine and sine of the angle of the plate that module i stands on, i = 1..N."""
     n = q.shape[-1] // 2
-    angle, cos, sin = 0.0, [1.0], [0.0]
+    angle: Entry = 0.0
+    axes: list[tuple[Entry, Entry]] = [(1.0, 0.0)]
     for theta in split(q[..., n:-1]):
         angle = angle + theta
-        cos.append(np.cos(angle))
-        sin.append(np.sin(angle))
-    return cos, sin
+        axes.append(cos_sin(angle))
+    return axes

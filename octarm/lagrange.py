@@ -16,9 +16,12 @@ loop; the matrices are built from the Jacobians instead, so that each checks the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from octarm.parameters import ArmParameters, split
+from octarm.arrays import Entry, cos_sin, entry, split
+from octarm.parameters import ArmParameters
 
 
 def inverse_dynamics(
@@ -46,41 +49,42 @@ def inverse_dynamics(
     Raises:
         ValueError: if the last axis of an array is not 2N long.
     """
-    v_r = v if v_r is None else v_r
+    if v_r is None:
+        v_r = v
     n = _modules(p, q=q, v=v, a=a, v_r=v_r)
     shape = np.broadcast_shapes(q.shape, v.shape, a.shape, v_r.shape, (*p.batch_shape, 2 * n))
     out = np.empty_like(q, shape=shape)
 
-    # One entry a coordinate or a module: a number for one arm, an array for a batch.
-    q, v, a, v_r = (split(x) for x in (q, v, a, v_r))
+    # One entry a coordinate: a number for one arm, an array for a batch.
+    x, x_v, x_a, x_vr = split(q), split(v), split(a), split(v_r)
     mass, inertia = split(p.mass), split(p.inertia)
-    pushes, couples = _column_forces(p, q, v_r)
+    pushes, couples = _column_forces(p, x, x_vr)
 
     # Outwards: axes and angular rates of the plates, accelerations and forces of the ends.
     cos, sin = 1.0, 0.0
     phi = w = w_r = alpha = 0.0
-    ax, ay = -p.gravity, 0.0  # the ground accelerates against gravity
+    ax, ay = -entry(p.gravity), 0.0  # the ground accelerates against gravity
     axes, forces = [], []
     for i in range(n):
-        along = a[i] - q[i] * (w * w_r)
-        across = q[i] * alpha + (v[i] * w_r + v_r[i] * w)
+        along = x_a[i] - x[i] * (w * w_r)
+        across = x[i] * alpha + (x_v[i] * w_r + x_vr[i] * w)
         ax = ax + (along * cos - across * sin)
         ay = ay + (along * sin + across * cos)
-        w = w + v[n + i]
-        w_r = w_r + v_r[n + i]
-        alpha = alpha + a[n + i]
+        w = w + x_v[n + i]
+        w_r = w_r + x_vr[n + i]
+        alpha = alpha + x_a[n + i]
         axes.append((cos, sin))
         forces.append((mass[i] * ax, mass[i] * ay, inertia[i] * alpha))
         if i + 1 < n:
-            phi = phi + q[n + i]
-            cos, sin = np.cos(phi), np.sin(phi)
+            phi = phi + x[n + i]
+            cos, sin = cos_sin(phi)
 
     # Inwards: force and moment that each module carries, projected on its own axes.
     fx = fy = moment = 0.0
     for i in reversed(range(n)):
         if i + 1 < n:
             cos, sin = axes[i + 1]
-            moment = moment + q[i + 1] * (fy * cos - fx * sin)
+            moment = moment + x[i + 1] * (fy * cos - fx * sin)
         cos, sin = axes[i]
         fx, fy, moment = fx + forces[i][0], fy + forces[i][1], moment + forces[i][2]
         out[..., i] = fx * cos + fy * sin + pushes[i]
@@ -124,8 +128,7 @@ def potential_force(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     _modules(p, q=q)
     gravity = np.asarray(p.gravity)[..., None]
     out = -gravity * np.einsum("...b,...bi->...i", p.mass, _jacobian(q)[..., 0, :])
-    lengths = split(q)
-    pushes, couples = _column_forces(p, lengths, tuple(0.0 * x for x in lengths))
+    pushes, couples = _column_forces(p, split(q), split(np.zeros_like(q)))
     return out + np.stack(pushes + couples, axis=-1)
 
 
@@ -219,11 +222,11 @@ def _modules(p: ArmParameters, **arrays: np.ndarray) -> int:
 
 
 def _column_forces(
-    p: ArmParameters, q: tuple[np.ndarray, ...], v: tuple[np.ndarray, ...]
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    p: ArmParameters, q: Sequence[Entry], v: Sequence[Entry]
+) -> tuple[list[Entry], list[Entry]]:
     """Forces on s_i and couples on theta_i of the springs and dampers, from unstacked q and v."""
     n = p.modules
-    half = 0.5 * p.width
+    half = 0.5 * entry(p.width)
     rest = split(p.rest_length)
     k1, k2 = (split(p.stiffness[..., a, :]) for a in (0, 1))
     c1, c2 = (split(p.damping[..., a, :]) for a in (0, 1))

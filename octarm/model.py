@@ -11,6 +11,7 @@ always in the paper's order, q = [s1..sN, theta1..thetaN].
 from __future__ import annotations
 
 import functools
+import itertools
 from pathlib import Path
 
 import mujoco
@@ -60,8 +61,9 @@ def build_model(
     if parameters is None:
         return spec.compile()
     if parameters.batch_shape:
-        raise ValueError(f"parameters have batch axes {parameters.batch_shape}; "
-                         "a model describes one arm")
+        raise ValueError(
+            f"parameters have batch axes {parameters.batch_shape}; a model describes one arm"
+        )
     _set_modules(spec, parameters.modules)
     _set_parameters(spec, parameters)
     model = spec.compile()
@@ -116,7 +118,7 @@ def _set_modules(spec: mujoco.MjSpec, modules: int) -> None:
 
 
 def _geoms_of(spec: mujoco.MjSpec, i: int) -> tuple[list, list]:
-    """The pictures of module i: those on the plate it stands on, and those on its own body."""
+    """The pictures of module i: those on the body it stands on, and those on its own."""
     sleeves = [spec.geom(f"{part}_{i}_sleeve") for part in _PARTS]
     return sleeves, [spec.geom(f"plate_{i}")] + [spec.geom(f"{part}_{i}_rod") for part in _PARTS]
 
@@ -158,7 +160,9 @@ def _add_sensors(spec: mujoco.MjSpec, target: str, kind: str, position: str) -> 
 
 
 def _add_tip(spec: mujoco.MjSpec, modules: int) -> None:
-    spec.body(f"module_{modules}").add_site(name="tip", size=[0.008] * 3, rgba=[0.84, 0.15, 0.16, 1])
+    spec.body(f"module_{modules}").add_site(
+        name="tip", size=[0.008] * 3, rgba=[0.84, 0.15, 0.16, 1]
+    )
     spec.add_sensor(
         name="tip_position",
         type=mujoco.mjtSensor.mjSENS_FRAMEPOS,
@@ -168,7 +172,7 @@ def _add_tip(spec: mujoco.MjSpec, modules: int) -> None:
 
 
 def _set_parameters(spec: mujoco.MjSpec, p: ArmParameters) -> None:
-    """Writes the parameters into a template with as many modules; the widths of tendons excepted."""
+    """Writes the parameters into a template with as many modules, all but the tendons' width."""
     nominal = nominal_parameters()
     wider = float(p.width / nominal.width)
     spec.option.gravity = [0.0, 0.0, -float(p.gravity)]
@@ -182,7 +186,7 @@ def _set_parameters(spec: mujoco.MjSpec, p: ArmParameters) -> None:
             tendon.damping = [p.damping[a - 1, i - 1], 0.0, 0.0]
             tendon.springlength = [p.rest_length[i - 1]] * 2
         longer = float(p.rest_length[i - 1] / nominal.rest_length[min(i, nominal.modules) - 1])
-        for geom in sum(_geoms_of(spec, i), []):
+        for geom in itertools.chain(*_geoms_of(spec, i)):
             geom.fromto = np.array(geom.fromto) * np.tile([longer, wider, 1.0], 2)
             geom.size = np.array(geom.size) * wider
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+
+from octarm.arrays import read_only
+from octarm.errors import closest
 
 if TYPE_CHECKING:
     import mujoco
@@ -72,10 +76,9 @@ class ArmParameters:
         modules = np.shape(self.mass)[-1:] or (0,)
         shapes = {"N": modules, "2N": (2, *modules), "": ()}
         for name, (axes, smallest, inclusive) in _RULES.items():
-            value = _as_floats(name, getattr(self, name))
+            value = read_only(name, getattr(self, name))
             _check_shape(name, value, shapes[axes])
-            _check_values(name, value, smallest, inclusive)
-            value.setflags(write=False)
+            _check_bound(name, value, smallest, inclusive)
             object.__setattr__(self, name, value)
         _ = self.batch_shape  # raises when the batch axes do not fit together
 
@@ -89,7 +92,7 @@ class ArmParameters:
         """Number of generalised coordinates 2N."""
         return 2 * self.modules
 
-    @property
+    @functools.cached_property
     def batch_shape(self) -> tuple[int, ...]:
         """Batch axes that the fields broadcast to; () for one arm."""
         axes = {"N": 1, "2N": 2, "": 0}
@@ -110,9 +113,9 @@ class ArmParameters:
         Raises:
             ValueError: for an unknown field, or a factor that makes a field invalid.
         """
-        unknown = sorted(set(factors) - set(_RULES))
-        if unknown:
-            raise ValueError(f"unknown parameter {unknown[0]!r}; known are {', '.join(_RULES)}")
+        for name in factors:
+            if name not in _RULES:
+                raise ValueError(f"unknown parameter {name!r}{closest(name, _RULES)}")
         return dataclasses.replace(
             self, **{name: getattr(self, name) * np.asarray(f) for name, f in factors.items()}
         )
@@ -144,12 +147,14 @@ class ArmParameters:
         """
         wrong = set(fields) ^ set(_RULES)
         if wrong:
-            raise ValueError(f"parameters need exactly the fields {', '.join(_RULES)}; "
-                             f"missing or unknown: {', '.join(sorted(wrong))}")
+            raise ValueError(
+                f"parameters need exactly the fields {', '.join(_RULES)}; "
+                f"missing or unknown: {', '.join(sorted(wrong))}"
+            )
         return cls(**fields)
 
     @classmethod
-    def from_model(cls, model: mujoco.MjModel) -> ArmParameters:
+    def from_model(cls, model: mujoco.MjModel) -> ArmParameters:  # pyright: ignore
         """Reads the parameters of a compiled arm, by the names in `models/octarm.xml`.
 
         The arm hangs along the negative z axis of the world.
@@ -169,34 +174,20 @@ class ArmParameters:
         )
 
 
-def split(x: np.ndarray) -> tuple[np.ndarray, ...]:
-    """The entries of the last axis: numbers for one arm, views of shape (...) for a batch.
-
-    Arithmetic on an entry is then elementwise along the batch, and as fast as it can be for one
-    arm, whose entries are scalars.
-    """
-    return tuple(x) if x.ndim == 1 else tuple(x[..., i] for i in range(x.shape[-1]))
-
-
-def _as_floats(name: str, value: npt.ArrayLike) -> np.ndarray:
-    try:
-        return np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be numbers, got {value!r}") from None
-
-
 def _check_shape(name: str, value: np.ndarray, expected: tuple[int, ...]) -> None:
     trailing = value.shape[value.ndim - len(expected) :]
-    if value.ndim < len(expected) or trailing != expected or 0 in expected:
-        wanted = f"(..., {', '.join(map(str, expected))})" if expected else "(...)"
-        raise ValueError(f"{name} has shape {value.shape}; it must be {wanted} for "
-                         f"{expected[-1] if expected else 'any number of'} modules, at least 1")
+    if 0 in expected:
+        raise ValueError(f"mass has shape {value.shape}; it must be (..., N) with N at least 1")
+    if value.ndim < len(expected) or trailing != expected:
+        wanted = f"(..., {', '.join(map(str, expected))})"
+        raise ValueError(
+            f"{name} has shape {value.shape}; it must be {wanted} for the {expected[-1]} modules "
+            "that mass has"
+        )
 
 
-def _check_values(name: str, value: np.ndarray, smallest: float, inclusive: bool) -> None:
-    good = np.isfinite(value) & ((value >= smallest) if inclusive else (value > smallest))
+def _check_bound(name: str, value: np.ndarray, smallest: float, inclusive: bool) -> None:
+    good = (value >= smallest) if inclusive else (value > smallest)
     if not np.all(good):
-        bad = value[~good].flat[0]
-        allowed = "finite" + ("" if smallest == -np.inf else
-                              f" and {'at least' if inclusive else 'above'} {smallest:g}")
-        raise ValueError(f"{name} holds {bad:g}; it must be {allowed}")
+        allowed = f"{'at least' if inclusive else 'above'} {smallest:g}"
+        raise ValueError(f"{name} holds {value[~good].flat[0]:g}; it must be {allowed}")

@@ -1,24 +1,28 @@
 """The arm as MuJoCo steps it, behind a few methods."""
-# pyright: reportAttributeAccessIssue=false
-# (mujoco ships no type stubs)
+# pyright: reportAttributeAccessIssue=false, reportIncompatibleMethodOverride=false
+# (mujoco ships no type stubs, dm_control few annotations)
 
 from __future__ import annotations
 
+import warnings
+
 import mujoco
 import numpy as np
-from dm_control import mujoco as dm_mujoco
-from dm_control.mujoco import wrapper
 
 from octarm.actuation import Actuation, GroundedActuation
 from octarm.model import paper_order
 from octarm.parameters import ArmParameters
+
+with warnings.catch_warnings():  # without a display, glfw complains although nothing is drawn
+    warnings.simplefilter("ignore")
+    from dm_control import mujoco as dm_mujoco
+    from dm_control.mujoco import wrapper
 
 
 class ArmPhysics(dm_mujoco.Physics):
     """One arm behind dm_control's Physics, driven by the paper's input forces tau."""
 
     actuation: Actuation
-    _tau: np.ndarray
 
     @classmethod
     def from_arm_model(
@@ -26,14 +30,25 @@ class ArmPhysics(dm_mujoco.Physics):
     ) -> ArmPhysics:
         """Physics for a model of `build_model`; `actuation` defaults to the paper's F_coeff."""
         physics = cls(wrapper.MjData(wrapper.MjModel(model)))
-        physics.actuation = actuation or GroundedActuation(ArmParameters.from_model(model).width)
+        if actuation is not None:
+            physics.actuation = actuation
         return physics
 
     def _reload_from_data(self, data: wrapper.MjData) -> None:
         super()._reload_from_data(data)
-        self._qpos_index, self._qvel_index = paper_order(self.model.ptr)
-        self._tip = self.model.ptr.sensor("tip_position").adr[0]
-        self._tau = np.zeros(self.model.nu)
+        model = self.model.ptr
+        self._qpos_index, self._qvel_index = paper_order(model)
+        self._tip = model.sensor("tip_position").adr[0]
+        self._tau = np.zeros(model.nu)
+        self.actuation = GroundedActuation(ArmParameters.from_model(model).width)
+
+    def __getstate__(self) -> tuple:
+        return super().__getstate__(), self.actuation, self._tau
+
+    def __setstate__(self, state: tuple) -> None:
+        data, actuation, tau = state
+        super().__setstate__(data)
+        self.actuation, self._tau = actuation, tau
 
     def copy(self, share_model: bool = False) -> ArmPhysics:
         """A physics in the same state, with the same actuation and inputs."""
@@ -48,6 +63,10 @@ class ArmPhysics(dm_mujoco.Physics):
     def v(self) -> np.ndarray:
         """Generalised velocities, shape (2N,) [m/s], [rad/s]; a copy."""
         return self.data.qvel[self._qvel_index]
+
+    def tau(self) -> np.ndarray:
+        """The input forces being held, shape (2N,) [N]; a copy."""
+        return self._tau.copy()
 
     def tip_position(self) -> np.ndarray:
         """Tip in the world frame, shape (3,) [m]; a copy."""

@@ -1,0 +1,52 @@
+"""The controllers, by the names that the command line uses.
+
+To add one, write its file and its line in `CONTROLLERS`: a dataclass with the field `nominal`, the
+model that the controller believes, and a field for each gain.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy.typing as npt
+
+from controllers.computed_torque import ComputedTorque as ComputedTorque
+from controllers.gains import RECOMMENDED
+from controllers.sliding_mode import BoundaryLayer as BoundaryLayer
+from controllers.sliding_mode import SlidingMode as SlidingMode
+from octarm.errors import closest
+from octarm.interfaces import Controller
+from octarm.parameters import ArmParameters
+
+CONTROLLERS: dict[str, type] = {
+    "computed-torque": ComputedTorque,
+    "smc": SlidingMode,
+    "smc-boundary": BoundaryLayer,
+}
+
+
+def make_controller(
+    name: str, nominal: ArmParameters, gains: dict[str, npt.ArrayLike] | None = None
+) -> Controller:
+    """A controller by name, with the nominal model it believes.
+
+    Args:
+        name: one of `CONTROLLERS`.
+        nominal: the model of the arm that the controller is given.
+        gains: gains by the names of the controller's fields; the recommended ones where not given.
+            `lambda` stands for `lambda_`, as Python keeps the former word for itself.
+
+    Raises:
+        ValueError: for an unknown name, or a gain that is unknown or invalid.
+    """
+    if name not in CONTROLLERS:
+        raise ValueError(f"unknown controller {name!r}{closest(name, CONTROLLERS)}")
+    kind = CONTROLLERS[name]
+    fields = [field.name for field in dataclasses.fields(kind) if field.name != "nominal"]
+    spoken = {field.rstrip("_"): field for field in fields}
+    chosen = {field: RECOMMENDED[field](nominal) for field in fields if field in RECOMMENDED}
+    for gain, value in (gains or {}).items():
+        if gain not in spoken:
+            raise ValueError(f"{name} has no gain {gain!r}{closest(gain, spoken)}")
+        chosen[spoken[gain]] = value
+    return kind(nominal=nominal, **chosen)

@@ -1,0 +1,47 @@
+"""Computed torque: feedback linearisation with the nominal model."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from controllers.gains import Gain, as_gain
+from octarm.interfaces import Command, Measurement, Reference
+from octarm.lagrange import inverse_dynamics
+from octarm.parameters import ArmParameters
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class ComputedTorque:
+    """Q = D^ (q_d'' - K_d e' - K_p e) + (C^ + B^) q' + G^, with e = q - q_d.
+
+    With an exact model the error obeys e'' + K_d e' + K_p e = 0.
+
+    Attributes:
+        nominal: the model that the controller believes.
+        K_p: position gain, broadcasts to (..., 2N) [1/s^2].
+        K_d: velocity gain, broadcasts to (..., 2N) [1/s].
+
+    Raises:
+        ValueError: for a gain that is not positive or has a wrong shape.
+    """
+
+    nominal: ArmParameters
+    K_p: Gain
+    K_d: Gain
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "K_p", as_gain("K_p", self.K_p, self.nominal))
+        object.__setattr__(self, "K_d", as_gain("K_d", self.K_d, self.nominal))
+
+    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> None:
+        """There is nothing to remember."""
+        del batch_shape
+
+    def __call__(
+        self, state: None, measurement: Measurement, reference: Reference
+    ) -> tuple[Command, None]:
+        """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
+        q, v = measurement.q, measurement.v
+        e, e_dot = q - reference.q, v - reference.v
+        a = reference.a - self.K_d * e_dot - self.K_p * e
+        return Command(inverse_dynamics(self.nominal, q, v, a), {}), state

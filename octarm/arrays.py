@@ -1,0 +1,46 @@
+"""Two small tools for arrays that carry coordinates on the last axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+Entry = np.ndarray | float
+
+
+def split(x: np.ndarray) -> Sequence[Entry]:
+    """The entries of the last axis: floats for one arm, views of shape (...) for a batch.
+
+    Arithmetic on an entry is then elementwise along the batch, and as fast as it can be for one
+    arm. Both give the same bits.
+    """
+    return x.tolist() if x.ndim == 1 else [x[..., i] for i in range(x.shape[-1])]
+
+
+def entry(x: np.ndarray) -> Entry:
+    """A float for one arm, the array of shape (...) for a batch."""
+    return float(x) if x.ndim == 0 else x
+
+
+def cos_sin(angle: Entry) -> tuple[Entry, Entry]:
+    """Cosine and sine [1] of an entry [rad], by the same NumPy loops for one arm and a batch."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return (float(cos), float(sin)) if isinstance(angle, float) else (cos, sin)
+
+
+def read_only(name: str, value: npt.ArrayLike) -> np.ndarray:
+    """A read-only float64 copy.
+
+    Raises:
+        ValueError: if the value is not made of finite numbers; `name` says whose it is.
+    """
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} is {value!r}; it must be made of numbers") from None
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"{name} holds {array[~np.isfinite(array)].flat[0]:g}; it must be finite")
+    array.setflags(write=False)
+    return array

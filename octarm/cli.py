@@ -1,0 +1,190 @@
+"""The command line: `octarm run`, `octarm replay`, `octarm validate`.
+
+Every refusal is one sentence on standard error. Heavy modules are imported by the command that
+needs them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import tyro
+
+from octarm.errors import ExitCode
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """Run one controller on the arm and record it.
+
+    Writes a run folder: run.rrd (the recording), run.npz (all arrays), run.json (what was run).
+
+    Example: octarm run --controller smc-boundary --mismatch -0.3 --duration 10
+    """
+
+    controller: str = "smc-boundary"
+    """Controller: computed-torque, smc, smc-boundary."""
+
+    reference: str = "sine"
+    """Desired motion: sine (theta1, theta2), sine-slides (s1, s2), multi-sine, smooth-step,
+    set-point."""
+
+    duration: float = 10.0
+    """Length of the run [s]."""
+
+    mismatch: float = 0.0
+    """Error of the controller's nominal model [1]: its mass, inertia and damping are multiplied by
+    1 + X, its stiffness by 1 + X/2. The true arm stays as it is."""
+
+    nominal: tuple[str, ...] = ()
+    """NAME:FACTOR, one more factor on a parameter of the nominal model, e.g. mass:0.7."""
+
+    parameter: tuple[str, ...] = ()
+    """NAME:VALUES, a parameter of the true arm, e.g. mass:0.3,0.25,0.2 [kg]; names and units are
+    those of ArmParameters. The nominal model follows it, before mismatch."""
+
+    gain: tuple[str, ...] = ()
+    """NAME:VALUES, a gain of the controller, e.g. lambda:15 or K:0.8,0.8,0.8,0.4,0.25,0.03."""
+
+    seed: int = 0
+    """Seed of all that is random in the run; an undisturbed run has nothing random in it."""
+
+    timestep: float = 0.0005
+    """Physics step [s]."""
+
+    control_period: float | None = None
+    """Time between two control actions [s], a whole multiple of the physics step; one step when
+    not given."""
+
+    actuation: str = "f-coeff"
+    """How input forces act: f-coeff (eq (2)), or internal (between neighbouring modules)."""
+
+    out: Path | None = None
+    """Run folder to write; runs/DATE-TIME-CONTROLLER when not given."""
+
+    view: bool = False
+    """Open the recording in the viewer when the run is done."""
+
+    def main(self) -> int:
+        """Runs, writes the folder, prints a summary."""
+        from octarm import commands
+
+        return commands.run(self)
+
+
+@dataclasses.dataclass(frozen=True)
+class Replay:
+    """Open a recorded run in the rerun viewer.
+
+    Example: octarm replay runs/my-run --screenshot picture.png
+    """
+
+    run: tyro.conf.Positional[Path]
+    """Run folder."""
+
+    screenshot: Path | None = None
+    """Write a picture of the viewer instead of opening it; needs no display."""
+
+    time: float | None = None
+    """Time shown in the picture [s]; the middle of the run when not given."""
+
+    def main(self) -> int:
+        """Opens the viewer and waits until it is closed, or writes the picture."""
+        from octarm import commands
+
+        return commands.replay(self)
+
+
+@dataclasses.dataclass(frozen=True)
+class Validate:
+    """Check MuJoCo against the analytic model and print a report.
+
+    Example: octarm validate --modules 5 --json report.json
+    """
+
+    modules: int = 3
+    """Number of modules of the arm."""
+
+    random_parameters: int = 0
+    """Check this many arms with random parameters instead of the nominal one."""
+
+    states: int = 10_000
+    """Random states that each comparison runs over."""
+
+    seed: int = 0
+    """Seed of the random states and parameters."""
+
+    json: Path | None = None
+    """Also write the report to this file."""
+
+    def main(self) -> int:
+        """Prints the report; exit code 1 when a check failed."""
+        from octarm import commands
+
+        return commands.validate(self)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs a command line; returns the exit code."""
+    try:
+        return _parse(sys.argv[1:] if arguments is None else arguments).main()
+    except (ValueError, OSError, RuntimeError) as error:
+        print(f"octarm: {_one_line(error)}", file=sys.stderr)
+        return ExitCode.BAD_INPUT
+    except KeyboardInterrupt:
+        print("octarm: interrupted; nothing was written", file=sys.stderr)
+        return ExitCode.INTERRUPTED
+
+
+def _parse(arguments: Sequence[str]) -> Run | Replay | Validate:
+    errors = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(errors):
+            return tyro.cli(
+                Run | Replay | Validate,  # pyright: ignore[reportArgumentType]
+                prog="octarm",
+                description="A testbed for robust controllers of a continuum robot arm.",
+                args=list(arguments),
+                config=(tyro.conf.UseAppendAction, tyro.conf.FlagCreatePairsOff),
+            )
+    except SystemExit as leaving:
+        if not leaving.code:
+            raise
+        raise ValueError(_sentence(errors.getvalue())) from None
+
+
+def _sentence(message: str) -> str:
+    """The statement in one of tyro's error messages, with its suggestion.
+
+    On a terminal the message is a box with its title in the frame; elsewhere the title is a line
+    of its own. Rules separate the statement from what follows it.
+    """
+    message = re.sub(r"\x1b\[[0-9;]*m", "", message)  # colours
+    framed = "│" in message
+    lines = [line.strip("│ ") for line in message.splitlines() if line[:1] not in "╭╰"]
+    parts = [" ".join(part.split()) for part in re.split(r"\n[─-]{3,}\n", "\n".join(lines))]
+    statement, *rest = parts if framed else parts[1:] or parts
+    statement = re.sub(r"( \(applied to [^)]*\))|( Arguments are applied .*)", "", statement)
+    meant = re.search(r"Perhaps you meant: (--[\w-]+).*? in (octarm \w+) --help", " ".join(rest))
+    if meant and meant[1] in statement.split():
+        return f"{statement}; {meant[1]} belongs to {meant[2]}"
+    if meant:
+        return f"{statement}; did you mean {meant[1]}?"
+    available = re.search(r"Available subcommands: (.*)", rest[0]) if rest else None
+    return f"{statement}; the commands are {available[1]}" if available else statement
+
+
+def _one_line(error: Exception) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename or 'file'}: {error.strerror}"
+    return " ".join(str(error).split())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,229 @@
+"""What the commands do."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import itertools
+import json
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from dm_control.rl import control
+from tqdm import tqdm
+
+from controllers import make_controller
+from octarm import runs
+from octarm.environment import TrackingTask, load, whole_periods
+from octarm.errors import ExitCode, closest
+from octarm.interfaces import Controller
+from octarm.metrics import SETTLED_AFTER
+from octarm.model import coordinate_names, nominal_parameters
+from octarm.parameters import ArmParameters
+from octarm.rollout import rollout
+from octarm.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from octarm.cli import Replay, Run, Validate
+
+
+def run(options: Run) -> int:
+    """`octarm run`: one controller against the arm, as a run folder."""
+    true = _true_parameters(options)
+    nominal = true.mismatched(options.mismatch).scaled(**named_values("--nominal", options.nominal))
+    controller = make_controller(
+        options.controller, nominal, dict(named_values("--gain", options.gain))
+    )
+    environment = load(
+        options.reference,
+        parameters=true,
+        timestep=options.timestep,
+        control_period=options.control_period,
+        actuation=options.actuation,
+        seed=options.seed,
+    )
+    periods = whole_periods(options.duration, environment.control_timestep())
+    out = options.out or _dated_folder(options.controller)
+    with runs.new_folder(out) as folder:
+        started = time.perf_counter()
+        with tqdm(total=periods, unit=" periods", disable=None, leave=False) as bar:
+            trajectory = rollout(environment, controller, options.duration, progress=bar.update)
+        description = _describe(options, true, nominal, controller, environment, trajectory)
+        runs.write_run(folder, trajectory, description)
+        _record(folder, trajectory, true, description)
+        elapsed = time.perf_counter() - started
+    _print_summary(trajectory, description, elapsed)
+    print(f"wrote {out}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
+    if trajectory.status == "diverged":
+        print(f"octarm: {trajectory.message}; the run up to there was kept", file=sys.stderr)
+        return ExitCode.DIVERGED
+    if options.view:
+        return _view(out)
+    print(f"see it: octarm replay {shlex.quote(str(out))}")
+    return ExitCode.FINE
+
+
+def replay(options: Replay) -> int:
+    """`octarm replay`: the viewer on a recorded run, or a picture of it."""
+    from octarm import viewer
+
+    description = runs.read_description(options.run)
+    recording = options.run / runs.RECORDING
+    if not recording.is_file():
+        raise ValueError(f"{options.run} has no recording {runs.RECORDING}")
+    if options.screenshot is None:
+        viewer.open_viewer([recording])
+        return ExitCode.FINE
+    shown = 0.5 * description["duration"] if options.time is None else options.time
+    viewer.screenshot(recording, options.screenshot, time=shown)
+    print(f"wrote {options.screenshot}")
+    return ExitCode.FINE
+
+
+def validate(options: Validate) -> int:
+    """`octarm validate`: MuJoCo against the analytic model."""
+    from octarm.validation import arm_with, random_arm
+    from octarm.validation import validate as compare
+
+    if options.modules < 1 or options.random_parameters < 0 or options.states < 1:
+        raise ValueError(
+            f"modules is {options.modules}, states {options.states}, random parameters "
+            f"{options.random_parameters}; they must be at least 1, 1 and 0"
+        )
+    draw = np.random.default_rng(options.seed)
+    arms = [random_arm(draw, options.modules) for _ in range(options.random_parameters)]
+    reports = []
+    for arm in arms or [arm_with(options.modules)]:
+        report = compare(arm, states=options.states, seed=options.seed)
+        print(report.format(), flush=True)
+        reports.append(report)
+    if options.json is not None:
+        runs.write_text(options.json, json.dumps([r.to_dict() for r in reports], indent=2) + "\n")
+    return ExitCode.FINE if all(r.passed for r in reports) else ExitCode.CHECK_FAILED
+
+
+def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
+    """Parses NAME:VALUES items; values are separated by `,`, rows by `;`.
+
+    Raises:
+        ValueError: if an item has no name, or its values are not numbers.
+    """
+    values = {}
+    for item in items:
+        name, _, text = item.partition(":")
+        try:
+            rows = [[float(x) for x in row.split(",")] for row in text.split(";")]
+            table = np.array(rows)
+        except ValueError:
+            raise ValueError(
+                f"{option} is {item!r}; it must read NAME:NUMBER, NAME:A,B,C or NAME:A,B;C,D"
+            ) from None
+        if table.shape[0] == 1:
+            table = table[0]
+        values[name] = table[0] if table.shape == (1,) else table
+    return values
+
+
+def _true_parameters(options: Run) -> ArmParameters:
+    changes = named_values("--parameter", options.parameter)
+    known = [field.name for field in dataclasses.fields(ArmParameters)]
+    for name in changes:
+        if name not in known:
+            raise ValueError(f"unknown parameter {name!r}{closest(name, known)}")
+    return dataclasses.replace(nominal_parameters(), **changes)
+
+
+def _describe(
+    options: Run,
+    true: ArmParameters,
+    nominal: ArmParameters,
+    controller: Controller,
+    environment: control.Environment,
+    trajectory: Trajectory,
+) -> dict[str, Any]:
+    """All that a run depends on, and what came of it: the content of run.json."""
+    task: TrackingTask = environment.task
+    return {
+        "controller": {"name": options.controller, "gains": runs.gains_of(controller)},
+        "parameters": true.to_dict(),
+        "nominal": nominal.to_dict(),
+        "reference": {"name": options.reference, **runs.describe_fields(task.reference)},
+        "disturbances": [],
+        "seed": options.seed,
+        "duration": options.duration,
+        "timestep": environment.physics.timestep(),
+        "control_period": environment.control_timestep(),
+        "actuation": options.actuation,
+        "metrics": runs.measure(trajectory),
+        "status": trajectory.status,
+        "message": trajectory.message,
+        "versions": runs.versions(),
+        "digest": trajectory.digest,
+        "command": shlex.join(["octarm", *sys.argv[1:]]),
+    }
+
+
+def _record(
+    folder: Path, trajectory: Trajectory, true: ArmParameters, description: dict[str, Any]
+) -> None:
+    from octarm.recording import write_recording
+
+    title = f"{description['controller']['name']} on {description['reference']['name']}"
+    notes = f"# {title}\n\n```\n{description['command']}\n```\n\n" + _notes(description)
+    write_recording(folder / runs.RECORDING, trajectory, true, title=title, notes=notes)
+
+
+def _notes(description: dict[str, Any]) -> str:
+    """Gains, parameters and metrics as a page of text."""
+    parts = []
+    for heading, table in (
+        ("Gains", description["controller"]["gains"]),
+        ("True parameters", description["parameters"]),
+        ("Nominal parameters", description["nominal"]),
+        ("Metrics", description["metrics"]),
+    ):
+        rows = "\n".join(f"| {name} | {value} |" for name, value in table.items())
+        parts.append(f"## {heading}\n\n| | |\n|---|---|\n{rows}\n")
+    return "\n".join(parts)
+
+
+def _view(folder: Path) -> int:
+    """Opens the viewer on a fresh run; without a display the run is still fine."""
+    from octarm import viewer
+
+    try:
+        viewer.open_viewer([folder / runs.RECORDING])
+    except RuntimeError as error:
+        print(f"the viewer did not open: {error}")
+        print(f"a picture: octarm replay {shlex.quote(str(folder))} --screenshot picture.png")
+    return ExitCode.FINE
+
+
+def _dated_folder(controller: str) -> Path:
+    now = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+    base = Path("runs") / f"{now}-{controller}"
+    names = itertools.chain([base], (Path(f"{base}-{i}") for i in itertools.count(2)))
+    return next(name for name in names if not name.exists())
+
+
+def _print_summary(trajectory: Trajectory, description: dict[str, Any], elapsed: float) -> None:
+    simulated = len(trajectory) * description["control_period"]
+    print(
+        f"{description['controller']['name']} on {description['reference']['name']}: "
+        f"{simulated:g} s at {1.0 / description['control_period']:g} Hz, done in {elapsed:.1f} s"
+    )
+    rms, peak = description["metrics"]["rms_error"], description["metrics"]["peak_error"]
+    if None in rms:
+        return
+    amplitude = 0.5 * np.ptp(trajectory.q_d, axis=0)
+    print(f"  error after {SETTLED_AFTER:g} s        rms       peak   rms / amplitude")
+    for j, name in enumerate(coordinate_names(len(rms) // 2)):
+        unit = "m  " if j < len(rms) // 2 else "rad"
+        share = f"{100.0 * rms[j] / amplitude[j]:10.3f} %" if amplitude[j] > 0.0 else ""
+        print(f"  {name:>8} [{unit}]  {rms[j]:10.2e} {peak[j]:10.2e}  {share}".rstrip())

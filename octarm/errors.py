@@ -1,0 +1,25 @@
+"""How errors are said, and the exit codes of the commands."""
+
+from __future__ import annotations
+
+import difflib
+import enum
+from collections.abc import Iterable
+
+
+class ExitCode(enum.IntEnum):
+    """What a command's exit code means."""
+
+    FINE = 0
+    CHECK_FAILED = 1
+    BAD_INPUT = 2
+    DIVERGED = 3
+    INTERRUPTED = 130
+
+
+def closest(word: str, known: Iterable[str]) -> str:
+    """The end of an error sentence: what a misspelt word may have meant, and all known ones."""
+    known = list(known)
+    match = difflib.get_close_matches(word, known, n=1)
+    meant = f", did you mean {match[0]!r}?" if match else ";"
+    return f"{meant} known are {', '.join(known)}"

@@ -1,0 +1,198 @@
+"""Desired motions: pure functions of time with matched derivatives.
+
+Coordinates are on the last axis in the order q = [s1..sN, theta1..thetaN]; batch axes may stand
+before it. `REFERENCES` names the ones that the command line offers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from octarm.arrays import read_only
+from octarm.errors import closest
+from octarm.interfaces import Motion, Reference
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class SetPoint:
+    """Rest at one place: q_d = q.
+
+    Attributes:
+        q: shape (..., 2N) [m], [rad].
+    """
+
+    q: np.ndarray
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+    def __call__(self, t: float) -> Reference:
+        """The same at every time t [s]."""
+        del t
+        rest = np.zeros_like(self.q)
+        return Reference(self.q, rest, rest)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Sine:
+    """q_d = center + amplitude sin(2 pi frequency t + phase), coordinate by coordinate.
+
+    Attributes:
+        center: shape (..., 2N) [m], [rad].
+        amplitude: shape (..., 2N) [m], [rad]; zero for the coordinates that rest.
+        frequency: broadcasts to (..., 2N) [Hz].
+        phase: broadcasts to (..., 2N) [rad].
+    """
+
+    center: np.ndarray
+    amplitude: np.ndarray
+    frequency: np.ndarray | float
+    phase: np.ndarray | float = 0.0
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+    def __call__(self, t: float) -> Reference:
+        """Desired motion at time t [s]."""
+        omega = 2.0 * np.pi * np.asarray(self.frequency)
+        angle = omega * t + self.phase
+        sine = self.amplitude * np.sin(angle)
+        return Reference(
+            self.center + sine,
+            self.amplitude * omega * np.cos(angle),
+            -omega * omega * sine,
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class MultiSine:
+    """The sum of several sines.
+
+    Attributes:
+        tones: at least one; their centers add up too.
+    """
+
+    tones: tuple[Sine, ...]
+
+    def __post_init__(self) -> None:
+        if not self.tones:
+            raise ValueError("a multi-sine has no tones; it needs at least one")
+
+    def __call__(self, t: float) -> Reference:
+        """Desired motion at time t [s]."""
+        total = self.tones[0](t)
+        for tone in self.tones[1:]:
+            part = tone(t)
+            total = Reference(total.q + part.q, total.v + part.v, total.a + part.a)
+        return total
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class SmoothStep:
+    """From start to goal on the minimum-jerk quintic; at rest before and after.
+
+    q_d = start + (goal - start) (10 x^3 - 15 x^4 + 6 x^5) with x = (t - begin) / duration. Its
+    velocity and acceleration are continuous and vanish at both ends.
+
+    Attributes:
+        start: shape (..., 2N) [m], [rad].
+        goal: shape (..., 2N) [m], [rad].
+        begin: when the motion begins [s].
+        duration: how long it takes [s], positive.
+    """
+
+    start: np.ndarray
+    goal: np.ndarray
+    begin: np.ndarray | float = 0.0
+    duration: np.ndarray | float = 1.0
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+        if not np.all(np.asarray(self.duration) > 0.0):
+            raise ValueError(f"duration is {self.duration} s; a step takes a positive time")
+
+    def __call__(self, t: float) -> Reference:
+        """Desired motion at time t [s]."""
+        T = np.asarray(self.duration)
+        x = np.clip((t - np.asarray(self.begin)) / T, 0.0, 1.0)
+        way = self.goal - self.start
+        return Reference(
+            self.start + way * (x * x * x * (10.0 + x * (-15.0 + 6.0 * x))),
+            way * (30.0 * x * x * (1.0 - x) * (1.0 - x)) / T,
+            way * (60.0 * x * (1.0 - x) * (1.0 - 2.0 * x)) / (T * T),
+        )
+
+
+def _paper_sine(rest: np.ndarray) -> Sine:
+    """The paper's sine on the first two joints, read as theta1 and theta2."""
+    return Sine(center=rest, amplitude=_first_two(rest, bends=(0.35, 0.25)), frequency=0.5)
+
+
+def _slide_sine(rest: np.ndarray) -> Sine:
+    """The literal reading of "first two links": the sine on s1 and s2."""
+    return Sine(center=rest, amplitude=_first_two(rest, slides=(0.02, 0.015)), frequency=0.5)
+
+
+def _multi_sine(rest: np.ndarray) -> MultiSine:
+    """Three incommensurate tones on the first two modules, slides and bends."""
+    big = _first_two(rest, slides=(0.008, 0.006), bends=(0.20, 0.15))
+    tones = ((1.0, 0.3, 0.0), (0.5, 0.3 * 2**0.5, 1.0), (0.25, 0.3 * 5**0.5, 2.0))
+    centers = (rest, 0.0 * rest, 0.0 * rest)
+    return MultiSine(
+        tones=tuple(
+            Sine(center=center, amplitude=share * big, frequency=frequency, phase=phase)
+            for center, (share, frequency, phase) in zip(centers, tones, strict=True)
+        )
+    )
+
+
+def _smooth_step(rest: np.ndarray) -> SmoothStep:
+    """From rest to a bent and stretched pose within 1 s, beginning at 0.5 s."""
+    goal = rest + _first_two(rest, slides=(0.01, 0.01), bends=(0.35, 0.25))
+    return SmoothStep(start=rest, goal=goal, begin=0.5, duration=1.0)
+
+
+def _set_point(rest: np.ndarray) -> SetPoint:
+    """A bent pose at once, from rest: a step response."""
+    return SetPoint(q=rest + _first_two(rest, bends=(0.2, 0.15)))
+
+
+REFERENCES: dict[str, Callable[[np.ndarray], Motion]] = {
+    "sine": _paper_sine,
+    "sine-slides": _slide_sine,
+    "multi-sine": _multi_sine,
+    "smooth-step": _smooth_step,
+    "set-point": _set_point,
+}
+
+
+def named_reference(name: str, rest: np.ndarray) -> Motion:
+    """A reference by name, about the pose `rest`, shape (..., 2N) [m], [rad].
+
+    Raises:
+        ValueError: for an unknown name; it lists the known ones.
+    """
+    if name not in REFERENCES:
+        raise ValueError(f"unknown reference {name!r}{closest(name, REFERENCES)}")
+    return REFERENCES[name](rest)
+
+
+def _first_two(
+    rest: np.ndarray, slides: tuple[float, ...] = (), bends: tuple[float, ...] = ()
+) -> np.ndarray:
+    """Values for the first modules of an arm, zero elsewhere, shape (..., 2N)."""
+    n = rest.shape[-1] // 2
+    out = np.zeros_like(rest)
+    out[..., : len(slides[:n])] = slides[:n]
+    out[..., n : n + len(bends[:n])] = bends[:n]
+    return out
+
+
+def _freeze(motion: SetPoint | Sine | SmoothStep) -> None:
+    """Makes the fields read-only float arrays; rejects values that are not finite."""
+    for field in dataclasses.fields(motion):
+        value = read_only(field.name, getattr(motion, field.name))
+        object.__setattr__(motion, field.name, value)

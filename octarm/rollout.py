@@ -1,0 +1,137 @@
+"""The only simulation loop: a controller against the arm, as a trajectory."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+
+import numpy as np
+from dm_control.rl import control
+
+from octarm.environment import TrackingTask, whole_periods
+from octarm.interfaces import Command, Controller, Measurement, Reference
+from octarm.plant import ArmPhysics
+from octarm.trajectory import Trajectory
+
+
+def rollout(
+    environment: control.Environment,
+    controller: Controller,
+    duration: float,
+    *,
+    progress: Callable[[], object] | None = None,
+) -> Trajectory:
+    """Runs one episode from the start.
+
+    The loop turns the controller's generalised force into the action with what it may know:
+    tau = F(q measured)^-1 Q.
+
+    Args:
+        environment: what `octarm.load` returns, possibly wrapped.
+        controller: see `octarm.interfaces`.
+        duration: length of the run [s], rounded up to whole control periods.
+        progress: called after every control period.
+
+    Returns:
+        The trajectory; its status is `diverged` when the arm left its limits, or a force was not
+        finite. Such a run ends there.
+
+    Raises:
+        ValueError: if the duration is not positive, or the controller's force has a wrong shape.
+    """
+    physics: ArmPhysics = environment.physics
+    task: TrackingTask = environment.task
+    periods = whole_periods(duration, environment.control_timestep())
+    log = _Log(periods)
+    timestep = environment.reset()
+    state = controller.initial_state(())
+    message = ""
+    for _ in range(periods):
+        seen = timestep.observation
+        measurement = Measurement(task.time, seen["q"], seen["v"])
+        reference = Reference(seen["q_d"], seen["v_d"], seen["a_d"])
+        command, state = controller(state, measurement, reference)
+        log.append(physics, measurement.t, reference, command)
+        message = _force_problem(command.force, measurement)
+        if message:
+            break
+        try:
+            timestep = environment.step(physics.actuation.inputs(measurement.q, command.force))
+        except control.PhysicsError as error:
+            message = (
+                task.divergence(physics) or f"MuJoCo stopped at t = {task.time:.4f} s: {error}"
+            )
+        log.acted(physics)
+        if progress is not None:
+            progress()
+        if timestep.last():
+            message = task.divergence(physics)
+        if message or timestep.last():
+            break
+    return log.trajectory(message)
+
+
+def _force_problem(force: np.ndarray, measurement: Measurement) -> str:
+    """Why a controller's force cannot be applied, as a sentence; empty when it can."""
+    if np.shape(force) != measurement.q.shape:
+        raise ValueError(
+            f"the controller's force has shape {np.shape(force)}; the arm needs "
+            f"{measurement.q.shape}"
+        )
+    finite = np.isfinite(force)
+    if np.all(finite):
+        return ""
+    j = int(np.argmin(finite))
+    n = len(force) // 2
+    name = f"s{j + 1}" if j < n else f"theta{j - n + 1}"
+    return f"the controller's force on {name} is {force[j]} at t = {measurement.t:.4f} s"
+
+
+class _Log:
+    """Arrays that fill up row by row."""
+
+    def __init__(self, rows: int) -> None:
+        self._rows = rows
+        self._used = 0
+        self._columns: dict[str, np.ndarray] = {}
+        self._signals: dict[str, np.ndarray] = {}
+        self._hash = hashlib.sha256()
+
+    def append(self, physics: ArmPhysics, t: float, reference: Reference, command: Command) -> None:
+        """One control instant, before its action acts."""
+        nothing = np.full(physics.q().shape, np.nan)
+        row = {
+            "t": np.float64(t),
+            "q": physics.q(),
+            "v": physics.v(),
+            "q_d": reference.q,
+            "v_d": reference.v,
+            "tau": nothing,
+            "force": command.force,
+            "disturbance": 0.0 * reference.q,
+        }
+        if not self._columns:
+            self._columns = {name: self._column(value) for name, value in row.items()}
+            self._signals = {name: self._column(value) for name, value in command.signals.items()}
+        for columns, values in ((self._columns, row), (self._signals, command.signals)):
+            for name, column in columns.items():
+                column[self._used] = values[name]
+        self._hash.update(physics.integration_state().tobytes())
+        self._used += 1
+
+    def acted(self, physics: ArmPhysics) -> None:
+        """The inputs that the arm received in the period of the last instant."""
+        self._columns["tau"][self._used - 1] = physics.tau()
+
+    def trajectory(self, message: str) -> Trajectory:
+        """What was recorded; `message` says how a diverged run ended."""
+        return Trajectory(
+            **{name: column[: self._used] for name, column in self._columns.items()},
+            signals={name: column[: self._used] for name, column in self._signals.items()},
+            status="diverged" if message else "ok",
+            message=message,
+            digest=self._hash.hexdigest(),
+        )
+
+    def _column(self, value: np.ndarray) -> np.ndarray:
+        return np.empty((self._rows, *np.shape(value)))

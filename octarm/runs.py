@@ -1,0 +1,151 @@
+"""A run on disk: a folder with the recording, the arrays, and what was run."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import platform
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from octarm.interfaces import Controller
+from octarm.metrics import Effort, TrackingError
+from octarm.parameters import ArmParameters
+from octarm.trajectory import Trajectory
+
+RECORDING = "run.rrd"
+ARRAYS = "run.npz"
+DESCRIPTION = "run.json"
+
+_PACKAGES = ("octarm", "mujoco", "dm-control", "numpy", "rerun-sdk")
+
+
+def measure(trajectory: Trajectory) -> dict[str, list[float | None]]:
+    """The metrics of a run by name, one number a coordinate; none when the run diverged."""
+    error, effort = TrackingError(), Effort()
+    error.update(trajectory.t, trajectory.error)
+    effort.update(trajectory.tau)
+    results = {**error.result(), **effort.result()}
+    diverged = trajectory.status == "diverged"
+    return {
+        name: [None if diverged or not np.isfinite(x) else float(x) for x in values]
+        for name, values in results.items()
+    }
+
+
+def describe_fields(thing: Any) -> dict[str, Any]:
+    """The fields of a frozen dataclass, ready for JSON; parameters and arrays become lists."""
+    return {f.name: _plain(getattr(thing, f.name)) for f in dataclasses.fields(thing)}
+
+
+def gains_of(controller: Controller) -> dict[str, Any]:
+    """A controller's gains, ready for JSON: its fields but the nominal model."""
+    fields = describe_fields(controller)
+    return {name: value for name, value in fields.items() if name != "nominal"}
+
+
+def versions() -> dict[str, str]:
+    """What a run depends on for being repeated bit for bit."""
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        **{name: version(name) for name in _PACKAGES},
+    }
+
+
+def write_run(folder: Path, trajectory: Trajectory, description: Mapping[str, Any]) -> None:
+    """Writes `run.npz` and `run.json` into a folder."""
+    trajectory.save(folder / ARRAYS)
+    write_text(folder / DESCRIPTION, json.dumps(description, indent=2, allow_nan=False) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a text file whole or not at all."""
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def read_description(folder: Path) -> dict[str, Any]:
+    """What was run, from `run.json`.
+
+    Raises:
+        ValueError: if the folder holds no run.
+    """
+    try:
+        return json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ValueError(f"{folder} is not a run folder: it has no {DESCRIPTION}") from None
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{folder / DESCRIPTION} is not readable ({error})") from None
+
+
+def read_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
+    """The trajectory of a run folder and the description of what was run.
+
+    Raises:
+        ValueError: if the folder holds no run.
+    """
+    description = read_description(folder)
+    return Trajectory.load(folder / ARRAYS), description
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """A folder to fill, which takes its final name only when the block ends well.
+
+    An earlier run of that name is replaced; anything else that stands there is left alone.
+
+    Raises:
+        ValueError: if the name is taken by something that is not a run.
+        OSError: if the place cannot be written.
+    """
+    if folder.exists() and not (folder.is_dir() and _is_run_or_empty(folder)):
+        raise ValueError(f"{folder} exists and is not an earlier run; choose another --out")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    part = Path(tempfile.mkdtemp(prefix=f".{folder.name}.part-", dir=folder.parent))
+    try:
+        part.chmod(0o777 & ~_umask())
+        yield part
+        if folder.exists():
+            old = part.with_name(part.name + ".old")
+            os.replace(folder, old)
+            os.replace(part, folder)
+            shutil.rmtree(old)
+        else:
+            os.replace(part, folder)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _is_run_or_empty(folder: Path) -> bool:
+    return (folder / DESCRIPTION).is_file() or not any(folder.iterdir())
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, ArmParameters):
+        return value.to_dict()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    if dataclasses.is_dataclass(value):
+        return describe_fields(value)
+    return value

@@ -1,0 +1,302 @@
+"""MuJoCo against Lagrange, as a report: every row says what, measured, allowed, pass or fail."""
+# pyright: reportAttributeAccessIssue=false
+# (mujoco ships no type stubs)
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from octarm import free_motion, lagrange
+from octarm.mechanics import (
+    Mechanics,
+    lagrange_mechanics,
+    levers,
+    mujoco_mechanics,
+    random_states,
+    relative_error,
+)
+from octarm.model import build_model, nominal_parameters, paper_order
+from octarm.parameters import ArmParameters
+
+
+@dataclasses.dataclass(frozen=True)
+class Check:
+    """One row of a report.
+
+    Attributes:
+        what: what was compared.
+        measured: what came out, in `unit`.
+        high: largest value allowed.
+        low: smallest value allowed; -inf for an error, which has no smallest.
+        unit: of the three numbers; "1" for a ratio.
+    """
+
+    what: str
+    measured: float
+    high: float
+    low: float = -np.inf
+    unit: str = "1"
+
+    @property
+    def passed(self) -> bool:
+        """Whether the measured value is allowed; NaN never is."""
+        return bool(self.low <= self.measured <= self.high)
+
+    @property
+    def allowed(self) -> str:
+        """The allowed range in words, without the unit."""
+        if self.low == -np.inf:
+            return f"<= {self.high:.2g}"
+        return f"{self.low:.3g} .. {self.high:.3g}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The row for JSON; what is not finite becomes None."""
+        numbers = {"measured": self.measured, "low": self.low, "high": self.high}
+        finite = {k: float(x) if np.isfinite(x) else None for k, x in numbers.items()}
+        return {"what": self.what, **finite, "unit": self.unit, "passed": self.passed}
+
+
+@dataclasses.dataclass(frozen=True)
+class Report:
+    """The outcome of a validation.
+
+    Attributes:
+        parameters: the arm.
+        states: number of random states.
+        seed: of the random states and motions.
+        checks: the rows.
+    """
+
+    parameters: ArmParameters
+    states: int
+    seed: int
+    checks: tuple[Check, ...]
+
+    @property
+    def title(self) -> str:
+        """What was compared, in one line."""
+        p = self.parameters
+        return (
+            f"MuJoCo {mujoco.__version__} against Lagrange: {p.modules} "
+            f"module{'s' if p.modules > 1 else ''}, {np.sum(p.mass):.3g} kg, "
+            f"{self.states} states, seed {self.seed}"
+        )
+
+    @property
+    def passed(self) -> bool:
+        """Whether every row passed."""
+        return all(check.passed for check in self.checks)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report for JSON."""
+        return {
+            "title": self.title,
+            "passed": self.passed,
+            "mujoco": mujoco.__version__,
+            "parameters": self.parameters.to_dict(),
+            "states": self.states,
+            "seed": self.seed,
+            "checks": [check.to_dict() for check in self.checks],
+        }
+
+    def __str__(self) -> str:
+        rows = [("what", "measured", "allowed", "unit", "")]
+        rows += [
+            (c.what, f"{c.measured:.3g}", c.allowed, c.unit, "pass" if c.passed else "FAIL")
+            for c in self.checks
+        ]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+            for row in rows
+        ]
+        failed = sum(not check.passed for check in self.checks)
+        count = len(self.checks)
+        verdict = f"{failed} of {count} checks FAILED" if failed else f"all {count} checks passed"
+        return "\n".join([self.title, "", *lines, "", verdict])
+
+
+def arm_with(modules: int) -> ArmParameters:
+    """The nominal arm with N modules.
+
+    Fewer modules than nominal: the arm cut off after module N. More: a longer arm with the same
+    base and tip, mass, inertia, stiffness and damping tapering in between as they do in the
+    nominal one.
+
+    Raises:
+        ValueError: if `modules` is below 1.
+    """
+    if modules < 1:
+        raise ValueError(f"the number of modules is {modules}; it must be at least 1")
+    p = nominal_parameters()
+    last = p.modules - 1
+    place = np.linspace(0, last, modules) if modules > p.modules else np.arange(modules)
+
+    def tapered(values: np.ndarray) -> np.ndarray:
+        return np.interp(place, np.arange(p.modules), values)
+
+    return ArmParameters(
+        mass=tapered(p.mass),
+        inertia=tapered(p.inertia),
+        width=p.width,
+        stiffness=[tapered(column) for column in p.stiffness],
+        damping=[tapered(column) for column in p.damping],
+        rest_length=tapered(p.rest_length),
+        gravity=p.gravity,
+    )
+
+
+def random_arm(rng: np.random.Generator, modules: int) -> ArmParameters:
+    """An arm of N modules that differ from `arm_with(N)`, and whose two columns differ as well.
+
+    Factors are log-uniform: 0.6 to 1.6 on mass, inertia and stiffness, 0.5 to 1.6 on damping, 0.75
+    to 1.35 on lengths and 0.3 to 1.2 on gravity. Such arms hang stably, and RK4 is stable at 1 ms.
+    """
+
+    def factor(low: float, high: float, *shape: int) -> np.ndarray:
+        return np.exp(rng.uniform(np.log(low), np.log(high), shape))
+
+    return arm_with(modules).scaled(
+        mass=factor(0.6, 1.6, modules),
+        inertia=factor(0.6, 1.6, modules),
+        width=factor(0.75, 1.35),
+        stiffness=factor(0.6, 1.6, 2, modules),
+        damping=factor(0.5, 1.6, 2, modules),
+        rest_length=factor(0.75, 1.35, modules),
+        gravity=factor(0.3, 1.2),
+    )
+
+
+def validate(
+    parameters: ArmParameters,
+    states: int = 10_000,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Report:
+    """Compares MuJoCo's arm with the analytic one, point by point and in motion.
+
+    Args:
+        parameters: one arm's parameters.
+        states: number of random states for the comparison point by point.
+        seed: of the random states and motions.
+        progress: called with the name of each part before it starts.
+
+    Raises:
+        ValueError: if `states` is below 1, or the parameters do not describe one arm that hangs.
+    """
+    if states < 1:
+        raise ValueError(f"the number of states is {states}; it must be at least 1")
+    model = build_model(parameters)
+    at_states, in_motion = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2))
+    parts = {
+        f"{states} random states": _compare_states(model, parameters, states, at_states),
+        "static equilibrium": _compare_equilibrium(model, parameters),
+        "small motions": _compare_small_motions(model, parameters),
+        "free motion": _compare_free_motion(model, parameters, in_motion),
+        "energy balance": _compare_energy(model, parameters, in_motion),
+    }
+    checks: list[Check] = []
+    for name, part in parts.items():
+        if progress:
+            progress(name)
+        checks += part
+    return Report(parameters, states, seed, tuple(checks))
+
+
+def _compare_states(
+    model: mujoco.MjModel, p: ArmParameters, count: int, rng: np.random.Generator
+) -> Iterator[Check]:
+    states = random_states(p, count, rng)
+    by_mujoco, by_lagrange = mujoco_mechanics(model, p, states), lagrange_mechanics(p, states)
+    r = levers(p)  # makes one unit of the entries of each quantity: forces and lengths
+    force, column = 1.0 / r, 1.0 / r[:, None]
+    rows: tuple[tuple[str, str, np.ndarray | float, float], ...] = (
+        ("positions of the modules", "positions", 1.0, 1e-12),
+        ("inertia matrix D", "inertia", column * force, 1e-12),
+        ("tendon moments T", "tendon_moments", column, 1e-12),
+        ("F_coeff, by forces and couples on the bodies", "coefficients", column, 1e-12),
+        ("bias: Coriolis force and gravity", "bias", force, 1e-10),
+        ("springs", "springs", force, 1e-10),
+        ("dampers", "dampers", force, 1e-10),
+        ("potential force G", "potential_force", force, 1e-10),
+        ("actuators: F_coeff tau", "actuation", force, 1e-10),
+        ("inverse dynamics", "inverse_dynamics", force, 1e-10),
+        ("accelerations", "acceleration", r, 1e-10),
+        ("kinetic energy", "kinetic", 1.0, 1e-12),
+    )
+    for what, field, weight, allowed in rows:
+        measured, expected = getattr(by_mujoco, field), getattr(by_lagrange, field)
+        yield Check(what, relative_error(weight * measured, weight * expected), allowed)
+    yield from _compare_potential(by_mujoco, by_lagrange)
+
+
+def _compare_potential(by_mujoco: Mechanics, by_lagrange: Mechanics) -> Iterator[Check]:
+    """Potential energies may differ by a constant; both models happen to put it at zero."""
+    difference = by_mujoco.potential - by_lagrange.potential
+    offset = float(np.mean(difference))
+    spread = float(np.max(np.abs(difference - offset)) / np.max(np.abs(by_lagrange.potential)))
+    yield Check("potential energy, about its offset", spread, 1e-12)
+    yield Check("potential energy, offset", offset, 1e-10, -1e-10, "J")
+
+
+def _compare_equilibrium(model: mujoco.MjModel, p: ArmParameters) -> Iterator[Check]:
+    q = lagrange.equilibrium(p)
+    qpos, dof = paper_order(model)
+    error = np.max(np.abs(model.key("hanging").qpos[qpos] - q) * levers(p))
+    yield Check("equilibrium, keyframe", float(error), 1e-10, unit="m")
+    data = mujoco.MjData(model)
+    data.qpos[qpos] = q
+    mujoco.mj_forward(model, data)
+    acceleration = np.max(np.abs(data.qacc[dof]) * levers(p))
+    yield Check("equilibrium, acceleration left", float(acceleration), 1e-9, unit="m/s^2")
+
+
+def _compare_small_motions(model: mujoco.MjModel, p: ArmParameters) -> Iterator[Check]:
+    expected = np.linalg.eigvals(free_motion.analytic_linearisation(p))
+    linearisation = free_motion.mujoco_linearisation(model, lagrange.equilibrium(p))
+    distance = np.abs(expected[:, None] - np.linalg.eigvals(linearisation))
+    pairs = linear_sum_assignment(distance)
+    error = np.max(distance[pairs] / np.abs(expected))
+    yield Check("eigenvalues of the linearised arm", float(error), 1e-6)
+    frequencies, _ = free_motion.undamped_modes(p)
+    error = np.max(np.abs(free_motion.measured_frequencies(model, p) / frequencies - 1.0))
+    yield Check("frequencies of small undamped oscillations", float(error), 1e-6)
+
+
+def _compare_free_motion(
+    model: mujoco.MjModel, p: ArmParameters, rng: np.random.Generator
+) -> Iterator[Check]:
+    q, v = free_motion.initial_motion(p, rng)
+    reference = free_motion.reference_motion(p, q, v)
+    steps = round(free_motion.DURATION / model.opt.timestep)
+    rk4 = mujoco.mjtIntegrator.mjINT_RK4
+    error = free_motion.integrator_error(model, p, v, reference, rk4, steps)
+    yield Check("free motion against DOP853, RK4", error, 1e-6, unit="m")
+    for name, integrator in mujoco.mjtIntegrator.__members__.items():
+        order = free_motion.observed_order(model, p, v, reference, integrator)
+        low, high = (3.7, 4.3) if integrator == rk4 else (0.8, 1.2)
+        yield Check(f"order of convergence, {name}", order, high, low)
+
+
+def _compare_energy(
+    model: mujoco.MjModel, p: ArmParameters, rng: np.random.Generator
+) -> Iterator[Check]:
+    """The energy balance of RK4 at the model's timestep."""
+    # A step takes the fraction z^6 / 72 off the energy of an oscillation, z = frequency * timestep.
+    # Three times that of the fastest mode leaves room for frequencies 20 % above those at rest.
+    h = model.opt.timestep
+    z = np.max(free_motion.undamped_modes(p)[0]) * h
+    loss = 3.0 * free_motion.DURATION / h * z**6 / 72.0
+    q, v = free_motion.initial_motion(p, rng)
+    drift = free_motion.energy_drift(model, p, q, v)
+    yield Check("energy drift without damping", drift, loss)
+    # Simpson's rule on dissipation, at twice the frequency, adds (2 z)^4 / 180: 1e-4 at 370 rad/s.
+    forces = rng.uniform(-5.0, 5.0, p.coordinates)
+    imbalance = free_motion.energy_imbalance(model, p, q, v, forces)
+    yield Check("energy change - work + dissipation", imbalance, 1e-4)

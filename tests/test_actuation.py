@@ -1,0 +1,165 @@
+"""The maps between input forces and generalised forces against their matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from octarm import ArmParameters, lagrange
+from octarm.actuation import ACTUATIONS, Actuation, GroundedActuation, InternalActuation
+
+MODULES = pytest.mark.parametrize("n", [1, 2, 3, 5])
+KINDS = pytest.mark.parametrize("kind", ACTUATIONS.values(), ids=ACTUATIONS.keys())
+BATCHES = pytest.mark.parametrize(
+    ("widths", "states"),
+    [((), ()), ((), (7,)), ((), (2, 3)), ((7,), (7,)), ((3,), (2, 3)), ((2, 3), (2, 3))],
+)
+
+
+def random_motion(
+    rng: np.random.Generator, n: int, batch: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates and forces."""
+    slide, bend = rng.uniform(0.04, 0.25, (*batch, n)), rng.uniform(-1.5, 1.5, (*batch, n))
+    return np.concatenate([slide, bend], axis=-1), rng.uniform(-20, 20, (*batch, 2 * n))
+
+
+def random_width(rng: np.random.Generator, batch: tuple[int, ...]) -> np.ndarray:
+    return np.asarray(rng.uniform(0.05, 0.12, batch))
+
+
+def column_moments(width: np.ndarray, n: int) -> np.ndarray:
+    """T: column (a, i) has 1 in row i and +-l/2 in row n + i."""
+    out = np.zeros((*width.shape, 2 * n, 2 * n))
+    for i in range(n):
+        out[..., i, 2 * i : 2 * i + 2] = 1.0
+        out[..., n + i, 2 * i] = 0.5 * width
+        out[..., n + i, 2 * i + 1] = -0.5 * width
+    return out
+
+
+def matrix(kind: type, width: np.ndarray, q: np.ndarray) -> np.ndarray:
+    n = q.shape[-1] // 2
+    if kind is InternalActuation:
+        return column_moments(width, n)
+    ones = np.ones((2, n))
+    p = ArmParameters(
+        mass=ones[0],
+        inertia=ones[0],
+        width=width,
+        stiffness=ones,
+        damping=ones,
+        rest_length=ones[0],
+        gravity=0.0,
+    )
+    return lagrange.force_coefficients(p, q)
+
+
+def times(matrix: np.ndarray, x: np.ndarray) -> np.ndarray:
+    return np.sum(matrix * x[..., None, :], axis=-1)
+
+
+def assert_close(actual: np.ndarray, expected: np.ndarray) -> None:
+    assert actual.shape == expected.shape
+    scale = np.max(np.abs(expected))
+    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-12 * scale)
+
+
+@KINDS
+@MODULES
+@BATCHES
+def test_force_is_the_matrix_times_the_inputs(kind, n, widths, states):
+    rng = np.random.default_rng(1)
+    width, (q, tau) = random_width(rng, widths), random_motion(rng, n, states)
+    assert_close(kind(width).force(q, tau), times(matrix(kind, width, q), tau))
+
+
+@KINDS
+@MODULES
+@BATCHES
+def test_inputs_and_force_invert_each_other(kind, n, widths, states):
+    rng = np.random.default_rng(2)
+    actuation = kind(random_width(rng, widths))
+    q, tau = random_motion(rng, n, states)
+    assert_close(actuation.inputs(q, actuation.force(q, tau)), tau)
+    assert_close(actuation.force(q, actuation.inputs(q, tau)), tau)
+
+
+@KINDS
+@MODULES
+@BATCHES
+def test_tendon_forces_have_the_moments_of_the_inputs(kind, n, widths, states):
+    rng = np.random.default_rng(3)
+    width, (q, tau) = random_width(rng, widths), random_motion(rng, n, states)
+    actuation = kind(width)
+    moments = times(column_moments(width, n), actuation.tendon_forces(q, tau))
+    assert_close(moments, actuation.force(q, tau))
+
+
+@KINDS
+@MODULES
+def test_determinant_is_the_same_power_of_the_width_in_every_state(kind, n):
+    rng = np.random.default_rng(4)
+    width, (q, _) = random_width(rng, ()), random_motion(rng, n, (50,))
+    sign = (-1) ** (n * (n + 1) // 2)  # +1 for three modules
+    determinants = np.linalg.det(matrix(kind, width, q))
+    np.testing.assert_allclose(determinants, sign * width**n, rtol=1e-12)
+
+
+def test_internal_forces_ignore_the_state_and_act_on_their_own_module_only():
+    q, _ = random_motion(np.random.default_rng(5), 3, ())
+    actuation = InternalActuation(np.asarray(0.08))
+    for i in range(3):
+        tau = np.zeros(6)
+        tau[2 * i] = 1.0
+        expected = np.zeros(6)
+        expected[[i, 3 + i]] = 1.0, 0.04
+        np.testing.assert_array_equal(actuation.force(q, tau), expected)
+
+
+def test_grounded_forces_of_the_last_module_push_every_module_of_a_straight_arm():
+    q = np.array([0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
+    actuation = GroundedActuation(np.asarray(0.08))
+    force = actuation.force(q, np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0]))
+    np.testing.assert_array_equal(force, [2.0, 2.0, 2.0, 0.0, 0.0, 0.0])
+
+
+@KINDS
+@MODULES
+@pytest.mark.parametrize("batch", [1, 7, 257])
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("many_widths", [False, True])
+def test_a_batch_row_equals_the_single_call_bit_for_bit(kind, n, batch, order, many_widths):
+    rng = np.random.default_rng(6)
+    width = random_width(rng, (batch,) if many_widths else ())
+    q, tau = (np.asarray(x, order=order) for x in random_motion(rng, n, (batch,)))
+
+    def results(actuation: Actuation, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        maps = (actuation.force, actuation.inputs, actuation.tendon_forces)
+        return np.stack([f(q, tau) for f in maps], axis=-2)
+
+    together = results(kind(width), q, tau)
+    for i in range(batch):
+        alone = results(kind(width[i] if many_widths else width), q[i], tau[i])
+        np.testing.assert_array_equal(together[i], alone)
+
+
+@KINDS
+def test_inputs_are_not_modified(kind):
+    q, tau = random_motion(np.random.default_rng(7), 3, (7,))
+    before = q.copy(), tau.copy()
+    q.setflags(write=False)
+    tau.setflags(write=False)
+    actuation = kind(np.asarray(0.08))
+    for f in (actuation.force, actuation.inputs, actuation.tendon_forces):
+        f(q, tau)
+    np.testing.assert_array_equal(q, before[0])
+    np.testing.assert_array_equal(tau, before[1])
+
+
+@KINDS
+def test_integers_are_taken_as_numbers_not_truncated(kind):
+    actuation = kind(np.asarray(0.08))
+    q, tau = np.array([1, 1, 1, 0, 1, 0]), np.array([1, 0, 2, 0, 3, 1])
+    for f in (actuation.force, actuation.inputs, actuation.tendon_forces):
+        np.testing.assert_array_equal(f(q, tau), f(1.0 * q, 1.0 * tau))

@@ -1,0 +1,232 @@
+"""The commands as a user meets them."""
+
+import json
+import os
+import pty
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from controllers import CONTROLLERS
+from octarm import cli, commands, runs
+from octarm.parameters import ArmParameters
+from octarm.references import REFERENCES
+
+ROOT = Path(__file__).resolve().parent.parent
+KEYS = {
+    "controller", "parameters", "nominal", "reference", "disturbances", "seed", "duration",
+    "timestep", "control_period", "metrics", "status", "versions", "digest", "command",
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def short_run(*options: str) -> int:
+    return cli.main(["run", "--duration", "0.05", "--out", "a", *options])
+
+
+def test_a_run_writes_its_folder_and_says_so(capsys):
+    assert short_run("--mismatch", "-0.3") == 0
+    out, err = capsys.readouterr()
+    assert "smc-boundary on sine" in out and "octarm replay a" in out
+    assert err == ""  # no progress bar when piped
+    assert sorted(p.name for p in Path("a").iterdir()) == ["run.json", "run.npz", "run.rrd"]
+    assert [p.name for p in Path().iterdir()] == ["a"]
+    description = json.loads(Path("a/run.json").read_text())
+    assert set(description) >= KEYS
+    true, nominal = (ArmParameters.from_dict(description[k]) for k in ("parameters", "nominal"))
+    np.testing.assert_allclose(nominal.mass, 0.7 * true.mass)
+    np.testing.assert_allclose(nominal.stiffness, 0.85 * true.stiffness)
+    with np.load("a/run.npz") as arrays:
+        names = {"t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance", "s"}
+        assert names <= set(arrays)
+        assert arrays["q"].shape == (100, 6)
+
+
+def test_the_metrics_are_those_of_the_arrays():
+    assert cli.main(["run", "--duration", "2.1", "--out", "a", "--controller", "smc"]) == 0
+    run, description = runs.read_run(Path("a"))
+    settled = run.error[run.t >= 2.0]
+    rms = np.sqrt(np.mean(settled**2, axis=0))
+    np.testing.assert_allclose(description["metrics"]["rms_error"], rms)
+    np.testing.assert_allclose(description["metrics"]["peak_error"], np.abs(settled).max(axis=0))
+    np.testing.assert_allclose(
+        description["metrics"]["effort"], np.sqrt(np.mean(run.tau**2, axis=0))
+    )
+
+
+def test_the_same_command_gives_the_same_bytes_and_another_parameter_does_not():
+    assert short_run() == 0
+    first = Path("a/run.npz").read_bytes()
+    assert short_run() == 0  # replaces the earlier run
+    assert Path("a/run.npz").read_bytes() == first
+    assert short_run("--parameter", "damping:12,10,8.001;12,10,8") == 0
+    assert Path("a/run.npz").read_bytes() != first
+
+
+def test_options_reach_the_run():
+    options = [
+        "--controller", "smc", "--reference", "smooth-step", "--timestep", "0.001",
+        "--control-period", "0.002", "--actuation", "internal", "--gain", "lambda:20",
+        "--gain", "K:1,1,1,0.4,0.2,0.1", "--nominal", "mass:0.5", "--parameter", "width:0.1",
+    ]  # fmt: skip
+    assert short_run(*options) == 0
+    d = json.loads(Path("a/run.json").read_text())
+    assert (d["timestep"], d["control_period"], d["actuation"]) == (0.001, 0.002, "internal")
+    assert d["controller"]["name"] == "smc"
+    assert d["controller"]["gains"]["lambda_"] == 20.0
+    assert d["controller"]["gains"]["K"] == [1, 1, 1, 0.4, 0.2, 0.1]
+    assert d["reference"]["name"] == "smooth-step"
+    assert d["parameters"]["width"] == d["nominal"]["width"] == 0.1
+    np.testing.assert_allclose(d["nominal"]["mass"], 0.5 * np.array(d["parameters"]["mass"]))
+
+
+BAD = [
+    (["run", "--controller", "smc-boundry"], "unknown controller 'smc-boundry', did you mean"),
+    (["run", "--reference", "cosine"], "unknown reference 'cosine'.* known are sine,"),
+    (["run", "--actuation", "extern"], "unknown actuation 'extern'.* f-coeff, internal"),
+    (["run", "--duration", "-3"], "duration is -3 s; it must be positive"),
+    (["run", "--duration", "nan"], "duration is nan s; it must be positive"),
+    (["run", "--duration", "long"], "Error parsing --duration: .*'long'"),
+    (["run", "--timestep", "0"], "timestep is 0 s; it must be positive"),
+    (["run", "--timestep", "nan"], "timestep is nan s; it must be positive"),
+    (["run", "--control-period", "0.0007"], "control period is 0.0007 s; .* multiple .* 0.0005 s"),
+    (["run", "--control-period", "0"], "control period is 0 s; .* multiple .* 0.0005 s"),
+    (["run", "--mismatch", "-1"], "mismatch is -1; .* above -1"),
+    (["run", "--gain", "K:nan"], "K holds nan; it must be finite"),
+    (["run", "--gain", "K:1,2"], "K has 2 values; it needs 1 or 6"),
+    (["run", "--gain", "lambda:-1"], "lambda holds -1; it must be above 0"),
+    (["run", "--gain", "Q:1"], "smc-boundary has no gain 'Q'.* known are lambda, K, K_v, phi"),
+    (["run", "--gain", "K"], "--gain is 'K'; it must read NAME:NUMBER"),
+    (["run", "--parameter", "mass:1,2"], r"inertia has shape \(3,\).* the 2 modules that mass has"),
+    (["run", "--parameter", "mass:1,1,-1"], "mass holds -1; it must be above 0"),
+    (["run", "--parameter", "wdith:1"], "unknown parameter 'wdith', did you mean 'width'"),
+    (["run", "--parameter", "stiffness:1,2,3"], r"stiffness has shape \(3,\); it must be"),
+    (["run", "--nominal", "mass:-1"], "mass holds -0.3; it must be above 0"),
+    (["run", "--out", "/proc/nothing/run"], "/proc/nothing: "),
+    (["run", "--out", "file.txt"], "file.txt exists and is not an earlier run"),
+    (["run", "--out", "full"], "full exists and is not an earlier run"),
+    (["run", "--out", "file.txt/run"], "file.txt.*: "),
+    (["run", "--duraton", "3"], "Unrecognized options: --duraton, 3; did you mean --duration"),
+    (["ran"], "Unrecognized options: ran; the commands are run, replay, validate"),
+    ([], "Expected one of"),
+    (["replay", "nowhere"], "nowhere is not a run folder: it has no run.json"),
+    (["replay"], "Missing|required|are required"),
+    (["validate", "--modules", "0"], "modules is 0"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD, ids=[" ".join(a) or "-" for a, _ in BAD])
+def test_bad_input_is_one_sentence_and_leaves_nothing(arguments, message, capsys):
+    Path("file.txt").write_text("mine")
+    Path("full").mkdir()
+    Path("full/notes.txt").write_text("mine")
+    assert cli.main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.strip().splitlines()) == 1
+    assert re.search(message, err), err
+    assert {p.name for p in Path().iterdir() if p.name != "runs"} == {"file.txt", "full"}
+    assert not Path("runs").exists() or not any(Path("runs").iterdir())
+    assert [p.name for p in Path("full").iterdir()] == ["notes.txt"]
+
+
+def test_a_diverging_run_is_kept_and_marked(capsys):
+    assert short_run("--gain", "K:1600,1000,800,400,250,30") == 3
+    out, err = capsys.readouterr()
+    assert re.fullmatch(
+        r"octarm: theta1 diverged at t = 0\.00\d+ s: .* rad/s; the run up to there was kept\n", err
+    )
+    assert "replay" not in err and "wrote a/" in out
+    run, description = runs.read_run(Path("a"))
+    assert run.status == description["status"] == "diverged"
+    assert description["message"] == run.message
+    assert description["metrics"]["rms_error"] == [None] * 6
+    assert len(run) < 20
+
+
+def test_an_interrupt_leaves_nothing_half_written(monkeypatch, capsys):
+    def interrupted(*_args, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(commands, "rollout", interrupted)
+    assert short_run() == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert list(Path().iterdir()) == []
+
+
+def test_an_interrupt_while_replacing_keeps_the_earlier_run(monkeypatch):
+    assert short_run() == 0
+    before = Path("a/run.npz").read_bytes()
+    monkeypatch.setattr(commands, "_record", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    assert short_run("--mismatch", "0.1") == 2
+    assert Path("a/run.npz").read_bytes() == before
+    assert [p.name for p in Path().iterdir()] == ["a"]
+
+
+def test_help_names_every_controller_reference_and_command(capsys):
+    for arguments in (["--help"], ["run", "--help"], ["replay", "--help"], ["validate", "--help"]):
+        with pytest.raises(SystemExit) as leaving:
+            cli.main(arguments)
+        assert not leaving.value.code
+    text = capsys.readouterr().out
+    for name in [*CONTROLLERS, *REFERENCES, "f-coeff", "internal", "replay", "validate"]:
+        assert name in text, name
+
+
+def test_the_installed_command_runs_as_a_process_elsewhere():
+    done = subprocess.run(
+        [sys.executable, "-m", "octarm.cli", "run", "--duration", "0.01"],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    folder = next(Path("runs").iterdir())
+    assert (folder / "run.rrd").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "--duraton", "3"], "Unrecognized options: --duraton, 3; did you mean --duration?"),
+        (["ran"], "Unrecognized options: ran; the commands are run, replay, validate"),
+        (
+            ["run", "--json", "1"],
+            "Unrecognized or misplaced options: --json 1; --json belongs to octarm validate",
+        ),
+        (["replay"], "Missing from octarm replay: PATH Run folder. (required)"),
+    ],
+)
+def test_errors_are_one_plain_sentence_on_a_terminal_too(arguments, message):
+    master, slave = pty.openpty()
+    command = [sys.executable, "-m", "octarm.cli", *arguments]
+    done = subprocess.run(command, stdout=slave, stderr=slave, timeout=60, check=False)
+    text = os.read(master, 4096).decode()
+    os.close(master)
+    os.close(slave)
+    assert done.returncode == 2
+    assert text.strip() == f"octarm: {message}"
+
+
+def test_help_does_not_wait_for_heavy_modules():
+    code = (
+        "import sys, octarm.cli\n"
+        "try: octarm.cli.main(['run', '--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'mujoco', 'rerun', 'matplotlib', 'scipy', 'dm_control'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, timeout=60)
+
+
+def test_the_python_of_the_readme_runs():
+    blocks = re.findall(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text(), re.M | re.S)
+    assert blocks
+    for block in blocks:
+        exec(compile(block, "README.md", "exec"), {})

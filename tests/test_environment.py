@@ -1,0 +1,172 @@
+"""The tracking task: dm_env's contract, and physics that is stepped as declared."""
+
+import dm_env.test_utils
+import mujoco
+import numpy as np
+import pytest
+from absl.testing import absltest
+from dm_control.suite.wrappers import action_noise
+
+import octarm
+from octarm.environment import load, whole_periods
+from octarm.model import build_model, nominal_parameters, paper_order
+
+
+class EnvironmentContract(dm_env.test_utils.EnvironmentTestMixin, absltest.TestCase):
+    """dm_env's own conformance tests, through an end of episode."""
+
+    def make_object_under_test(self):
+        return load(duration=0.004)
+
+
+class WrappedContract(dm_env.test_utils.EnvironmentTestMixin, absltest.TestCase):
+    """The same with dm_control's action noise around it."""
+
+    def make_object_under_test(self):
+        return action_noise.Wrapper(load(duration=0.004), scale=0.001)
+
+
+def test_observations_share_no_memory():
+    environment = load()
+    first = environment.reset().observation
+    kept = {name: value.copy() for name, value in first.items()}
+    second = environment.step(np.ones(6)).observation
+    for name, value in first.items():
+        np.testing.assert_array_equal(value, kept[name])
+        assert not np.shares_memory(value, second[name])
+        assert not np.shares_memory(value, environment.physics.data.qpos)
+        value[:] = 1e9  # and writing into one disturbs nobody
+    third = environment.step(np.ones(6)).observation
+    assert all(np.all(np.abs(value) < 1e3) for value in third.values())
+
+
+def test_it_starts_at_rest_in_equilibrium_and_stays_there():
+    environment = load("set-point", timestep=0.001)
+    rest = environment.reset().observation["q"]
+    for _ in range(200):
+        moved = environment.step(np.zeros(6)).observation
+    np.testing.assert_allclose(moved["q"], rest, atol=1e-14)
+    np.testing.assert_allclose(moved["v"], 0.0, atol=1e-12)
+
+
+def test_the_same_seedless_actions_give_the_same_states_bit_for_bit():
+    draws = np.random.default_rng(3).normal(size=(50, 6))
+    runs = []
+    for _ in range(2):
+        environment = load()
+        environment.reset()
+        runs.append([environment.step(tau).observation["q"] for tau in draws])
+    np.testing.assert_array_equal(*runs)
+
+
+def test_reset_restores_the_start():
+    environment = load()
+    start = environment.reset().observation
+    for _ in range(5):
+        environment.step(np.full(6, 3.0))
+    again = environment.reset().observation
+    for name, value in start.items():
+        np.testing.assert_array_equal(value, again[name])
+    np.testing.assert_array_equal(environment.physics.tau(), 0.0)
+
+
+def test_a_step_is_mujocos_own_step_under_f_coeff_of_the_true_coordinates():
+    """Three physics steps a period: the map from tau is evaluated anew at each of them."""
+    environment = load(control_period=0.0015)
+    environment.reset()
+    tau = np.array([4.0, -2.0, 1.0, 3.0, -1.0, 0.5])
+    observed = environment.step(tau).observation
+    model = build_model()
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    qpos, qvel = paper_order(model)
+    for _ in range(3):
+        data.ctrl[:] = environment.physics.actuation.tendon_forces(data.qpos[qpos], tau)
+        mujoco.mj_step(model, data)
+    np.testing.assert_array_equal(observed["q"], data.qpos[qpos])
+    np.testing.assert_array_equal(observed["v"], data.qvel[qvel])
+    assert data.time == pytest.approx(environment.physics.time())
+
+
+def test_tip_position_is_that_of_the_observed_coordinates():
+    from octarm.lagrange import positions
+    from octarm.model import world_position
+
+    environment = load()
+    environment.reset()
+    for _ in range(20):
+        seen = environment.step(np.array([9.0, -9.0, 5.0, -5.0, 2.0, 1.0])).observation
+    tip = world_position(positions(seen["q"]))[-1]
+    np.testing.assert_allclose(seen["tip_position"], tip, atol=1e-14)
+
+
+def test_the_episode_ends_after_whole_periods():
+    environment = load(duration=0.07, timestep=0.001, control_period=0.005)
+    environment.reset()
+    steps = 0
+    while not environment.step(np.zeros(6)).last():
+        steps += 1
+    assert steps + 1 == 14  # float arithmetic on the time limit would give 15
+    assert environment.task.time == pytest.approx(0.07)
+
+
+@pytest.mark.parametrize(
+    ("duration", "period", "expected"),
+    [(0.035, 0.005, 7), (0.07, 0.005, 14), (1.11, 0.005, 222), (10.0, 0.0005, 20000), (1e-9, 1, 1)],
+)
+def test_durations_are_counted_in_whole_periods(duration: float, period: float, expected: int):
+    assert whole_periods(duration, period) == expected
+
+
+def test_rewards_lie_in_the_unit_interval_and_one_means_no_error():
+    environment = load("set-point")
+    environment.reset()
+    rewards = [environment.step(np.full(6, 20.0)).reward for _ in range(100)]
+    assert all(0.0 <= reward <= 1.0 for reward in rewards)
+    perfect = load(lambda t: _rest())
+    perfect.reset()
+    assert perfect.step(np.zeros(6)).reward == pytest.approx(1.0)
+
+
+def _rest():
+    from octarm.interfaces import Reference
+    from octarm.lagrange import equilibrium
+
+    rest = equilibrium(nominal_parameters())
+    return Reference(rest, 0.0 * rest, 0.0 * rest)
+
+
+def test_an_arm_that_leaves_its_limits_ends_the_episode_and_is_named():
+    environment = load()
+    environment.reset()
+    tau = np.array([0.0, 0.0, 0.0, 0.0, 150.0, -150.0])
+    steps = [environment.step(tau)]
+    while not steps[-1].last():
+        steps.append(environment.step(tau))
+    assert steps[-1].discount == 0.0
+    assert environment.task.divergence(environment.physics).startswith("theta3 diverged at t = 0.0")
+
+
+def test_internal_actuation_pushes_neighbours_only():
+    environment = load(actuation="internal")
+    environment.reset()
+    environment.physics.set_control(np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0]))
+    environment.physics.step()
+    force = environment.physics.data.qfrc_actuator[environment.physics._qvel_index]
+    np.testing.assert_allclose(force, [0.0, 0.0, 2.0, 0.0, 0.0, 0.0], atol=1e-15)
+
+
+def test_bad_arguments_are_refused_in_one_sentence():
+    with pytest.raises(ValueError, match=r"control period is 0.0007 s; .*whole multiple.*0.0005 s"):
+        load(control_period=0.0007)
+    with pytest.raises(ValueError, match="unknown actuation 'intern', did you mean 'internal'"):
+        load(actuation="intern")
+    with pytest.raises(ValueError, match="duration is -1 s; it must be positive"):
+        load(duration=-1.0)
+    with pytest.raises(ValueError, match="timestep is 0 s; it must be positive"):
+        load(timestep=0.0)
+
+
+def test_the_package_offers_its_fixed_names():
+    for name in ("ArmParameters", "build_model", "load", "rollout", "Trajectory"):
+        assert hasattr(octarm, name)

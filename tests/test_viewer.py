@@ -1,0 +1,174 @@
+"""Pictures and windows of the rerun viewer, and how it ends."""
+
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+import psutil
+import pytest
+from PIL import Image
+
+from octarm import viewer
+from octarm.model import nominal_parameters
+from octarm.recording import write_recording
+from octarm.trajectory import Trajectory
+from octarm.viewer import open_viewer, screenshot
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="Vulkan and displays as on Linux")
+posix = pytest.mark.skipif(os.name != "posix", reason="the stand-in for the viewer is a script")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    t = np.arange(400) / 200.0
+    bend = np.sin(np.pi * t[:, None]) * [0.35, 0.25, 0.15]
+    q = np.concatenate([0.12 + 0.03 * bend, bend], axis=1)
+    zero = np.zeros_like(q)
+    run = Trajectory(
+        t=t, q=q, v=zero, q_d=1.1 * q, v_d=zero, tau=q, force=q, disturbance=zero, signals={}
+    )
+    path = tmp_path_factory.mktemp("run") / "run.rrd"
+    write_recording(path, run, nominal_parameters(), title="a run")
+    return path
+
+
+@pytest.fixture(scope="module")
+def picture(recording):
+    """A screenshot; whoever has no Vulkan skips, continuous integration excepted."""
+    png = recording.with_name("picture.png")
+    try:
+        screenshot(recording, png, time=0.5, size=(960, 600))
+    except RuntimeError as error:
+        if "Vulkan" not in str(error) or os.environ.get("CI"):
+            raise
+        pytest.skip(str(error))
+    return png
+
+
+@pytest.fixture
+def stand_in(tmp_path, monkeypatch):
+    """Replaces the viewer by a shell script; returns a function that sets its text."""
+    script = tmp_path / "viewer.sh"
+
+    def write(text):
+        script.write_text(f"#!/bin/sh\n{text}\n")
+        script.chmod(0o755)
+
+    monkeypatch.setattr(viewer, "_executable", lambda: script)
+    monkeypatch.setenv("DISPLAY", ":0")
+    return write
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """The processes that were started."""
+    processes = []
+    start = subprocess.Popen
+
+    def popen(*args, **kwargs):
+        processes.append(start(*args, **kwargs))
+        return processes[-1]
+
+    monkeypatch.setattr(subprocess, "Popen", popen)
+    return processes
+
+
+def test_a_picture_has_the_size_asked_for_and_shows_something(picture):
+    with Image.open(picture) as image:
+        assert image.size == (960, 600)
+        colors = image.convert("RGB").getcolors(maxcolors=1 << 24) or []
+    assert len(colors) > 500
+    common = {color for count, color in colors if count > 300}
+    assert {(255, 159, 67), (64, 169, 255), (72, 201, 135)} <= common  # the three modules
+
+
+def test_another_time_is_another_picture(picture, recording, tmp_path):
+    screenshot(recording, tmp_path / "later.png", time=1.5, size=(960, 600))
+    first, later = (np.asarray(Image.open(p)) for p in (picture, tmp_path / "later.png"))
+    assert np.mean(first[:, :380] != later[:, :380]) > 0.02  # the arm, on the left
+
+
+def test_the_viewer_serves_this_machine_only_and_is_gone_afterwards(
+    picture, recording, started, tmp_path
+):
+    arguments = ["--headless", "--window-size", "320x200", str(recording)]
+    with viewer._viewer(arguments) as (process, _, _):
+        served = []
+        deadline = time.monotonic() + 20.0
+        while not served and time.monotonic() < deadline:
+            time.sleep(0.05)
+            sockets = psutil.Process(process.pid).net_connections(kind="inet")
+            served = [s.laddr.ip for s in sockets if s.status == psutil.CONN_LISTEN]
+    assert set(served) == {"127.0.0.1"}
+    assert [p.poll() is not None for p in started] == [True]
+
+
+def test_a_damaged_recording_is_one_sentence(picture, tmp_path, started):
+    (tmp_path / "bad.rrd").write_bytes(b"no recording")
+    with pytest.raises(RuntimeError, match=r"bad\.rrd cannot be drawn"):
+        screenshot(tmp_path / "bad.rrd", tmp_path / "bad.png")
+    assert [p.name for p in tmp_path.iterdir()] == ["bad.rrd"]
+    assert started[0].poll() is not None
+
+
+@linux
+def test_missing_vulkan_is_one_sentence_and_leaves_nothing(
+    recording, tmp_path, monkeypatch, started
+):
+    monkeypatch.setenv("VK_DRIVER_FILES", str(tmp_path / "none.json"))
+    monkeypatch.setenv("VK_ICD_FILENAMES", str(tmp_path / "none.json"))
+    began = time.monotonic()
+    with pytest.raises(RuntimeError, match="mesa-vulkan-drivers"):
+        screenshot(recording, tmp_path / "picture.png")
+    assert time.monotonic() - began < 10.0
+    assert list(tmp_path.iterdir()) == []
+    assert started[0].poll() is not None
+
+
+@posix
+def test_a_viewer_that_hangs_is_ended(recording, tmp_path, stand_in, started):
+    stand_in("exec sleep 60")
+    with pytest.raises(RuntimeError, match=r"within 0\.5 s"):
+        screenshot(recording, tmp_path / "picture.png", timeout=0.5)
+    assert started[0].poll() is not None
+    assert not list(tmp_path.glob("picture*"))
+
+
+def test_an_unwritable_picture_fails_before_the_work(recording, tmp_path, started):
+    with pytest.raises(OSError, match=r"a\.png cannot be written: No such file or directory$"):
+        screenshot(recording, tmp_path / "folder" / "a.png")
+    assert started == []
+
+
+def test_a_missing_recording_is_one_sentence(tmp_path):
+    for show in (lambda path: open_viewer([path]), lambda path: screenshot(path, "a.png")):
+        with pytest.raises(FileNotFoundError, match=r"there is no recording .*run\.rrd$"):
+            show(tmp_path / "run.rrd")
+
+
+@linux
+def test_without_a_display_a_screenshot_is_suggested(recording, monkeypatch, started):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(RuntimeError, match="--screenshot"):
+        open_viewer([recording])
+    assert started == []
+
+
+@posix
+def test_the_window_opens_all_files_on_this_machine_only(recording, tmp_path, stand_in):
+    stand_in(f'echo "$@" > {tmp_path}/called; env > {tmp_path}/environment')
+    open_viewer([recording, recording])
+    called = (tmp_path / "called").read_text().split()
+    assert called[:2] == ["--bind", "127.0.0.1"]
+    assert called[-2:] == [str(recording)] * 2
+    assert "HTTPS_PROXY=http://127.0.0.1:9" in (tmp_path / "environment").read_text().split()
+
+
+@posix
+def test_a_viewer_that_fails_is_one_sentence(recording, stand_in):
+    stand_in("echo 'Error: no luck' >&2; exit 3")
+    with pytest.raises(RuntimeError, match="the rerun viewer failed: Error: no luck"):
+        open_viewer([recording])
