@@ -1,7 +1,7 @@
 """From the actuators' input forces tau to the generalised force Q = F(q) tau, and back.
 
 tau has shape (..., 2N) in the column order of eq (2): module 1 columns 1 and 2, module 2 columns
-1 and 2, and so on. Both maps here have determinant l^N, so both can always be inverted. They work
+1 and 2, and so on. Both maps here have determinant +-l^N, so both can always be inverted. They work
 by recursion along the arm, one arithmetic operation an element, so that an arm's result does not
 depend on the batch it is in.
 """
@@ -13,7 +13,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from octarm.arrays import Entry, cos_sin, entry, split
+from octarm.arrays import Entry, blank, cos_sin, entry, split
 
 
 class Actuation(Protocol):
@@ -53,7 +53,7 @@ class InternalActuation:
         n = tau.shape[-1] // 2
         left, right = split(tau[..., 0::2]), split(tau[..., 1::2])
         half = 0.5 * entry(self.width)
-        out = np.empty_like(tau)
+        out = blank(tau, (*np.shape(self.width), 2 * n))
         for i in range(n):
             out[..., i] = left[i] + right[i]
             out[..., n + i] = half * (left[i] - right[i])
@@ -64,7 +64,7 @@ class InternalActuation:
         del q
         n = force.shape[-1] // 2
         wanted, width = split(force), entry(self.width)
-        out = np.empty_like(force)
+        out = blank(force, (*np.shape(self.width), 2 * n))
         for i in range(n):
             push, couple = wanted[i], wanted[n + i] / width
             out[..., 2 * i] = 0.5 * push + couple
@@ -97,7 +97,7 @@ class GroundedActuation:
         s, axes = split(q[..., :n]), _parent_axes(q)
         left, right = split(tau[..., 0::2]), split(tau[..., 1::2])
         half = 0.5 * entry(self.width)
-        out = np.empty_like(q)
+        out = blank(q, tau.shape, (*np.shape(self.width), 2 * n))
         fx, fy, moment = 0.0, 0.0, 0.0  # that module i carries
         for i in reversed(range(n)):
             if i + 1 < n:
@@ -116,7 +116,7 @@ class GroundedActuation:
         n = q.shape[-1] // 2
         s, axes = split(q[..., :n]), _parent_axes(q)
         wanted, width = split(force), entry(self.width)
-        out = np.empty_like(q)
+        out = blank(q, force.shape, (*np.shape(self.width), 2 * n))
         fx, fy, moment = 0.0, 0.0, 0.0
         for i in reversed(range(n)):
             if i + 1 < n:

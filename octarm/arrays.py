@@ -1,4 +1,4 @@
-"""Two small tools for arrays that carry coordinates on the last axis."""
+"""Small tools for arrays that carry coordinates on the last axis."""
 
 from __future__ import annotations
 
@@ -19,9 +19,18 @@ def split(x: np.ndarray) -> Sequence[Entry]:
     return x.tolist() if x.ndim == 1 else [x[..., i] for i in range(x.shape[-1])]
 
 
-def entry(x: np.ndarray) -> Entry:
+def entry(x: np.ndarray | float) -> Entry:
     """A float for one arm, the array of shape (...) for a batch."""
-    return float(x) if x.ndim == 0 else x
+    return float(x) if np.ndim(x) == 0 else x
+
+
+def blank(like: np.ndarray, *shapes: tuple[int, ...]) -> np.ndarray:
+    """An unfilled floating-point array in the memory order of `like`, broadcast to more shapes."""
+    shape = like.shape
+    for other in shapes:
+        if other != shape:
+            shape = np.broadcast_shapes(shape, other)
+    return np.empty_like(like, shape=shape, dtype=np.result_type(like, 1.0))
 
 
 def cos_sin(angle: Entry) -> tuple[Entry, Entry]:

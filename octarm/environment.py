@@ -69,6 +69,8 @@ def load(
         named_reference(reference, physics.hanging()) if isinstance(reference, str) else reference
     )
     limit = None if duration is None else whole_periods(duration, steps_a_period * step)
+    if isinstance(seed, int) and seed < 0:
+        raise ValueError(f"seed is {seed}; it must be at least 0")
     random = np.random.default_rng(seed)
     task = TrackingTask(motion, arm, random, period=steps_a_period * step, episode_periods=limit)
     return control.Environment(physics, task, n_sub_steps=steps_a_period)

@@ -135,8 +135,9 @@ def observed_order(
             break
         steps *= 2
     counts = [steps * 2**k for k in range(4)]
-    slope, _ = np.polyfit(-np.log(counts), np.log([error(count) for count in counts]), 1)
-    return float(slope)
+    finer = np.log(counts) - np.mean(np.log(counts))
+    errors = np.array([error(count) for count in counts])
+    return float(-(finer @ np.log(errors)) / (finer @ finer))
 
 
 def analytic_linearisation(p: ArmParameters) -> np.ndarray:

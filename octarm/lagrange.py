@@ -16,11 +16,12 @@ loop; the matrices are built from the Jacobians instead, so that each checks the
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 
 import numpy as np
 
-from octarm.arrays import Entry, cos_sin, entry, split
+from octarm.arrays import Entry, blank, cos_sin, entry, split
 from octarm.parameters import ArmParameters
 
 
@@ -52,8 +53,7 @@ def inverse_dynamics(
     if v_r is None:
         v_r = v
     n = _modules(p, q=q, v=v, a=a, v_r=v_r)
-    shape = np.broadcast_shapes(q.shape, v.shape, a.shape, v_r.shape, (*p.batch_shape, 2 * n))
-    out = np.empty_like(q, shape=shape)
+    out = blank(q, v.shape, a.shape, v_r.shape, (*p.batch_shape, 2 * n))
 
     # One entry a coordinate: a number for one arm, an array for a batch.
     x, x_v, x_a, x_vr = split(q), split(v), split(a), split(v_r)
@@ -140,7 +140,8 @@ def force_coefficients(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     """
     n = _modules(p, q=q)
     pushes = np.einsum("...bxi,...bx->...ib", _jacobian(q), _parent_axes(q))
-    out = np.repeat(pushes, 2, axis=-1)
+    batch = np.broadcast_shapes(q.shape[:-1], p.batch_shape)
+    out = np.array(np.broadcast_to(np.repeat(pushes, 2, axis=-1), (*batch, 2 * n, 2 * n)))
     turns = np.triu(np.ones((n, n)))  # the couple on plate b turns every theta_k with k <= b
     half = 0.5 * np.asarray(p.width)[..., None, None]
     out[..., n:, 0::2] += half * turns
@@ -151,7 +152,12 @@ def force_coefficients(p: ArmParameters, q: np.ndarray) -> np.ndarray:
 def forward_dynamics(
     p: ArmParameters, q: np.ndarray, v: np.ndarray, force: np.ndarray
 ) -> np.ndarray:
-    """Generalised accelerations under a generalised force, shape (..., 2N) [m/s^2], [rad/s^2]."""
+    """Generalised accelerations under a generalised force, shape (..., 2N) [m/s^2], [rad/s^2].
+
+    Raises:
+        ValueError: if the last axis of an array is not 2N long.
+    """
+    _modules(p, q=q, v=v, force=force)
     rest = inverse_dynamics(p, q, v, np.zeros_like(q))
     return np.linalg.solve(mass_matrix(p, q), (force - rest)[..., None])[..., 0]
 
@@ -182,16 +188,19 @@ def equilibrium(p: ArmParameters) -> np.ndarray:
     Newton's method from the unloaded arm.
 
     Raises:
-        ValueError: if it does not converge (the arm is too soft to hang in one piece).
+        ValueError: if it does not converge: the springs are too soft for this weight.
     """
     n = p.modules
     q = np.zeros((*p.batch_shape, 2 * n))
     q[..., :n] = p.rest_length
-    for _ in range(50):
-        step = np.linalg.solve(potential_hessian(p, q), potential_force(p, q)[..., None])[..., 0]
-        q = q - step
-        if np.max(np.abs(step)) < 1e-14:
-            return q
+    with contextlib.suppress(np.linalg.LinAlgError):
+        for _ in range(50):
+            force, slope = potential_force(p, q), potential_hessian(p, q)
+            step = np.linalg.solve(slope, force[..., None])[..., 0]
+            q = q - step
+            # The next step would be about the square of this one.
+            if np.all(np.abs(step) < 1e-10 * np.maximum(1.0, np.abs(q))):
+                return q
     raise ValueError("no static equilibrium was found: stiffness is too low for this weight")
 
 
@@ -202,7 +211,8 @@ def potential_hessian(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     """
     n = _modules(p, q=q)
     gravity = np.asarray(p.gravity)[..., None]
-    out = np.array(np.broadcast_to(stiffness_matrix(p), (*q.shape, 2 * n)))
+    batch = np.broadcast_shapes(q.shape[:-1], p.batch_shape)
+    out = np.array(np.broadcast_to(stiffness_matrix(p), (*batch, 2 * n, 2 * n)))
     for j in range(2 * n):
         unit = np.zeros_like(q)
         unit[..., j] = 1.0

@@ -10,6 +10,7 @@ always in the paper's order, q = [s1..sN, theta1..thetaN].
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 from pathlib import Path
@@ -119,8 +120,13 @@ def _set_modules(spec: mujoco.MjSpec, modules: int) -> None:
 
 def _geoms_of(spec: mujoco.MjSpec, i: int) -> tuple[list, list]:
     """The pictures of module i: those on the body it stands on, and those on its own."""
-    sleeves = [spec.geom(f"{part}_{i}_sleeve") for part in _PARTS]
-    return sleeves, [spec.geom(f"plate_{i}")] + [spec.geom(f"{part}_{i}_rod") for part in _PARTS]
+    below, own = _geom_names(i)
+    return [spec.geom(name) for name in below], [spec.geom(name) for name in own]
+
+
+def _geom_names(i: int) -> tuple[list[str], list[str]]:
+    rods = [f"{part}_{i}_rod" for part in _PARTS]
+    return [f"{part}_{i}_sleeve" for part in _PARTS], [f"plate_{i}", *rods]
 
 
 def _add_module(spec: mujoco.MjSpec, i: int) -> None:
@@ -129,9 +135,9 @@ def _add_module(spec: mujoco.MjSpec, i: int) -> None:
     body = parent.add_body(name=f"module_{i}", mass=1.0, inertia=[1.0] * 3, explicitinertial=True)
     slide = body.add_joint(spec.find_default("slide"), name=f"s_{i}")
     hinge = body.add_joint(spec.find_default("hinge"), name=f"theta_{i}")
-    for owner, geoms in zip((parent, body), _geoms_of(spec, i - 1), strict=True):
-        for geom in geoms:
-            name = geom.name.replace(str(i - 1), str(i))
+    owners, models, names = (parent, body), _geoms_of(spec, i - 1), _geom_names(i)
+    for owner, alike, called in zip(owners, models, names, strict=True):
+        for geom, name in zip(alike, called, strict=True):
             owner.add_geom(geom.classname, name=name, size=geom.size, fromto=geom.fromto)
     for joint in (slide, hinge):
         _add_sensors(spec, joint.name, "JOINT", "position")
@@ -195,21 +201,23 @@ def _static_equilibrium(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarra
     """qpos at which gravity and springs balance, by Newton's method on MuJoCo's own forces.
 
     Raises:
-        ValueError: if it does not converge (the arm is too soft to hang in one piece).
+        ValueError: if it does not converge: the springs are too soft for this weight.
     """
 
     def residual(qpos: np.ndarray) -> np.ndarray:
         data.qpos[:] = qpos
-        mujoco.mj_forward(model, data)
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
         return data.qfrc_bias - data.qfrc_passive
 
     qpos = np.zeros(model.nq)
     qpos[0::2] = ArmParameters.from_model(model).rest_length
-    for _ in range(50):
-        step = 1e-6 * np.eye(model.nq)
-        slope = np.stack([(residual(qpos + h) - residual(qpos - h)) / 2e-6 for h in step], axis=1)
-        change = np.linalg.solve(slope, residual(qpos))
-        qpos = qpos - change
-        if np.max(np.abs(change)) < 1e-13:
-            return qpos
+    nudges = 1e-6 * np.eye(model.nq)
+    with contextlib.suppress(np.linalg.LinAlgError):
+        for _ in range(50):
+            slope = [(residual(qpos + h) - residual(qpos - h)) / 2e-6 for h in nudges]
+            step = np.linalg.solve(np.stack(slope, axis=1), residual(qpos))
+            qpos = qpos - step
+            if np.all(np.abs(step) < 1e-13 * np.maximum(1.0, np.abs(qpos))):
+                return qpos
     raise ValueError("no static equilibrium was found: stiffness is too low for this weight")

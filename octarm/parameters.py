@@ -73,7 +73,7 @@ class ArmParameters:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        modules = np.shape(self.mass)[-1:] or (0,)
+        modules = read_only("mass", self.mass).shape[-1:] or (0,)
         shapes = {"N": modules, "2N": (2, *modules), "": ()}
         for name, (axes, smallest, inclusive) in _RULES.items():
             value = read_only(name, getattr(self, name))
@@ -81,6 +81,10 @@ class ArmParameters:
             _check_bound(name, value, smallest, inclusive)
             object.__setattr__(self, name, value)
         _ = self.batch_shape  # raises when the batch axes do not fit together
+
+    def __reduce__(self) -> tuple:  # copies and pickles stay read-only
+        fields = {name: getattr(self, name) for name in _RULES}
+        return functools.partial(ArmParameters, **fields), ()
 
     @property
     def modules(self) -> int:
@@ -113,12 +117,18 @@ class ArmParameters:
         Raises:
             ValueError: for an unknown field, or a factor that makes a field invalid.
         """
-        for name in factors:
+        changed = {}
+        for name, factor in factors.items():
             if name not in _RULES:
                 raise ValueError(f"unknown parameter {name!r}{closest(name, _RULES)}")
-        return dataclasses.replace(
-            self, **{name: getattr(self, name) * np.asarray(f) for name, f in factors.items()}
-        )
+            by, field = read_only(f"factor of {name}", factor), getattr(self, name)
+            try:
+                changed[name] = field * by
+            except ValueError:
+                raise ValueError(
+                    f"factor of {name} has shape {by.shape}, which does not fit {field.shape}"
+                ) from None
+        return dataclasses.replace(self, **changed)
 
     def mismatched(self, mismatch: float) -> ArmParameters:
         """A nominal model that is wrong by `mismatch` [1].

@@ -99,23 +99,23 @@ class _Log:
 
     def append(self, physics: ArmPhysics, t: float, reference: Reference, command: Command) -> None:
         """One control instant, before its action acts."""
-        nothing = np.full(physics.q().shape, np.nan)
         row = {
-            "t": np.float64(t),
+            "t": t,
             "q": physics.q(),
             "v": physics.v(),
             "q_d": reference.q,
             "v_d": reference.v,
-            "tau": nothing,
             "force": command.force,
-            "disturbance": 0.0 * reference.q,
         }
         if not self._columns:
             self._columns = {name: self._column(value) for name, value in row.items()}
+            self._columns["tau"] = self._column(command.force)
+            self._columns["disturbance"] = np.zeros_like(self._columns["tau"])
             self._signals = {name: self._column(value) for name, value in command.signals.items()}
-        for columns, values in ((self._columns, row), (self._signals, command.signals)):
-            for name, column in columns.items():
-                column[self._used] = values[name]
+        for name, value in row.items():
+            self._columns[name][self._used] = value
+        for name, column in self._signals.items():
+            column[self._used] = command.signals[name]
         self._hash.update(physics.integration_state().tobytes())
         self._used += 1
 
@@ -133,5 +133,6 @@ class _Log:
             digest=self._hash.hexdigest(),
         )
 
-    def _column(self, value: np.ndarray) -> np.ndarray:
-        return np.empty((self._rows, *np.shape(value)))
+    def _column(self, value: np.ndarray | float) -> np.ndarray:
+        """Rows of the shape of this value, NaN until they are written."""
+        return np.full((self._rows, *np.shape(value)), np.nan)

@@ -105,7 +105,8 @@ class Report:
             "checks": [check.to_dict() for check in self.checks],
         }
 
-    def __str__(self) -> str:
+    def format(self) -> str:
+        """The report for the terminal: title, table, verdict."""
         rows = [("what", "measured", "allowed", "unit", "")]
         rows += [
             (c.what, f"{c.measured:.3g}", c.allowed, c.unit, "pass" if c.passed else "FAIL")
@@ -120,6 +121,9 @@ class Report:
         count = len(self.checks)
         verdict = f"{failed} of {count} checks FAILED" if failed else f"all {count} checks passed"
         return "\n".join([self.title, "", *lines, "", verdict])
+
+    def __str__(self) -> str:
+        return self.format()
 
 
 def arm_with(modules: int) -> ArmParameters:

@@ -134,8 +134,9 @@ def test_every_c_with_the_right_vector_conserves_power_along_the_motion():
     assert errata.tidy((rates.T * skew_defect(c) * rates)[0]) == 0
 
 
-def test_the_literal_mass_matrix_is_indefinite_in_a_tenth_of_random_states():
+def test_the_literal_mass_matrix_is_indefinite_in_a_tenth_of_the_working_range():
     rng = np.random.default_rng(1)
+    slides, bends = rng.uniform(0.06, 0.2, (2000, 3)), rng.uniform(-1.2, 1.2, (2000, 3))
     arm = ArmParameters(
         mass=[0.30, 0.25, 0.20],
         inertia=[6e-4, 5e-4, 4e-4],
@@ -145,16 +146,15 @@ def test_the_literal_mass_matrix_is_indefinite_in_a_tenth_of_random_states():
         rest_length=[0.12] * 3,
         gravity=9.81,
     )
-    states = [random_state(rng) for _ in range(2000)]
     smallest = {}
     for name, matrix in (
         ("printed", errata.printed_mass_matrix().subs(errata.stray, 1)),
         ("derived", errata.derived_mass_matrix()),
     ):
         function = derived_function(matrix)
-        d = np.stack([function(arm, q, v) for q, v in states])
+        d = np.stack([function(arm, q, 0 * q) for q in np.hstack([slides, bends])])
         smallest[name] = np.linalg.eigvalsh(0.5 * (d + np.swapaxes(d, -1, -2)))[:, 0]
-    assert 0.05 < np.mean(smallest["printed"] < 0.0) < 0.2
+    assert 0.08 < np.mean(smallest["printed"] < 0.0) < 0.12
     assert np.min(smallest["derived"]) > 0.0
 
 

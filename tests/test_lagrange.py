@@ -220,10 +220,11 @@ def test_equilibrium_of_equal_columns_has_the_closed_form(n, arms):
     assert_close(lagrange.equilibrium(p), np.concatenate([slide, 0.0 * slide], axis=-1))
 
 
-def test_an_arm_too_soft_to_hang_is_refused():
-    p = random_arm(np.random.default_rng(12), 3).scaled(stiffness=1e-12)
-    with pytest.raises(ValueError, match=r"no static equilibrium was found"):
-        lagrange.equilibrium(p)
+@pytest.mark.parametrize("factor", [1e-12, 1e-4, 1e4])
+def test_equilibrium_is_found_for_absurdly_soft_and_stiff_arms(factor: float):
+    p = random_arm(np.random.default_rng(12), 3).scaled(stiffness=factor)
+    force = lagrange.potential_force(p, lagrange.equilibrium(p))
+    np.testing.assert_allclose(force, 0.0, atol=1e-10 * max(1.0, factor))
 
 
 def test_one_module_is_a_mass_on_a_spring_and_an_independent_rotary_spring():
