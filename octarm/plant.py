@@ -38,7 +38,10 @@ class ArmPhysics(dm_mujoco.Physics):
         super()._reload_from_data(data)
         model = self.model.ptr
         self._qpos_index, self._qvel_index = paper_order(model)
-        self._tip = model.sensor("tip_position").adr[0]
+        # Views of MuJoCo's memory, kept because looking them up costs as much as a small product.
+        self._qpos, self._qvel, self._ctrl = data.ptr.qpos, data.ptr.qvel, data.ptr.ctrl
+        tip = model.sensor("tip_position").adr[0]
+        self._tip = data.ptr.sensordata[tip : tip + 3]
         self._tau = np.zeros(model.nu)
         self.actuation = GroundedActuation(ArmParameters.from_model(model).width)
 
@@ -58,11 +61,11 @@ class ArmPhysics(dm_mujoco.Physics):
 
     def q(self) -> np.ndarray:
         """Generalised coordinates, shape (2N,) [m], [rad]; a copy."""
-        return self.data.qpos[self._qpos_index]
+        return self._qpos.take(self._qpos_index)
 
     def v(self) -> np.ndarray:
         """Generalised velocities, shape (2N,) [m/s], [rad/s]; a copy."""
-        return self.data.qvel[self._qvel_index]
+        return self._qvel.take(self._qvel_index)
 
     def tau(self) -> np.ndarray:
         """The input forces being held, shape (2N,) [N]; a copy."""
@@ -70,7 +73,7 @@ class ArmPhysics(dm_mujoco.Physics):
 
     def tip_position(self) -> np.ndarray:
         """Tip in the world frame, shape (3,) [m]; a copy."""
-        return self.data.sensordata[self._tip : self._tip + 3].copy()
+        return self._tip.copy()
 
     def input_limit(self) -> np.ndarray:
         """Bound on the absolute input forces tau, shape (2N,) [N]."""
@@ -82,8 +85,8 @@ class ArmPhysics(dm_mujoco.Physics):
 
     def set_motion(self, q: np.ndarray, v: np.ndarray) -> None:
         """Places the arm at q, shape (2N,) [m], [rad], moving with v [m/s], [rad/s]."""
-        self.data.qpos[self._qpos_index] = q
-        self.data.qvel[self._qvel_index] = v
+        self._qpos[self._qpos_index] = q
+        self._qvel[self._qvel_index] = v
 
     def set_control(self, control: np.ndarray) -> None:
         """Holds the input forces tau, shape (2N,) [N], until the next call."""
@@ -103,7 +106,7 @@ class ArmPhysics(dm_mujoco.Physics):
         model, data = self.model.ptr, self.data.ptr
         with self.check_invalid_state():
             for _ in range(nstep):
-                data.ctrl[:] = self.actuation.tendon_forces(self.q(), self._tau)
+                self._ctrl[:] = self.actuation.tendon_forces(self.q(), self._tau)
                 mujoco.mj_step(model, data)
             mujoco.mj_step1(model, data)  # sensors of the new state
 
