@@ -22,7 +22,7 @@ from octarm.model import paper_order
 from octarm.parameters import ArmParameters
 
 DURATION = 2.0  # of a free motion [s]
-SAMPLES = 20  # instants at which motions are compared
+SAMPLES = 50  # instants at which motions are compared
 
 
 def initial_motion(p: ArmParameters, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -121,19 +121,19 @@ def observed_order(
     """Order of convergence of an integrator [1]; arguments as in `integrator_error`.
 
     The least-squares slope of error against timestep, both in logarithms, over four timesteps,
-    each half the one before. The first is chosen by its error: small enough for the leading term
-    to dominate, large enough for the last one, of RK4, to stay far above rounding.
+    each half the one before. The first is a tenth of the arm's shortest time constant, which lets
+    the leading term dominate; it is longer where that is so short, by much damping, that the
+    motion which matters is followed to rounding.
     """
-    small = 1e-8 if integrator == mujoco.mjtIntegrator.mjINT_RK4 else 1e-4  # [m]
 
     def error(steps: int) -> float:
         return integrator_error(model, p, v, reference, integrator, steps)
 
-    steps = SAMPLES * int(np.ceil(DURATION * _fastest_rate(p) / 0.5 / SAMPLES))
-    for _ in range(4):
-        if error(steps) < small:
+    steps = 8 * SAMPLES * int(np.ceil(DURATION * _fastest_rate(p) / 0.1 / (8 * SAMPLES)))
+    for _ in range(3):
+        if not error(steps) < 1e-9:
             break
-        steps *= 2
+        steps //= 2
     counts = [steps * 2**k for k in range(4)]
     finer = np.log(counts) - np.mean(np.log(counts))
     errors = np.array([error(count) for count in counts])

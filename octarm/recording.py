@@ -14,8 +14,11 @@ This is the only module that imports rerun.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import shutil
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -90,13 +93,13 @@ def write_recording(
     strict = rr.strict_mode()
     rr.set_strict_mode(True)  # rerun would otherwise warn of bad data, and drop it
     try:
-        open(part, "wb").close()  # raises the system's own error, before rerun's
         digest = trajectory.digest or None
         stream = _Stream("octarm", recording_id=digest, send_properties=False)
-        stream.save(part)
-        with stream:
-            _describe(stream, title, notes, properties or {})
-            _write(stream, trajectory, float(parameters.width), notes)
+        with _pipe_into(part) as name:
+            stream.save(name)
+            with stream:
+                _describe(stream, title, notes, properties or {})
+                _write(stream, trajectory, float(parameters.width), notes)
         if part.stat().st_size == 0:
             raise RuntimeError("rerun wrote nothing; does the environment hold RERUN=off?")
         os.replace(part, path)
@@ -109,6 +112,39 @@ def write_recording(
         rr.set_strict_mode(strict)
         if os.path.lexists(part):
             os.remove(part)
+
+
+@contextlib.contextmanager
+def _pipe_into(path: Path) -> Iterator[str]:
+    """A name for rerun to write to, so that it never sees a full disk: it would hang for ever."""
+    if os.name != "posix":
+        yield str(path)
+        return
+    failures: list[OSError] = []
+    file = open(path, "wb")
+    source, sink = os.pipe()
+
+    def copy() -> None:
+        with open(source, "rb", buffering=0) as pipe:
+            try:
+                with file:
+                    shutil.copyfileobj(pipe, file)
+                    file.flush()
+                    os.fsync(file.fileno())
+            except OSError as error:
+                failures.append(error)
+            while pipe.read(1 << 20):  # the writer would wait for a reader that is gone
+                pass
+
+    thread = threading.Thread(target=copy, daemon=True)
+    thread.start()
+    try:
+        yield f"/dev/fd/{sink}"
+    finally:
+        os.close(sink)
+    thread.join(60.0)
+    if failures or thread.is_alive():
+        raise failures[0] if failures else TimeoutError("the writer did not finish")
 
 
 def _describe(stream: _Stream, title: str, notes: str, properties: Mapping[str, object]) -> None:
@@ -139,7 +175,7 @@ def _send(stream: _Stream, run: Trajectory, rows: np.ndarray, columns: dict[str,
     times = [rr.TimeColumn("t", duration=t), rr.TimeColumn("step", sequence=rows)]
     for entity, column in columns.items():
         stream.send_columns(entity, times, column)
-    stream.flush(timeout_sec=60.0)  # raises when the disk is full
+    stream.flush(timeout_sec=60.0)  # bounds what waits in memory, and raises errors
 
 
 def _blocks(count: int) -> Iterator[np.ndarray]:
