@@ -7,6 +7,7 @@ model that the controller believes, and a field for each gain.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy.typing as npt
 
@@ -26,7 +27,7 @@ CONTROLLERS: dict[str, type] = {
 
 
 def make_controller(
-    name: str, nominal: ArmParameters, gains: dict[str, npt.ArrayLike] | None = None
+    name: str, nominal: ArmParameters, gains: Mapping[str, npt.ArrayLike] | None = None
 ) -> Controller:
     """A controller by name, with the nominal model it believes.
 

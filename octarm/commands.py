@@ -22,6 +22,7 @@ from controllers import make_controller
 from octarm import runs
 from octarm.environment import TrackingTask, load, whole_periods
 from octarm.errors import ExitCode, closest
+from octarm.files import write_text
 from octarm.interfaces import Controller
 from octarm.metrics import SETTLED_AFTER
 from octarm.model import coordinate_names, nominal_parameters
@@ -37,9 +38,7 @@ def run(options: Run) -> int:
     """`octarm run`: one controller against the arm, as a run folder."""
     true = _true_parameters(options)
     nominal = true.mismatched(options.mismatch).scaled(**named_values("--nominal", options.nominal))
-    controller = make_controller(
-        options.controller, nominal, dict(named_values("--gain", options.gain))
-    )
+    controller = make_controller(options.controller, nominal, named_values("--gain", options.gain))
     environment = load(
         options.reference,
         parameters=true,
@@ -100,11 +99,12 @@ def validate(options: Validate) -> int:
     arms = [random_arm(draw, options.modules) for _ in range(options.random_parameters)]
     reports = []
     for arm in arms or [arm_with(options.modules)]:
-        report = compare(arm, states=options.states, seed=options.seed)
+        with tqdm(bar_format="checking {desc}", disable=None, leave=False) as line:
+            report = compare(arm, options.states, options.seed, line.set_description_str)
         print(report.format(), flush=True)
         reports.append(report)
     if options.json is not None:
-        runs.write_text(options.json, json.dumps([r.to_dict() for r in reports], indent=2) + "\n")
+        write_text(options.json, json.dumps([r.to_dict() for r in reports], indent=2) + "\n")
     return ExitCode.FINE if all(r.passed for r in reports) else ExitCode.CHECK_FAILED
 
 

@@ -1,13 +1,6 @@
 """A run as a `.rrd` file: the arm in 3D beside plots, laid out by a blueprint in the file.
 
-The drawn arm is a picture of the lumped model, not a second model. Module i ends at
-p_i = p_{i-1} + s_i u(phi_{i-1}), where `octarm.lagrange.positions` puts it; a chain of true arcs of
-constant curvature would end elsewhere. So the backbone is a cubic Hermite curve through the ends
-p_i that leaves plate i-1 along u(phi_{i-1}) and meets plate i along u(phi_i): its tangent is
-continuous, module i turns by exactly theta_i over about the length s_i, and the tip is the lumped
-tip. The columns are the curves beside it at half the width, so that their lengths differ by
-l theta_i as those of the model do. The desired arm is a translucent band just behind.
-
+The arm is drawn as `octarm.scene` has it; the desired arm is a translucent band just behind.
 What belongs to module i has one colour: its backbone, and the plots of s_i, theta_i and their kin.
 This is the only module that imports rerun.
 """
@@ -17,10 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
-import threading
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,9 +18,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.experimental import ViewerClient as ViewerClient  # for octarm.viewer
 
+from octarm.files import piped, whole_file
 from octarm.lagrange import positions
 from octarm.model import coordinate_names, world_position
 from octarm.parameters import ArmParameters
+from octarm.scene import plate_quaternions, smooth_arm
 from octarm.trajectory import Trajectory
 
 _FRAME_RATE = 60.0  # of the 3D scene [Hz]; signals keep their full rate
@@ -41,8 +33,6 @@ _LEGEND = 8  # series at most that a legend can name
 _COLORS = ["FF9F43", "40A9FF", "48C987", "E76EBE", "F1D64A", "9B89FF", "4DD0D0", "FF7864"]
 _COLUMN, _PLATE, _BASE, _TRAIL = 0xA5ACB6FF, 0xDEE2E8FF, 0x78808CFF, 0xFF4655FF
 _DESIRED = 0x96A5BE5A  # translucent
-
-_Stream = rr.RecordingStream
 
 
 class _Series(NamedTuple):
@@ -84,70 +74,43 @@ def write_recording(
         OSError: if the file cannot be written.
         RuntimeError: if rerun does not take the data, or is switched off by RERUN=off.
     """
-    path = Path(path)
     if len(trajectory) == 0:
         raise ValueError("there is nothing to record: the trajectory has no rows")
     if parameters.batch_shape or trajectory.q.shape[1:] != (parameters.coordinates,):
         raise ValueError("the parameters must be those of one arm with the trajectory's modules")
-    part = path.with_name(path.name + ".part")
-    strict = rr.strict_mode()
-    rr.set_strict_mode(True)  # rerun would otherwise warn of bad data, and drop it
-    try:
-        digest = trajectory.digest or None
-        stream = _Stream("octarm", recording_id=digest, send_properties=False)
-        with _pipe_into(part) as name:
-            stream.save(name)
-            with stream:
-                _describe(stream, title, notes, properties or {})
-                _write(stream, trajectory, float(parameters.width), notes)
+    with whole_file(path) as part, _strict_mode():
+        stream = rr.RecordingStream(
+            "octarm", recording_id=trajectory.digest or None, send_properties=False
+        )
+        try:
+            with piped(part) as name:  # rerun itself would hang for ever on a full disk
+                stream.save(name)
+                with stream:
+                    _describe(stream, title, notes, properties or {})
+                    _write(stream, trajectory, float(parameters.width), notes)
+        except OSError:
+            raise
+        except Exception as error:
+            reason = (str(error) or type(error).__name__).splitlines()[0]
+            raise RuntimeError(f"{path} cannot be recorded: {reason}") from error
         if part.stat().st_size == 0:
             raise RuntimeError("rerun wrote nothing; does the environment hold RERUN=off?")
-        os.replace(part, path)
-    except OSError as error:
-        raise OSError(f"{path} cannot be written: {error.strerror or error}") from error
-    except Exception as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise RuntimeError(f"{path} cannot be recorded: {reason}") from error
-    finally:
-        rr.set_strict_mode(strict)
-        if os.path.lexists(part):
-            os.remove(part)
 
 
 @contextlib.contextmanager
-def _pipe_into(path: Path) -> Iterator[str]:
-    """A name for rerun to write to, so that it never sees a full disk: it would hang for ever."""
-    if os.name != "posix":
-        yield str(path)
-        return
-    failures: list[OSError] = []
-    file = open(path, "wb")
-    source, sink = os.pipe()
-
-    def copy() -> None:
-        with open(source, "rb", buffering=0) as pipe:
-            try:
-                with file:
-                    shutil.copyfileobj(pipe, file)
-                    file.flush()
-                    os.fsync(file.fileno())
-            except OSError as error:
-                failures.append(error)
-            while pipe.read(1 << 20):  # the writer would wait for a reader that is gone
-                pass
-
-    thread = threading.Thread(target=copy, daemon=True)
-    thread.start()
+def _strict_mode() -> Iterator[None]:
+    """Lets rerun raise errors; it would otherwise warn of bad data, and drop it."""
+    before = rr.strict_mode()
+    rr.set_strict_mode(True)
     try:
-        yield f"/dev/fd/{sink}"
+        yield
     finally:
-        os.close(sink)
-    thread.join(60.0)
-    if failures or thread.is_alive():
-        raise failures[0] if failures else TimeoutError("the writer did not finish")
+        rr.set_strict_mode(before)
 
 
-def _describe(stream: _Stream, title: str, notes: str, properties: Mapping[str, object]) -> None:
+def _describe(
+    stream: rr.RecordingStream, title: str, notes: str, properties: Mapping[str, object]
+) -> None:
     stream.send_recording_name(title)
     values: dict[str, Any] = {}
     for name, value in properties.items():
@@ -160,7 +123,7 @@ def _describe(stream: _Stream, title: str, notes: str, properties: Mapping[str, 
         stream.log("notes", document, static=True)
 
 
-def _write(stream: _Stream, run: Trajectory, width: float, notes: str) -> None:
+def _write(stream: rr.RecordingStream, run: Trajectory, width: float, notes: str) -> None:
     series, frames = _series(run), _frames(run)
     scene = _scene_view(positions(run.q[frames]), width)
     stream.send_blueprint(_blueprint(scene, series, run.t, notes))
@@ -169,7 +132,9 @@ def _write(stream: _Stream, run: Trajectory, width: float, notes: str) -> None:
         _log_series(stream, run, one)
 
 
-def _send(stream: _Stream, run: Trajectory, rows: np.ndarray, columns: dict[str, Any]) -> None:
+def _send(
+    stream: rr.RecordingStream, run: Trajectory, rows: np.ndarray, columns: dict[str, Any]
+) -> None:
     """Sends rerun's columns, by entity, for some rows of the run."""
     t = np.round(run.t[rows] * 1e9).astype("timedelta64[ns]")  # rerun would truncate
     times = [rr.TimeColumn("t", duration=t), rr.TimeColumn("step", sequence=rows)]
@@ -221,7 +186,7 @@ def _colors(count: int) -> np.ndarray:
     return np.resize([list(bytes.fromhex(color)) for color in _COLORS], (count, 3))
 
 
-def _log_series(stream: _Stream, run: Trajectory, series: _Series) -> None:
+def _log_series(stream: rr.RecordingStream, run: Trajectory, series: _Series) -> None:
     style = rr.SeriesLines(
         names=list(series.names) or None,
         colors=series.colors.astype(np.uint8),
@@ -233,21 +198,6 @@ def _log_series(stream: _Stream, run: Trajectory, series: _Series) -> None:
         _send(stream, run, rows, {series.entity: scalars})
 
 
-def _curves(q: np.ndarray, offset: float = 0.0) -> np.ndarray:
-    """The smooth arm in the world, shape (T, N, 12, 3) [m], `offset` towards column 2 [m]."""
-    n = q.shape[-1] // 2
-    end = positions(q)[..., None, :]
-    chord = np.diff(end, axis=-3, prepend=0.0)  # s_i u(phi_{i-1}), also the tangent at the start
-    phi = np.cumsum(q[..., n:], axis=-1)[..., None]
-    last = np.stack([np.cos(phi), np.sin(phi)], axis=-1) * q[..., :n, None, None]
-    u = np.linspace(0.0, 1.0, 12)[:, None]
-    curve = end - chord + chord * u + (chord - last) * u * u * (1 - u)
-    slope = chord + (chord - last) * u * (2 - 3 * u)
-    normal = np.stack([-slope[..., 1], slope[..., 0]], axis=-1)
-    size = np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
-    return world_position(curve + offset * normal / size)
-
-
 def _frames(run: Trajectory) -> np.ndarray:
     """Rows that the scene shows, about 60 a second."""
     span = run.t[-1] - run.t[0]
@@ -256,28 +206,29 @@ def _frames(run: Trajectory) -> np.ndarray:
     return rows[np.abs(run.q[rows]).max(axis=-1) < _DRAWABLE]
 
 
-def _log_scene(stream: _Stream, run: Trajectory, frames: np.ndarray, width: float) -> None:
+def _log_scene(
+    stream: rr.RecordingStream, run: Trajectory, frames: np.ndarray, width: float
+) -> None:
     for entity, look in _looks(run.q.shape[-1] // 2, width).items():
         stream.log(entity, look, static=True)
     for block in _blocks(len(frames)):
         rows, previous = frames[block], frames[np.maximum(block - 1, 0)]
         q = run.q[rows]
-        half = -0.5 * np.cumsum(q[:, q.shape[1] // 2 :], axis=-1)
-        turn = np.stack([0.0 * half, np.sin(half), 0.0 * half, np.cos(half)], axis=-1)
+        turns = plate_quaternions(q)
         tip = [positions(run.q[k])[:, -1:] for k in (previous, rows)]
-        columns = [_curves(q, side * width) for side in (-0.5, 0.5)]
-        edges = [_curves(run.q_d[rows], side * width) for side in (-0.7, 0.7)]
+        columns = [smooth_arm(q, side * width) for side in (-0.5, 0.5)]
+        edges = [smooth_arm(run.q_d[rows], side * width) for side in (-0.7, 0.7)]
         band = np.stack(edges, axis=-2)
         band[..., 1] += 0.15 * width  # behind the arm, so as not to cut it
         plates = rr.InstancePoses3D.columns(
             translations=world_position(positions(q)).reshape(-1, 3),
-            quaternions=turn.reshape(-1, 4),
+            quaternions=turns.reshape(-1, 4),
         )
         mesh = rr.Mesh3D.columns(vertex_positions=band.reshape(-1, 3))
         content = {
-            "world/backbone": _strips(_curves(q)),
+            "world/backbone": _strips(smooth_arm(q)),
             "world/columns": _strips(np.concatenate(columns, axis=1)),
-            "world/plates": plates.partition([half.shape[1]] * len(rows)),
+            "world/plates": plates.partition([turns.shape[1]] * len(rows)),
             "world/desired": mesh.partition([band[0].size // 3] * len(rows)),
             "world/trail": _strips(world_position(np.stack(tip, axis=2))),
         }
@@ -289,7 +240,7 @@ def _looks(n: int, width: float) -> dict[str, Any]:
     lines = rr.LineStrips3D.from_fields
     disc = {"radii": 0.7 * width, "fill_mode": "solid"}
     above = [0.0, 0.0, 0.075 * width]
-    corner = 2 * np.arange(_curves(np.zeros(2 * n)).size // 3 - 1)[:, None]
+    corner = 2 * np.arange(smooth_arm(np.zeros(2 * n)).size // 3 - 1)[:, None]
     band = corner + np.array([0, 1, 2, 1, 3, 2])
     return {
         "world": rr.ViewCoordinates.RIGHT_HAND_Z_UP,

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from octarm.files import write_text
 from octarm.interfaces import Controller
 from octarm.metrics import Effort, TrackingError
 from octarm.parameters import ArmParameters
@@ -65,16 +66,6 @@ def write_run(folder: Path, trajectory: Trajectory, description: Mapping[str, An
     """Writes `run.npz` and `run.json` into a folder."""
     trajectory.save(folder / ARRAYS)
     write_text(folder / DESCRIPTION, json.dumps(description, indent=2, allow_nan=False) + "\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Writes a text file whole or not at all."""
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def read_description(folder: Path) -> dict[str, Any]:

@@ -6,11 +6,12 @@ import dataclasses
 import os
 import zipfile
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
+
+from octarm.files import whole_file
 
 _ARRAYS = ("t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance")
 _TEXTS = ("status", "message", "digest")
@@ -82,17 +83,9 @@ class Trajectory:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the twin `.npz`, whole or not at all; equal trajectories give equal bytes."""
-        path = Path(path)
-        part = path.with_name(path.name + ".part")
         texts = {name: np.array(getattr(self, name)) for name in _TEXTS}
-        try:
-            with open(part, "wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **dict(self.arrays()), **texts)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
+        with whole_file(path) as part, open(part, "wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **dict(self.arrays()), **texts)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:

@@ -186,7 +186,7 @@ def validate(
     """Compares MuJoCo's arm with the analytic one, point by point and in motion.
 
     The timesteps at which orders of convergence are taken suit arms with some damping; on an arm
-    with none at all, the dissipative mjINT_DISCRETE does not get near its order.
+    with none at all, the dissipative DISCRETE does not get near its order.
 
     Args:
         parameters: one arm's parameters.
@@ -288,7 +288,7 @@ def _compare_free_motion(
     for name, integrator in mujoco.mjtIntegrator.__members__.items():
         order = free_motion.observed_order(model, p, v, reference, integrator)
         low, high = (3.7, 4.3) if integrator == rk4 else (0.8, 1.2)
-        yield Check(f"order of convergence, {name}", order, high, low)
+        yield Check(f"order of convergence, {name.removeprefix('mjINT_')}", order, high, low)
 
 
 def _compare_energy(

@@ -18,6 +18,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
+from octarm.files import whole_file
+
 if TYPE_CHECKING:
     from octarm.recording import ViewerClient
 
@@ -69,25 +71,16 @@ def screenshot(
         OSError: if the recording does not exist, or the picture cannot be written.
         RuntimeError: if there is no Vulkan driver, or the viewer fails.
     """
-    file, png = _existing(recording), Path(png)
-    part = png.with_name(png.name + ".part")
+    file = _existing(recording)
     window = ["--headless", "--window-size", f"{size[0]}x{size[1]}"]
-    try:
-        open(part, "wb").close()  # fails before the work rather than after
-        with _viewer([*window, file]) as (process, url, errors):
-            try:
-                picture = _capture(process, url, time, timeout)
-            except (OSError, RuntimeError) as error:
-                clock.sleep(0.2)  # a viewer that is ending may not be gone yet
-                why = f"{recording} cannot be drawn: {error}"
-                raise RuntimeError(why if process.poll() is None else _reason(errors)) from error
+    with whole_file(png) as part, _viewer([*window, file]) as (process, url, errors):
+        try:
+            picture = _capture(process, url, time, timeout)
+        except (OSError, RuntimeError) as error:
+            clock.sleep(0.2)  # a viewer that is ending may not be gone yet
+            why = f"{recording} cannot be drawn: {error}"
+            raise RuntimeError(why if process.poll() is None else _reason(errors)) from error
         part.write_bytes(picture)
-        os.replace(part, png)
-    except OSError as error:
-        raise OSError(f"{png} cannot be written: {error.strerror or error}") from error
-    finally:
-        if os.path.lexists(part):
-            os.remove(part)
 
 
 def _capture(

@@ -1,4 +1,6 @@
 """Controllers against their own theory."""
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false
+# (gains are fields of the classes behind the Controller protocol)
 
 import dataclasses
 

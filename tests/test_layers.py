@@ -14,6 +14,7 @@ CONTROLLERS = Path(controllers.__file__).parent
 # From the bottom up: a module imports only from those above it in this list.
 ORDER = [
     "errors",
+    "files",
     "arrays",
     "parameters",
     "interfaces",
@@ -30,6 +31,7 @@ ORDER = [
     "mechanics",
     "free_motion",
     "validation",
+    "scene",
     "recording",
     "viewer",
     "commands",

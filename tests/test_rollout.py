@@ -80,7 +80,8 @@ def test_two_runs_are_equal_bit_for_bit_and_a_changed_parameter_is_not():
 
 def test_a_wrapped_environment_runs_and_the_inputs_it_received_are_recorded():
     quiet = rollout(load(), Probe(), 0.01)
-    noisy = rollout(action_noise.Wrapper(load(seed=4), scale=0.001), Probe(), 0.01)
+    wrapped = action_noise.Wrapper(load(seed=4), scale=0.001)
+    noisy = rollout(wrapped, Probe(), 0.01)  # pyright: ignore[reportArgumentType]
     spread = np.std(noisy.tau[0] - quiet.tau[0])
     assert 0.05 < spread < 1.5  # scale times the range of 400 N is 0.4 N
 
