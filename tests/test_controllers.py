@@ -17,6 +17,7 @@ from octarm.lagrange import (
     forward_dynamics,
     inverse_dynamics,
     mass_matrix,
+    stiffness_matrix,
 )
 from octarm.model import nominal_parameters
 from octarm.parameters import ArmParameters
@@ -112,8 +113,20 @@ def test_computed_torque_makes_the_error_linear():
     command, _ = controller(None, measurement, reference)
     a = forward_dynamics(P, measurement.q, measurement.v, command.force)
     e, e_dot, e_ddot = measurement.q - reference.q, measurement.v - reference.v, a - reference.a
-    residual = e_ddot + 60.0 * e_dot + 900.0 * e
+    residual = e_ddot + controller.K_d * e_dot + controller.K_p * e
     np.testing.assert_allclose(residual, 0.0, atol=1e-9 * np.max(np.abs(a)))
+
+
+def test_computed_torque_falls_over_when_it_cancels_springs_that_are_not_there():
+    """15 % too much stiffness is cancelled: stable only if (1 + 0.3) K_p exceeds 0.15 D^-1 K."""
+    q = equilibrium(P)
+    modes = np.linalg.eigvals(np.linalg.solve(mass_matrix(P, q), stiffness_matrix(P)))
+    least = 0.15 * np.max(modes.real) / 1.3
+    for K_p, status in ((0.5 * least, "diverged"), (2.0 * least, "ok")):
+        gains = {"K_p": K_p, "K_d": 2.0 * np.sqrt(K_p)}
+        controller = make_controller("computed-torque", P.mismatched(0.3), gains)
+        assert rollout(load(), controller, 2.0).status == status
+    assert make_controller("computed-torque", P).K_p > 1.5 * least
 
 
 @pytest.mark.parametrize("name", ["smc", "smc-boundary"])
