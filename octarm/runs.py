@@ -6,6 +6,7 @@ import dataclasses
 import json
 import os
 import platform
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -65,7 +66,9 @@ def versions() -> dict[str, str]:
 def write_run(folder: Path, trajectory: Trajectory, description: Mapping[str, Any]) -> None:
     """Writes `run.npz` and `run.json` into a folder."""
     trajectory.save(folder / ARRAYS)
-    write_text(folder / DESCRIPTION, json.dumps(description, indent=2, allow_nan=False) + "\n")
+    text = json.dumps(description, indent=2, allow_nan=False)
+    text = re.sub(r"\[[\s\d.,eE+\-nul]*\]", lambda row: " ".join(row[0].split()), text)
+    write_text(folder / DESCRIPTION, text + "\n")  # with each row of numbers on one line
 
 
 def read_description(folder: Path) -> dict[str, Any]:
