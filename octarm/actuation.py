@@ -9,11 +9,12 @@ depend on the batch it is in.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import ClassVar, Protocol
 
 import numpy as np
 
-from octarm.arrays import Entry, blank, cos_sin, entry, split
+from octarm.arrays import Entry, cos_sin, entry, join, split
 
 
 class Actuation(Protocol):
@@ -49,27 +50,16 @@ class InternalActuation:
 
     def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Q = T tau, shape (..., 2N) [N], [N m]."""
-        del q
-        n = tau.shape[-1] // 2
-        left, right = split(tau[..., 0::2]), split(tau[..., 1::2])
-        half = 0.5 * entry(self.width)
-        out = blank(tau, (*np.shape(self.width), 2 * n))
-        for i in range(n):
-            out[..., i] = left[i] + right[i]
-            out[..., n + i] = half * (left[i] - right[i])
-        return out
+        inputs, half = split(tau), 0.5 * entry(self.width)
+        pairs = list(zip(inputs[0::2], inputs[1::2], strict=True))
+        out = [left + right for left, right in pairs]
+        out += [half * (left - right) for left, right in pairs]
+        return join(out, tau, q.shape, (*np.shape(self.width), len(out)))
 
     def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
         """tau = T^-1 Q, shape (..., 2N) [N]."""
-        del q
-        n = force.shape[-1] // 2
-        wanted, width = split(force), entry(self.width)
-        out = blank(force, (*np.shape(self.width), 2 * n))
-        for i in range(n):
-            push, couple = wanted[i], wanted[n + i] / width
-            out[..., 2 * i] = 0.5 * push + couple
-            out[..., 2 * i + 1] = 0.5 * push - couple
-        return out
+        out = _column_forces(split(force), entry(self.width))
+        return join(out, force, q.shape, (*np.shape(self.width), len(out)))
 
     def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """The inputs are the column forces: shape (..., 2N) [N]."""
@@ -93,31 +83,16 @@ class GroundedActuation:
 
     def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Q = F_coeff(q) tau, shape (..., 2N) [N], [N m]."""
-        n = q.shape[-1] // 2
-        s, axes = split(q[..., :n]), _parent_axes(q)
-        left, right = split(tau[..., 0::2]), split(tau[..., 1::2])
-        half = 0.5 * entry(self.width)
-        out = blank(q, tau.shape, (*np.shape(self.width), 2 * n))
-        fx, fy, moment = 0.0, 0.0, 0.0  # that module i carries
-        for i in reversed(range(n)):
-            if i + 1 < n:
-                cos, sin = axes[i + 1]
-                moment = moment + s[i + 1] * (cos * fy - sin * fx)
-            cos, sin = axes[i]
-            push = left[i] + right[i]
-            fx, fy = fx + push * cos, fy + push * sin
-            moment = moment + half * (left[i] - right[i])
-            out[..., i] = cos * fx + sin * fy
-            out[..., n + i] = moment
-        return out
+        out = self._forces(q, tau)
+        return join(out, q, tau.shape, (*np.shape(self.width), len(out)))
 
     def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
         """tau = F_coeff(q)^-1 Q by back-substitution from the tip, shape (..., 2N) [N]."""
         n = q.shape[-1] // 2
-        s, axes = split(q[..., :n]), _parent_axes(q)
+        s, axes = split(q), _parent_axes(q)
         wanted, width = split(force), entry(self.width)
-        out = blank(q, force.shape, (*np.shape(self.width), 2 * n))
-        fx, fy, moment = 0.0, 0.0, 0.0
+        out: list[Entry] = [0.0] * (2 * n)
+        fx = fy = moment = 0.0
         for i in reversed(range(n)):
             if i + 1 < n:
                 cos, sin = axes[i + 1]
@@ -126,13 +101,41 @@ class GroundedActuation:
             push = wanted[i] - (cos * fx + sin * fy)
             couple = (wanted[n + i] - moment) / width
             fx, fy, moment = fx + push * cos, fy + push * sin, wanted[n + i]
-            out[..., 2 * i] = 0.5 * push + couple
-            out[..., 2 * i + 1] = 0.5 * push - couple
-        return out
+            out[2 * i], out[2 * i + 1] = 0.5 * push + couple, 0.5 * push - couple
+        return join(out, q, force.shape, (*np.shape(self.width), 2 * n))
 
     def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """f = T^-1 F_coeff(q) tau, shape (..., 2N) [N]."""
-        return InternalActuation(self.width).inputs(q, self.force(q, tau))
+        out = _column_forces(self._forces(q, tau), entry(self.width))
+        return join(out, q, tau.shape, (*np.shape(self.width), len(out)))
+
+    def _forces(self, q: np.ndarray, tau: np.ndarray) -> list[Entry]:
+        """The entries of F_coeff(q) tau."""
+        n = q.shape[-1] // 2
+        s, axes = split(q), _parent_axes(q)
+        inputs, half = split(tau), 0.5 * entry(self.width)
+        out: list[Entry] = [0.0] * (2 * n)
+        fx = fy = moment = 0.0  # that module i carries
+        for i in reversed(range(n)):
+            if i + 1 < n:
+                cos, sin = axes[i + 1]
+                moment = moment + s[i + 1] * (cos * fy - sin * fx)
+            cos, sin = axes[i]
+            left, right = inputs[2 * i], inputs[2 * i + 1]
+            push = left + right
+            fx, fy = fx + push * cos, fy + push * sin
+            moment = moment + half * (left - right)
+            out[i], out[n + i] = cos * fx + sin * fy, moment
+        return out
+
+
+def _column_forces(force: Sequence[Entry], width: Entry) -> list[Entry]:
+    """The entries of T^-1 Q."""
+    n = len(force) // 2
+    out = []
+    for push, couple in zip(force[:n], force[n:], strict=True):
+        out += [0.5 * push + couple / width, 0.5 * push - couple / width]
+    return out
 
 
 ACTUATIONS: dict[str, type[GroundedActuation] | type[InternalActuation]] = {

@@ -24,13 +24,21 @@ def entry(x: np.ndarray | float) -> Entry:
     return float(x) if np.ndim(x) == 0 else x
 
 
-def blank(like: np.ndarray, *shapes: tuple[int, ...]) -> np.ndarray:
-    """An unfilled floating-point array in the memory order of `like`, broadcast to more shapes."""
-    shape = like.shape
-    for other in shapes:
-        if other != shape:
-            shape = np.broadcast_shapes(shape, other)
-    return np.empty_like(like, shape=shape, dtype=np.result_type(like, 1.0))
+def join(entries: Sequence[Entry], like: np.ndarray, *shapes: tuple[int, ...]) -> np.ndarray:
+    """The array whose last axis has these entries; the inverse of `split`.
+
+    Args:
+        entries: numbers, or arrays that broadcast against the batch.
+        like: for a batch, the result has the memory order of this array, and its batch axes.
+        shapes: shapes of other arrays whose batch axes the result has as well.
+    """
+    if like.ndim == 1 and all(len(other) == 1 for other in shapes):
+        return np.array(entries)
+    shape = np.broadcast_shapes(like.shape, *(other for other in shapes if other != like.shape))
+    out = np.empty_like(like, shape=shape, dtype=np.result_type(like, 1.0))
+    for i, value in enumerate(entries):
+        out[..., i] = value
+    return out
 
 
 def cos_sin(angle: Entry) -> tuple[Entry, Entry]:

@@ -9,7 +9,9 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
+import os
 import re
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -50,13 +52,13 @@ class Run:
     those of ArmParameters. The nominal model follows it, before mismatch."""
 
     gain: tuple[str, ...] = ()
-    """NAME:VALUES, a gain of the controller, e.g. lambda:15 or K:0.8,0.8,0.8,0.4,0.25,0.03."""
+    """NAME:VALUES, a gain of the controller, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03."""
 
     seed: int = 0
     """Seed of all that is random in the run; an undisturbed run has nothing random in it."""
 
-    timestep: float = 0.0005
-    """Physics step [s]."""
+    timestep: float | None = None
+    """Physics step [s]; that of models/octarm.xml, 0.0005 s, when not given."""
 
     control_period: float | None = None
     """Time between two control actions [s], a whole multiple of the physics step; one step when
@@ -133,13 +135,31 @@ class Validate:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command line; returns the exit code."""
     try:
-        return _parse(sys.argv[1:] if arguments is None else arguments).main()
+        code = _parse(sys.argv[1:] if arguments is None else arguments).main()
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:  # whoever read the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return ExitCode.FINE
+    except MemoryError as error:
+        print(f"octarm: there is not enough memory: {_one_line(error)}", file=sys.stderr)
+        return ExitCode.BAD_INPUT
     except (ValueError, OSError, RuntimeError) as error:
         print(f"octarm: {_one_line(error)}", file=sys.stderr)
         return ExitCode.BAD_INPUT
-    except KeyboardInterrupt:
-        print("octarm: interrupted; nothing was written", file=sys.stderr)
+    except KeyboardInterrupt as error:
+        print("; ".join(["octarm: interrupted", *error.args]), file=sys.stderr)
         return ExitCode.INTERRUPTED
+
+
+def command_line() -> int:
+    """The console command: `main`, which a SIGTERM ends as Ctrl-C does."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, interrupt)
+    return main()
 
 
 def _parse(arguments: Sequence[str]) -> Run | Replay | Validate:
@@ -182,9 +202,9 @@ def _sentence(message: str) -> str:
 
 def _one_line(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename or 'file'}: {error.strerror}"
+        return f"{error.filename or 'standard output'}: {error.strerror}"
     return " ".join(str(error).split())
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(command_line())

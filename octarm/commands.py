@@ -38,7 +38,7 @@ def run(options: Run) -> int:
     """`octarm run`: one controller against the arm, as a run folder."""
     true = _true_parameters(options)
     nominal = true.mismatched(options.mismatch).scaled(**named_values("--nominal", options.nominal))
-    controller = make_controller(options.controller, nominal, named_values("--gain", options.gain))
+    controller = make_controller(options.controller, nominal, _gains(options.gain))
     environment = load(
         options.reference,
         parameters=true,
@@ -60,7 +60,7 @@ def run(options: Run) -> int:
     _print_summary(trajectory, description, elapsed)
     print(f"wrote {out}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
     if trajectory.status == "diverged":
-        print(f"octarm: {trajectory.message}; the run up to there was kept", file=sys.stderr)
+        print(f"octarm: the run {trajectory.message}; it was kept up to there", file=sys.stderr)
         return ExitCode.DIVERGED
     if options.view:
         return _view(out)
@@ -72,14 +72,19 @@ def replay(options: Replay) -> int:
     """`octarm replay`: the viewer on a recorded run, or a picture of it."""
     from octarm import viewer
 
-    description = runs.read_description(options.run)
+    runs.read_description(options.run)  # raises when this is no run
     recording = options.run / runs.RECORDING
     if not recording.is_file():
         raise ValueError(f"{options.run} has no recording {runs.RECORDING}")
     if options.screenshot is None:
         viewer.open_viewer([recording])
         return ExitCode.FINE
-    shown = 0.5 * description["duration"] if options.time is None else options.time
+    end = float(Trajectory.load(options.run / runs.ARRAYS).t[-1])
+    shown = 0.5 * end if options.time is None else options.time
+    if not 0.0 <= shown <= end:
+        raise ValueError(f"time is {shown:g} s; the run goes from 0 to {end:g} s")
+    if options.screenshot.suffix != ".png":
+        raise ValueError(f"screenshot is {str(options.screenshot)!r}; its name must end in .png")
     viewer.screenshot(recording, options.screenshot, time=shown)
     print(f"wrote {options.screenshot}")
     return ExitCode.FINE
@@ -95,6 +100,10 @@ def validate(options: Validate) -> int:
             f"modules is {options.modules}, states {options.states}, random parameters "
             f"{options.random_parameters}; they must be at least 1, 1 and 0"
         )
+    if options.seed < 0:
+        raise ValueError(f"seed is {options.seed}; it must be at least 0")
+    if options.json is not None and not options.json.parent.is_dir():
+        raise ValueError(f"{options.json} cannot be written: there is no folder for it")
     draw = np.random.default_rng(options.seed)
     arms = [random_arm(draw, options.modules) for _ in range(options.random_parameters)]
     reports = []
@@ -117,6 +126,8 @@ def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
     values = {}
     for item in items:
         name, _, text = item.partition(":")
+        if name in values:
+            raise ValueError(f"{option} gives {name} twice")
         try:
             rows = [[float(x) for x in row.split(",")] for row in text.split(";")]
             table = np.array(rows)
@@ -128,6 +139,14 @@ def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
             table = table[0]
         values[name] = table[0] if table.shape == (1,) else table
     return values
+
+
+def _gains(items: Sequence[str]) -> dict[str, npt.ArrayLike]:
+    gains = named_values("--gain", items)
+    for item, value in zip(items, gains.values(), strict=True):
+        if np.ndim(value) > 1:
+            raise ValueError(f"--gain is {item!r}; a gain is one number, or one a coordinate")
+    return gains
 
 
 def _true_parameters(options: Run) -> ArmParameters:
@@ -176,7 +195,11 @@ def _record(
 
     title = f"{description['controller']['name']} on {description['reference']['name']}"
     notes = f"# {title}\n\n```\n{description['command']}\n```\n\n" + _notes(description)
-    write_recording(folder / runs.RECORDING, trajectory, true, title=title, notes=notes)
+    known = ("seed", "duration", "timestep", "control_period", "status", "digest", "command")
+    properties = {name: description[name] for name in ("controller", *known)}
+    write_recording(
+        folder / runs.RECORDING, trajectory, true, title=title, notes=notes, properties=properties
+    )
 
 
 def _notes(description: dict[str, Any]) -> str:
@@ -206,7 +229,7 @@ def _view(folder: Path) -> int:
 
 
 def _dated_folder(controller: str) -> Path:
-    now = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+    now = datetime.datetime.now().strftime("%Y%m%d-%H%M%S.%f")[:-3]
     base = Path("runs") / f"{now}-{controller}"
     names = itertools.chain([base], (Path(f"{base}-{i}") for i in itertools.count(2)))
     return next(name for name in names if not name.exists())

@@ -18,6 +18,8 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         OSError: if the place cannot be written; it names `path`. Nothing is left behind.
     """
     path = Path(path)
+    if not path.name:
+        raise OSError(f"{os.fspath(path)!r} is not the name of a file")
     part = path.with_name(path.name + ".part")
     try:
         part.touch()  # fails before the work rather than after

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from octarm.arrays import Entry, blank, cos_sin, entry, split
+from octarm.arrays import Entry, cos_sin, entry, join, split
 from octarm.parameters import ArmParameters
 
 
@@ -53,7 +53,6 @@ def inverse_dynamics(
     if v_r is None:
         v_r = v
     n = _modules(p, q=q, v=v, a=a, v_r=v_r)
-    out = blank(q, v.shape, a.shape, v_r.shape, (*p.batch_shape, 2 * n))
 
     # One entry a coordinate: a number for one arm, an array for a batch.
     x, x_v, x_a, x_vr = split(q), split(v), split(a), split(v_r)
@@ -87,9 +86,9 @@ def inverse_dynamics(
             moment = moment + x[i + 1] * (fy * cos - fx * sin)
         cos, sin = axes[i]
         fx, fy, moment = fx + forces[i][0], fy + forces[i][1], moment + forces[i][2]
-        out[..., i] = fx * cos + fy * sin + pushes[i]
-        out[..., n + i] = moment + couples[i]
-    return out
+        pushes[i] = fx * cos + fy * sin + pushes[i]
+        couples[i] = moment + couples[i]
+    return join(pushes + couples, q, v.shape, a.shape, v_r.shape, (*p.batch_shape, 2 * n))
 
 
 def mass_matrix(p: ArmParameters, q: np.ndarray) -> np.ndarray:
@@ -274,7 +273,7 @@ def _column_matrix(p: ArmParameters, coefficient: np.ndarray) -> np.ndarray:
 def _parent_angles(q: np.ndarray) -> np.ndarray:
     """phi_{i-1}, the angle of the plate that module i stands on, shape (..., N) [rad]."""
     n = q.shape[-1] // 2
-    out = np.zeros_like(q[..., n:])
+    out = np.zeros_like(q[..., n:], dtype=np.result_type(q, 1.0))
     out[..., 1:] = np.cumsum(q[..., n:-1], axis=-1)
     return out
 
@@ -290,7 +289,7 @@ def _jacobian(q: np.ndarray) -> np.ndarray:
     n = q.shape[-1] // 2
     u = _parent_axes(q)
     normal = np.stack([-u[..., 1], u[..., 0]], axis=-1)
-    out = np.zeros_like(q, shape=(*q.shape[:-1], n, 2, 2 * n))
+    out = np.zeros_like(u, shape=(*q.shape[:-1], n, 2, 2 * n))
     for b in range(n):
         for j in range(b + 1):
             out[..., b, :, j] = u[..., j, :]
@@ -307,7 +306,7 @@ def _jacobian_rate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
     rate = _parent_angles(v)[..., None]
     turn = rate * normal  # u' = phi' n
     swing = v[..., :n, None] * normal - q[..., :n, None] * rate * u  # (s n)' = s' n - s phi' u
-    out = np.zeros_like(q, shape=(*np.broadcast_shapes(q.shape, v.shape)[:-1], n, 2, 2 * n))
+    out = np.zeros_like(u, shape=(*np.broadcast_shapes(q.shape, v.shape)[:-1], n, 2, 2 * n))
     for b in range(n):
         for j in range(b + 1):
             out[..., b, :, j] = turn[..., j, :]

@@ -33,10 +33,15 @@ def model_path() -> Path:
     raise FileNotFoundError(f"models/octarm.xml is missing beside {package}; reinstall octarm")
 
 
+def template_model() -> mujoco.MjModel:
+    """`models/octarm.xml` as it stands."""
+    return mujoco.MjModel.from_xml_path(str(model_path()))
+
+
 @functools.cache
 def nominal_parameters() -> ArmParameters:
     """The nominal arm: the numbers of `models/octarm.xml`."""
-    return ArmParameters.from_model(mujoco.MjModel.from_xml_path(str(model_path())))
+    return ArmParameters.from_model(template_model())
 
 
 def build_model(
@@ -52,22 +57,25 @@ def build_model(
         The compiled model. Its keyframe `hanging` is the loaded equilibrium.
 
     Raises:
-        ValueError: if the parameters have batch axes, or the timestep is not positive.
+        ValueError: if the parameters have batch axes, the timestep is not between 1e-7 and
+            0.1 s, or there is no equilibrium.
     """
+    parameters = nominal_parameters() if parameters is None else parameters
     spec = mujoco.MjSpec.from_file(str(model_path()))
     if timestep is not None:
-        if not (np.isfinite(timestep) and timestep > 0.0):
-            raise ValueError(f"timestep is {timestep:g} s; it must be positive")
+        if not 1e-7 <= timestep <= 0.1:
+            raise ValueError(f"timestep is {timestep:g} s; it must be between 1e-07 and 0.1 s")
         spec.option.timestep = timestep
-    if parameters is None:
-        return spec.compile()
     if parameters.batch_shape:
         raise ValueError(
             f"parameters have batch axes {parameters.batch_shape}; a model describes one arm"
         )
     _set_modules(spec, parameters.modules)
     _set_parameters(spec, parameters)
-    model = spec.compile()
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise ValueError(f"MuJoCo refuses these parameters: {error}") from None
     for a, side in _COLUMN_SIDES:
         for i in range(1, parameters.modules + 1):
             theta = model.tendon_adr[model.tendon(f"column_{a}_{i}").id] + 1

@@ -122,6 +122,7 @@ class ArmParameters:
             if name not in _RULES:
                 raise ValueError(f"unknown parameter {name!r}{closest(name, _RULES)}")
             by, field = read_only(f"factor of {name}", factor), getattr(self, name)
+            _check_bound(f"factor of {name}", by, *_RULES[name][1:])
             try:
                 changed[name] = field * by
             except ValueError:
@@ -136,10 +137,10 @@ class ArmParameters:
         Mass, inertia and damping are multiplied by 1 + mismatch, stiffness by 1 + mismatch/2.
 
         Raises:
-            ValueError: unless mismatch is a finite number above -1.
+            ValueError: unless mismatch is above -1 and at most 1e6.
         """
-        if not (np.isfinite(mismatch) and mismatch > -1.0):
-            raise ValueError(f"mismatch is {mismatch:g}; it must be a finite number above -1")
+        if not -1.0 < mismatch <= 1e6:
+            raise ValueError(f"mismatch is {mismatch:g}; it must be above -1 and at most 1e+06")
         factor = 1.0 + mismatch
         half = 1.0 + mismatch / 2.0
         return self.scaled(mass=factor, inertia=factor, damping=factor, stiffness=half)

@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 
 from octarm.actuation import Actuation, GroundedActuation
-from octarm.model import paper_order
+from octarm.limits import Limits
+from octarm.model import coordinate_names, paper_order
 from octarm.parameters import ArmParameters
 
 with warnings.catch_warnings():  # without a display, glfw complains although nothing is drawn
@@ -23,6 +24,7 @@ class ArmPhysics(dm_mujoco.Physics):
     """One arm behind dm_control's Physics, driven by the paper's input forces tau."""
 
     actuation: Actuation
+    limits: Limits
 
     @classmethod
     def from_arm_model(
@@ -43,7 +45,10 @@ class ArmPhysics(dm_mujoco.Physics):
         tip = model.sensor("tip_position").adr[0]
         self._tip = data.ptr.sensordata[tip : tip + 3]
         self._tau = np.zeros(model.nu)
-        self.actuation = GroundedActuation(ArmParameters.from_model(model).width)
+        self._intact = True
+        arm = ArmParameters.from_model(model)
+        self.limits = Limits.of(arm)
+        self.actuation = GroundedActuation(arm.width)
 
     def __getstate__(self) -> tuple:
         return super().__getstate__(), self.actuation, self._tau
@@ -96,19 +101,42 @@ class ArmPhysics(dm_mujoco.Physics):
         """Back to the model's defaults or a keyframe, with no input."""
         super().reset(keyframe_id)
         self._tau = np.zeros(self.model.nu)
+        self._intact = True
 
     def step(self, nstep: int = 1) -> None:
         """Advances by `nstep` physics steps under Q = F(q) tau, q being the true coordinates.
+
+        It stops at the first state outside the limits, and goes on from no such state.
 
         Raises:
             PhysicsError: when MuJoCo reports a bad state; the state is never reset.
         """
         model, data = self.model.ptr, self.data.ptr
+        q = self.q()
         with self.check_invalid_state():
             for _ in range(nstep):
-                self._ctrl[:] = self.actuation.tendon_forces(self.q(), self._tau)
+                self._ctrl[:] = self.actuation.tendon_forces(q, self._tau)
                 mujoco.mj_step(model, data)
+                q = self.q()
+                self._intact = self.limits.hold(q, self.v())
+                if not self._intact:
+                    return
             mujoco.mj_step1(model, data)  # sensors of the new state
+
+    def intact(self) -> bool:
+        """Whether the last step left the arm within its limits."""
+        return self._intact
+
+    def divergence(self) -> str:
+        """How the arm has left its limits and when, as a sentence; empty while it is intact."""
+        violation = self.limits.violation(self.q(), self.v())
+        return f"diverged at t = {self.time():.6g} s: {violation}" if violation else ""
+
+    def wildest(self) -> str:
+        """The coordinate that accelerates most; NaN counts as most."""
+        acceleration = np.abs(self.data.qacc[self._qvel_index])
+        n = len(acceleration) // 2
+        return coordinate_names(n)[int(np.argmax(np.nan_to_num(acceleration, nan=np.inf)))]
 
     def integration_state(self) -> np.ndarray:
         """All that the next step depends on (mjSTATE_INTEGRATION), shape (n,)."""

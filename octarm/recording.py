@@ -78,6 +78,8 @@ def write_recording(
         raise ValueError("there is nothing to record: the trajectory has no rows")
     if parameters.batch_shape or trajectory.q.shape[1:] != (parameters.coordinates,):
         raise ValueError("the parameters must be those of one arm with the trajectory's modules")
+    if os.environ.get("RERUN", "on").lower() in ("0", "off", "false"):
+        raise RuntimeError(f"{path} cannot be recorded: RERUN={os.environ['RERUN']} is set")
     with whole_file(path) as part, _strict_mode():
         stream = rr.RecordingStream(
             "octarm", recording_id=trajectory.digest or None, send_properties=False
@@ -93,8 +95,6 @@ def write_recording(
         except Exception as error:
             reason = (str(error) or type(error).__name__).splitlines()[0]
             raise RuntimeError(f"{path} cannot be recorded: {reason}") from error
-        if part.stat().st_size == 0:
-            raise RuntimeError("rerun wrote nothing; does the environment hold RERUN=off?")
 
 
 @contextlib.contextmanager

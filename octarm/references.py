@@ -57,7 +57,7 @@ class Sine:
 
     def __call__(self, t: float) -> Reference:
         """Desired motion at time t [s]."""
-        omega = 2.0 * np.pi * np.asarray(self.frequency)
+        omega = 2.0 * np.pi * self.frequency
         angle = omega * t + self.phase
         sine = self.amplitude * np.sin(angle)
         return Reference(
@@ -116,8 +116,8 @@ class SmoothStep:
 
     def __call__(self, t: float) -> Reference:
         """Desired motion at time t [s]."""
-        T = np.asarray(self.duration)
-        x = np.clip((t - np.asarray(self.begin)) / T, 0.0, 1.0)
+        T = self.duration
+        x = np.clip((t - self.begin) / T, 0.0, 1.0)
         way = self.goal - self.start
         return Reference(
             self.start + way * (x * x * x * (10.0 + x * (-15.0 + 6.0 * x))),

@@ -10,8 +10,11 @@ from dm_control.rl import control
 
 from octarm.environment import TrackingTask, whole_periods
 from octarm.interfaces import Command, Controller, Measurement, Reference
+from octarm.model import coordinate_names
 from octarm.plant import ArmPhysics
 from octarm.trajectory import Trajectory
+
+_LARGEST_FORCE = 1e8  # [N], [N m]; MuJoCo would drop much larger ones
 
 
 def rollout(
@@ -58,14 +61,12 @@ def rollout(
         try:
             timestep = environment.step(physics.actuation.inputs(measurement.q, command.force))
         except control.PhysicsError as error:
-            message = (
-                task.divergence(physics) or f"MuJoCo stopped at t = {task.time:.4f} s: {error}"
-            )
+            message = physics.divergence() or f"MuJoCo stopped at t = {task.time:.4f} s: {error}"
         log.acted(physics)
         if progress is not None:
             progress()
         if timestep.last():
-            message = task.divergence(physics)
+            message = physics.divergence()
         if message or timestep.last():
             break
     return log.trajectory(message)
@@ -78,13 +79,14 @@ def _force_problem(force: np.ndarray, measurement: Measurement) -> str:
             f"the controller's force has shape {np.shape(force)}; the arm needs "
             f"{measurement.q.shape}"
         )
-    finite = np.isfinite(force)
-    if np.all(finite):
+    usable = np.abs(force) <= _LARGEST_FORCE
+    if np.all(usable):
         return ""
-    j = int(np.argmin(finite))
-    n = len(force) // 2
-    name = f"s{j + 1}" if j < n else f"theta{j - n + 1}"
-    return f"the controller's force on {name} is {force[j]} at t = {measurement.t:.4f} s"
+    j = int(np.argmin(usable))
+    name = coordinate_names(len(force) // 2)[j]
+    return (
+        f"diverged at t = {measurement.t:.6g} s: the controller's force on {name} is {force[j]:g}"
+    )
 
 
 class _Log:

@@ -6,7 +6,6 @@ import dataclasses
 import json
 import os
 import platform
-import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -33,8 +32,9 @@ _PACKAGES = ("octarm", "mujoco", "dm-control", "numpy", "rerun-sdk")
 def measure(trajectory: Trajectory) -> dict[str, list[float | None]]:
     """The metrics of a run by name, one number a coordinate; none when the run diverged."""
     error, effort = TrackingError(), Effort()
-    error.update(trajectory.t, trajectory.error)
-    effort.update(trajectory.tau)
+    with np.errstate(all="ignore"):  # the last row of a diverged run may hold anything
+        error.update(trajectory.t, trajectory.error)
+        effort.update(trajectory.tau)
     results = {**error.result(), **effort.result()}
     diverged = trajectory.status == "diverged"
     return {
@@ -66,9 +66,7 @@ def versions() -> dict[str, str]:
 def write_run(folder: Path, trajectory: Trajectory, description: Mapping[str, Any]) -> None:
     """Writes `run.npz` and `run.json` into a folder."""
     trajectory.save(folder / ARRAYS)
-    text = json.dumps(description, indent=2, allow_nan=False)
-    text = re.sub(r"\[[\s\d.,eE+\-nul]*\]", lambda row: " ".join(row[0].split()), text)
-    write_text(folder / DESCRIPTION, text + "\n")  # with each row of numbers on one line
+    write_text(folder / DESCRIPTION, _json(description) + "\n")
 
 
 def read_description(folder: Path) -> dict[str, Any]:
@@ -77,12 +75,16 @@ def read_description(folder: Path) -> dict[str, Any]:
     Raises:
         ValueError: if the folder holds no run.
     """
+    path = folder / DESCRIPTION
     try:
-        return json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
-    except FileNotFoundError:
+        description = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
         raise ValueError(f"{folder} is not a run folder: it has no {DESCRIPTION}") from None
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{folder / DESCRIPTION} is not readable ({error})") from None
+    except ValueError as error:
+        raise ValueError(f"{path} is not readable ({error})") from None
+    if not isinstance(description, dict) or "controller" not in description:
+        raise ValueError(f"{path} does not describe a run: it has no controller")
+    return description
 
 
 def read_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
@@ -103,15 +105,21 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
     Raises:
         ValueError: if the name is taken by something that is not a run.
-        OSError: if the place cannot be written.
+        OSError: if the place cannot be written; it names the folder.
+        KeyboardInterrupt: if interrupted; it says that nothing was written.
     """
+    folder = folder.resolve()
     if folder.exists() and not (folder.is_dir() and _is_run_or_empty(folder)):
         raise ValueError(f"{folder} exists and is not an earlier run; choose another --out")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(prefix=f".{folder.name}.part-", dir=folder.parent))
+    place = next(parent for parent in folder.parents if parent.exists())
+    try:
+        part = Path(tempfile.mkdtemp(prefix=f".{folder.name}.part-", dir=place))
+    except OSError as error:
+        raise OSError(f"{folder} cannot be written: {error.strerror}") from None
     try:
         part.chmod(0o777 & ~_umask())
         yield part
+        folder.parent.mkdir(parents=True, exist_ok=True)
         if folder.exists():
             old = part.with_name(part.name + ".old")
             os.replace(folder, old)
@@ -119,12 +127,17 @@ def new_folder(folder: Path) -> Iterator[Path]:
             shutil.rmtree(old)
         else:
             os.replace(part, folder)
+    except (OSError, RuntimeError) as error:
+        raise type(error)(str(error).replace(str(part), str(folder))) from error
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("nothing was written") from None
     finally:
         shutil.rmtree(part, ignore_errors=True)
 
 
 def _is_run_or_empty(folder: Path) -> bool:
-    return (folder / DESCRIPTION).is_file() or not any(folder.iterdir())
+    found = {path.name for path in folder.iterdir()}
+    return not found or (DESCRIPTION in found and found <= {RECORDING, ARRAYS, DESCRIPTION})
 
 
 def _umask() -> int:
@@ -143,3 +156,12 @@ def _plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value):
         return describe_fields(value)
     return value
+
+
+def _json(value: Any, indent: str = "") -> str:
+    """JSON with a line for each key, and each list on one line."""
+    if not isinstance(value, dict):
+        return json.dumps(value, allow_nan=False)
+    inner = indent + "  "
+    rows = [f"{inner}{json.dumps(key)}: {_json(item, inner)}" for key, item in value.items()]
+    return "{\n" + ",\n".join(rows) + f"\n{indent}}}"

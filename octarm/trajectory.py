@@ -85,7 +85,7 @@ class Trajectory:
         """Writes the twin `.npz`, whole or not at all; equal trajectories give equal bytes."""
         texts = {name: np.array(getattr(self, name)) for name in _TEXTS}
         with whole_file(path) as part, open(part, "wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **dict(self.arrays()), **texts)
+            np.savez(file, allow_pickle=False, **dict(self.arrays()), **texts)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:

@@ -21,8 +21,21 @@ from octarm.mechanics import (
     random_states,
     relative_error,
 )
-from octarm.model import build_model, nominal_parameters, paper_order
+from octarm.model import build_model, nominal_parameters, paper_order, template_model
 from octarm.parameters import ArmParameters
+
+# What build_model writes into a model, or must find there.
+_PHYSICS = (
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "tendon_stiffness",
+    "tendon_damping",
+    "tendon_lengthspring",
+    "wrap_prm",
+    "actuator_gear",
+    "key_qpos",
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -202,6 +215,7 @@ def validate(
     model = build_model(parameters)
     at_states, in_motion = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2))
     parts = {
+        "the template": _compare_template(),
         f"{states} random states": _compare_states(model, parameters, states, at_states),
         "static equilibrium": _compare_equilibrium(model, parameters),
         "small motions": _compare_small_motions(model, parameters),
@@ -214,6 +228,20 @@ def validate(
             progress(name)
         checks += part
     return Report(parameters, states, seed, tuple(checks))
+
+
+def _compare_template() -> Iterator[Check]:
+    """The file from which all arms are made, against the arm made from the numbers read in it."""
+    file, built = template_model(), build_model(nominal_parameters())
+    pairs = [(file.opt.gravity, built.opt.gravity)]
+    pairs += [(getattr(file, name), getattr(built, name)) for name in _PHYSICS]
+    difference = max(float(np.max(np.abs(a - b))) for a, b in pairs)
+    yield Check("models/octarm.xml, against the arm built from it", difference, 1e-12)
+    off = mujoco.mjtDisableBit
+    needed = off.mjDSBL_CONTACT | off.mjDSBL_CONSTRAINT | off.mjDSBL_AUTORESET
+    right = (file.opt.disableflags & needed) == needed
+    right &= file.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+    yield Check("models/octarm.xml, options that are not as they must be", float(not right), 0.0)
 
 
 def _compare_states(

@@ -31,6 +31,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--duration", type=float, default=4.0, help="length of each run [s]")
     duration = parser.parse_args().duration
+    if not duration > SETTLED_AFTER:
+        parser.error(f"duration is {duration:g} s; it must be above {SETTLED_AFTER:g} s")
     print("rms error of theta1 [rad]", *(f"{100 * m:+.0f} %".rjust(10) for m in MISMATCHES))
     for name in CONTROLLERS:
         errors = [rms_error(name, mismatch, duration) for mismatch in MISMATCHES]

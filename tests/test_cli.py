@@ -6,6 +6,7 @@ import pty
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -95,8 +96,8 @@ BAD = [
     (["run", "--duration", "-3"], "duration is -3 s; it must be positive"),
     (["run", "--duration", "nan"], "duration is nan s; it must be positive"),
     (["run", "--duration", "long"], "Error parsing --duration: .*'long'"),
-    (["run", "--timestep", "0"], "timestep is 0 s; it must be positive"),
-    (["run", "--timestep", "nan"], "timestep is nan s; it must be positive"),
+    (["run", "--timestep", "0"], "timestep is 0 s; it must be between"),
+    (["run", "--timestep", "nan"], "timestep is nan s; it must be between"),
     (["run", "--control-period", "0.0007"], "control period is 0.0007 s; .* multiple .* 0.0005 s"),
     (["run", "--control-period", "0"], "control period is 0 s; .* multiple .* 0.0005 s"),
     (["run", "--mismatch", "-1"], "mismatch is -1; .* above -1"),
@@ -109,11 +110,25 @@ BAD = [
     (["run", "--parameter", "mass:1,1,-1"], "mass holds -1; it must be above 0"),
     (["run", "--parameter", "wdith:1"], "unknown parameter 'wdith', did you mean 'width'"),
     (["run", "--parameter", "stiffness:1,2,3"], r"stiffness has shape \(3,\); it must be"),
-    (["run", "--nominal", "mass:-1"], "mass holds -0.3; it must be above 0"),
-    (["run", "--out", "/proc/nothing/run"], "/proc/nothing: "),
+    (["run", "--nominal", "mass:-1"], "factor of mass holds -1; it must be above 0"),
+    (["run", "--out", "/proc/nothing/run"], "/proc/nothing/run cannot be written: "),
     (["run", "--out", "file.txt"], "file.txt exists and is not an earlier run"),
     (["run", "--out", "full"], "full exists and is not an earlier run"),
     (["run", "--out", "file.txt/run"], "file.txt.*: "),
+    (["run", "--out", "precious"], "precious exists and is not an earlier run"),
+    (["run", "--out", "deep/down/a", "--gain", "K:1;2"], "--gain is 'K:1;2'; a gain is one number"),
+    (["run", "--gain", "K:1", "--gain", "K:2"], "--gain gives K twice"),
+    (["run", "--duration", "1e300"], "duration is 1e.300 s; it must be at most 500000 s"),
+    (["run", "--duration", "4e5"], "there is not enough memory"),
+    (["run", "--mismatch", "1e308"], "mismatch is 1e.308; it must be above -1"),
+    (["run", "--seed", "-1"], "seed is -1; it must be at least 0"),
+    (["run", "--parameter", "mass:1e-20,1,1"], "MuJoCo refuses these parameters"),
+    (["run", "--parameter", "gravity:1e10"], "cannot hang in one piece: at rest s1"),
+    (["run", "--out", "/dev/null/x"], "/dev/null/x cannot be written"),
+    (["replay", "precious"], "precious has no recording run.rrd"),
+    (["replay", "broken"], "broken/run.json does not describe a run"),
+    (["validate", "--seed", "-1"], "seed is -1; it must be at least 0"),
+    (["validate", "--json", "nowhere/x.json"], "nowhere/x.json cannot be written"),
     (["run", "--duraton", "3"], "Unrecognized options: --duraton, 3; did you mean --duration"),
     (["ran"], "Unrecognized options: ran; the commands are run, replay, validate"),
     ([], "Expected one of"),
@@ -128,21 +143,28 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(arguments, message, capsys
     Path("file.txt").write_text("mine")
     Path("full").mkdir()
     Path("full/notes.txt").write_text("mine")
+    Path("precious").mkdir()
+    Path("precious/run.json").write_text('{"controller": {}}')
+    Path("precious/notes.txt").write_text("mine")
+    Path("broken").mkdir()
+    Path("broken/run.json").write_text("[]")
     assert cli.main(arguments) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert len(err.strip().splitlines()) == 1
     assert re.search(message, err), err
-    assert {p.name for p in Path().iterdir() if p.name != "runs"} == {"file.txt", "full"}
-    assert not Path("runs").exists() or not any(Path("runs").iterdir())
+    assert {p.name for p in Path().iterdir()} == {"file.txt", "full", "precious", "broken"}
     assert [p.name for p in Path("full").iterdir()] == ["notes.txt"]
+    assert {p.name for p in Path("precious").iterdir()} == {"notes.txt", "run.json"}
 
 
 def test_a_diverging_run_is_kept_and_marked(capsys):
     assert short_run("--gain", "K:1600,1000,800,400,250,30") == 3
     out, err = capsys.readouterr()
     assert re.fullmatch(
-        r"octarm: theta1 diverged at t = 0\.00\d+ s: .* rad/s; the run up to there was kept\n", err
+        r"octarm: the run diverged at t = 0\.00\d+ s: theta1 moves at .* rad/s, faster than "
+        r"50 rad/s; it was kept up to there\n",
+        err,
     )
     assert "replay" not in err and "wrote a/" in out
     run, description = runs.read_run(Path("a"))
@@ -169,6 +191,52 @@ def test_an_interrupt_while_replacing_keeps_the_earlier_run(monkeypatch):
     assert short_run("--mismatch", "0.1") == 2
     assert Path("a/run.npz").read_bytes() == before
     assert [p.name for p in Path().iterdir()] == ["a"]
+
+
+def test_a_time_outside_the_run_and_a_name_that_is_no_picture_are_refused(capsys):
+    assert short_run() == 0
+    for option, message in (
+        (["--time", "3"], "time is 3 s; the run goes from 0 to 0.0495 s"),
+        (["--time", "nan"], "time is nan s; the run goes"),
+        (["--time", "-1"], "time is -1 s; the run goes"),
+    ):
+        assert cli.main(["replay", "a", "--screenshot", "x.png", *option]) == 2
+        assert message in capsys.readouterr().err
+    assert cli.main(["replay", "a", "--screenshot", "x.jpg"]) == 2
+    assert "'x.jpg'; its name must end in .png" in capsys.readouterr().err
+    assert [p.name for p in Path().iterdir()] == ["a"]
+
+
+def test_a_link_to_a_run_is_followed():
+    assert short_run() == 0
+    Path("link").symlink_to("a")
+    assert cli.main(["run", "--duration", "0.02", "--out", "link"]) == 0
+    assert Path("link").is_symlink()
+    assert len(runs.read_run(Path("a"))[0]) == 40
+    assert {p.name for p in Path().iterdir()} == {"a", "link"}
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    command = f"{sys.executable} -m octarm.cli run --duration 0.01 --out a | true"
+    done = subprocess.run(
+        ["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, timeout=120,
+        check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert Path("a/run.json").is_file()
+
+
+def test_sigterm_leaves_nothing_half_written():
+    command = [sys.executable, "-m", "octarm.cli", "run", "--duration", "60", "--out", "a"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60.0
+    while not any(Path().iterdir()) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(0.3)
+    process.terminate()
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (130, "octarm: interrupted; nothing was written\n")
+    assert list(Path().iterdir()) == []
 
 
 def test_help_names_every_controller_reference_and_command(capsys):

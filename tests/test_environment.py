@@ -2,11 +2,15 @@
 # pyright: reportAttributeAccessIssue=false, reportIncompatibleMethodOverride=false
 # (mujoco ships no type stubs, dm_env's mixin no annotations)
 
+import pickle
+import re
+
 import dm_env.test_utils
 import mujoco
 import numpy as np
 import pytest
 from absl.testing import absltest
+from dm_control.rl import control
 from dm_control.suite.wrappers import action_noise
 
 import octarm
@@ -113,7 +117,14 @@ def test_the_episode_ends_after_whole_periods():
 
 @pytest.mark.parametrize(
     ("duration", "period", "expected"),
-    [(0.035, 0.005, 7), (0.07, 0.005, 14), (1.11, 0.005, 222), (10.0, 0.0005, 20000), (1e-9, 1, 1)],
+    [
+        (0.035, 0.005, 7),
+        (0.07, 0.005, 14),
+        (1.11, 0.005, 222),
+        (10.0, 0.0005, 20000),
+        (1e-9, 1, 1),
+        (0.0101, 0.005, 3),
+    ],
 )
 def test_durations_are_counted_in_whole_periods(duration: float, period: float, expected: int):
     assert whole_periods(duration, period) == expected
@@ -145,7 +156,7 @@ def test_an_arm_that_leaves_its_limits_ends_the_episode_and_is_named():
     while not steps[-1].last():
         steps.append(environment.step(tau))
     assert steps[-1].discount == 0.0
-    assert environment.task.divergence(environment.physics).startswith("theta3 diverged at t = 0.0")
+    assert re.match(r"diverged at t = 0\.\d+ s: theta3 ", environment.physics.divergence())
 
 
 def test_internal_actuation_pushes_neighbours_only():
@@ -164,8 +175,68 @@ def test_bad_arguments_are_refused_in_one_sentence():
         load(actuation="intern")
     with pytest.raises(ValueError, match="duration is -1 s; it must be positive"):
         load(duration=-1.0)
-    with pytest.raises(ValueError, match="timestep is 0 s; it must be positive"):
+    with pytest.raises(ValueError, match="timestep is 0 s; it must be between"):
         load(timestep=0.0)
+
+
+def test_an_arm_that_cannot_hang_in_one_piece_is_refused():
+    soft = nominal_parameters().scaled(stiffness=1e-3)
+    with pytest.raises(ValueError, match=r"cannot hang in one piece: at rest s1 is .* m, outside"):
+        load(parameters=soft)
+
+
+def test_a_long_control_period_stops_at_the_first_bad_physics_step():
+    environment = load(control_period=1.0)
+    environment.reset()
+    ended = environment.step(np.full(6, 1e5))
+    assert ended.last() and ended.discount == 0.0 and ended.reward == 0.0
+    assert environment.physics.time() < 0.01
+    assert environment.physics.divergence().startswith("diverged at t = 0.00")
+
+
+def test_a_state_that_mujoco_refuses_is_an_error_not_a_restart():
+    environment = load()
+    environment.reset()
+    environment.physics.data.qpos[0] = np.nan
+    with pytest.raises(control.PhysicsError):
+        environment.physics.step()
+
+
+def test_speeds_have_limits_too():
+    physics = load().physics
+    rest = physics.hanging()
+    assert physics.limits.hold(rest, np.zeros(6))
+    for j, top in enumerate([4.8] * 3 + [50.0] * 3):
+        v = np.zeros(6)
+        v[j] = -1.01 * top
+        assert not physics.limits.hold(rest, v)
+        assert physics.limits.violation(rest, v).startswith(("s1", "s2", "s3", "theta")[min(j, 3)])
+        v[j] = np.nan
+        assert not physics.limits.hold(rest, v)
+
+
+def test_the_reward_is_a_tenth_when_every_coordinate_is_off_by_its_margin():
+    physics, task = load("set-point").physics, load("set-point").task
+    with physics.reset_context():
+        task.initialize_episode(physics)
+        off = task._desired.q + np.array([0.01] * 3 + [0.1] * 3)
+        physics.set_motion(off, np.zeros(6))
+    assert task.get_reward(physics) == pytest.approx(0.1)
+
+
+def test_the_seed_reaches_what_wrappers_draw_from():
+    draws = [load(seed=seed).task.random.normal() for seed in (5, 5, 6)]
+    assert draws[0] == draws[1] != draws[2]
+
+
+def test_copies_and_pickles_go_on_alike():
+    physics = load(actuation="internal").physics
+    physics.set_control(np.arange(6.0))
+    twins = [physics.copy(), pickle.loads(pickle.dumps(physics))]
+    for one in (physics, *twins):
+        one.step(20)
+    for twin in twins:
+        np.testing.assert_array_equal(twin.q(), physics.q())
 
 
 def test_the_package_offers_its_fixed_names():

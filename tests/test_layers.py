@@ -21,6 +21,7 @@ ORDER = [
     "actuation",
     "lagrange",
     "model",
+    "limits",
     "plant",
     "references",
     "environment",

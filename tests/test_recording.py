@@ -12,6 +12,7 @@ from octarm.lagrange import positions
 from octarm.model import world_position
 from octarm.parameters import ArmParameters
 from octarm.recording import write_recording
+from octarm.scene import plate_quaternions, smooth_arm
 from octarm.trajectory import Trajectory
 
 
@@ -233,3 +234,15 @@ def test_a_rerun_that_is_switched_off_is_an_error(tmp_path, monkeypatch):
     with pytest.raises(RuntimeError, match="cannot be recorded"):
         record(tmp_path, swinging())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_plates_face_along_the_arm():
+    q = np.array([0.1, 0.1, 0.1, 0.3, -0.5, 0.2])
+    curve = smooth_arm(q)
+    x, y, z, w = np.moveaxis(plate_quaternions(q), -1, 0)
+    # The plate's axis, world z, turned by its quaternion, is the tangent of the curve at its end.
+    axis = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
+    steps = np.diff(curve, axis=1)
+    tangent = 1.5 * steps[:, -1] - 0.5 * steps[:, -2]
+    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
+    np.testing.assert_allclose(axis, -tangent, atol=0.02)

@@ -1,6 +1,7 @@
 """The loop: what is recorded is what happened, and a diverging run ends at once."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -93,7 +94,7 @@ def test_a_gain_a_thousand_times_too_large_ends_the_run_at_once(gain: str):
     value = getattr(recommended, "lambda_" if gain == "lambda" else gain)
     run = rollout(load(), make_controller("smc-boundary", p, {gain: 1000.0 * value}), 1.0)
     assert run.status == "diverged"
-    assert "theta1 diverged at t = 0.00" in run.message
+    assert re.match(r"diverged at t = 0\.00\d+ s: (s|theta)\d (is|moves at) ", run.message)
     assert 1 <= len(run) < 20
     for name, array in run.arrays():
         assert np.all(np.isfinite(array)), name
@@ -102,7 +103,7 @@ def test_a_gain_a_thousand_times_too_large_ends_the_run_at_once(gain: str):
 def test_a_force_that_is_not_a_number_ends_the_run_and_is_named():
     run = rollout(load(), Probe(bad_call=7), 1.0)
     assert run.status == "diverged"
-    assert run.message == "the controller's force on theta2 is nan at t = 0.0035 s"
+    assert run.message == "diverged at t = 0.0035 s: the controller's force on theta2 is nan"
     assert len(run) == 8
     assert np.all(np.isfinite(run.q))
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from octarm import free_motion, lagrange, mechanics, validation
-from octarm.model import build_model, nominal_parameters
+from octarm.model import build_model, model_path, nominal_parameters
 from octarm.parameters import ArmParameters
 from octarm.validation import Check, Report, arm_with, random_arm, validate
 
@@ -65,6 +65,7 @@ def test_progress_names_each_part_before_it_starts():
     parts = []
     validate(arm_with(1), states=5, progress=parts.append)
     assert parts == [
+        "the template",
         "5 random states",
         "static equilibrium",
         "small motions",
@@ -381,3 +382,23 @@ def test_the_table_is_aligned_and_has_every_row(nominal: Report):
         assert row.startswith(check.what)
         assert row[header.index("allowed") :].startswith(check.allowed)
     assert lines[-1] == f"all {len(nominal.checks)} checks passed"
+
+
+@pytest.mark.parametrize(
+    ("written", "edited"),
+    [
+        ('joint="theta_1" coef="-0.04"', 'joint="theta_1" coef="-0.06"'),
+        ('gravity="0 0 -9.81"', 'gravity="1 0 -9.81"'),
+        ('springlength="0.12"', 'springlength="0.10 0.14"'),
+        ('autoreset="disable"', 'autoreset="enable"'),
+        ('integrator="RK4"', 'integrator="Euler"'),
+        ('<key name="hanging" qpos="0.123', '<key name="hanging" qpos="0.124'),
+    ],
+)
+def test_a_slip_in_the_model_file_fails(written, edited, monkeypatch):
+    text = model_path().read_text()
+    assert written in text
+    wrong = mujoco.MjModel.from_xml_string(text.replace(written, edited))
+    monkeypatch.setattr(validation, "template_model", lambda: wrong)
+    checks = list(validation._compare_template())
+    assert [check.passed for check in checks].count(False) == 1

@@ -1,0 +1,62 @@
+"""The states beyond which the equations no longer describe an arm in one piece."""
+
+from __future__ import annotations
+
+import dataclasses
+from operator import le
+
+import numpy as np
+
+from octarm.model import coordinate_names
+from octarm.parameters import ArmParameters
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """Bounds on the state of one arm. A run that leaves them has diverged.
+
+    Attributes:
+        low: smallest coordinates, 2N of them [m], [rad].
+        high: largest coordinates, 2N of them [m], [rad].
+        speed: largest absolute velocities, 2N of them [m/s], [rad/s].
+    """
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    speed: tuple[float, ...]
+
+    @classmethod
+    def of(cls, arm: ArmParameters) -> Limits:
+        """Limits that no arm of this size passes in one piece.
+
+        A module is neither crushed to nothing nor stretched fivefold nor bent to a full loop, and
+        moves no faster than 40 rest lengths or 8 turns (50 rad) a second; OctArm's own sections
+        turn 380 degrees in half a second.
+        """
+        rest, n = arm.rest_length, arm.modules
+        return cls(
+            low=(0.0,) * n + (-2.0 * np.pi,) * n,
+            high=(*(5.0 * rest).tolist(), *(2.0 * np.pi,) * n),
+            speed=(*(40.0 * rest).tolist(), *(50.0,) * n),
+        )
+
+    def hold(self, q: np.ndarray, v: np.ndarray) -> bool:
+        """Whether a state, shapes (2N,), is within the limits; NaN never is."""
+        place, speed = q.tolist(), map(abs, v.tolist())
+        return (
+            all(map(le, self.low, place))
+            and all(map(le, place, self.high))
+            and all(map(le, speed, self.speed))
+        )
+
+    def violation(self, q: np.ndarray, v: np.ndarray) -> str:
+        """Which coordinate has left them and how, as words; empty when none has."""
+        n = len(q) // 2
+        names, units = coordinate_names(n), ["m"] * n + ["rad"] * n
+        for j, (name, unit) in enumerate(zip(names, units, strict=True)):
+            low, high, top = self.low[j], self.high[j], self.speed[j]
+            if not low <= q[j] <= high:
+                return f"{name} is {q[j]:.4g} {unit}, outside {low:.4g} .. {high:.4g} {unit}"
+            if not abs(v[j]) <= top:
+                return f"{name} moves at {v[j]:.4g} {unit}/s, faster than {top:.4g} {unit}/s"
+        return ""
