@@ -45,6 +45,14 @@ def sliding_surface(lambda_: Gain, measurement: Measurement, reference: Referenc
     )
 
 
+def equivalent_force(
+    nominal: ArmParameters, lambda_: Gain, measurement: Measurement, reference: Reference
+) -> tuple[np.ndarray, np.ndarray]:
+    """The sliding variable s and D^ q_r'' + (C^ + B^) q_r' + G^, each of shape (..., 2N)."""
+    s, v_r, a_r = sliding_surface(lambda_, measurement, reference)
+    return s, inverse_dynamics(nominal, measurement.q, measurement.v, a_r, v_r)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class SlidingMode:
     """Q = D^ q_r'' + (C^ + B^) q_r' + G^ - K sgn(s) - K_v s, eqs (22), (31), (37) corrected.
@@ -75,8 +83,7 @@ class SlidingMode:
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
         """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
-        s, v_r, a_r = sliding_surface(self.lambda_, measurement, reference)
-        equivalent = inverse_dynamics(self.nominal, measurement.q, measurement.v, a_r, v_r)
+        s, equivalent = equivalent_force(self.nominal, self.lambda_, measurement, reference)
         switching = -self.K * np.sign(s) - self.K_v * s
         return _command(s, equivalent, switching), state
 
@@ -117,8 +124,7 @@ class BoundaryLayer:
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
         """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
-        s, v_r, a_r = sliding_surface(self.lambda_, measurement, reference)
-        equivalent = inverse_dynamics(self.nominal, measurement.q, measurement.v, a_r, v_r)
+        s, equivalent = equivalent_force(self.nominal, self.lambda_, measurement, reference)
         switching = -self.K * np.clip(s / self.phi, -1.0, 1.0) - self.K_v * s
         return _command(s, equivalent, switching), state
 

@@ -34,22 +34,19 @@ class Run:
     """Controller: computed-torque, smc, smc-boundary."""
 
     reference: str = "sine"
-    """Desired motion: sine (theta1, theta2), sine-slides (s1, s2), multi-sine, smooth-step,
-    set-point."""
+    """Desired motion: sine (of theta1, theta2), sine-slides, multi-sine, smooth-step, set-point."""
 
     duration: float = 10.0
     """Length of the run [s]."""
 
     mismatch: float = 0.0
-    """Error of the controller's nominal model [1]: its mass, inertia and damping are multiplied by
-    1 + X, its stiffness by 1 + X/2. The true arm stays as it is."""
+    """Error X of the nominal model: mass, inertia, damping times 1 + X, stiffness times 1 + X/2."""
 
     nominal: tuple[str, ...] = ()
-    """NAME:FACTOR, one more factor on a parameter of the nominal model, e.g. mass:0.7."""
+    """NAME:FACTOR, a further factor on a parameter of the nominal model, e.g. mass:0.7."""
 
     parameter: tuple[str, ...] = ()
-    """NAME:VALUES, a parameter of the true arm, e.g. mass:0.3,0.25,0.2 [kg]; names and units are
-    those of ArmParameters. The nominal model follows it, before mismatch."""
+    """NAME:VALUES, a parameter of the true arm and the nominal model, e.g. mass:0.3,0.25,0.2."""
 
     gain: tuple[str, ...] = ()
     """NAME:VALUES, a gain of the controller, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03."""
@@ -61,8 +58,7 @@ class Run:
     """Physics step [s]; that of models/octarm.xml, 0.0005 s, when not given."""
 
     control_period: float | None = None
-    """Time between two control actions [s], a whole multiple of the physics step; one step when
-    not given."""
+    """Time between control actions [s], whole physics steps; one step when not given."""
 
     actuation: str = "f-coeff"
     """How input forces act: f-coeff (eq (2)), or internal (between neighbouring modules)."""
