@@ -61,7 +61,8 @@ def rollout(
         try:
             timestep = environment.step(physics.actuation.inputs(measurement.q, command.force))
         except control.PhysicsError as error:
-            message = physics.divergence() or f"MuJoCo stopped at t = {task.time:.4f} s: {error}"
+            stopped = f"diverged at t = {physics.time():.6g} s: {physics.wildest()} most, {error}"
+            message = physics.divergence() or stopped
         log.acted(physics)
         if progress is not None:
             progress()

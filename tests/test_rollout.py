@@ -108,6 +108,41 @@ def test_a_force_that_is_not_a_number_ends_the_run_and_is_named():
     assert np.all(np.isfinite(run.q))
 
 
+class Spoilt(action_noise.Wrapper):
+    """An environment whose arm or action is spoilt at every step."""
+
+    def __init__(self, environment, spoil):
+        super().__init__(environment)
+        self._spoil = spoil
+
+    def step(self, action):
+        return self._env.step(self._spoil(self._env.physics, action))
+
+
+def spoil_state(physics, action):
+    physics.data.qpos[3] = np.nan
+    return action
+
+
+def spoil_action(physics, action):
+    return 1e20 + 0.0 * action
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (spoil_state, r"diverged at t = [\d.e-]+ s: (s|theta)\d is nan"),
+        (spoil_action, r"diverged at t = [\d.e-]+ s: (s|theta)\d most, .*mjWARN_BADCTRL"),
+    ],
+)
+def test_a_state_or_input_that_mujoco_refuses_ends_the_run(spoil, message):
+    spoilt = Spoilt(load(), spoil)
+    run = rollout(spoilt, Probe(), 0.1)  # pyright: ignore[reportArgumentType]
+    assert run.status == "diverged"
+    assert re.match(message, run.message), run.message
+    assert len(run) == 1
+
+
 def test_a_force_of_wrong_shape_is_refused():
     class Narrow(Probe):
         def __call__(self, state, measurement, reference):
