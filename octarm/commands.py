@@ -79,7 +79,8 @@ def replay(options: Replay) -> int:
     if options.screenshot is None:
         viewer.open_viewer([recording])
         return ExitCode.FINE
-    end = float(Trajectory.load(options.run / runs.ARRAYS).t[-1])
+    trajectory, _ = runs.read_run(options.run)
+    end = float(trajectory.t[-1])
     shown = 0.5 * end if options.time is None else options.time
     if not 0.0 <= shown <= end:
         raise ValueError(f"time is {shown:g} s; the run goes from 0 to {end:g} s")

@@ -56,7 +56,8 @@ def load(
         tip_position, shape (3,), in the world frame.
 
     Raises:
-        ValueError: for an unknown name, or a period that is not a whole multiple of the step.
+        ValueError: for an unknown name, a period that is not a whole multiple of the step, or an
+            arm that does not hang within its limits.
     """
     model = build_model(parameters, timestep)
     arm = ArmParameters.from_model(model)
@@ -84,14 +85,14 @@ def whole_periods(duration: float, period: float) -> int:
     """Number of control periods [1] that cover a duration [s]; at least one.
 
     Raises:
-        ValueError: unless the duration is positive and at most a milliard periods.
+        ValueError: unless the duration is positive and at most 1e9 periods.
     """
     if not duration > 0.0:
         raise ValueError(f"duration is {duration:g} s; it must be positive")
     if not duration / period <= 1e9:
         raise ValueError(
-            f"duration is {duration:g} s; it must be at most {1e9 * period:g} s, a "
-            f"milliard control periods of {period:g} s"
+            f"duration is {duration:g} s; it must be at most {1e9 * period:g} s, "
+            f"1e9 control periods of {period:g} s"
         )
     return max(1, math.ceil(duration / period - 1e-6))
 

@@ -116,23 +116,23 @@ def new_folder(folder: Path) -> Iterator[Path]:
         part = Path(tempfile.mkdtemp(prefix=f".{folder.name}.part-", dir=place))
     except OSError as error:
         raise OSError(f"{folder} cannot be written: {error.strerror}") from None
+    earlier = part.with_name(part.name + ".old")
     try:
         part.chmod(0o777 & ~_umask())
         yield part
         folder.parent.mkdir(parents=True, exist_ok=True)
         if folder.exists():
-            old = part.with_name(part.name + ".old")
-            os.replace(folder, old)
-            os.replace(part, folder)
-            shutil.rmtree(old)
-        else:
-            os.replace(part, folder)
+            os.replace(folder, earlier)
+        os.replace(part, folder)
     except (OSError, RuntimeError) as error:
         raise type(error)(str(error).replace(str(part), str(folder))) from error
     except KeyboardInterrupt:
         raise KeyboardInterrupt("nothing was written") from None
     finally:
-        shutil.rmtree(part, ignore_errors=True)
+        if earlier.exists() and not folder.exists():
+            os.replace(earlier, folder)
+        for leftover in (part, earlier):
+            shutil.rmtree(leftover, ignore_errors=True)
 
 
 def _is_run_or_empty(folder: Path) -> bool:

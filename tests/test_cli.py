@@ -239,6 +239,24 @@ def test_sigterm_leaves_nothing_half_written():
     assert list(Path().iterdir()) == []
 
 
+def test_an_interrupt_between_the_renames_brings_the_earlier_run_back(monkeypatch):
+    assert short_run() == 0
+    before = Path("a/run.npz").read_bytes()
+    rename = runs.os.replace
+
+    def interrupted(source, target):
+        if Path(source).name.startswith(".a.part-") and Path(target).name == "a":
+            monkeypatch.undo()
+            raise KeyboardInterrupt
+        rename(source, target)
+
+    monkeypatch.setattr(runs.os, "replace", interrupted)
+    folder = Path.cwd()
+    assert cli.main(["run", "--duration", "0.02", "--out", str(folder / "a")]) == 130
+    assert (folder / "a/run.npz").read_bytes() == before
+    assert [p.name for p in folder.iterdir()] == ["a"]
+
+
 def test_help_names_every_controller_reference_and_command(capsys):
     for arguments in (["--help"], ["run", "--help"], ["replay", "--help"], ["validate", "--help"]):
         with pytest.raises(SystemExit) as leaving:
