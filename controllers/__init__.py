@@ -1,7 +1,9 @@
 """The controllers, by the names that the command line uses.
 
 To add one, write its file and its line in `CONTROLLERS`: a dataclass with the field `nominal`, the
-model that the controller believes, and a field for each gain.
+model that the controller believes, and a field for each gain. A gain starts from the class's own
+`recommended` table (gain to function of the nominal model), else from the one shared by all
+controllers, else from the field's default.
 """
 
 from __future__ import annotations
@@ -45,7 +47,8 @@ def make_controller(
     kind = CONTROLLERS[name]
     fields = [field.name for field in dataclasses.fields(kind) if field.name != "nominal"]
     spoken = {field.rstrip("_"): field for field in fields}
-    chosen = {field: RECOMMENDED[field](nominal) for field in fields if field in RECOMMENDED}
+    recommended = RECOMMENDED | getattr(kind, "recommended", {})
+    chosen = {field: recommended[field](nominal) for field in fields if field in recommended}
     for gain, value in (gains or {}).items():
         if gain not in spoken:
             raise ValueError(f"{name} has no gain {gain!r}{closest(gain, spoken)}")

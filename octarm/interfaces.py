@@ -60,8 +60,9 @@ class Command(NamedTuple):
 
     Attributes:
         force: generalised force Q, shape (..., 2N) [N], [N m].
-        signals: inner quantities worth recording, by name, each of shape (..., k). The loop
-            records what is there and knows none of the names.
+        signals: inner quantities worth recording, by name: the batch axes, then the signal's own,
+            mostly (..., 2N), or (..., 2N, M) for M fuzzy rules a coordinate. The loop records
+            what is there and knows none of the names.
     """
 
     force: np.ndarray

@@ -175,6 +175,34 @@ def energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, 
     return kinetic, springs - p.gravity * height
 
 
+def kinetic_energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """1/2 v^T D(q) v, shape (...) [J], in O(N) by recursion along the arm.
+
+    Args:
+        p: parameters.
+        q: coordinates, shape (..., 2N) [m], [rad].
+        v: velocities, shape (..., 2N) [m/s], [rad/s].
+
+    Raises:
+        ValueError: if the last axis of an array is not 2N long.
+    """
+    n = _modules(p, q=q, v=v)
+    x, rate = split(q), split(v)
+    mass, inertia = split(p.mass), split(p.inertia)
+    cos, sin = 1.0, 0.0
+    phi = w = vx = vy = twice = 0.0
+    for i in range(n):
+        across = x[i] * w
+        vx = vx + (rate[i] * cos - across * sin)
+        vy = vy + (rate[i] * sin + across * cos)
+        w = w + rate[n + i]
+        twice = twice + (mass[i] * (vx * vx + vy * vy) + inertia[i] * (w * w))
+        if i + 1 < n:
+            phi = phi + x[n + i]
+            cos, sin = cos_sin(phi)
+    return np.asarray(0.5 * twice)
+
+
 def positions(q: np.ndarray) -> np.ndarray:
     """Ends of the modules in the base frame, shape (..., N, 2) [m]; x along the hanging arm."""
     n = q.shape[-1] // 2

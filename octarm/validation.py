@@ -1,12 +1,10 @@
-"""MuJoCo against Lagrange, as a report: every row says what, measured, allowed, pass or fail."""
+"""MuJoCo against Lagrange, as a report."""
 # pyright: reportAttributeAccessIssue=false
 # (mujoco ships no type stubs)
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -23,6 +21,7 @@ from octarm.mechanics import (
 )
 from octarm.model import build_model, nominal_parameters, paper_order, template_model
 from octarm.parameters import ArmParameters
+from octarm.report import Check, Report
 
 # What build_model writes into a model, or must find there.
 _PHYSICS = (
@@ -36,107 +35,6 @@ _PHYSICS = (
     "actuator_gear",
     "key_qpos",
 )
-
-
-@dataclasses.dataclass(frozen=True)
-class Check:
-    """One row of a report.
-
-    Attributes:
-        what: what was compared.
-        measured: what came out, in `unit`.
-        high: largest value allowed.
-        low: smallest value allowed; -inf for an error, which has no smallest.
-        unit: of the three numbers; "1" for a ratio.
-    """
-
-    what: str
-    measured: float
-    high: float
-    low: float = -np.inf
-    unit: str = "1"
-
-    @property
-    def passed(self) -> bool:
-        """Whether the measured value is allowed; NaN never is."""
-        return bool(self.low <= self.measured <= self.high)
-
-    @property
-    def allowed(self) -> str:
-        """The allowed range in words, without the unit."""
-        if self.low == -np.inf:
-            return f"<= {self.high:.2g}"
-        return f"{self.low:.3g} .. {self.high:.3g}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """The row for JSON; what is not finite becomes None."""
-        numbers = {"measured": self.measured, "low": self.low, "high": self.high}
-        finite = {k: float(x) if np.isfinite(x) else None for k, x in numbers.items()}
-        return {"what": self.what, **finite, "unit": self.unit, "passed": self.passed}
-
-
-@dataclasses.dataclass(frozen=True)
-class Report:
-    """The outcome of a validation.
-
-    Attributes:
-        parameters: the arm.
-        states: number of random states.
-        seed: of the random states and motions.
-        checks: the rows.
-    """
-
-    parameters: ArmParameters
-    states: int
-    seed: int
-    checks: tuple[Check, ...]
-
-    @property
-    def title(self) -> str:
-        """What was compared, in one line."""
-        p = self.parameters
-        return (
-            f"MuJoCo {mujoco.__version__} against Lagrange: {p.modules} "
-            f"module{'s' if p.modules > 1 else ''}, {np.sum(p.mass):.3g} kg, "
-            f"{self.states} states, seed {self.seed}"
-        )
-
-    @property
-    def passed(self) -> bool:
-        """Whether every row passed."""
-        return all(check.passed for check in self.checks)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The report for JSON."""
-        return {
-            "title": self.title,
-            "passed": self.passed,
-            "mujoco": mujoco.__version__,
-            "parameters": self.parameters.to_dict(),
-            "states": self.states,
-            "seed": self.seed,
-            "checks": [check.to_dict() for check in self.checks],
-        }
-
-    def format(self) -> str:
-        """The report for the terminal: title, table, verdict."""
-        rows = [("what", "measured", "allowed", "unit", "")]
-        rows += [
-            (c.what, f"{c.measured:.3g}", c.allowed, c.unit, "pass" if c.passed else "FAIL")
-            for c in self.checks
-        ]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in rows
-        ]
-        failed = sum(not check.passed for check in self.checks)
-        count = len(self.checks)
-        verdict = f"{failed} of {count} checks FAILED" if failed else f"all {count} checks passed"
-        return "\n".join([self.title, "", *lines, "", verdict])
-
-    def __str__(self) -> str:
-        return self.format()
 
 
 def arm_with(modules: int) -> ArmParameters:
@@ -227,7 +125,12 @@ def validate(
         if progress:
             progress(name)
         checks += part
-    return Report(parameters, states, seed, tuple(checks))
+    n = parameters.modules
+    title = (
+        f"MuJoCo {mujoco.__version__} against Lagrange: {n} module{'s' if n > 1 else ''}, "
+        f"{np.sum(parameters.mass):.3g} kg, {states} states, seed {seed}"
+    )
+    return Report(title, parameters, states, seed, tuple(checks))
 
 
 def _compare_template() -> Iterator[Check]:

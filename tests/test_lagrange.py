@@ -28,6 +28,7 @@ FUNCTIONS: dict[str, tuple[Callable, int]] = {  # and how many of q, v, a they t
     "inverse_dynamics": (lagrange.inverse_dynamics, 3),
     "forward_dynamics": (lagrange.forward_dynamics, 3),
     "energy": (lagrange.energy, 2),
+    "kinetic_energy": (lagrange.kinetic_energy, 2),
 }
 
 
@@ -147,6 +148,7 @@ def test_kinetic_energy_is_that_of_the_mass_matrix(n, arms, states):
     q, v, _ = random_state(rng, n, states)
     kinetic, _ = lagrange.energy(p, q, v)
     assert_close(kinetic, 0.5 * dot(v, times(lagrange.mass_matrix(p, q), v)))
+    assert_close(lagrange.kinetic_energy(p, q, v), kinetic)
 
 
 @MODULES

@@ -18,6 +18,7 @@ ORDER = [
     "arrays",
     "parameters",
     "interfaces",
+    "report",
     "actuation",
     "lagrange",
     "model",
@@ -90,7 +91,14 @@ def test_controllers_cannot_reach_the_plant(path: Path):
     names = imports(path)
     top = {name.split(".")[0] for name in names}
     assert not top & {"mujoco", "dm_control", "dm_env", "rerun"}
-    assert modules_of(names) <= {"interfaces", "lagrange", "parameters", "arrays", "errors"}
+    assert modules_of(names) <= {
+        "interfaces",
+        "lagrange",
+        "parameters",
+        "arrays",
+        "errors",
+        "report",
+    }
 
 
 def test_the_checkout_is_what_is_tested():

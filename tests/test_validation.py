@@ -13,7 +13,8 @@ import pytest
 from octarm import free_motion, lagrange, mechanics, validation
 from octarm.model import build_model, model_path, nominal_parameters
 from octarm.parameters import ArmParameters
-from octarm.validation import Check, Report, arm_with, random_arm, validate
+from octarm.report import Check, Report
+from octarm.validation import arm_with, random_arm, validate
 
 STATES = 50
 
@@ -346,7 +347,7 @@ def test_a_check_passes_inside_its_bounds_only(check: Check, passed: bool):
 
 
 def test_a_report_with_nan_fails_and_is_still_json(nominal: Report):
-    report = Report(nominal.parameters, 1, 0, (Check("lost", np.nan, 1.0),))
+    report = Report("lost", nominal.parameters, 1, 0, (Check("lost", np.nan, 1.0),))
     assert not report.passed
     row = json.loads(json.dumps(report.to_dict(), allow_nan=False))["checks"][0]
     assert row == {
