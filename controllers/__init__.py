@@ -3,7 +3,8 @@
 To add one, write its file and its line in `CONTROLLERS`: a dataclass with the field `nominal`, the
 model that the controller believes, and a field for each gain. A gain starts from the class's own
 `recommended` table (gain to function of the nominal model), else from the one shared by all
-controllers, else from the field's default.
+controllers, else from the field's default. A gain that the class's `derived` table derives from
+another one is left out when that one is given.
 """
 
 from __future__ import annotations
@@ -13,18 +14,32 @@ from collections.abc import Mapping
 
 import numpy.typing as npt
 
+from controllers.adaptive_fuzzy import AdaptiveConsequents as AdaptiveConsequents
+from controllers.adaptive_fuzzy import AdaptiveFuzzy as AdaptiveFuzzy
 from controllers.computed_torque import ComputedTorque as ComputedTorque
+from controllers.fuzzy import FuzzyController as FuzzyController
+from controllers.fuzzy_sliding_mode import FuzzySlidingMode as FuzzySlidingMode
 from controllers.gains import RECOMMENDED
+from controllers.integral_sliding_mode import IntegralSlidingMode as IntegralSlidingMode
+from controllers.pd import ProportionalDerivative as ProportionalDerivative
 from controllers.sliding_mode import BoundaryLayer as BoundaryLayer
 from controllers.sliding_mode import SlidingMode as SlidingMode
+from controllers.super_twisting import SuperTwisting as SuperTwisting
 from octarm.errors import closest
 from octarm.interfaces import Controller
 from octarm.parameters import ArmParameters
 
 CONTROLLERS: dict[str, type] = {
+    "pd": ProportionalDerivative,
     "computed-torque": ComputedTorque,
     "smc": SlidingMode,
     "smc-boundary": BoundaryLayer,
+    "smc-integral": IntegralSlidingMode,
+    "super-twisting": SuperTwisting,
+    "fuzzy": FuzzyController,
+    "fsmc": FuzzySlidingMode,
+    "afsmc-consequent": AdaptiveConsequents,
+    "afsmc": AdaptiveFuzzy,
 }
 
 
@@ -48,8 +63,11 @@ def make_controller(
     fields = [field.name for field in dataclasses.fields(kind) if field.name != "nominal"]
     spoken = {field.rstrip("_"): field for field in fields}
     recommended = RECOMMENDED | getattr(kind, "recommended", {})
-    chosen = {field: recommended[field](nominal) for field in fields if field in recommended}
-    for gain, value in (gains or {}).items():
+    given = gains or {}
+    replaced = {gain for gain, source in getattr(kind, "derived", {}).items() if source in given}
+    starting = [field for field in fields if field in recommended and field not in replaced]
+    chosen = {field: recommended[field](nominal) for field in starting}
+    for gain, value in given.items():
         if gain not in spoken:
             raise ValueError(f"{name} has no gain {gain!r}{closest(gain, spoken)}")
         chosen[spoken[gain]] = value

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from controllers.gains import Gain, as_gain
+from controllers.shapes import check_shapes
 from octarm.interfaces import Command, Measurement, Reference
 from octarm.lagrange import inverse_dynamics
 from octarm.parameters import ArmParameters
@@ -15,6 +16,8 @@ class ComputedTorque:
     """Q = D^ (q_d'' - K_d e' - K_p e) + (C^ + B^) q' + G^, with e = q - q_d.
 
     With an exact model the error obeys e'' + K_d e' + K_p e = 0.
+
+    Signals: `equivalent` D^ q_d'' + (C^ + B^) q' + G^ and `feedback` -D^ (K_d e' + K_p e).
 
     Attributes:
         nominal: the model that the controller believes.
@@ -41,7 +44,10 @@ class ComputedTorque:
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
         """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
+        check_shapes(self.nominal, measurement, reference)
         q, v = measurement.q, measurement.v
         e, e_dot = q - reference.q, v - reference.v
+        equivalent = inverse_dynamics(self.nominal, q, v, reference.a)
         a = reference.a - self.K_d * e_dot - self.K_p * e
-        return Command(inverse_dynamics(self.nominal, q, v, a), {}), state
+        force = inverse_dynamics(self.nominal, q, v, a)
+        return Command(force, {"equivalent": equivalent, "feedback": force - equivalent}), state

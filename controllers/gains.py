@@ -35,6 +35,21 @@ def as_gain(
     return gain
 
 
+def as_share(name: str, value: npt.ArrayLike) -> np.ndarray:
+    """A share below 1, one number an arm, as a read-only array of shape () or (..., 1).
+
+    Raises:
+        ValueError: if it is not in [0, 1), or there are several numbers an arm.
+    """
+    share = read_only(name, value)
+    if share.ndim and share.shape[-1] != 1:
+        raise ValueError(f"{name} has {share.shape[-1]} values; it is one number an arm")
+    good = (share >= 0.0) & (share < 1.0)
+    if not np.all(good):
+        raise ValueError(f"{name} holds {share[~good].flat[0]:g}; it must be at least 0, below 1")
+    return share
+
+
 def boundary_width(nominal: ArmParameters) -> np.ndarray:
     """Boundary layer phi, 0.05 m/s on slides and 0.8 rad/s on bends, shape (2N,)."""
     return np.repeat([0.05, 0.8], nominal.modules)
@@ -51,7 +66,12 @@ def switching_gain(nominal: ArmParameters) -> np.ndarray:
     hand_set = np.array([1.6, 1.0, 0.8, 0.4, 0.25, 0.03])
     if hand_set.size == nominal.coordinates:
         return hand_set
-    return 300.0 * boundary_width(nominal) * _apparent_mass(nominal)
+    return 300.0 * boundary_width(nominal) * apparent_mass(nominal)
+
+
+def reaching_gain(nominal: ArmParameters) -> np.ndarray:
+    """Reaching gain eta, shape (..., 2N) [N], [N m]: a quarter of the recommended K."""
+    return 0.25 * switching_gain(nominal)
 
 
 def linear_gain(nominal: ArmParameters) -> np.ndarray:
@@ -59,11 +79,16 @@ def linear_gain(nominal: ArmParameters) -> np.ndarray:
     hand_set = np.array([10.0, 10.0, 10.0, 0.15, 0.05, 0.01])
     if hand_set.size == nominal.coordinates:
         return hand_set
-    return 30.0 * _apparent_mass(nominal)
+    return 30.0 * apparent_mass(nominal)
 
 
-def _apparent_mass(nominal: ArmParameters) -> np.ndarray:
-    """What each coordinate alone feels when the others are free: 1 / [D^-1]_jj, shape (..., 2N)."""
+def layer_slope(nominal: ArmParameters) -> np.ndarray:
+    """K_v + K / phi, the slope of the recommended boundary layer; in the units of `linear_gain`."""
+    return linear_gain(nominal) + switching_gain(nominal) / boundary_width(nominal)
+
+
+def apparent_mass(nominal: ArmParameters) -> np.ndarray:
+    """What each coordinate feels when the others are free: 1 / [D^-1]_jj, shape (..., 2N)."""
     inverse = np.linalg.inv(mass_matrix(nominal, equilibrium(nominal)))
     return 1.0 / np.diagonal(inverse, axis1=-2, axis2=-1)
 

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from octarm.model import nominal_parameters as nominal_parameters
     from octarm.parameters import ArmParameters as ArmParameters
     from octarm.rollout import rollout as rollout
+    from octarm.sweep import sweep as sweep
+    from octarm.sweep_folder import read_sweep as read_sweep
+    from octarm.sweep_parser import read_spec as read_spec
     from octarm.trajectory import Trajectory as Trajectory
 
 # Looked up when first used, so that `octarm --help` does not wait for MuJoCo.
@@ -30,16 +33,19 @@ _HOMES = {
     "nominal_parameters": "model",
     "ArmParameters": "parameters",
     "rollout": "rollout",
+    "sweep": "sweep",
+    "read_sweep": "sweep_folder",
+    "read_spec": "sweep_parser",
     "Trajectory": "trajectory",
 }
 
 
 class _Package(types.ModuleType):
-    """Keeps `octarm.rollout` the function when Python binds the submodule of that name."""
+    """Keeps a function like `octarm.rollout` when Python binds the submodule of that name."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name == "rollout" and isinstance(value, types.ModuleType):
-            value = value.rollout
+        if _HOMES.get(name) == name and isinstance(value, types.ModuleType):
+            value = getattr(value, name)
         super().__setattr__(name, value)
 
 

@@ -1,4 +1,4 @@
-"""The command line: `octarm run`, `octarm replay`, `octarm validate`.
+"""The command line: `octarm run`, `octarm sweep`, `octarm replay`, `octarm validate`.
 
 Every refusal is one sentence on standard error. Heavy modules are imported by the command that
 needs them.
@@ -27,17 +27,48 @@ class Run:
 
     Writes a run folder: run.rrd (the recording), run.npz (all arrays), run.json (what was run).
 
-    Example: octarm run --controller smc-boundary --mismatch -0.3 --duration 10
+    Example: octarm run --controller afsmc --disturbance noise:0.4 --disturbance payload:0.2,at=3
+
+    Disturbances, by what they act on; NAME:VALUE[,KEY=VALUE..], keys with their defaults:
+
+    forces
+      noise:RATIO,time=0.01,on=all        band-limited white noise, RATIO of the input's amplitude
+      sine:SIZE,frequency=1,on=theta1     [N] at tip-x, tip-y or on a slide, [N m] on a bend
+      pulse:SIZE,at=0,length=0.1,on=..    the same for a while, from `at` [s] on
+      step:SIZE,at=0,on=theta1            the same to the end
+
+    the arm
+      payload:MASS,at=0                   [kg] at the tip, from `at` [s] on
+      mismatch:X,mass=1,stiffness=1,..    true parameters: X as --mismatch, or single factors
+      random-mismatch:SHARE               every parameter off by a random share up to SHARE
+      drift:RATE,of=stiffness,limit=0.5   [1/s], steadily up to the limit
+      cyclic-drift:SHARE,period=10        to and fro
+      tilt:ANGLE                          [rad], gravity out of the hanging line
+
+    the inputs
+      actuation-delay:TIME                [s], to the next physics step
+      dead-zone:WIDTH  saturation:LIMIT   [N]
+      slew:RATE  lag:TIME                 [N/s], [s]
+      loss:SHARE,at=0                     of effectiveness; loss:0/0/0.5/0/0/0 for each column
+
+    the readings
+      measurement-delay:TIME              [s], to the next physics step
+      measurement-noise:RMS,rate=100      share of the rest length, [rad]; rate times that on v
+      quantisation:STEP,rate=100          likewise
     """
 
     controller: str = "smc-boundary"
-    """Controller: computed-torque, smc, smc-boundary."""
+    """Controller: pd, computed-torque, smc, smc-boundary, smc-integral, super-twisting, fuzzy, fsmc,
+    afsmc-consequent, afsmc."""
 
     reference: str = "sine"
     """Desired motion: sine (of theta1, theta2), sine-slides, multi-sine, smooth-step, set-point."""
 
     duration: float = 10.0
     """Length of the run [s]."""
+
+    disturbance: tuple[str, ...] = ()
+    """NAME:VALUE[,KEY=VALUE..], what acts on the arm unknown to the controller; see above."""
 
     mismatch: float = 0.0
     """Error X of the nominal model: mass, inertia, damping times 1 + X, stiffness times 1 + X/2."""
@@ -101,10 +132,15 @@ class Replay:
 
 @dataclasses.dataclass(frozen=True)
 class Validate:
-    """Check MuJoCo against the analytic model and print a report.
+    """Check MuJoCo against the analytic model, or controllers against their proofs; print a report.
 
-    Example: octarm validate --modules 5 --json report.json
+    Examples: octarm validate --modules 5 --json report.json
+              octarm validate --controllers
     """
+
+    controllers: bool = False
+    """Check instead that each controller's Lyapunov function falls as its proof says, and that the
+    misprints of the paper are noticed."""
 
     modules: int = 3
     """Number of modules of the arm."""
@@ -112,8 +148,8 @@ class Validate:
     random_parameters: int = 0
     """Check this many arms with random parameters instead of the nominal one."""
 
-    states: int = 10_000
-    """Random states that each comparison runs over."""
+    states: int | None = None
+    """Random states that each comparison runs over; 10000, of controllers 3000, when not given."""
 
     seed: int = 0
     """Seed of the random states and parameters."""
@@ -126,6 +162,42 @@ class Validate:
         from octarm import commands
 
         return commands.validate(self)
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """Run thousands of episodes as a spec has it, and keep a row of measures of each.
+
+    Writes a folder: spec.toml, manifest.json (what was run where), episodes/*.parquet; in Python,
+    octarm.read_sweep(DIR) gives the table. The table depends on the spec alone, not on the number
+    of workers, and interruptions cost nothing but the shards under way.
+
+    Example: octarm sweep scripts/disturbance_sweep.toml --out sweeps/noise --workers 8
+    """
+
+    spec: tyro.conf.Positional[Path]
+    """TOML file of the sweep; scripts/disturbance_sweep.toml is one."""
+
+    out: Path | None = None
+    """Folder to write."""
+
+    workers: int | None = None
+    """Number of processes, one thread each; one a core when not given."""
+
+    resume: bool = False
+    """Go on with the sweep that was begun in the folder."""
+
+    dry_run: bool = False
+    """Print the number of episodes, and the time and disk they will take; run nothing."""
+
+    cluster: str | None = None
+    """Run on a dask cluster: the ADDRESS of its scheduler, or `local` for one of this machine."""
+
+    def main(self) -> int:
+        """Runs the sweep and prints a row a controller."""
+        from octarm import sweep_commands
+
+        return sweep_commands.sweep(self)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -158,12 +230,12 @@ def command_line() -> int:
     return main()
 
 
-def _parse(arguments: Sequence[str]) -> Run | Replay | Validate:
+def _parse(arguments: Sequence[str]) -> Run | Sweep | Replay | Validate:
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):
             return tyro.cli(
-                Run | Replay | Validate,  # pyright: ignore[reportArgumentType]
+                Run | Sweep | Replay | Validate,  # pyright: ignore[reportArgumentType]
                 prog="octarm",
                 description="A testbed for robust controllers of a continuum robot arm.",
                 args=list(arguments),

@@ -20,10 +20,12 @@ from tqdm import tqdm
 
 from controllers import make_controller
 from octarm import runs
+from octarm.disturbances import parse_disturbance
 from octarm.environment import TrackingTask, load, whole_periods
 from octarm.errors import ExitCode, closest
 from octarm.files import write_text
 from octarm.interfaces import Controller
+from octarm.ledger import Ledger, in_words
 from octarm.metrics import SETTLED_AFTER
 from octarm.model import coordinate_names, nominal_parameters
 from octarm.parameters import ArmParameters
@@ -39,8 +41,10 @@ def run(options: Run) -> int:
     true = _true_parameters(options)
     nominal = true.mismatched(options.mismatch).scaled(**named_values("--nominal", options.nominal))
     controller = make_controller(options.controller, nominal, _gains(options.gain))
+    disturbances = [parse_disturbance(text) for text in options.disturbance]
     environment = load(
         options.reference,
+        disturbances=disturbances,
         parameters=true,
         timestep=options.timestep,
         control_period=options.control_period,
@@ -52,8 +56,9 @@ def run(options: Run) -> int:
     with runs.new_folder(out) as folder:
         started = time.perf_counter()
         with tqdm(total=periods, unit=" periods", disable=None, leave=False) as bar:
-            trajectory = rollout(environment, controller, options.duration, progress=bar.update)
+            trajectory, ledger = _watched(environment, controller, options.duration, bar)
         description = _describe(options, true, nominal, controller, environment, trajectory)
+        description["disturbances"] = ledger
         runs.write_run(folder, trajectory, description)
         _record(folder, trajectory, true, description)
         elapsed = time.perf_counter() - started
@@ -66,6 +71,24 @@ def run(options: Run) -> int:
         return _view(out)
     print(f"see it: octarm replay {shlex.quote(str(out))}")
     return ExitCode.FINE
+
+
+def _watched(
+    environment: control.Environment, controller: Controller, duration: float, bar: tqdm
+) -> tuple[Trajectory, list[dict[str, Any]]]:
+    """The run, and the ledger of its disturbances."""
+    task, physics = environment.task, environment.physics
+    if not task.disturbances:
+        return rollout(environment, controller, duration, progress=bar.update), []
+    ledger = Ledger(task.disturbances, physics)
+    physics.watch = ledger.step
+
+    def progress() -> None:
+        ledger.instant(physics)
+        bar.update()
+
+    trajectory = rollout(environment, controller, duration, progress=progress)
+    return trajectory, ledger.rows()
 
 
 def replay(options: Replay) -> int:
@@ -92,13 +115,16 @@ def replay(options: Replay) -> int:
 
 
 def validate(options: Validate) -> int:
-    """`octarm validate`: MuJoCo against the analytic model."""
+    """`octarm validate`: MuJoCo against the analytic model, or the controllers' Lyapunov ledger."""
+    from controllers.ledger import ledger
     from octarm.validation import arm_with, random_arm
-    from octarm.validation import validate as compare
+    from octarm.validation import validate as plant
 
-    if options.modules < 1 or options.random_parameters < 0 or options.states < 1:
+    compare, states = (ledger, 3000) if options.controllers else (plant, 10_000)
+    states = states if options.states is None else options.states
+    if options.modules < 1 or options.random_parameters < 0 or states < 1:
         raise ValueError(
-            f"modules is {options.modules}, states {options.states}, random parameters "
+            f"modules is {options.modules}, states {states}, random parameters "
             f"{options.random_parameters}; they must be at least 1, 1 and 0"
         )
     if options.seed < 0:
@@ -110,7 +136,7 @@ def validate(options: Validate) -> int:
     reports = []
     for arm in arms or [arm_with(options.modules)]:
         with tqdm(bar_format="checking {desc}", disable=None, leave=False) as line:
-            report = compare(arm, options.states, options.seed, line.set_description_str)
+            report = compare(arm, states, options.seed, line.set_description_str)
         print(report.format(), flush=True)
         reports.append(report)
     if options.json is not None:
@@ -180,7 +206,12 @@ def _describe(
         "timestep": environment.physics.timestep(),
         "control_period": environment.control_timestep(),
         "actuation": options.actuation,
-        "metrics": runs.measure(trajectory),
+        "metrics": runs.measure(
+            trajectory,
+            control_period=environment.control_timestep(),
+            input_limit=environment.physics.input_limit(),
+            phi=getattr(controller, "phi", None),
+        ),
         "status": trajectory.status,
         "message": trajectory.message,
         "versions": runs.versions(),
@@ -242,6 +273,8 @@ def _print_summary(trajectory: Trajectory, description: dict[str, Any], elapsed:
         f"{description['controller']['name']} on {description['reference']['name']}: "
         f"{simulated:g} s at {1.0 / description['control_period']:g} Hz, done in {elapsed:.1f} s"
     )
+    for line in in_words(description["disturbances"]):
+        print(f"  {line}")
     rms, peak = description["metrics"]["rms_error"], description["metrics"]["peak_error"]
     if None in rms:
         return

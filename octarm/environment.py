@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import collections
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from dm_control.rl import control
@@ -13,12 +14,18 @@ from dm_control.utils import rewards
 from dm_env import specs
 
 from octarm.actuation import ACTUATIONS
+from octarm.arrays import split
+from octarm.batch import BatchPhysics
+from octarm.disturbances import Acting
+from octarm.episode import Disturbance, Episode
 from octarm.errors import closest
 from octarm.interfaces import Motion, Reference
-from octarm.model import build_model
+from octarm.model import build_model, nominal_parameters
 from octarm.parameters import ArmParameters
 from octarm.plant import ArmPhysics
 from octarm.references import named_reference
+
+AnyPhysics = ArmPhysics | BatchPhysics
 
 # A tracking error of this size earns a tenth of the reward.
 _SLIDE_MARGIN = 0.01  # [m]
@@ -28,28 +35,40 @@ _BEND_MARGIN = 0.1  # [rad]
 def load(
     reference: str | Motion = "sine",
     *,
+    disturbances: Sequence[Disturbance] = (),
     parameters: ArmParameters | None = None,
+    batch: int | None = None,
     timestep: float | None = None,
     control_period: float | None = None,
     duration: float | None = None,
     actuation: str = "f-coeff",
-    seed: int | np.random.SeedSequence = 0,
+    seed: int | np.random.SeedSequence | Sequence[np.random.SeedSequence] = 0,
+    threads: int = 1,
 ) -> control.Environment:
-    """The arm, hanging at rest, and a motion it shall follow.
+    """The arm, hanging at rest, and a motion it shall follow; or a batch of n such arms.
 
     The action is tau, the input forces of eq (1), shape (2N,) [N]. They act as the generalised
-    force F_coeff(q) tau and are held for one control period.
+    force F_coeff(q) tau and are held for one control period. For a batch, the action and all
+    observations have a first axis of n, and so does the reward.
+
+    The environment is one episode: every reset starts the same one again, with the same
+    realisation of what is random in it. Another seed gives another one.
 
     Args:
         reference: a name of `octarm.references.REFERENCES`, or a function of time that gives
             the desired coordinates, velocities and accelerations.
-        parameters: the true arm; the nominal one when not given.
+        disturbances: what acts on the arm that the controller does not know.
+        parameters: the true arm; the nominal one when not given. The arms of a batch may have
+            their own, with batch axis (n,).
+        batch: number of arms n; one arm without the batch axis when not given.
         timestep: physics step [s]; 0.5 ms when not given.
         control_period: time between two actions [s]; one physics step when not given.
         duration: when an episode ends [s], rounded up to whole control periods; never when not
             given.
         actuation: `f-coeff`, or `internal` for forces between neighbouring modules.
-        seed: of the task's random generator, which dm_control's wrappers draw from.
+        seed: of all that is random in the episode. Arm i of a batch has the seed
+            `SeedSequence(seed, spawn_key=(i,))`, unless one is given for each arm.
+        threads: that step a batch; results do not depend on it.
 
     Returns:
         An environment with the observations q, v, q_d, v_d, a_d, each of shape (2N,), and
@@ -59,26 +78,65 @@ def load(
         ValueError: for an unknown name, a period that is not a whole multiple of the step, or an
             arm that does not hang within its limits.
     """
-    model = build_model(parameters, timestep)
-    arm = ArmParameters.from_model(model)
     if actuation not in ACTUATIONS:
         raise ValueError(f"unknown actuation {actuation!r}{closest(actuation, ACTUATIONS)}")
-    physics = ArmPhysics.from_arm_model(model, ACTUATIONS[actuation](arm.width))
+    true = nominal_parameters() if parameters is None else parameters
+    if true.batch_shape not in ((), () if batch is None else (batch,)):
+        raise ValueError(
+            f"parameters have batch axes {true.batch_shape}; the environment has "
+            f"{'one arm' if batch is None else f'{batch} arms'}"
+        )
+    model = build_model(true.arm(0) if true.batch_shape else true, timestep)
+    acts = ACTUATIONS[actuation](true.width)
+    seeds = _seeds(seed, batch)
+    if batch is None:
+        physics = ArmPhysics.from_arm_model(model, acts)
+    else:
+        physics = BatchPhysics(model, batch, acts, parameters=true, threads=threads)
     rest = physics.hanging()
-    if not physics.limits.hold(rest, np.zeros_like(rest)):
-        broken = physics.limits.violation(rest, np.zeros_like(rest))
-        raise ValueError(f"this arm cannot hang in one piece: at rest {broken}")
+    _check_rest(physics, rest)
     step = physics.timestep()
     steps_a_period = 1 if control_period is None else _whole_steps(control_period, step)
-    motion = named_reference(reference, rest) if isinstance(reference, str) else reference
+    own_rest = rest if true.batch_shape else rest.reshape(-1, rest.shape[-1])[0]
+    motion = named_reference(reference, own_rest) if isinstance(reference, str) else reference
     limit = None if duration is None else whole_periods(duration, steps_a_period * step)
+    episode = Episode(
+        parameters=true,
+        timestep=step,
+        reference=motion,
+        seeds=seeds,
+        batch_shape=physics.batch_shape,
+    )
+    task = TrackingTask(episode, disturbances, period=steps_a_period * step, episode_periods=limit)
+    return control.Environment(physics, task, n_sub_steps=steps_a_period)
+
+
+def _seeds(
+    seed: int | np.random.SeedSequence | Sequence[np.random.SeedSequence], arms: int | None
+) -> list[np.random.SeedSequence]:
+    """One seed sequence an arm."""
     if isinstance(seed, int) and seed < 0:
         raise ValueError(f"seed is {seed}; it must be at least 0")
-    random = np.random.default_rng(seed)
-    task = TrackingTask(
-        motion, arm.modules, random, period=steps_a_period * step, episode_periods=limit
-    )
-    return control.Environment(physics, task, n_sub_steps=steps_a_period)
+    if arms is not None and arms < 1:
+        raise ValueError(f"batch is {arms}; it must be at least 1")
+    if isinstance(seed, Sequence):
+        if len(seed) != (1 if arms is None else arms):
+            raise ValueError(f"there are {len(seed)} seeds; each of {arms or 1} arms needs one")
+        return list(seed)
+    root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+    if arms is None:
+        return [root]
+    return [
+        np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, i)) for i in range(arms)
+    ]
+
+
+def _check_rest(physics: AnyPhysics, rest: np.ndarray) -> None:
+    """Raises ValueError for an arm that does not hang within its limits."""
+    rows = rest.reshape(-1, rest.shape[-1])
+    for i in np.flatnonzero(~physics.limits.holding(rows, np.zeros_like(rows))):
+        broken = physics.limits.violation(rows[i], np.zeros_like(rows[i]))
+        raise ValueError(f"this arm cannot hang in one piece: at rest {broken}")
 
 
 def whole_periods(duration: float, period: float) -> int:
@@ -102,73 +160,80 @@ class TrackingTask(control.Task):
 
     Attributes:
         reference: the desired motion.
+        disturbances: what acts on the arm that the controller does not know.
         random: what wrappers draw from.
     """
 
     def __init__(
         self,
-        reference: Motion,
-        modules: int,
-        random: np.random.Generator,
+        episode: Episode,
+        disturbances: Sequence[Disturbance] = (),
         *,
         period: float,
         episode_periods: int | None = None,
     ) -> None:
-        """A task for an arm of N modules and a control period [s]."""
-        self.reference = reference
-        self.random = random
-        self._margin = np.repeat([_SLIDE_MARGIN, _BEND_MARGIN], modules)
+        """A task for an episode of whole control periods [s]."""
+        self.reference = episode.reference
+        self.disturbances = tuple(disturbances)
+        self.random = np.random.default_rng(episode.streams("wrappers")[0])
+        self._episode = episode
+        self._acting = Acting(self.disturbances, episode)
+        self._margin = np.repeat([_SLIDE_MARGIN, _BEND_MARGIN], episode.parameters.modules)
         self._period = period
         self._episode_periods = episode_periods
         self._periods = 0
-        self._desired = reference(0.0)
+        self._desired = self.reference(0.0)
 
     @property
     def time(self) -> float:
         """Time since the start of the episode [s]: whole control periods times their length."""
         return self._periods * self._period
 
-    def initialize_episode(self, physics: ArmPhysics) -> None:
+    def initialize_episode(self, physics: AnyPhysics) -> None:
         """The arm hangs still, loaded by its weight."""
         self._start_at(0)
-        physics.set_motion(physics.hanging(), np.zeros_like(physics.hanging()))
+        rest = physics.hanging()
+        physics.set_motion(rest, np.zeros_like(rest))
+        self._acting = Acting(self.disturbances, self._episode)
+        physics.begin(self._acting)
 
-    def before_step(self, action: np.ndarray, physics: ArmPhysics) -> None:
+    def before_step(self, action: np.ndarray, physics: AnyPhysics) -> None:
         """Holds the action, tau, shape (2N,) [N]."""
         physics.set_control(action)
 
-    def after_step(self, physics: ArmPhysics) -> None:
+    def after_step(self, physics: AnyPhysics) -> None:
         """One control period has passed."""
         del physics
         self._start_at(self._periods + 1)
 
-    def action_spec(self, physics: ArmPhysics) -> specs.BoundedArray:
+    def action_spec(self, physics: AnyPhysics) -> specs.BoundedArray:
         """Input forces tau, shape (2N,) [N], within the actuators' range."""
         limit = physics.input_limit()
         return specs.BoundedArray(limit.shape, np.float64, -limit, limit, name="tau")
 
-    def get_observation(self, physics: ArmPhysics) -> collections.OrderedDict[str, np.ndarray]:
+    def get_observation(self, physics: AnyPhysics) -> collections.OrderedDict[str, np.ndarray]:
         """What is measured and what is wanted, in fresh arrays."""
         desired = self._desired
+        q, v = self._acting.sensed(physics.steps(), physics.q(), physics.v())
         return collections.OrderedDict(
-            q=physics.q(),
-            v=physics.v(),
+            q=q,
+            v=v,
             q_d=desired.q.copy(),
             v_d=desired.v.copy(),
             a_d=desired.a.copy(),
             tip_position=physics.tip_position(),
         )
 
-    def get_reward(self, physics: ArmPhysics) -> float:
+    def get_reward(self, physics: AnyPhysics) -> np.ndarray | float:
         """In [0, 1]: 1 without error, 0.1 when the rms of error by margin is 1, 0 when diverged."""
-        if not physics.intact():
-            return 0.0
         error = (physics.q() - self._desired.q) / self._margin
-        return float(rewards.tolerance(math.sqrt(error.dot(error) / error.size), margin=1.0))
+        mean = sum(x * x for x in split(error)) / error.shape[-1]
+        reward = rewards.tolerance(np.sqrt(mean), margin=1.0)
+        return np.where(physics.intact(), reward, 0.0)[()]
 
-    def get_termination(self, physics: ArmPhysics) -> float | None:
-        """Discount 0 when the arm has left its limits, 1 when the time is up, else None."""
-        if not physics.intact():
+    def get_termination(self, physics: AnyPhysics) -> float | None:
+        """Discount 0 when every arm has left its limits, 1 when the time is up, else None."""
+        if not np.any(physics.intact()):
             return 0.0
         return 1.0 if self._periods == self._episode_periods else None
 

@@ -7,13 +7,16 @@ from operator import le
 
 import numpy as np
 
+from octarm.arrays import Entry, split
 from octarm.model import coordinate_names
 from octarm.parameters import ArmParameters
 
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """Bounds on the state of one arm. A run that leaves them has diverged.
+    """Bounds on the state of an arm. A run that leaves them has diverged.
+
+    A bound is a number, or an array of shape (n,) for arms of different size.
 
     Attributes:
         low: smallest coordinates, 2N of them [m], [rad].
@@ -21,9 +24,9 @@ class Limits:
         speed: largest absolute velocities, 2N of them [m/s], [rad/s].
     """
 
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    speed: tuple[float, ...]
+    low: tuple[Entry, ...]
+    high: tuple[Entry, ...]
+    speed: tuple[Entry, ...]
 
     @classmethod
     def of(cls, arm: ArmParameters) -> Limits:
@@ -36,8 +39,8 @@ class Limits:
         rest, n = arm.rest_length, arm.modules
         return cls(
             low=(0.0,) * n + (-2.0 * np.pi,) * n,
-            high=(*(5.0 * rest).tolist(), *(2.0 * np.pi,) * n),
-            speed=(*(40.0 * rest).tolist(), *(50.0,) * n),
+            high=(*split(5.0 * rest), *(2.0 * np.pi,) * n),
+            speed=(*split(40.0 * rest), *(50.0,) * n),
         )
 
     def hold(self, q: np.ndarray, v: np.ndarray) -> bool:
@@ -48,6 +51,15 @@ class Limits:
             and all(map(le, place, self.high))
             and all(map(le, speed, self.speed))
         )
+
+    def holding(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Which arms of a batch are within the limits, states of shape (n, 2N), shape (n,)."""
+        within = np.ones(len(q), dtype=bool)
+        for j, top in enumerate(self.speed):
+            place, speed = q[:, j], v[:, j]
+            within &= (place >= self.low[j]) & (place <= self.high[j])
+            within &= np.abs(speed) <= top
+        return within
 
     def violation(self, q: np.ndarray, v: np.ndarray) -> str:
         """Which coordinate has left them and how, as words; empty when none has."""

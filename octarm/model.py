@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import itertools
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -106,6 +107,45 @@ def world_position(position: np.ndarray) -> np.ndarray:
     """Points (x, y) of the base plane, shape (..., 2), in the world frame, shape (..., 3) [m]."""
     x, y = position[..., 0], position[..., 1]
     return np.stack([y, np.zeros_like(y), -x], axis=-1)
+
+
+class PlantFields:
+    """The arrays of a compiled model that hold an arm's parameters, for one arm or a batch."""
+
+    def __init__(self, model: mujoco.MjModel, field: Callable[[str], np.ndarray]) -> None:
+        """Takes the arrays by name, each with the batch's axis, if any, before the model's own."""
+        modules = range(1, model.nu // 2 + 1)
+        self._bodies = [model.body(f"module_{i}").id for i in modules]
+        self._tendons = [[model.tendon(f"column_{a}_{i}").id for i in modules] for a in (1, 2)]
+        self._bends = [[model.tendon_adr[t] + 1 for t in column] for column in self._tendons]
+        self._field = field
+
+    def write(self, p: ArmParameters, gravity_angle: np.ndarray | float = 0.0) -> bool:
+        """Writes the parameters, which may have the batch's axis.
+
+        Gravity turns by `gravity_angle` [rad] from the hanging arm towards +y of the base frame.
+
+        Returns:
+            Whether inertias changed, so that the caller must make MuJoCo's constants follow.
+        """
+        mass, inertia = self._field("body_mass"), self._field("body_inertia")
+        changed = np.any(mass[..., self._bodies] != p.mass) or np.any(
+            inertia[..., self._bodies, 0] != p.inertia
+        )
+        mass[..., self._bodies] = p.mass
+        inertia[..., self._bodies, :] = p.inertia[..., None]
+        g, angle = np.asarray(p.gravity), np.asarray(gravity_angle)
+        self._field("opt.gravity")[...] = np.stack(
+            np.broadcast_arrays(g * np.sin(angle), 0.0, -g * np.cos(angle)), axis=-1
+        )
+        for a, (column, bends) in enumerate(zip(self._tendons, self._bends, strict=True)):
+            self._field("tendon_stiffness")[..., column] = p.stiffness[..., a, :]
+            self._field("tendon_damping")[..., column] = p.damping[..., a, :]
+            self._field("tendon_lengthspring")[..., column, :] = p.rest_length[..., None]
+            if p.width.ndim:  # one arm's width stands in its model from the start
+                side = _COLUMN_SIDES[a][1]
+                self._field("wrap_prm")[..., bends] = side * 0.5 * p.width[..., None]
+        return bool(changed)
 
 
 def _set_modules(spec: mujoco.MjSpec, modules: int) -> None:

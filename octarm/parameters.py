@@ -27,6 +27,8 @@ _RULES: dict[str, tuple[str, float, bool]] = {
     "gravity": ("", -np.inf, True),
 }
 
+_AXES = {"N": 1, "2N": 2, "": 0}
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class ArmParameters:
@@ -99,14 +101,19 @@ class ArmParameters:
     @functools.cached_property
     def batch_shape(self) -> tuple[int, ...]:
         """Batch axes that the fields broadcast to; () for one arm."""
-        axes = {"N": 1, "2N": 2, "": 0}
         shapes = [getattr(self, n).shape for n in _RULES]
-        batch = [s[: len(s) - axes[r[0]]] for s, r in zip(shapes, _RULES.values(), strict=True)]
+        batch = [s[: len(s) - _AXES[r[0]]] for s, r in zip(shapes, _RULES.values(), strict=True)]
         try:
             return np.broadcast_shapes(*batch)
         except ValueError:
             listed = ", ".join(f"{n} {b}" for n, b in zip(_RULES, batch, strict=True) if b)
             raise ValueError(f"the batch axes of the parameters do not fit: {listed}") from None
+
+    def arm(self, i: int) -> ArmParameters:
+        """The parameters of arm i of a batch with one batch axis."""
+        fields = {name: getattr(self, name) for name in _RULES}
+        own = {n: x[i] if x.ndim > _AXES[_RULES[n][0]] else x for n, x in fields.items()}
+        return ArmParameters(**own)
 
     def scaled(self, **factors: npt.ArrayLike) -> ArmParameters:
         """A copy with the named fields multiplied.
@@ -131,19 +138,23 @@ class ArmParameters:
                 ) from None
         return dataclasses.replace(self, **changed)
 
-    def mismatched(self, mismatch: float) -> ArmParameters:
-        """A nominal model that is wrong by `mismatch` [1].
+    def mismatched(self, mismatch: npt.ArrayLike) -> ArmParameters:
+        """A nominal model that is wrong by `mismatch` [1], shape () or a batch's (...).
 
         Mass, inertia and damping are multiplied by 1 + mismatch, stiffness by 1 + mismatch/2.
 
         Raises:
             ValueError: unless mismatch is above -1 and at most 1e6.
         """
-        if not -1.0 < mismatch <= 1e6:
-            raise ValueError(f"mismatch is {mismatch:g}; it must be above -1 and at most 1e+06")
-        factor = 1.0 + mismatch
-        half = 1.0 + mismatch / 2.0
-        return self.scaled(mass=factor, inertia=factor, damping=factor, stiffness=half)
+        wrong = np.asarray(mismatch, dtype=np.float64)
+        good = (wrong > -1.0) & (wrong <= 1e6)
+        if not np.all(good):
+            raise ValueError(
+                f"mismatch is {wrong[~good].flat[0]:g}; it must be above -1 and at most 1e+06"
+            )
+        factor = (1.0 + wrong)[..., None]
+        half = (1.0 + wrong / 2.0)[..., None, None]
+        return self.scaled(mass=factor, inertia=factor, damping=factor[..., None], stiffness=half)
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as numbers and nested lists, ready for JSON."""

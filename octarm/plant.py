@@ -4,14 +4,19 @@
 
 from __future__ import annotations
 
+import copy
+import operator
 import warnings
+from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from octarm.actuation import Actuation, GroundedActuation
+from octarm.disturbances import Acting
 from octarm.limits import Limits
-from octarm.model import coordinate_names, paper_order
+from octarm.model import PlantFields, coordinate_names, paper_order
 from octarm.parameters import ArmParameters
 
 with warnings.catch_warnings():  # without a display, glfw complains although nothing is drawn
@@ -25,6 +30,8 @@ class ArmPhysics(dm_mujoco.Physics):
 
     actuation: Actuation
     limits: Limits
+    acting: Acting | None = None  # what disturbs this episode
+    watch: Callable[[ArmPhysics], object] | None = None  # called after every physics step
 
     @classmethod
     def from_arm_model(
@@ -42,27 +49,42 @@ class ArmPhysics(dm_mujoco.Physics):
         self._qpos_index, self._qvel_index = paper_order(model)
         # Views of MuJoCo's memory, kept because looking them up costs as much as a small product.
         self._qpos, self._qvel, self._ctrl = data.ptr.qpos, data.ptr.qvel, data.ptr.ctrl
+        self._added = data.ptr.qfrc_applied
         tip = model.sensor("tip_position").adr[0]
         self._tip = data.ptr.sensordata[tip : tip + 3]
+        self._fields = PlantFields(model, lambda name: operator.attrgetter(name)(model))
         self._tau = np.zeros(model.nu)
+        self._received = self._tau
+        self._disturbance = np.zeros(model.nu)
+        self._steps = 0
         self._intact = True
         arm = ArmParameters.from_model(model)
         self.limits = Limits.of(arm)
         self.actuation = GroundedActuation(arm.width)
 
     def __getstate__(self) -> tuple:
-        return super().__getstate__(), self.actuation, self._tau
+        return super().__getstate__(), self._episode()
 
     def __setstate__(self, state: tuple) -> None:
-        data, actuation, tau = state
+        data, episode = state
         super().__setstate__(data)
-        self.actuation, self._tau = actuation, tau
+        self.__dict__.update(episode)
 
     def copy(self, share_model: bool = False) -> ArmPhysics:
-        """A physics in the same state, with the same actuation and inputs."""
+        """A physics in the same state, with the same actuation, inputs and disturbances."""
         other = super().copy(share_model)
-        other.actuation, other._tau = self.actuation, self._tau.copy()
+        other.__dict__.update(copy.deepcopy(self._episode()))
         return other
+
+    def _episode(self) -> dict[str, Any]:
+        """What an episode consists of beside MuJoCo's own data."""
+        names = ("actuation", "acting", "_tau", "_received", "_disturbance", "_steps", "_intact")
+        return {name: getattr(self, name) for name in names}
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """Batch axes of the arrays: none."""
+        return ()
 
     def q(self) -> np.ndarray:
         """Generalised coordinates, shape (2N,) [m], [rad]; a copy."""
@@ -100,8 +122,16 @@ class ArmPhysics(dm_mujoco.Physics):
     def reset(self, keyframe_id: int | None = None) -> None:
         """Back to the model's defaults or a keyframe, with no input."""
         super().reset(keyframe_id)
-        self._tau = np.zeros(self.model.nu)
+        self._tau = self._received = np.zeros(self.model.nu)
+        self._disturbance = np.zeros(self.model.nu)
+        self._steps = 0
         self._intact = True
+
+    def begin(self, acting: Acting) -> None:
+        """Starts an episode under these disturbances, the arm standing where it was placed."""
+        self.acting = acting
+        self._change(acting)
+        acting.record(0, self.q(), self.v())
 
     def step(self, nstep: int = 1) -> None:
         """Advances by `nstep` physics steps under Q = F(q) tau, q being the true coordinates.
@@ -112,16 +142,38 @@ class ArmPhysics(dm_mujoco.Physics):
             PhysicsError: when MuJoCo reports a bad state; the state is never reset.
         """
         model, data = self.model.ptr, self.data.ptr
+        self._disturbance = np.zeros(model.nu)
         q = self.q()
         with self.check_invalid_state():
             for _ in range(nstep):
-                self._ctrl[:] = self.actuation.tendon_forces(q, self._tau)
+                self._receive(q, nstep)
                 mujoco.mj_step(model, data)
-                q = self.q()
-                self._intact = self.limits.hold(q, self.v())
+                self._steps += 1
+                q, v = self.q(), self.v()
+                if self.acting is not None:
+                    self.acting.record(self._steps, q, v)
+                if self.watch is not None:
+                    self.watch(self)
+                self._intact = self.limits.hold(q, v)
                 if not self._intact:
                     return
             mujoco.mj_step1(model, data)  # sensors of the new state
+
+    def steps(self) -> int:
+        """Number of physics steps since the start."""
+        return self._steps
+
+    def received(self) -> np.ndarray:
+        """The input forces that reached the arm in the last physics step, shape (2N,) [N]."""
+        return self._received.copy()
+
+    def added(self) -> np.ndarray:
+        """Generalised force that MuJoCo was given in the last physics step, shape (2N,)."""
+        return self._added.take(self._qvel_index)
+
+    def disturbance(self) -> np.ndarray:
+        """Generalised force that was added, mean over the last `step`, shape (2N,) [N], [N m]."""
+        return self._disturbance.copy()
 
     def intact(self) -> bool:
         """Whether the last step left the arm within its limits."""
@@ -141,3 +193,21 @@ class ArmPhysics(dm_mujoco.Physics):
     def integration_state(self) -> np.ndarray:
         """All that the next step depends on (mjSTATE_INTEGRATION), shape (n,)."""
         return self.get_state(mujoco.mjtState.mjSTATE_INTEGRATION.value)
+
+    def _receive(self, q: np.ndarray, nstep: int) -> None:
+        """What acts during the next physics step, q being the coordinates at its start."""
+        self._received, acting = self._tau, self.acting
+        if acting is not None:
+            self._change(acting)
+            self._received = acting.received(self._steps, self._tau)
+            if acting.forces:
+                force = acting.force(self._steps, q)
+                self._added[self._qvel_index] = force
+                self._disturbance += force / nstep
+        self._ctrl[:] = self.actuation.tendon_forces(q, self._received)
+
+    def _change(self, acting: Acting) -> None:
+        """Lets the plant follow its disturbances."""
+        plant = acting.plant(self._steps)
+        if plant is not None and self._fields.write(plant.parameters, plant.gravity_angle):
+            mujoco.mj_setConst(self.model.ptr, mujoco.MjData(self.model.ptr))

@@ -4,17 +4,92 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from dm_control.rl import control
 
-from octarm.environment import TrackingTask, whole_periods
+from octarm.batch import BatchPhysics
+from octarm.environment import AnyPhysics, TrackingTask, whole_periods
 from octarm.interfaces import Command, Controller, Measurement, Reference
 from octarm.model import coordinate_names
 from octarm.plant import ArmPhysics
 from octarm.trajectory import Trajectory
 
 _LARGEST_FORCE = 1e8  # [N], [N m]; MuJoCo would drop much larger ones
+
+
+class Instant(NamedTuple):
+    """One control instant: what was there, what was asked, and what acted until the next one.
+
+    Attributes:
+        measurement: what the controller was told.
+        reference: what was wanted.
+        command: what the controller answered.
+        q: true coordinates, shape (..., 2N) [m], [rad].
+        v: true velocities, shape (..., 2N) [m/s], [rad/s].
+        tau: input forces that were asked for, shape (..., 2N) [N].
+        disturbance: generalised force that was added, mean over the period, shape (..., 2N).
+    """
+
+    measurement: Measurement
+    reference: Reference
+    command: Command
+    q: np.ndarray
+    v: np.ndarray
+    tau: np.ndarray
+    disturbance: np.ndarray
+
+
+def drive(
+    environment: control.Environment,
+    controller: Controller,
+    duration: float,
+    observe: Callable[[Instant], object],
+) -> str:
+    """The simulation loop: one episode from the start, for one arm or a batch.
+
+    The loop turns the controller's generalised force into the action with what it may know:
+    tau = F(q measured)^-1 Q. It ends early when no arm is within its limits.
+
+    Args:
+        environment: what `octarm.load` returns, possibly wrapped.
+        controller: see `octarm.interfaces`.
+        duration: length of the run [s], rounded up to whole control periods.
+        observe: called after every control period.
+
+    Returns:
+        How a single arm diverged, as a sentence; empty when it did not. The arms of a batch are
+        told apart by `BatchPhysics.intact`.
+
+    Raises:
+        ValueError: if the duration is not positive, or the controller's force has a wrong shape.
+    """
+    physics: AnyPhysics = environment.physics
+    task: TrackingTask = environment.task
+    periods = whole_periods(duration, environment.control_timestep())
+    timestep = environment.reset()
+    state = controller.initial_state(physics.batch_shape)
+    message = ""
+    for _ in range(periods):
+        seen = timestep.observation
+        measurement = Measurement(task.time, seen["q"], seen["v"])
+        reference = Reference(seen["q_d"], seen["v_d"], seen["a_d"])
+        with np.errstate(all="ignore"):  # what diverges is reported, not warned of
+            command, state = controller(state, measurement, reference)
+            message = _refusal(physics, command.force, measurement)
+            tau = physics.actuation.inputs(measurement.q, command.force)
+        q, v = physics.q(), physics.v()
+        if not message:
+            try:
+                timestep = environment.step(tau)
+            except control.PhysicsError as error:
+                message = physics.divergence() or _stop(physics, error)
+            tau = physics.tau()  # what a wrapper made of it
+        observe(Instant(measurement, reference, command, q, v, tau, physics.disturbance()))
+        if message or timestep.last():
+            break
+    return message or physics.divergence()
 
 
 def rollout(
@@ -24,10 +99,7 @@ def rollout(
     *,
     progress: Callable[[], object] | None = None,
 ) -> Trajectory:
-    """Runs one episode from the start.
-
-    The loop turns the controller's generalised force into the action with what it may know:
-    tau = F(q measured)^-1 Q.
+    """Runs one episode of one arm from the start, and records it.
 
     Args:
         environment: what `octarm.load` returns, possibly wrapped.
@@ -40,48 +112,36 @@ def rollout(
         finite. Such a run ends there.
 
     Raises:
-        ValueError: if the duration is not positive, or the controller's force has a wrong shape.
+        ValueError: if the duration is not positive, the controller's force has a wrong shape, or
+            the environment holds a batch of arms.
     """
-    physics: ArmPhysics = environment.physics
-    task: TrackingTask = environment.task
-    periods = whole_periods(duration, environment.control_timestep())
-    log = _Log(periods)
-    timestep = environment.reset()
-    state = controller.initial_state(())
-    message = ""
-    for _ in range(periods):
-        seen = timestep.observation
-        measurement = Measurement(task.time, seen["q"], seen["v"])
-        reference = Reference(seen["q_d"], seen["v_d"], seen["a_d"])
-        command, state = controller(state, measurement, reference)
-        log.append(physics, measurement.t, reference, command)
-        message = _force_problem(command.force, measurement)
-        if message:
-            break
-        try:
-            timestep = environment.step(physics.actuation.inputs(measurement.q, command.force))
-        except control.PhysicsError as error:
-            stopped = f"diverged at t = {physics.time():.6g} s: {physics.wildest()} most, {error}"
-            message = physics.divergence() or stopped
-        log.acted(physics)
+    physics = environment.physics
+    if physics.batch_shape:
+        raise ValueError(
+            f"a trajectory records one arm; this environment has {physics.batch_shape[0]}"
+        )
+    log = _Log(whole_periods(duration, environment.control_timestep()), environment)
+
+    def observe(instant: Instant) -> None:
+        log.append(instant)
         if progress is not None:
             progress()
-        if timestep.last():
-            message = physics.divergence()
-        if message or timestep.last():
-            break
-    return log.trajectory(message)
+
+    return log.trajectory(drive(environment, controller, duration, observe))
 
 
-def _force_problem(force: np.ndarray, measurement: Measurement) -> str:
-    """Why a controller's force cannot be applied, as a sentence; empty when it can."""
+def _refusal(physics: AnyPhysics, force: np.ndarray, measurement: Measurement) -> str:
+    """Freezes the arms whose force cannot be applied; why a single arm was, as a sentence."""
     if np.shape(force) != measurement.q.shape:
         raise ValueError(
             f"the controller's force has shape {np.shape(force)}; the arm needs "
             f"{measurement.q.shape}"
         )
-    usable = np.abs(force) <= _LARGEST_FORCE
-    if np.all(usable):
+    usable: np.ndarray = np.abs(force) <= _LARGEST_FORCE
+    if usable.all():
+        return ""
+    if isinstance(physics, BatchPhysics):
+        physics.freeze(~np.all(usable, axis=-1))
         return ""
     j = int(np.argmin(usable))
     name = coordinate_names(len(force) // 2)[j]
@@ -90,41 +150,46 @@ def _force_problem(force: np.ndarray, measurement: Measurement) -> str:
     )
 
 
+def _stop(physics: AnyPhysics, error: control.PhysicsError) -> str:
+    return f"diverged at t = {physics.time():.6g} s: {physics.wildest()} most, {error}"
+
+
 class _Log:
     """Arrays that fill up row by row."""
 
-    def __init__(self, rows: int) -> None:
+    def __init__(self, rows: int, environment: control.Environment) -> None:
         self._rows = rows
+        self._physics: ArmPhysics = environment.physics
         self._used = 0
         self._columns: dict[str, np.ndarray] = {}
         self._signals: dict[str, np.ndarray] = {}
         self._hash = hashlib.sha256()
 
-    def append(self, physics: ArmPhysics, t: float, reference: Reference, command: Command) -> None:
-        """One control instant, before its action acts."""
+    def append(self, instant: Instant) -> None:
+        """One control instant and the period after it."""
+        measurement, reference, command = instant.measurement, instant.reference, instant.command
         row = {
-            "t": t,
-            "q": physics.q(),
-            "v": physics.v(),
+            "t": measurement.t,
+            "q": instant.q,
+            "v": instant.v,
             "q_d": reference.q,
             "v_d": reference.v,
+            "tau": instant.tau,
             "force": command.force,
+            "disturbance": instant.disturbance,
         }
+        signals = dict(command.signals)
+        if self._physics.acting is not None and self._physics.acting.sensors:
+            signals |= {"q_measured": measurement.q, "v_measured": measurement.v}
         if not self._columns:
             self._columns = {name: self._column(value) for name, value in row.items()}
-            self._columns["tau"] = self._column(command.force)
-            self._columns["disturbance"] = np.zeros_like(self._columns["tau"])
-            self._signals = {name: self._column(value) for name, value in command.signals.items()}
+            self._signals = {name: self._column(value) for name, value in signals.items()}
         for name, value in row.items():
             self._columns[name][self._used] = value
         for name, column in self._signals.items():
-            column[self._used] = command.signals[name]
-        self._hash.update(physics.integration_state().tobytes())
+            column[self._used] = signals[name]
+        self._hash.update(self._physics.integration_state().tobytes())
         self._used += 1
-
-    def acted(self, physics: ArmPhysics) -> None:
-        """The inputs that the arm received in the period of the last instant."""
-        self._columns["tau"][self._used - 1] = physics.tau()
 
     def trajectory(self, message: str) -> Trajectory:
         """What was recorded; `message` says how a diverged run ended."""

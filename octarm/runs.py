@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from octarm.files import write_text
 from octarm.interfaces import Controller
-from octarm.metrics import Effort, TrackingError
+from octarm.metrics import Block, Metrics
 from octarm.parameters import ArmParameters
 from octarm.trajectory import Trajectory
 
@@ -29,18 +30,39 @@ DESCRIPTION = "run.json"
 _PACKAGES = ("octarm", "mujoco", "dm-control", "numpy", "rerun-sdk")
 
 
-def measure(trajectory: Trajectory) -> dict[str, list[float | None]]:
-    """The metrics of a run by name, one number a coordinate; none when the run diverged."""
-    error, effort = TrackingError(), Effort()
-    with np.errstate(all="ignore"):  # the last row of a diverged run may hold anything
-        error.update(trajectory.t, trajectory.error)
-        effort.update(trajectory.tau)
-    results = {**error.result(), **effort.result()}
-    diverged = trajectory.status == "diverged"
-    return {
-        name: [None if diverged or not np.isfinite(x) else float(x) for x in values]
-        for name, values in results.items()
-    }
+def measure(
+    trajectory: Trajectory,
+    *,
+    control_period: float | None = None,
+    input_limit: npt.ArrayLike = np.inf,
+    phi: npt.ArrayLike | None = None,
+) -> dict[str, list[float | None] | float | None]:
+    """The metrics of a run by name, a list in the order of q (of tau, for inputs) or one number.
+
+    None stands for what there is no number for; of a diverged run there is none at all.
+
+    Args:
+        trajectory: the run.
+        control_period: see `octarm.metrics.Metrics` [s]; the step of the trajectory's t when not
+            given, of which a single row has none.
+        input_limit: see there [N].
+        phi: see there [m/s], [rad/s].
+    """
+    t, known = trajectory.t, control_period is not None or len(trajectory) > 1
+    if control_period is None:
+        control_period = float(t[1] - t[0]) if known else 1.0
+    metrics = Metrics(control_period=control_period, input_limit=input_limit, phi=phi)
+    run = trajectory
+    metrics.update(Block(t, run.q, run.q_d, run.tau, run.force, run.signals))
+    results = metrics.result(diverged=run.status == "diverged" or not known)
+    return {name: _numbers(values) for name, values in results.items()}
+
+
+def _numbers(values: np.ndarray) -> Any:
+    """A number or a list, with None for NaN."""
+    out = values.astype(object)
+    out[~np.isfinite(values)] = None
+    return out.tolist()
 
 
 def describe_fields(thing: Any) -> dict[str, Any]:

@@ -1,40 +1,66 @@
-"""The smooth arm as curves in space, for pictures.
+"""The smooth arm as shapes in space, for pictures.
 
 The drawn arm is a picture of the lumped model, not a second model. Module i ends at
-p_i = p_{i-1} + s_i u(phi_{i-1}), where `octarm.lagrange.positions` puts it; a chain of true arcs of
-constant curvature would end elsewhere. So the backbone is a cubic Hermite curve through the ends
-p_i that leaves plate i-1 along u(phi_{i-1}) and meets plate i along u(phi_i): its tangent is
-continuous, module i turns by exactly theta_i over about the length s_i, and the tip is the lumped
-tip. The columns are the curves beside it at half the width, so that their lengths differ by
-l theta_i as those of the model do.
+p_i = p_{i-1} + s_i u(phi_{i-1}), where `octarm.lagrange.positions` puts it: it slides first and
+bends at its end. No arc of constant curvature does that: one that leaves plate i-1 along
+u(phi_{i-1}) and turns by theta_i ends s_i theta_i / 2 beside p_i. So the tube is a cubic Hermite
+curve through the ends p_i that leaves plate i-1 along u(phi_{i-1}) and meets plate i along
+u(phi_i): its tangent is continuous, module i turns by exactly theta_i over about the length s_i,
+and the tip is the simulated tip. The columns are the curves beside it at half the width, so that
+their lengths differ by l theta_i as those of the model do. `arcs` are the arcs of length s_i and
+angle theta_i themselves, joined end to end, to compare; `skeleton` is the lumped arm.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from octarm.lagrange import positions
 from octarm.model import world_position
 
-POINTS = 12  # a module
+PIECES = 8  # of the tube, a module
+COLUMN_PIECES = 5
+RIBS = 6  # of the desired arm, a module
+_LONGEST = 100.0  # [m], [rad]; beyond it a coordinate cannot be drawn
 
 
-def smooth_arm(q: np.ndarray, offset: float = 0.0) -> np.ndarray:
+class Pieces(NamedTuple):
+    """Short straight pieces of a curve in the plane of the arm.
+
+    Attributes:
+        centers: in the world frame, shape (..., pieces, 3) [m].
+        angles: by which a turn about the world's y axis takes z along the piece, shape
+            (..., pieces) [rad].
+    """
+
+    centers: np.ndarray
+    angles: np.ndarray
+
+
+def drawable(q: np.ndarray) -> np.ndarray:
+    """Whether an arm is somewhere near, shape (...) of bool; a diverging one may not be."""
+    return np.abs(q).max(axis=-1) < _LONGEST
+
+
+def smooth_arm(q: np.ndarray, offset: float = 0.0, points: int = 12) -> np.ndarray:
     """The smooth arm in the world frame.
 
     Args:
         q: coordinates, shape (..., 2N) [m], [rad].
         offset: distance of the curve from the backbone, towards column 2 [m].
+        points: along each module, its ends included.
 
     Returns:
-        Points along each module, shape (..., N, POINTS, 3) [m].
+        Points along each module, shape (..., N, points, 3) [m].
     """
     n = q.shape[-1] // 2
     end = positions(q)[..., None, :]
     chord = np.diff(end, axis=-3, prepend=0.0)  # s_i u(phi_{i-1}), also the tangent at the start
     phi = np.cumsum(q[..., n:], axis=-1)[..., None]
     last = np.stack([np.cos(phi), np.sin(phi)], axis=-1) * q[..., :n, None, None]
-    u = np.linspace(0.0, 1.0, POINTS)[:, None]
+    u = np.linspace(0.0, 1.0, points)[:, None]
     curve = end - chord + chord * u + (chord - last) * u * u * (1 - u)
     slope = chord + (chord - last) * u * (2 - 3 * u)
     normal = np.stack([-slope[..., 1], slope[..., 0]], axis=-1)
@@ -42,8 +68,82 @@ def smooth_arm(q: np.ndarray, offset: float = 0.0) -> np.ndarray:
     return world_position(curve + offset * normal / size)
 
 
-def plate_quaternions(q: np.ndarray) -> np.ndarray:
-    """Orientation of each plate in the world frame, x y z w, shape (..., N, 4)."""
-    half = -0.5 * np.cumsum(q[..., q.shape[-1] // 2 :], axis=-1)
-    zero = np.zeros_like(half)
-    return np.stack([zero, np.sin(half), zero, np.cos(half)], axis=-1)
+def tube(q: np.ndarray) -> Pieces:
+    """The backbone in `PIECES` pieces a module, from the base to the tip."""
+    return _pieces(smooth_arm(q, points=PIECES + 1), q)
+
+
+def columns(q: np.ndarray, width: float) -> Pieces:
+    """Columns 1 and 2 of each module, in the order of tau, in `COLUMN_PIECES` pieces each."""
+    sides = [smooth_arm(q, side * width, COLUMN_PIECES + 1) for side in (-0.5, 0.5)]
+    return _pieces(np.stack(sides, axis=-3), q)
+
+
+def ribs(q: np.ndarray) -> Pieces:
+    """Cross sections of the arm, `RIBS` a module."""
+    return _pieces(smooth_arm(q, points=RIBS + 1), q)
+
+
+def plates(q: np.ndarray) -> Pieces:
+    """The plates at the ends of the modules, which face along the arm."""
+    angles = np.pi - np.cumsum(q[..., q.shape[-1] // 2 :], axis=-1)
+    return Pieces(world_position(positions(q)), angles)
+
+
+def tip(q: np.ndarray) -> np.ndarray:
+    """The tip in the world frame, shape (..., 3) [m]."""
+    return world_position(positions(q)[..., -1, :])
+
+
+def skeleton(q: np.ndarray) -> np.ndarray:
+    """The lumped arm: base, then the ends of the modules, shape (..., N + 1, 3) [m]."""
+    ends = world_position(positions(q))
+    return np.concatenate([np.zeros_like(ends[..., :1, :]), ends], axis=-2)
+
+
+def arcs(q: np.ndarray, points: int = 6) -> np.ndarray:
+    """Arcs of length s_i and angle theta_i, joined smoothly, shape (..., N * points + 1, 3) [m]."""
+    n = q.shape[-1] // 2
+    bend, start = q[..., n:, None], np.zeros_like(q[..., n:, None])
+    start[..., 1:, :] = np.cumsum(q[..., n:-1, None], axis=-2)
+    u = np.linspace(0.0, 1.0, points + 1)
+    middle = start + bend * 0.5 * (u[1:] + u[:-1])
+    length = q[..., :n, None] / points * np.sinc(bend / (2.0 * np.pi * points))
+    steps = np.stack([np.cos(middle), np.sin(middle)], axis=-1) * length[..., None]
+    flat = steps.reshape(*q.shape[:-1], n * points, 2)
+    curve = np.cumsum(np.concatenate([np.zeros_like(flat[..., :1, :]), flat], axis=-2), axis=-2)
+    return world_position(curve)
+
+
+def force_arrows(q: np.ndarray, force: np.ndarray, rim: float) -> tuple[np.ndarray, np.ndarray]:
+    """A generalised force as forces on the plates.
+
+    What acts on s_i pulls plate i along its module; what acts on theta_i is a couple at the rim of
+    plate i, two opposite forces that far from its middle.
+
+    Args:
+        q: coordinates, shape (..., 2N) [m], [rad].
+        force: generalised force, shape (..., 2N) [N], [N m].
+        rim: radius of the plates [m].
+
+    Returns:
+        Where the forces act, shape (..., 3N, 3) [m], and the forces, shape (..., 3N, 3) [N].
+    """
+    n = q.shape[-1] // 2
+    end = positions(q)
+    phi = np.cumsum(q[..., n:], axis=-1)
+    along = np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+    slide = np.stack([np.cos(phi - q[..., n:]), np.sin(phi - q[..., n:])], axis=-1)
+    across = rim * np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    couple = along * (0.5 / rim * force[..., n:, None])
+    origins = [end, end + across, end - across]
+    forces = [slide * force[..., :n, None], -couple, couple]
+    return tuple(world_position(np.concatenate(x, axis=-2)) for x in (origins, forces))  # pyright: ignore
+
+
+def _pieces(curve: np.ndarray, q: np.ndarray) -> Pieces:
+    """Of curves of shape (..., points, 3), one after another, for each arm of q."""
+    step = np.diff(curve, axis=-2)
+    centers = 0.5 * (curve[..., 1:, :] + curve[..., :-1, :])
+    angles = np.arctan2(step[..., 0], step[..., 2])
+    return Pieces(centers.reshape(*q.shape[:-1], -1, 3), angles.reshape(*q.shape[:-1], -1))

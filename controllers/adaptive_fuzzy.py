@@ -1,0 +1,213 @@
+"""Adaptive fuzzy estimator sliding mode, law (63) with memberships (88) and adaptation (75)-(79).
+
+A fuzzy function of s_j estimates the error of the model joint by joint, and a switching gain E_j
+grows until it covers what the estimate misses:
+
+    Q = D^ q_r'' + (C^ + B^) q_r' + G^ - f^(z) - E sat(s / phi) - K_v s,      z_j = s_j / scale_j
+    f^_j = sum_l theta_j^l phi_j^l,    phi_j^l = exp(-(sigma_j^l (z_j - alpha_j^l))^2)
+
+    theta' = eta2 s phi          (75)          alpha' = eta3 s B^T theta      (76)
+    E' = eta1 |s|          (78), (79)          sigma' = eta4 s C^T theta      (77)
+
+with s = q' - q_r' as in `controllers.sliding_mode`, B = d phi / d alpha and C = d phi / d sigma.
+The error of the model, F = (D^ - D) q_r'' + .., then drives D s' = -(C + B) s + F - f^ - .. , and
+with sgn(s) in place of sat(s / phi) the Lyapunov function (80),
+
+    V = 1/2 s^T D s
+        + 1/2 sum_j (E~^2 / eta1 + |theta~|^2 / eta2 + |alpha~|^2 / eta3 + |sigma~|^2 / eta4)_j,
+
+has V' = sum_j (s_j eps_j - E*_j |s_j|) - s^T (B + K_v) s. Here E~ = E* - E and so on, and eps_j is
+what f_j - f^_j holds beyond first order in the errors of theta, alpha and sigma. These optima are
+not known to a controller: the signal V is the first term with D^, all that can be computed.
+
+The law as printed drifts. E never falls. A rule with alpha > 0 sees s > 0 alone, so theta only
+moves outwards, and the centres gather about s = 0: f^ becomes an ever steeper gain that no sampled
+loop can hold. The safeguards stop E while |s| is small and project all that adapts onto bounds,
+theta about 0, each centre about its first place, so that no two of them meet.
+
+A state is not overwritten: what adapts is written to new memory, and the signals theta, alpha,
+sigma and E of an instant are the arrays of the state that was passed in.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+
+from controllers.adaptive_gains import AdaptiveGains
+from controllers.estimators import first_type, second_type, strengths
+from controllers.gains import Gain
+from controllers.shapes import elapsed
+from controllers.sliding_mode import equivalent_force, saturation
+from octarm.interfaces import Command, Measurement, Reference
+from octarm.lagrange import kinetic_energy
+
+
+class ConsequentState(NamedTuple):
+    """What `AdaptiveConsequents` has learnt.
+
+    Attributes:
+        t: time of the last call [s]; None before the first.
+        theta: consequents, shape (..., 2N, M) [N], [N m].
+        E: gain of the compensation, shape (..., 2N) [N], [N m].
+    """
+
+    t: float | None
+    theta: np.ndarray
+    E: np.ndarray
+
+
+class FuzzyState(NamedTuple):
+    """What `AdaptiveFuzzy` has learnt.
+
+    Attributes:
+        t: time of the last call [s]; None before the first.
+        theta: consequents, shape (..., 2N, M) [N], [N m].
+        alpha: centres of the membership functions, shape (..., 2N, M) [1].
+        sigma: their inverse widths, shape (..., 2N, M) [1].
+        E: gain of the compensation, shape (..., 2N) [N], [N m].
+    """
+
+    t: float | None
+    theta: np.ndarray
+    alpha: np.ndarray
+    sigma: np.ndarray
+    E: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class AdaptiveConsequents(AdaptiveGains):
+    """Law (63) with the first type of estimator: theta and E adapt, alpha and sigma are given.
+
+    It is `AdaptiveFuzzy` with eta3 = eta4 = 0, for less. The signals are s, equivalent (the model's
+    part of Q), switching (the rest), f_hat and E, each of shape (..., 2N), theta of shape
+    (..., 2N, M), and V of shape (..., 1) [J].
+    """
+
+    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> ConsequentState:
+        """Nothing learnt: theta = 0 and E = 0."""
+        theta = self.rule_table(np.zeros_like(self.alpha0), batch_shape)
+        return ConsequentState(None, theta, theta[..., 0].copy("K"))
+
+    def __call__(
+        self, state: ConsequentState, measurement: Measurement, reference: Reference
+    ) -> tuple[Command, ConsequentState]:
+        """The generalised force for this instant, shape (..., 2N) [N], [N m].
+
+        Raises:
+            ValueError: if time went back since the last call.
+        """
+        before, theta, E = state
+        s, equivalent = equivalent_force(self.nominal, self.lambda_, measurement, reference)
+        z = (s / self.scale)[..., None]
+        alpha, sigma = self.alpha0[..., None, :], self.sigma0[..., None, :]
+        phi = strengths(z, alpha, sigma, normalised=self.normalised)
+        f_hat = first_type(theta, phi)
+        command = _command(self, measurement.q, s, equivalent, f_hat, E, {"theta": theta})
+
+        dt = 0.0 if before is None else elapsed(before, measurement.t)
+        theta = theta + _each_rule(dt * self.eta2 * s) * phi
+        if self.safeguards:
+            theta = _near(0.0, theta, self.theta_max)
+        return command, ConsequentState(measurement.t, theta, _grown(self, E, s, dt))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class AdaptiveFuzzy(AdaptiveGains):
+    """Law (63) with the second type of estimator: theta, alpha, sigma and E adapt.
+
+    The signals are those of `AdaptiveConsequents`, and alpha and sigma of shape (..., 2N, M).
+
+    Attributes:
+        eta3: adaptation rate of alpha, broadcasts to (..., 2N) [1/(N m)], [1/(N m rad)].
+        eta4: adaptation rate of sigma, broadcasts to (..., 2N) [1/(N m)], [1/(N m rad)].
+        alpha_max: bound on |alpha - alpha0|, broadcasts to (..., 2N) [1]; inf for none.
+        sigma_min: smallest sigma, broadcasts to (..., 2N) [1]; 0 for none.
+        sigma_max: largest sigma, broadcasts to (..., 2N) [1]; inf for none.
+    """
+
+    eta3: Gain
+    eta4: Gain
+    alpha_max: Gain
+    sigma_min: Gain
+    sigma_max: Gain
+
+    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> FuzzyState:
+        """Nothing learnt: theta = 0, E = 0, alpha and sigma as they start."""
+        alpha = self.rule_table(self.alpha0, batch_shape)
+        sigma = self.rule_table(self.sigma0, batch_shape)
+        theta = np.zeros_like(alpha)
+        return FuzzyState(None, theta, alpha, sigma, theta[..., 0].copy("K"))
+
+    def __call__(
+        self, state: FuzzyState, measurement: Measurement, reference: Reference
+    ) -> tuple[Command, FuzzyState]:
+        """The generalised force for this instant, shape (..., 2N) [N], [N m].
+
+        Raises:
+            ValueError: if time went back since the last call.
+        """
+        before, theta, alpha, sigma, E = state
+        s, equivalent = equivalent_force(self.nominal, self.lambda_, measurement, reference)
+        z = (s / self.scale)[..., None]
+        f_hat, phi, B_theta, C_theta = second_type(
+            theta, alpha[..., None, :], sigma[..., None, :], z, normalised=self.normalised
+        )
+        rules = {"theta": theta, "alpha": alpha, "sigma": sigma}
+        command = _command(self, measurement.q, s, equivalent, f_hat, E, rules)
+
+        dt = 0.0 if before is None else elapsed(before, measurement.t)
+        theta = theta + _each_rule(dt * self.eta2 * s) * phi
+        alpha = alpha + _each_rule(dt * self.eta3 * s) * B_theta[..., 0, :]
+        sigma = sigma + _each_rule(dt * self.eta4 * s) * C_theta[..., 0, :]
+        if self.safeguards:
+            theta = _near(0.0, theta, self.theta_max)
+            alpha = _near(self.alpha0, alpha, self.alpha_max)
+            sigma = np.minimum(np.maximum(sigma, self._sigma_low), _each_rule(self.sigma_max))
+        E = _grown(self, E, s, dt)
+        return command, FuzzyState(measurement.t, theta, alpha, sigma, E)
+
+    @property
+    def _sigma_low(self) -> np.ndarray:
+        """The lower bound on sigma, shape (..., 2N, 1); none where sigma_min is 0."""
+        # A sigma projected onto 0 would stay there, as sigma' ~ sigma. One that passes 0 does not
+        # matter: exp(-(sigma ..)^2) is even.
+        return _each_rule(np.where(np.equal(self.sigma_min, 0.0), -np.inf, self.sigma_min))
+
+
+def _command(
+    gains: AdaptiveGains,
+    q: np.ndarray,
+    s: np.ndarray,
+    equivalent: np.ndarray,
+    f_hat: np.ndarray,
+    E: np.ndarray,
+    rules: dict[str, np.ndarray],
+) -> Command:
+    """Eqs (63) and (78): Q and its signals."""
+    switching = -(f_hat + E * saturation(s, gains.phi)) - gains.K_v * s
+    signals = {"s": s, "equivalent": equivalent, "switching": switching, "f_hat": f_hat, "E": E}
+    V = np.asarray(kinetic_energy(gains.nominal, q, s))[..., None]
+    return Command(equivalent + switching, signals | rules | {"V": V})
+
+
+def _grown(gains: AdaptiveGains, E: np.ndarray, s: np.ndarray, dt: float) -> np.ndarray:
+    """E after dt, eq (79), shape (..., 2N) [N], [N m]."""
+    size = np.abs(s)
+    if not gains.safeguards:
+        return E + dt * gains.eta1 * size
+    size = size * (size >= gains.dead_zone)
+    return np.minimum(E + dt * gains.eta1 * size, gains.E_max)
+
+
+def _near(centre: Gain, x: np.ndarray, reach: Gain) -> np.ndarray:
+    """The projection of x onto |x - centre| <= reach, shape (..., 2N, M)."""
+    reach = _each_rule(reach)
+    return np.minimum(np.maximum(x, centre - reach), centre + reach)
+
+
+def _each_rule(x: Gain) -> np.ndarray:
+    """The same value for each of a joint's rules: shape (..., 2N) to (..., 2N, 1)."""
+    return np.asarray(x)[..., None]

@@ -1,0 +1,163 @@
+"""Executors for shards: processes of this machine, or a dask cluster.
+
+This module imports nothing heavy: it is the first thing that a new process imports.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import Connection
+from typing import Any
+
+
+def cores() -> int:
+    """Number of processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class WorkerProcesses(Executor):
+    """Processes of one thread each, every one in a pool of its own.
+
+    When a process dies, only the call that it was at fails, with a `BrokenProcessPool`; another
+    one takes its place. When the process that made them dies, all of them end.
+    """
+
+    def __init__(self, workers: int) -> None:
+        """So many processes, each started when there is a call for it."""
+        self._workers: list[_Worker | None] = [None] * workers
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Has the process with the fewest calls call a function."""
+        loads = [worker.load() if worker else 0 for worker in self._workers]
+        i = loads.index(min(loads))
+        worker = self._workers[i]
+        if worker is not None:
+            with contextlib.suppress(BrokenProcessPool):
+                return worker.submit(fn, *args, **kwargs)
+            worker.kill()
+        worker = self._workers[i] = _Worker()
+        return worker.submit(fn, *args, **kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Ends the processes when they have done what they were asked for."""
+        for worker in filter(None, self._workers):
+            worker.pool.shutdown(wait, cancel_futures=cancel_futures)
+
+    def kill(self) -> None:
+        """Ends the processes at once."""
+        for worker in filter(None, self._workers):
+            worker.kill()
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            self.kill()
+        self.shutdown()
+
+
+class _Worker:
+    """A process, which lives no longer than its lifeline is open."""
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")  # threads and forks do not go together
+        end, self._lifeline = context.Pipe(duplex=False)
+        self.pool = ProcessPoolExecutor(1, context, _prepare, (end,))
+        self._futures: list[Future[Any]] = []
+
+    def load(self) -> int:
+        """Number of calls that are not done."""
+        self._futures = [future for future in self._futures if not future.done()]
+        return len(self._futures)
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        with _without_interrupts():
+            future = self.pool.submit(fn, *args, **kwargs)
+        self._futures.append(future)
+        return future
+
+    def kill(self) -> None:
+        self._lifeline.close()
+
+
+def _prepare(lifeline: Connection) -> None:
+    """What a new process does first."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+    os.environ.setdefault("MUJOCO_GL", "disabled")  # nothing is drawn here
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asks
+
+    def wait_for_the_end() -> None:
+        with contextlib.suppress(EOFError, OSError):
+            lifeline.recv_bytes()
+        os._exit(1)
+
+    threading.Thread(target=wait_for_the_end, daemon=True).start()
+
+
+@contextlib.contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Processes that are started here do not see Ctrl-C, not even while they begin."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def dask_cluster(address: str, workers: int) -> Iterator[tuple[Executor, Callable[[], int]]]:
+    """An executor on a dask cluster, and how many calls it has use for at a time.
+
+    dask itself repeats what a worker was at when it died.
+
+    Args:
+        address: of a scheduler, such as `tcp://10.0.0.1:8786`; or `local` for a cluster of this
+            machine.
+        workers: number of processes of a local cluster.
+
+    Raises:
+        ValueError: if the package distributed is not installed.
+        OSError: if there is no scheduler at the address.
+    """
+    try:
+        import distributed
+    except ImportError:
+        raise ValueError(
+            "--cluster needs the package distributed: pip install 'octarm[cluster]'"
+        ) from None
+    with contextlib.ExitStack() as stack:
+        if address == "local":
+            target: Any = stack.enter_context(
+                distributed.LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    host="127.0.0.1",
+                    dashboard_address=None,  # pyright: ignore[reportArgumentType]
+                )
+            )
+        else:
+            target = address
+        try:
+            client: Any = stack.enter_context(distributed.Client(target, set_as_default=False))
+        except (OSError, ValueError) as error:
+            raise OSError(f"no dask scheduler answers at {address}: {error}") from None
+        executor = client.get_executor(pure=False)  # a shard that failed may be tried again
+
+        def useful() -> int:
+            if address == "local":
+                return workers
+            # More than there are threads, for a cluster that grows with the demand.
+            return max(8, 2 * sum(client.nthreads().values()))
+
+        yield executor, useful

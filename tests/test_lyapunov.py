@@ -1,0 +1,377 @@
+"""The Lyapunov ledger: right laws pass it, wrong ones do not."""
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportAssignmentType=false
+
+import dataclasses
+import json
+from collections.abc import Callable
+
+import errata
+import numpy as np
+import pytest
+import sympy as sp
+
+from controllers import (
+    CONTROLLERS,
+    AdaptiveConsequents,
+    AdaptiveFuzzy,
+    BoundaryLayer,
+    FuzzySlidingMode,
+    IntegralSlidingMode,
+    SlidingMode,
+    SuperTwisting,
+    adaptive_ledger,
+    lyapunov,
+    misprints,
+)
+from controllers.ledger import ledger
+from octarm import cli, lagrange
+from octarm.model import nominal_parameters
+from octarm.validation import arm_with, random_arm
+
+P = nominal_parameters()
+BARE = P.scaled(damping=0.0)
+
+
+def draw(states: int = 500, arm=P):
+    rng = np.random.default_rng(1)
+    return lyapunov.random_instants(arm, lyapunov.random_nominal(arm, states, rng), 15.0, rng)
+
+
+@pytest.fixture
+def without_a_run(monkeypatch):
+    monkeypatch.setattr("controllers.ledger.along_a_run", lambda *_: ())
+
+
+# ------------------------------------------------------------------------------- the ledger
+
+
+@pytest.mark.parametrize("modules", [1, 2, 3, 5])
+def test_every_controller_passes_with_any_number_of_modules(modules: int):
+    report = ledger(arm_with(modules), 300)
+    assert report.passed, report.format()
+    text = json.dumps(report.to_dict(), allow_nan=False)
+    assert json.loads(text)["checks"][0]["what"] == "smc: V' - claim"
+
+
+def test_another_arm_passes():
+    report = ledger(random_arm(np.random.default_rng(3), 3), 100)
+    assert report.passed, report.format()
+
+
+@pytest.mark.usefixtures("without_a_run")
+def test_the_seed_decides_all_rows():
+    assert ledger(P, 100, seed=5).checks == ledger(P, 100, seed=5).checks
+    assert ledger(P, 100, seed=6).checks[0] != ledger(P, 100, seed=5).checks[0]
+
+
+@pytest.mark.usefixtures("without_a_run")
+def test_every_controller_with_a_lyapunov_function_has_its_rows():
+    rows = [check.what for check in ledger(P, 100).checks]
+    for name in set(CONTROLLERS) - {"pd", "computed-torque", "fuzzy"}:
+        assert any(row.startswith(name) and row.endswith(": V' - claim") for row in rows)
+        assert any(row.startswith(name) and row.endswith(": largest V' - bound") for row in rows)
+    assert sum(row.startswith("wrong, ") for row in rows) == 7
+
+
+def test_a_share_needs_states():
+    with pytest.raises(ValueError, match=r"the number of states is 99; .* at least 100"):
+        ledger(P, 99)
+
+
+# ------------------------------------------------------------------- laws that are not right
+
+
+def plus_sign(law: SlidingMode, state, measurement, reference):
+    command, state = SlidingMode.__call__(law, state, measurement, reference)
+    parts = command.signals
+    return command._replace(force=parts["equivalent"] - parts["switching"]), state
+
+
+def along_the_motion(law: SlidingMode, state, measurement, reference):
+    """The equivalent force with C q' in place of C q_r'."""
+    command, state = SlidingMode.__call__(law, state, measurement, reference)
+    a_r = reference.a - law.lambda_ * (measurement.v - reference.v)
+    force = lagrange.inverse_dynamics(law.nominal, measurement.q, measurement.v, a_r)
+    return command._replace(force=force + command.signals["switching"]), state
+
+
+def trusting(law: SlidingMode, state, measurement, reference):
+    """K derived from a smaller uncertainty than the declared one."""
+    if law.uncertainty is not None:
+        law = SlidingMode(**vars(law) | {"uncertainty": 0.99 * law.uncertainty})
+    return SlidingMode.__call__(law, state, measurement, reference)
+
+
+def wider_layer(law: BoundaryLayer, state, measurement, reference):
+    law = BoundaryLayer(**vars(law) | {"phi": 1.5 * law.phi})
+    return BoundaryLayer.__call__(law, state, measurement, reference)
+
+
+def forgetful_integral(law: IntegralSlidingMode, state, measurement, reference):
+    command, after = IntegralSlidingMode.__call__(law, state, measurement, reference)
+    integral = after.integral - 0.1 * (measurement.q - reference.q) * (measurement.t - state.t)
+    return command, after._replace(integral=integral)
+
+
+def single_pole(law: IntegralSlidingMode, state, measurement, reference):
+    """The middle term of (24) as lambda e."""
+    command, after = IntegralSlidingMode.__call__(law, state, measurement, reference)
+    e = measurement.q - reference.q
+    return command._replace(force=command.force + law.K_v * e + 0.1 * e), after
+
+
+def slack(law: FuzzySlidingMode, state, measurement, reference):
+    """A fuzzy function that pushes back less than s / phi."""
+    command, state = FuzzySlidingMode.__call__(law, state, measurement, reference)
+    signals = dict(command.signals, switching=0.5 * command.signals["switching"])
+    return command._replace(force=signals["equivalent"] + signals["switching"]), state
+
+
+def opposite_w(law: SuperTwisting, state, measurement, reference):
+    return SuperTwisting.__call__(law, state._replace(w=-state.w), measurement, reference)
+
+
+def with_rates(**factors: float) -> Callable:
+    """Adaptation that goes wrong by a factor."""
+
+    def law(law: AdaptiveFuzzy, state, measurement, reference):
+        before = {name: getattr(state, name).copy() for name in factors}
+        command, after = type(law).__mro__[1].__call__(law, state, measurement, reference)
+        moved = {
+            name: old + factors[name] * (getattr(after, name) - old) for name, old in before.items()
+        }
+        return command, after._replace(**moved)
+
+    return law
+
+
+def no_compensation(law: AdaptiveFuzzy, state, measurement, reference):
+    command, after = AdaptiveFuzzy.__call__(law, state, measurement, reference)
+    s = command.signals["s"]
+    return command._replace(force=command.force + command.signals["E"] * np.sign(s)), after
+
+
+def projected_too_early(law: AdaptiveFuzzy, state, measurement, reference):
+    command, after = AdaptiveFuzzy.__call__(law, state, measurement, reference)
+    if not law.safeguards:
+        return command, after
+    return command, after._replace(E=np.minimum(after.E, 0.5 * law.E_max))
+
+
+BROKEN = [
+    ("smc", SlidingMode, plus_sign),
+    ("smc", SlidingMode, along_the_motion),
+    ("smc, K from", SlidingMode, trusting),
+    ("smc-boundary", BoundaryLayer, wider_layer),
+    ("smc-integral", IntegralSlidingMode, forgetful_integral),
+    ("smc-integral", IntegralSlidingMode, single_pole),
+    ("fsmc", FuzzySlidingMode, slack),
+    ("super-twisting", SuperTwisting, opposite_w),
+    ("afsmc-consequent", AdaptiveConsequents, with_rates(theta=-1.0)),
+    ("afsmc-consequent", AdaptiveConsequents, with_rates(E=0.99)),
+    ("afsmc", AdaptiveFuzzy, with_rates(theta=1.01)),
+    ("afsmc", AdaptiveFuzzy, with_rates(alpha=0.0)),
+    ("afsmc", AdaptiveFuzzy, with_rates(sigma=-1.0)),
+    ("afsmc", AdaptiveFuzzy, no_compensation),
+    ("afsmc, safeguards", AdaptiveFuzzy, projected_too_early),
+]
+
+
+@pytest.mark.parametrize(("row", "kind", "call"), BROKEN, ids=lambda x: getattr(x, "__name__", x))
+@pytest.mark.usefixtures("without_a_run")
+def test_a_broken_controller_fails_its_rows_and_no_others(monkeypatch, row, kind, call):
+    broken = dataclasses.dataclass(frozen=True, kw_only=True, eq=False)(
+        type("Broken", (kind,), {"__call__": call})
+    )
+    name = row.split(",")[0]
+    monkeypatch.setitem(CONTROLLERS, name, broken)
+    failed = [check.what for check in ledger(P, 200).checks if not check.passed]
+    assert failed and all(what.startswith(row) for what in failed)
+
+
+@pytest.mark.parametrize(
+    ("misprint", "normalised", "least"),
+    [
+        (misprints.printed_C, False, 0.05),
+        (misprints.delta_gradient, False, 0.05),
+        (misprints.added_estimate, False, 0.2),
+        (misprints.paper_coriolis, False, 0.002),
+        (misprints.printed_layout, True, 0.02),
+        (misprints.as_if_sum_is_one, True, 0.05),
+    ],
+    ids=lambda x: getattr(x, "__name__", ""),
+)
+def test_a_misprint_lets_V_rise_where_the_right_law_does_not(misprint, normalised, least):
+    rng = np.random.default_rng(0)
+    t = adaptive_ledger.adaptive_trial("afsmc", BARE, 3000, rng, normalised=normalised)
+    rounding = 1e-12 * lyapunov.rms(t.claim)
+    assert np.max(t.rate()) < rounding and np.max(t.claim) <= rounding
+    assert np.mean(t.rate(misprint(t)) > rounding) > least
+
+
+def test_along_one_run_V_falls_for_a_misprint_too(monkeypatch):
+    """Why the ledger takes random states."""
+
+    class Printed(AdaptiveFuzzy):
+        def __call__(self, state, measurement, reference):
+            sigma, alpha = state.sigma.copy(), state.alpha.copy()
+            command, after = super().__call__(state, measurement, reference)
+            return command, after._replace(sigma=sigma + (after.alpha - alpha))
+
+    monkeypatch.setitem(CONTROLLERS, "afsmc", Printed)
+    rows = list(adaptive_ledger.along_a_run(P, np.random.default_rng(0)))
+    claim, bound, _, left = rows
+    assert not claim.passed
+    assert bound.passed and left.passed
+
+
+def test_a_law_that_diverges_fails_without_noise(monkeypatch):
+    class Away(AdaptiveFuzzy):
+        def __call__(self, state, measurement, reference):
+            command, after = super().__call__(state, measurement, reference)
+            return command._replace(force=1e3 * measurement.v), after
+
+    monkeypatch.setitem(CONTROLLERS, "afsmc", Away)
+    assert not all(row.passed for row in adaptive_ledger.along_a_run(P, np.random.default_rng(0)))
+
+
+# ------------------------------------------------------------------- the parts, one by one
+
+
+def test_the_drawn_states_cover_the_layer_and_the_rules():
+    at = draw(3000)
+    layer = np.repeat([0.05, 0.8], 3)
+    for surface in (lyapunov.sliding(at, 15.0), lyapunov.integral_sliding(at, 15.0)):
+        np.testing.assert_allclose(surface.s + surface.v_r, at.measurement.v)
+        z = surface.s / layer
+        assert 0.1 < np.mean(np.all(np.abs(z) < 1.0, axis=-1)) < 0.6
+        assert np.all(np.max(np.abs(z), axis=0) > 2.0)
+
+
+def test_the_surfaces_move_as_their_derivatives_say():
+    """s of states a moment apart, along any acceleration: s' = q'' - q_r''."""
+    at, h = draw(50), 1e-6
+    acceleration = np.full_like(at.measurement.q, 30.0)
+
+    def later(t: float):
+        (_, q, v), (q_d, v_d, a_d) = at.measurement, at.reference
+        q, v = q + t * v + 0.5 * t * t * acceleration, v + t * acceleration
+        q_d, v_d = q_d + t * v_d + 0.5 * t * t * a_d, v_d + t * a_d
+        integral = at.integral + t * (at.measurement.q - at.reference.q)
+        return at._replace(
+            measurement=at.measurement._replace(q=q, v=v),
+            reference=at.reference._replace(q=q_d, v=v_d),
+            integral=integral,
+        )
+
+    for surface in (lyapunov.sliding, lyapunov.integral_sliding):
+        rate = (surface(later(h), 15.0).s - surface(later(-h), 15.0).s) / (2.0 * h)
+        np.testing.assert_allclose(acceleration - surface(at, 15.0).a_r, rate, rtol=1e-6, atol=1e-5)
+
+
+def test_energy_rate_is_the_rate_of_the_kinetic_energy_when_nothing_is_wanted():
+    """With q_r' = 0, V is the kinetic energy and V' the power of all forces."""
+    at = draw(arm=P)
+    force = np.full_like(at.measurement.q, 0.7)
+    _, q, v = at.measurement
+    still = lyapunov.Sliding(v, np.zeros_like(v), np.zeros_like(v))
+    power = np.sum(v * (force - lagrange.potential_force(P, q)), axis=-1)
+    power = power - np.einsum("ni,ij,nj->n", v, lagrange.damping_matrix(P), v)
+    rate = lyapunov.energy_rate(at, still, force)
+    np.testing.assert_allclose(rate, power, rtol=1e-9, atol=1e-9 * np.max(np.abs(power)))
+
+
+def test_the_model_error_is_the_difference_of_two_recursions():
+    at = draw()
+    surface = lyapunov.sliding(at, 15.0)
+    _, q, v = at.measurement
+    both = (
+        lagrange.inverse_dynamics(p, q, v, surface.a_r, surface.v_r) for p in (at.nominal, at.true)
+    )
+    expected = next(both) - next(both)
+    np.testing.assert_allclose(lyapunov.model_error(at, surface), expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("normalised", [False, True])
+def test_the_error_of_the_approximation_is_what_eq_73_leaves(normalised: bool):
+    t = adaptive_ledger.adaptive_trial(
+        "afsmc", P, 200, np.random.default_rng(2), normalised=normalised
+    )
+    s, now, tilde = t.surface.s, t.now, lyapunov.difference(t.best, t.now)
+    z = (s / t.law.scale)[..., None]
+    mu = np.exp(-((now.sigma * (z - now.alpha)) ** 2))
+    d_alpha = 2.0 * now.sigma**2 * (z - now.alpha) * mu
+    d_sigma = -2.0 * now.sigma * (z - now.alpha) ** 2 * mu
+    change = d_alpha * tilde.alpha + d_sigma * tilde.sigma
+    phi = mu
+    if normalised:
+        total = np.sum(mu, axis=-1, keepdims=True)
+        change = (change - mu / total * np.sum(change, axis=-1, keepdims=True)) / total
+        phi = mu / total
+    missed = lyapunov.model_error(t.at, t.surface) - np.sum(now.theta * phi, axis=-1)
+    linear = np.sum(now.theta * change + tilde.theta * phi, axis=-1)
+    np.testing.assert_allclose(linear + t.eps, missed, rtol=1e-9, atol=1e-9)
+
+
+def test_a_smaller_step_gives_the_same_rates():
+    t = adaptive_ledger.adaptive_trial("afsmc", P, 50, np.random.default_rng(2))
+    controller, _ = adaptive_ledger.literal("afsmc", P, t.at.nominal)
+    whole, small = (adaptive_ledger.answer(controller, t.at, t.now, step) for step in (1.0, 1e-3))
+    np.testing.assert_array_equal(whole.force, small.force)
+    for one, other in zip(whole.rates, small.rates, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9)
+        assert np.any(one != 0.0)
+
+
+def test_the_layout_of_the_paper_is_that_of_its_eq_4():
+    """On the columns of the slides, entry by entry; and C q' is the same."""
+    at = draw(5)
+    _, q, v = at.measurement
+    C = misprints.layout_of_the_paper(BARE, q, v)
+    np.testing.assert_allclose(
+        np.einsum("nij,nj->ni", C, v),
+        np.einsum("nij,nj->ni", lagrange.coriolis_matrix(P, q, v), v),
+        atol=1e-12,
+    )
+    printed = sp.lambdify(
+        [*errata.q, *errata.v, *errata.m],
+        errata.rate_matrix_in_paper_layout()[:, :3].subs(
+            dict.fromkeys((*errata.c1, *errata.c2), 0)
+        ),
+    )
+    for k in range(5):
+        expected = np.array(printed(*q[k], *v[k], *P.mass))
+        np.testing.assert_allclose(C[k, :, :3], expected, atol=1e-12)
+
+
+# ------------------------------------------------------------------------- the command line
+
+
+def test_the_command_prints_the_ledger(capsys, tmp_path):
+    file = tmp_path / "report.json"
+    arguments = ["validate", "--controllers", "--states", "200", "--json", str(file)]
+    assert cli.main(arguments) == 0
+    out, err = capsys.readouterr()
+    assert "Controllers against their Lyapunov functions: 3 modules, 200 states, seed 0" in out
+    assert "MuJoCo" not in out and err == ""
+    (report,) = json.loads(file.read_text())
+    assert report["passed"] and report["states"] == 200
+    assert f"all {len(report['checks'])} checks passed" in out
+
+
+@pytest.mark.usefixtures("without_a_run")
+def test_the_command_takes_other_arms_and_says_what_failed(capsys, monkeypatch):
+    options = ["--controllers", "--states", "100", "--modules", "2", "--random-parameters", "2"]
+    assert cli.main(["validate", *options]) == 0
+    assert capsys.readouterr().out.count("2 modules, 100 states") == 2
+
+    class Broken(SlidingMode):
+        __call__ = plus_sign
+
+    monkeypatch.setitem(CONTROLLERS, "smc", Broken)
+    assert cli.main(["validate", *options[:3]]) == 1
+    assert "FAIL" in capsys.readouterr().out
+    assert cli.main(["validate", "--controllers", "--states", "20"]) == 2
+    assert (
+        "the number of states is 20; the controllers need at least 100" in capsys.readouterr().err
+    )

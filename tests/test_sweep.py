@@ -1,0 +1,445 @@
+"""A sweep gives one table, however and by whom it is run, and whatever happens meanwhile."""
+
+import errno
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import active_children
+from pathlib import Path
+
+import dask.config
+import pyarrow as pa
+import pytest
+
+import octarm
+from controllers import make_controller
+from octarm.cli import main
+from octarm.errors import ExitCode
+from octarm.shards import run_arms
+from octarm.sweep import estimate
+from octarm.sweep_folder import MANIFEST, read_manifest, shard_name
+from octarm.sweep_parser import parse_spec
+from octarm.sweep_plan import Plan
+from octarm.workers import WorkerProcesses, dask_cluster
+
+SPEC = """\
+seed = 1
+episodes = 3
+duration = 0.02
+batch = 4
+[grid]
+controller = ["smc-boundary", "pd"]
+mismatch = [-0.3, 0.3]
+[grid.disturbance]
+noise = [0.0, 0.4]
+"""
+SHARDS = 6
+
+
+class Inline(Executor):
+    """Does what it is asked for at once, in this thread."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        future = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def rows(folder: Path) -> pa.Table:
+    return octarm.read_sweep(folder).drop_columns("wall_time")
+
+
+def run(folder: Path, text: str = SPEC, **options) -> pa.Table:
+    octarm.sweep(
+        parse_spec(text),
+        make_controller,
+        folder,
+        **{"executor": Inline(), "in_flight": 1} | options,
+    )
+    return rows(folder)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory) -> pa.Table:
+    return run(tmp_path_factory.mktemp("undisturbed") / "sweep")
+
+
+def test_there_is_a_row_an_episode(undisturbed):
+    assert undisturbed["episode"].to_pylist() == list(range(24))
+    assert undisturbed["seed"].to_pylist() == [0, 1, 2] * 8
+    assert undisturbed["mismatch"].to_pylist() == ([-0.3] * 6 + [0.3] * 6) * 2
+    assert undisturbed["noise"].to_pylist() == ([0.0] * 3 + [0.4] * 3) * 4
+    assert undisturbed["controller"].to_pylist() == ["smc-boundary"] * 12 + ["pd"] * 12
+    assert undisturbed["reference"].to_pylist() == ["sine"] * 24
+    assert undisturbed.column("digest").null_count == 0
+    assert len(set(undisturbed["digest"].to_pylist())) == 2 * 2 * (1 + 3)  # seeds matter to noise
+
+
+def test_a_row_is_that_of_the_episode_run_alone(undisturbed):
+    plan = Plan(parse_spec(SPEC))
+    alone = run_arms(plan, plan.episode(17), make_controller).drop_columns("wall_time")
+    assert alone.equals(undisturbed.slice(17, 1))
+
+
+def test_the_table_is_the_same_on_threads_and_in_any_order(tmp_path, undisturbed):
+    class Reversed(Inline):
+        """Answers the last call first."""
+
+        def __init__(self):
+            self.calls = []
+
+        def submit(self, fn, /, *args, **kwargs):
+            future = Future()
+            self.calls.append((future, fn, args))
+            if len(self.calls) == SHARDS:
+                for future, fn, args in reversed(self.calls):
+                    future.set_result(fn(*args))
+            return future
+
+    assert run(tmp_path / "reversed", executor=Reversed(), in_flight=SHARDS).equals(undisturbed)
+    with ThreadPoolExecutor(2) as threads:
+        assert run(tmp_path / "threads", executor=threads, in_flight=3).equals(undisturbed)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_the_table_is_the_same_in_processes(tmp_path, undisturbed, workers: int):
+    with WorkerProcesses(workers) as processes:
+        assert run(tmp_path / "s", executor=processes, in_flight=workers).equals(undisturbed)
+
+
+def test_the_table_is_the_same_on_a_dask_cluster_that_loses_a_worker(tmp_path, undisturbed):
+    with dask_cluster("local", 2) as (executor, useful):
+        assert useful() == 2
+
+        def kill_one(done: int) -> None:
+            if done and not killed:
+                killed.append(executor.submit(os.getpid).result())
+                os.kill(killed[0], signal.SIGKILL)
+
+        killed: list[int] = []
+        table = run(tmp_path / "s", executor=executor, in_flight=useful, progress=kill_one)
+    assert killed
+    assert table.equals(undisturbed)
+
+
+def test_a_worker_that_is_killed_costs_its_shard_a_second_run(tmp_path, undisturbed):
+    said = []
+
+    def kill_one() -> None:
+        time.sleep(random.uniform(0.0, 2.0))
+        while not (children := active_children()):
+            time.sleep(0.01)
+        os.kill(random.choice(children).pid, signal.SIGKILL)  # pyright: ignore
+
+    killer = threading.Thread(target=kill_one)
+    with WorkerProcesses(2) as processes:
+        killer.start()
+        table = run(tmp_path / "s", executor=processes, in_flight=2, say=said.append)
+        killer.join()
+    assert table.equals(undisturbed)
+    assert len(said) <= 1
+
+
+def test_a_shard_that_kills_its_workers_fails_alone(tmp_path, undisturbed):
+    class Deadly(Inline):
+        def submit(self, fn, /, *args, **kwargs):
+            if args[1] != 2:
+                return super().submit(fn, *args, **kwargs)
+            future = Future()
+            future.set_exception(BrokenProcessPool("gone"))
+            return future
+
+    with pytest.raises(RuntimeError, match=r"shard 2 failed: its worker died 3 times; 1 shard"):
+        run(tmp_path / "s", executor=Deadly())
+    numbers = rows(tmp_path / "s")["episode"].to_pylist()
+    assert numbers == [*range(8), *range(12, 24)]
+    assert run(tmp_path / "s", resume=True).equals(undisturbed)
+
+
+def test_an_error_in_shards_ends_the_sweep_soon_and_keeps_the_rest(tmp_path, undisturbed):
+    calls = []
+
+    class Failing(Inline):
+        def submit(self, fn, /, *args, **kwargs):
+            calls.append(args[1])
+            if args[1] > 0:
+                fn = failing
+            return super().submit(fn, *args, **kwargs)
+
+    def failing(*_):
+        raise ArithmeticError("no such\nnumber")
+
+    with pytest.raises(RuntimeError, match=r"shard 1 failed: no such number; .*--resume"):
+        run(tmp_path / "s", executor=Failing())
+    assert len(calls) < SHARDS
+    assert run(tmp_path / "s", resume=True).equals(undisturbed)
+
+
+def test_resume_runs_what_is_missing_or_damaged_and_nothing_else(tmp_path, undisturbed):
+    folder = tmp_path / "s"
+    run(folder)
+    files = [folder / "episodes" / shard_name(i) for i in range(SHARDS)]
+    files[0].unlink()
+    files[1].write_bytes(files[1].read_bytes()[:-100])
+    content = bytearray(files[2].read_bytes())
+    content[len(content) // 3] ^= 1
+    files[2].write_bytes(content)
+    files[3].write_bytes(files[4].read_bytes())
+    before = {file: file.stat().st_mtime_ns for file in files[4:]}
+    with pytest.raises(ValueError, match=r"00001.parquet is damaged"):
+        octarm.read_sweep(folder)
+    done = []
+    assert run(folder, resume=True, progress=done.append).equals(undisturbed)
+    assert done == [8, 4, 4, 4, 4]
+    assert {file: file.stat().st_mtime_ns for file in files[4:]} == before
+    assert len(read_manifest(folder)["starts"]) == 2
+
+
+def test_resume_begins_a_sweep_that_was_not_begun(tmp_path, undisturbed):
+    assert run(tmp_path / "new" / "s", resume=True).equals(undisturbed)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("seed = 1", "seed = 2", "seed is 1 there and is 2 here"),
+        ("[0.0, 0.4]", "[0.0, 0.8]", r"grid.noise is \[0.0, 0.4\] there and is \[0.0, 0.8\] here"),
+        ("[grid]", "[gains.pd]\nK_p = 9\n[grid]", "gains.pd.K_p is not given there and is 9.0"),
+    ],
+)
+def test_a_changed_spec_is_refused_with_the_difference(tmp_path, old: str, new: str, told: str):
+    run(tmp_path / "s")
+    with pytest.raises(ValueError, match=told):
+        run(tmp_path / "s", SPEC.replace(old, new), resume=True)
+    with pytest.raises(ValueError, match="holds a sweep already; go on with it by --resume"):
+        run(tmp_path / "s")
+
+
+def test_a_spec_that_cannot_run_leaves_no_folder(tmp_path):
+    for old, new in (("pd", "dp"), ("[grid]", "[gains.pd]\nK_q = 9\n[grid]")):
+        with pytest.raises(ValueError, match=r"unknown controller 'dp'|no gain 'K_q'"):
+            run(tmp_path / "s", SPEC.replace(old, new))
+    late = SPEC + "[disturbance]\nnoise.time = 0.0001"  # shorter than a physics step
+    with pytest.raises(ValueError, match="correlation time"):
+        run(tmp_path / "s", late)
+    assert not list(tmp_path.iterdir())
+
+
+def test_other_folders_are_left_alone(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    for resume in (False, True):
+        with pytest.raises(ValueError, match="exists and is not a sweep"):
+            run(tmp_path, resume=resume)
+    with pytest.raises(ValueError, match="is not a folder"):
+        run(tmp_path / "mine.txt")
+    assert [file.name for file in tmp_path.iterdir()] == ["mine.txt"]
+    with pytest.raises(ValueError, match=f"is not a sweep: it has no {MANIFEST}"):
+        octarm.read_sweep(tmp_path)
+
+
+def test_two_at_once_do_not_get_into_each_others_way(tmp_path):
+    refused = []
+
+    def another(done: int) -> None:
+        if done and not refused:
+            with pytest.raises(ValueError, match="another process is at work") as caught:
+                run(tmp_path / "s", resume=True)
+            refused.append(caught)
+
+    run(tmp_path / "s", progress=another)
+    assert refused
+
+
+def test_a_full_disk_is_one_sentence_and_costs_no_finished_shard(
+    tmp_path, monkeypatch, undisturbed
+):
+    write, written = Path.write_bytes, []
+
+    def fill_up(self, data):
+        if len(written) == 2:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self))
+        written.append(self)
+        return write(self, data)
+
+    monkeypatch.setattr(Path, "write_bytes", fill_up)
+    with pytest.raises(OSError, match=r"00002.parquet cannot be written: No space left"):
+        run(tmp_path / "s")
+    monkeypatch.undo()
+    assert sorted(os.listdir(tmp_path / "s" / "episodes")) == [shard_name(0), shard_name(1)]
+    done = []
+    assert run(tmp_path / "s", resume=True, progress=done.append).equals(undisturbed)
+    assert done[0] == 8
+
+
+def test_the_manifest_says_what_was_run(tmp_path, undisturbed):
+    run(tmp_path / "s")
+    assert (tmp_path / "s" / "spec.toml").read_text() == SPEC
+    manifest = read_manifest(tmp_path / "s")
+    assert manifest["spec_hash"] == parse_spec(SPEC).hash()
+    assert manifest["episodes"] == len(undisturbed)
+    assert sum(shard["episodes"] for shard in manifest["shards"]) == len(undisturbed)
+    assert set(manifest["gains"]) == {"smc-boundary", "pd"}
+    assert {"mujoco", "numpy", "octarm"} <= set(manifest["starts"][0]["versions"])
+
+
+def test_chosen_columns_are_read_alone(tmp_path):
+    run(tmp_path / "s")
+    table = octarm.read_sweep(tmp_path / "s", ["controller", "effort_tau1"])
+    assert table.column_names == ["controller", "effort_tau1"]
+    assert table.schema.field("effort_tau1").metadata == {b"unit": b"N"}
+
+
+def test_an_estimate_counts_episodes_and_writes_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    expected = estimate(parse_spec(SPEC), make_controller)
+    assert (expected.episodes, expected.shards) == (24, SHARDS)
+    assert expected.seconds > 0.0 and expected.size > 0
+    assert not list(tmp_path.iterdir())
+
+
+# --- the command -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def spec_file(tmp_path) -> Path:
+    file = tmp_path / "my.toml"
+    file.write_text(SPEC)
+    return file
+
+
+def test_the_command_writes_a_sweep_and_prints_a_row_a_controller(tmp_path, spec_file, capsys):
+    arguments = ["sweep", str(spec_file), "--out", str(tmp_path / "s"), "--workers", "1"]
+    assert main(arguments) == ExitCode.FINE
+    out = capsys.readouterr().out
+    assert "smc-boundary                12         0" in out
+    assert "pd                          12         0" in out
+    assert str(tmp_path / "s") in out
+    assert main(arguments) == ExitCode.BAD_INPUT
+    assert "--resume" in capsys.readouterr().err
+
+
+def test_a_dry_run_says_what_it_will_take(spec_file, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert main(["sweep", str(spec_file), "--dry-run", "--workers", "2"]) == ExitCode.FINE
+    out = capsys.readouterr().out
+    assert "24 episodes of 0.02 s in 6 shards" in out
+    assert "mismatch: -0.3, 0.3" in out
+    assert "on 2 workers" in out
+    assert [file.name for file in tmp_path.iterdir()] == ["my.toml"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "options", "told"),
+    [
+        ("", "", [], "there is no folder to write to; give --out DIR, or --dry-run"),
+        ("", "", ["--out", "s", "--workers", "0"], "workers is 0"),
+        ("pd", "dp", ["--out", "s"], "my.toml, line 6: unknown controller 'dp'; known are pd,"),
+        ("[grid]", "[gains.pd]\nK_q=9\n[grid]", ["--dry-run"], "my.toml, line 5: pd has no gain"),
+        ("seed", "sede", ["--out", "s"], "my.toml, line 1: unknown key 'sede'"),
+        ("", "", ["--out", "s", "--cluster", "tcp://127.0.0.1:1"], "no dask scheduler answers"),
+        ("", "", ["--out", "my.toml"], "my.toml is not a folder"),
+    ],
+)
+def test_bad_input_is_one_sentence(spec_file, capsys, monkeypatch, old, new, options, told):
+    monkeypatch.chdir(spec_file.parent)
+    spec_file.write_text(SPEC.replace(old, new) if old else SPEC)
+    with dask.config.set({"distributed.comm.timeouts.connect": "0.2s"}):
+        assert main(["sweep", "my.toml", *options]) == ExitCode.BAD_INPUT
+    error = capsys.readouterr().err
+    assert told in error
+    assert error.count("\n") == 1
+    assert not (spec_file.parent / "s").exists()
+
+
+LONGER = SPEC.replace("episodes = 3", "episodes = 12")
+
+
+@pytest.fixture(scope="module")
+def longer(tmp_path_factory) -> pa.Table:
+    return run(tmp_path_factory.mktemp("longer") / "sweep", LONGER)
+
+
+def start_command(spec_file: Path, folder: Path, *options: str) -> subprocess.Popen:
+    spec_file.write_text(LONGER)
+    return subprocess.Popen(
+        [sys.executable, "-m", "octarm.cli", "sweep", spec_file, "--out", folder, *options],
+        stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True,
+        cwd=Path(__file__).parent.parent,
+    )  # fmt: skip
+
+
+def wait_for(condition) -> None:
+    limit = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.01)
+
+
+def is_gone(group: int) -> bool:
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+@pytest.mark.parametrize("kind", [signal.SIGKILL, signal.SIGINT])
+def test_an_interrupted_command_leaves_whole_shards_and_goes_on(tmp_path, spec_file, longer, kind):
+    folder = tmp_path / "s"
+    process = start_command(spec_file, folder, "--workers", "2")
+    wait_for(lambda: (folder / "episodes").is_dir() and len(os.listdir(folder / "episodes")) > 1)
+    time.sleep(random.uniform(0.0, 0.2))
+    if kind == signal.SIGINT:  # as a terminal does, to the workers as well
+        os.killpg(process.pid, kind)
+    else:
+        process.kill()
+    error = process.communicate(timeout=60)[1]
+    wait_for(lambda: is_gone(process.pid))  # no worker goes on alone
+    if kind == signal.SIGINT:
+        assert process.returncode == ExitCode.INTERRUPTED
+        assert "Traceback" not in error
+        assert f"octarm sweep {spec_file} --out {folder} --workers 2 --resume" in error
+    finished = len(octarm.read_sweep(folder, ["episode"]))
+    assert 0 < finished < len(longer)
+    done = []
+    assert run(folder, LONGER, resume=True, progress=done.append).equals(longer)
+    assert done[0] == finished
+
+
+# --- memory ----------------------------------------------------------------------------------
+
+MEASURE = """
+import json, resource, sys
+from pathlib import Path
+sys.path.insert(0, "tests")
+from test_sweep import SPEC, Inline
+import octarm
+from controllers import make_controller
+from octarm.sweep_parser import parse_spec
+spec = SPEC.replace("duration = 0.02", "duration = %s").replace("batch = 4", "batch = 200")
+for i, episodes in enumerate((100, 100, %d)):
+    text = spec.replace("episodes = 3", f"episodes = {episodes}")
+    octarm.sweep(parse_spec(text), make_controller, Path("%s") / str(i), executor=Inline(),
+                 in_flight=1)
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
+"""
+
+
+@pytest.mark.parametrize(("duration", "episodes"), [("0.0005", 1000), ("0.05", 100)])
+def test_memory_grows_neither_with_episodes_nor_with_their_length(tmp_path, duration, episodes):
+    code = MEASURE % (duration, episodes, tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=Path(__file__).parent.parent,
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    _, before, after = map(float, done.stdout.split())
+    assert after - before < 15.0  # [MB]

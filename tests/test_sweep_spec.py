@@ -1,0 +1,183 @@
+"""A sweep's TOML file: what it means, and what is said when it is wrong."""
+
+import pytest
+
+from octarm.disturbances import DISTURBANCES
+from octarm.sweep_parser import parse_spec, read_spec
+
+SPEC = """\
+seed = 3
+episodes = 4
+duration = 2          # a whole number is a number, too
+reference = "multi-sine"
+batch = 10
+
+[grid]
+controller = ["smc-boundary", "pd"]
+mismatch = [-0.3, 0.3]
+
+[grid.disturbance]
+payload = [0, 0.2]
+noise.ratio = [0.0, 0.4]
+noise.time = [0.01, 0.05]
+
+[grid.disturbance.drift]
+rate = [0.0, 0.1]
+of = ["stiffness", "damping"]
+
+[random.disturbance]
+actuation-delay = { low = 0.0, high = 0.005, method = "sobol" }
+measurement-noise.rate = { low = 1.0, high = 2.0 }
+
+[disturbance]
+tilt = 0.1
+measurement-noise.rms = 0.001
+
+[gains.pd]
+K_p = 100
+
+[record]
+episodes = ["worst", 7]
+"""
+
+
+def test_a_spec_says_what_is_in_it():
+    spec = parse_spec(SPEC)
+    assert (spec.seed, spec.episodes, spec.duration, spec.batch) == (3, 4, 2.0, 10)
+    assert (spec.timestep, spec.control_period, spec.actuation) == (None, None, "f-coeff")
+    assert {axis.name: axis.values for axis in spec.axes} == {
+        "controller": ("smc-boundary", "pd"),
+        "reference": ("multi-sine",),
+        "drift.of": ("stiffness", "damping"),
+        "mismatch": (-0.3, 0.3),
+        "noise": (0.0, 0.4),
+        "noise.time": (0.01, 0.05),
+        "drift": (0.0, 0.1),
+        "payload": (0.0, 0.2),
+    }
+    assert {a.name: (a.low, a.high, a.method) for a in spec.random} == {
+        "actuation-delay": (0.0, 0.005, "sobol"),
+        "measurement-noise.rate": (1.0, 2.0, "uniform"),
+    }
+    assert spec.fixed == {"tilt": {"angle": 0.1}, "measurement-noise": {"rms": 0.001}}
+    assert spec.gains == {"pd": {"K_p": 100.0}}
+    assert spec.record == ("worst", 7)
+
+
+def test_axes_of_words_come_first_since_they_share_no_batch():
+    words = [axis.words for axis in parse_spec(SPEC).axes]
+    assert words == sorted(words, reverse=True)
+
+
+def test_the_least_spec_is_a_controller():
+    spec = parse_spec('[grid]\ncontroller = ["pd"]')
+    assert {axis.name: axis.values for axis in spec.axes} == {
+        "controller": ("pd",),
+        "reference": ("sine",),
+        "mismatch": (0.0,),
+    }
+
+
+def test_every_disturbance_can_be_an_axis_and_has_a_column_of_its_own():
+    values = {"saturation": 10.0, "drift": 0.0}
+    lines = [f"{name} = [{values.get(name, 0.1)}]" for name in DISTURBANCES]
+    spec = parse_spec('controller = "pd"\n[grid.disturbance]\n' + "\n".join(lines))
+    columns = [axis.name for axis in spec.axes]
+    assert len(set(columns)) == len(columns) == 3 + len(DISTURBANCES)
+    assert "disturbance.mismatch" in columns  # of the true arm; `mismatch` is the nominal model's
+
+
+def test_the_hash_is_that_of_what_is_asked_for():
+    base = parse_spec(SPEC)
+    same = SPEC.replace("payload = [0, 0.2]\n", "").replace(
+        "noise.ratio", "payload = [0.0, 2e-1]\nnoise.ratio"
+    )
+    assert parse_spec("# a remark\n" + same).hash() == base.hash()
+    assert parse_spec(SPEC.replace('["worst", 7]', "[]")).hash() == base.hash()  # changes no row
+    for old, new in (
+        ("seed = 3", "seed = 4"),
+        ("batch = 10", "batch = 11"),
+        ("[0, 0.2]", "[0.2, 0]"),
+        ("high = 0.005", "high = 0.006"),
+        ("tilt = 0.1", "tilt = 0.2"),
+        ("K_p = 100", "K_p = 101"),
+    ):
+        assert old in SPEC
+        assert parse_spec(SPEC.replace(old, new)).hash() != base.hash()
+
+
+@pytest.mark.parametrize(
+    ("line", "text", "expected"),
+    [
+        (1, "sede = 1", "unknown key 'sede', did you mean 'seed'"),
+        (1, "seed = -1", "seed is -1; it must be a whole number, at least 0"),
+        (1, "seed = true", "seed is true"),
+        (1, "episodes = 2.5", "episodes is 2.5"),
+        (1, "duration = 0", "duration is 0; it must be a positive number"),
+        (1, 'duration = "long"', 'duration is "long"'),
+        (1, 'actuation = "magic"', 'unknown actuation "magic"; known are f-coeff, internal'),
+        (1, 'reference = "sinus"', "unknown reference 'sinus', did you mean 'sine'"),
+        (1, "mismatch = -1.0", "mismatch is -1.0; it must be above -1"),
+        (2, "seed = 1\nbatch = 0", "batch is 0"),
+        (1, "[gird]\nnoise = [1]", "unknown key 'gird', did you mean 'grid'"),
+        (3, "[grid]\nmismatch = [0.1]\nnoise = [1]", "unknown key 'noise' in [grid]"),
+        (2, "[grid]\nmismatch = 0.1", "mismatch is 0.1; it must be a list"),
+        (2, "[grid]\nmismatch = []", "mismatch is []"),
+        (2, "[grid]\nmismatch = [0.1, 0.1]", "mismatch holds the same value twice"),
+        (2, '[grid]\nmismatch = [0.1, "a"]', "mismatch holds both numbers and words"),
+        (2, "[grid]\nmismatch = [[0.1]]", "mismatch holds [0.1]; it must hold numbers or words"),
+        (2, "[grid]\nreference = [1.0]", "reference is 1.0; it must be a name"),
+        (2, '[grid]\nreference = ["lines"]', "unknown reference 'lines'"),
+        (2, '[grid]\ncontroller = ["pd"]', "controller is given twice"),
+        (2, "[grid.disturbance]\nnois = [1]", "unknown disturbance 'nois', did you mean 'noise'"),
+        (2, "[grid.disturbance]\nnoise = [-1]", "ratio of noise is -1; it must be at least 0"),
+        (2, '[grid.disturbance]\nnoise = ["a"]', "ratio of noise is 'a'"),
+        (2, "[grid.disturbance]\ndrift.speed = [1]", "drift has no key 'speed'; known are rate"),
+        (2, "[grid.disturbance]\ndrift.limit = [0.1]", "drift needs a value of rate"),
+        (1, '[grid.disturbance.drift]\nof = ["all"]\nrate = [1]', "of of drift is 'all'"),
+        (2, "[random]\nmismatch = { low = 1, high = 1 }", "mismatch has low 1, high 1"),
+        (2, "[random]\nmismatch = { low = 0, hihg = 1 }", "'hihg' in [random.mismatch], did you"),
+        (1, "[random.mismatch]\nlow = -2\nhigh = 1", "mismatch is -2.0; it must be above -1"),
+        (2, '[random]\nmismatch = {low=0, high=1, method="x"}', 'unknown method "x"'),
+        (2, "[random.disturbance]\ndrift.of = {low=0, high=1}", "drift.of is made of words"),
+        (2, "[disturbance]\nnoise = -1", "ratio of noise is -1"),
+        (1, "[gains.smc]\nK = 1", "gains of 'smc', which is no controller of this sweep"),
+        (2, '[gains.pd]\nK_p = "a"', 'K_p is "a"; a gain is one number, or one a coordinate'),
+        (2, "[record]\nepisodes = [-1]", "-1 is neither the number of an episode nor a word"),
+        (2, '[record]\nepisodes = ["wurst"]', "did you mean 'worst'"),
+        (2, '[record]\nepisode = ["worst"]', "unknown key 'episode' in [record]"),
+        (
+            4,
+            "[grid.disturbance]\nnoise = [1]\n[random.disturbance]\nnoise = {low=0, high=1}",
+            "noise is an axis of the grid, too",
+        ),
+        (
+            4,
+            "[grid.disturbance]\nnoise = [1]\n[disturbance]\nnoise.ratio = 0.4",
+            "noise is an axis, too",
+        ),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_line(line: int, text: str, expected: str):
+    with pytest.raises(ValueError) as caught:
+        parse_spec('controller = "pd"\n' + text, "my.toml")
+    message = str(caught.value)
+    assert message.startswith(f"my.toml, line {line + 1}: ")
+    assert expected in message
+    assert "\n" not in message
+
+
+def test_what_is_missing_or_no_toml_is_said():
+    with pytest.raises(ValueError, match=r"my.toml: there is no controller"):
+        parse_spec("seed = 1", "my.toml")
+    with pytest.raises(ValueError, match=r"my.toml: .*at line 2, column 1"):
+        parse_spec("seed = 1\n= 2", "my.toml")
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path):
+    file = tmp_path / "spec.toml"
+    file.write_bytes(b"\xff\xfe")
+    with pytest.raises(ValueError, match="not a text file"):
+        read_spec(file)
+    with pytest.raises(FileNotFoundError):
+        read_spec(tmp_path / "other.toml")
