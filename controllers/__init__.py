@@ -1,16 +1,20 @@
 """The controllers, by the names that the command line uses.
 
 To add one, write its file and its line in `CONTROLLERS`: a dataclass with the field `nominal`, the
-model that the controller believes, and a field for each gain. A gain starts from the class's own
-`recommended` table (gain to function of the nominal model), else from the one shared by all
-controllers, else from the field's default. A gain that the class's `derived` table derives from
-another one is left out when that one is given.
+model that the controller believes, and a field for each gain. The recommended value of a gain is
+that of the class's own `recommended` table (gain to function of the nominal model), else of the one
+shared by all controllers, else the field's default. A gain that the class's `derived` table derives
+from another one is left out when that one is given.
+
+Tuned gains take the place of recommended ones where `controllers/gains/` holds some for the
+controller and for arms of as many modules. `octarm tune` finds gains.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy.typing as npt
 
@@ -19,6 +23,7 @@ from controllers.adaptive_fuzzy import AdaptiveFuzzy as AdaptiveFuzzy
 from controllers.computed_torque import ComputedTorque as ComputedTorque
 from controllers.fuzzy import FuzzyController as FuzzyController
 from controllers.fuzzy_sliding_mode import FuzzySlidingMode as FuzzySlidingMode
+from controllers.gain_sets import starting_gains
 from controllers.gains import RECOMMENDED
 from controllers.integral_sliding_mode import IntegralSlidingMode as IntegralSlidingMode
 from controllers.pd import ProportionalDerivative as ProportionalDerivative
@@ -44,18 +49,24 @@ CONTROLLERS: dict[str, type] = {
 
 
 def make_controller(
-    name: str, nominal: ArmParameters, gains: Mapping[str, npt.ArrayLike] | None = None
+    name: str,
+    nominal: ArmParameters,
+    gains: Mapping[str, npt.ArrayLike] | None = None,
+    *,
+    gain_set: str | Path | None = None,
 ) -> Controller:
     """A controller by name, with the nominal model it believes.
 
     Args:
         name: one of `CONTROLLERS`.
         nominal: the model of the arm that the controller is given.
-        gains: gains by the names of the controller's fields; the recommended ones where not given.
+        gains: gains by the names of the controller's fields; those of the gain set where not given.
             `lambda` stands for `lambda_`, as Python keeps the former word for itself.
+        gain_set: `tuned`, `recommended`, or a file NAME.toml of `octarm tune`; tuned gains where
+            there are any for such an arm, else recommended ones, when not given.
 
     Raises:
-        ValueError: for an unknown name, or a gain that is unknown or invalid.
+        ValueError: for an unknown name or gain set, or a gain that is unknown or invalid.
     """
     if name not in CONTROLLERS:
         raise ValueError(f"unknown controller {name!r}{closest(name, CONTROLLERS)}")
@@ -67,7 +78,8 @@ def make_controller(
     replaced = {gain for gain, source in getattr(kind, "derived", {}).items() if source in given}
     starting = [field for field in fields if field in recommended and field not in replaced]
     chosen = {field: recommended[field](nominal) for field in starting}
-    for gain, value in given.items():
+    tuned = starting_gains(name, nominal.modules, gain_set)
+    for gain, value in [*((k, x) for k, x in tuned.items() if k not in replaced), *given.items()]:
         if gain not in spoken:
             raise ValueError(f"{name} has no gain {gain!r}{closest(gain, spoken)}")
         chosen[spoken[gain]] = value

@@ -110,7 +110,7 @@ class AdaptiveConsequents(AdaptiveGains):
         dt = 0.0 if before is None else elapsed(before, measurement.t)
         theta = theta + _each_rule(dt * self.eta2 * s) * phi
         if self.safeguards:
-            theta = _near(0.0, theta, self.theta_max)
+            _keep_near(0.0, theta, self.theta_max)
         return command, ConsequentState(measurement.t, theta, _grown(self, E, s, dt))
 
 
@@ -126,13 +126,25 @@ class AdaptiveFuzzy(AdaptiveGains):
         alpha_max: bound on |alpha - alpha0|, broadcasts to (..., 2N) [1]; inf for none.
         sigma_min: smallest sigma, broadcasts to (..., 2N) [1]; 0 for none.
         sigma_max: largest sigma, broadcasts to (..., 2N) [1]; inf for none.
+
+    Raises:
+        ValueError: for a gain that is negative, not finite where it must be, or has a wrong shape,
+            or if sigma_min exceeds sigma_max.
     """
 
     eta3: Gain
     eta4: Gain
-    alpha_max: Gain
-    sigma_min: Gain
-    sigma_max: Gain
+    alpha_max: np.ndarray
+    sigma_min: np.ndarray
+    sigma_max: np.ndarray
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if np.any(self.sigma_min > self.sigma_max):
+            raise ValueError(
+                f"sigma_min holds {np.max(self.sigma_min):g}; it must not exceed sigma_max, which "
+                f"holds {np.min(self.sigma_max):g}"
+            )
 
     def initial_state(self, batch_shape: tuple[int, ...] = ()) -> FuzzyState:
         """Nothing learnt: theta = 0, E = 0, alpha and sigma as they start."""
@@ -163,9 +175,9 @@ class AdaptiveFuzzy(AdaptiveGains):
         alpha = alpha + _each_rule(dt * self.eta3 * s) * B_theta[..., 0, :]
         sigma = sigma + _each_rule(dt * self.eta4 * s) * C_theta[..., 0, :]
         if self.safeguards:
-            theta = _near(0.0, theta, self.theta_max)
-            alpha = _near(self.alpha0, alpha, self.alpha_max)
-            sigma = np.minimum(np.maximum(sigma, self._sigma_low), _each_rule(self.sigma_max))
+            _keep_near(0.0, theta, self.theta_max)
+            _keep_near(self.alpha0, alpha, self.alpha_max)
+            _keep_between(self._sigma_low, sigma, _each_rule(self.sigma_max))
         E = _grown(self, E, s, dt)
         return command, FuzzyState(measurement.t, theta, alpha, sigma, E)
 
@@ -189,7 +201,7 @@ def _command(
     """Eqs (63) and (78): Q and its signals."""
     switching = -(f_hat + E * saturation(s, gains.phi)) - gains.K_v * s
     signals = {"s": s, "equivalent": equivalent, "switching": switching, "f_hat": f_hat, "E": E}
-    V = np.asarray(kinetic_energy(gains.nominal, q, s))[..., None]
+    V = kinetic_energy(gains.nominal, q, s)[..., None]
     return Command(equivalent + switching, signals | rules | {"V": V})
 
 
@@ -202,12 +214,17 @@ def _grown(gains: AdaptiveGains, E: np.ndarray, s: np.ndarray, dt: float) -> np.
     return np.minimum(E + dt * gains.eta1 * size, gains.E_max)
 
 
-def _near(centre: Gain, x: np.ndarray, reach: Gain) -> np.ndarray:
-    """The projection of x onto |x - centre| <= reach, shape (..., 2N, M)."""
+def _keep_near(centre: Gain, x: np.ndarray, reach: np.ndarray) -> None:
+    """Projects x, shape (..., 2N, M), onto |x - centre| <= reach."""
     reach = _each_rule(reach)
-    return np.minimum(np.maximum(x, centre - reach), centre + reach)
+    _keep_between(centre - reach, x, centre + reach)
 
 
-def _each_rule(x: Gain) -> np.ndarray:
+def _keep_between(low: np.ndarray, x: np.ndarray, high: np.ndarray) -> None:
+    np.maximum(x, low, out=x)
+    np.minimum(x, high, out=x)
+
+
+def _each_rule(x: np.ndarray) -> np.ndarray:
     """The same value for each of a joint's rules: shape (..., 2N) to (..., 2N, 1)."""
-    return np.asarray(x)[..., None]
+    return x[..., None]

@@ -110,7 +110,7 @@ class AdaptiveGains:
     scale: Gain
     alpha0: np.ndarray
     sigma0: np.ndarray
-    theta_max: Gain
+    theta_max: np.ndarray
     E_max: Gain
     dead_zone: Gain
     safeguards: bool = True
@@ -122,10 +122,10 @@ class AdaptiveGains:
                 check = _CHECKS.get(field.name, _as_rate)
                 value = check(field.name.rstrip("_"), getattr(self, field.name), self.nominal)
                 object.__setattr__(self, field.name, value)
-        centres, widths = self.alpha0.shape[-1], self.sigma0.shape[-1]
-        if centres != widths and 1 not in (centres, widths):
+        rules = self.sigma0.shape[-1], self.alpha0.shape[-1]
+        if rules[0] not in (1, rules[1]) and rules[1] != 1:
             raise ValueError(
-                f"sigma0 has {widths} rules; it must have 1 or the {centres} of alpha0"
+                "sigma0 is for {} rules and alpha0 for {}; they must fit".format(*rules)
             )
 
     def rule_table(self, value: np.ndarray, batch_shape: tuple[int, ...]) -> np.ndarray:

@@ -69,10 +69,13 @@ def second_type(
     weight = theta * phi
     value = _sum_over_rules(weight)
     if normalised:
-        weight = weight - value[..., None] * phi
+        weight -= value[..., None] * phi
     # With d = alpha - x: dmu/dalpha = -2 sigma^2 d mu and dmu/dsigma = -2 sigma d^2 mu.
-    common = -2.0 * weight[..., None, :] * scaled
-    return Estimate(value, phi, d_alpha=common * sigma, d_sigma=common * d)
+    weight *= -2.0
+    common = weight[..., None, :] * scaled
+    d_alpha = common * sigma
+    common *= d
+    return Estimate(value, phi, d_alpha, d_sigma=common)
 
 
 def _differences(alpha: np.ndarray, x: np.ndarray) -> np.ndarray:

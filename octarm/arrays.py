@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -61,3 +62,12 @@ def read_only(name: str, value: npt.ArrayLike) -> np.ndarray:
         raise ValueError(f"{name} holds {array[~np.isfinite(array)].flat[0]:g}; it must be finite")
     array.setflags(write=False)
     return array
+
+
+def plain(value: Any) -> Any:
+    """Arrays as lists, and infinity, which JSON lacks, as a word that `read_only` understands."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return str(value) if isinstance(value, float) and not np.isfinite(value) else value

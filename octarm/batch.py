@@ -14,6 +14,7 @@ from mujoco.batch import Batch
 
 from octarm.actuation import Actuation
 from octarm.disturbances import Acting
+from octarm.episode import Plant
 from octarm.lagrange import positions
 from octarm.limits import Limits
 from octarm.model import PlantFields, build_model, paper_order, world_position
@@ -48,7 +49,8 @@ class BatchPhysics(control.Physics):
         """
         own = parameters if parameters is not None and parameters.batch_shape else None
         self.batch = Batch(model, arms, threads)
-        self.limits = Limits.of(own or ArmParameters.from_model(model))
+        self._undisturbed = own or ArmParameters.from_model(model)
+        self.limits = Limits.of(self._undisturbed)
         self.actuation = actuation
         self.acting: Acting | None = None
         self._qpos_index, self._qvel_index = paper_order(model)
@@ -140,6 +142,8 @@ class BatchPhysics(control.Physics):
                 if self.acting is not None:
                     self.acting.record(self._steps, q, v)
                 self.freeze(~self.limits.holding(q, v))
+        if self.batch.warning.any():  # MuJoCo refused a state or an input of some arms
+            self.freeze(np.any(self.batch.warning, axis=(1, 2)))
 
     def intact(self) -> np.ndarray:
         """Which arms are still within their limits, shape (n,) of bool; a copy."""
@@ -170,8 +174,11 @@ class BatchPhysics(control.Physics):
         return self._timestep
 
     def reset(self) -> None:
-        """All arms to the model's defaults, with no input."""
+        """All arms to the undisturbed model's defaults, with no input."""
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        if self.acting is not None and self.acting.plant_changes:
+            self._write(Plant(self._undisturbed))
+        self.acting = None
         self._tau = self._received = np.zeros_like(self._rest)
         self._disturbance = np.zeros_like(self._rest)
         self._intact = np.ones(self.arms, dtype=bool)
@@ -196,13 +203,21 @@ class BatchPhysics(control.Physics):
             if acting.forces:
                 force = acting.force(self._steps, q)
                 self._added[:, self._qvel_index] = force
-                self._disturbance += force / nstep
+                added = force / nstep
+                if not self._intact.all():
+                    added = np.where(self._intact[:, None], added, 0.0)
+                self._disturbance += added
         self._ctrl[:] = self.actuation.tendon_forces(q, self._received)
 
     def _change(self, acting: Acting) -> None:
         """Lets the plants follow their disturbances."""
         plant = acting.plant(self._steps)
-        if plant is not None and self._fields.write(plant.parameters, plant.gravity_angle):
+        if plant is not None:
+            self._write(plant)
+
+    def _write(self, plant: Plant) -> None:
+        """Makes the plants these."""
+        if self._fields.write(plant.parameters, plant.gravity_angle):
             self.batch.set_const()
 
 

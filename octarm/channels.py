@@ -37,17 +37,19 @@ _UNITS: dict[str, tuple[str, ...]] = {  # of slides and bends, or of the one num
     "sigma": ("1",),
 }
 
+_POSITIVE = ("E",)
+
 MEANINGS = {
     "q": "coordinates q",
     "error": "error q - q_d",
-    "s": "sliding variable s",
+    "s": "s",
     "tau": "input forces tau",
     "equivalent": "equivalent part",
     "switching": "robust part",
     "V": "Lyapunov function V",
-    "f_hat": "estimate f^ of the model error",
-    "E": "gain E of the compensation",
-    "disturbance": "generalised force of the disturbances",
+    "f_hat": "estimate f^",
+    "E": "E",
+    "disturbance": "disturbance",
     "q_measured": "measured q",
     "v_measured": "measured q'",
 }
@@ -72,6 +74,21 @@ class Channel(NamedTuple):
     def title(self) -> str:
         """What it is, in words where there are some."""
         return MEANINGS.get(self.name, self.name)
+
+    def half(self, part: str) -> slice:
+        """Where the slides or the bends stand."""
+        n = len(self.names) // 2
+        return slice(n) if part == "slides" else slice(n, None)
+
+    def unit(self, part: str = "slides") -> str:
+        """The unit of slides or bends in brackets, after a space; empty when unknown."""
+        return f" [{self.units[0 if part == 'slides' else -1]}]" if self.units else ""
+
+    def fields(self, values: np.ndarray) -> dict[str, np.ndarray]:
+        """The numbers, shape (T, k), in the parts that are plotted together."""
+        if self.kind != "coordinates":
+            return {self.name: values}
+        return {f"{self.name}_{part}": values[:, self.half(part)] for part in ("slides", "bends")}
 
 
 def channels_of(run: Trajectory, *, disturbed: bool) -> dict[str, Channel]:
@@ -149,6 +166,14 @@ def bounds_of(description: Mapping[str, Any], coordinates: int) -> dict[str, np.
     if limits and np.all(np.isfinite(limits)):
         found["tau"] = np.min(limits, axis=0)
     return found
+
+
+def bound_lines(name: str, bound: np.ndarray, part: str) -> list[float]:
+    """Where lines belong for a channel's bounds, shape (2N,), of slides, of bends, or of all."""
+    n = len(bound) // 2
+    chosen = {"slides": bound[:n], "bends": bound[n:]}.get(part, bound)
+    distinct = sorted(set(chosen.tolist()))
+    return distinct if name in _POSITIVE else [*distinct, *(-x for x in distinct)]
 
 
 def _plain(signal: str, taken: Mapping[str, Any]) -> str:

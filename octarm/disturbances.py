@@ -37,6 +37,7 @@ from octarm.episode import (
 from octarm.errors import closest
 from octarm.fields import Amount, Quantity
 from octarm.forces import BandLimitedNoise, PulseForce, SineForce, StepForce
+from octarm.parameters import ArmParameters
 from octarm.plant_changes import (
     CyclicDrift,
     Drift,
@@ -73,6 +74,8 @@ DISTURBANCES: dict[str, type[Disturbance]] = {
     )
 }
 
+_SIMULATED = (1e-14, 1e14)  # masses [kg] and inertias [kg m^2]; beyond, MuJoCo divides by zero
+
 
 def parse_disturbance(text: str) -> Disturbance:
     """A disturbance from its spelling on the command line.
@@ -100,6 +103,22 @@ def parse_disturbance(text: str) -> Disturbance:
     if not values or any(field not in values for field in _required(cls)):
         raise ValueError(f"{text!r} is incomplete; it must read {_usage(cls)}")
     return cls(**values)
+
+
+def spelling(disturbance: Disturbance) -> str:
+    """The inverse of `parse_disturbance`, for one arm; without the fields that have their defaults.
+
+    Numbers have 6 digits.
+    """
+    main, *_ = keys = _keys(type(disturbance))
+    defaults = {f.name: f.default for f in dataclasses.fields(disturbance)}  # pyright: ignore[reportArgumentType]
+    values = {key: getattr(disturbance, field) for key, field in keys.items()}
+    shown = [
+        f"{key}={_spelt(value)}"
+        for key, value in values.items()
+        if value is not None and (key == main or np.ndim(value) > 0 or value != defaults[keys[key]])
+    ]
+    return f"{disturbance.name}:{','.join(shown).removeprefix(f'{main}=')}"
 
 
 def to_dict(disturbance: Disturbance) -> dict[str, Any]:
@@ -157,6 +176,7 @@ class Acting:
         inputs: what came out of each actuator fault in the last `received`, by name, shape
             (..., 2N) [N].
         readings: what came out of each sensor fault in the last `sensed`, by name.
+        undisturbed: the arm as it is without plant changes.
     """
 
     def __init__(self, disturbances: Sequence[Disturbance], episode: Episode) -> None:
@@ -174,7 +194,7 @@ class Acting:
         self.inputs: dict[str, np.ndarray] = {}
         self.readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self._total = np.empty(0)
-        self._undisturbed = Plant(episode.parameters)
+        self.undisturbed = Plant(episode.parameters)
         families = {
             Force: self.forces,
             PlantChange: self.plant_changes,
@@ -224,12 +244,17 @@ class Acting:
         """The true arm from this physics step on; None when it is the one of the step before.
 
         At step 0 it is None only when nothing ever changes it.
+
+        Raises:
+            ValueError: at step 0, for an arm so light or so heavy that it cannot be simulated.
         """
         if not any([process.changes_at(step) for _, process in self.plant_changes]):
             return None
-        plant = self._undisturbed
+        plant = self.undisturbed
         for _, process in self.plant_changes:
             plant = process.apply(step, plant)
+        if step == 0:
+            _check_plant(plant.parameters)
         return plant
 
     def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
@@ -248,6 +273,17 @@ class Acting:
         for name, process in self.sensors:
             self.readings[name] = q, v = process(step, q, v)
         return q, v
+
+
+def _check_plant(p: ArmParameters) -> None:
+    low, high = _SIMULATED
+    for name, unit, values in (("mass", "kg", p.mass), ("inertia", "kg m^2", p.inertia)):
+        good = (values >= low) & (values <= high)
+        if not np.all(good):
+            raise ValueError(
+                f"the disturbed arm has a module with {name} {values[~good].flat[0]:g} {unit}; "
+                f"it must be between {low:g} and {high:g} {unit}"
+            )
 
 
 def _sum(shares: Sequence[np.ndarray]) -> np.ndarray:
@@ -297,6 +333,11 @@ def _value(text: str, key: str, value: str, kind: Any) -> Amount | str:
     if len(numbers) > 1 and not kind.each:
         raise ValueError(f"{text!r} gives {key} {len(numbers)} numbers; it takes one")
     return numbers[0] if len(numbers) == 1 else np.array(numbers)
+
+
+def _spelt(value: Any) -> str:
+    numbers = value.tolist() if isinstance(value, np.ndarray) else [value]
+    return "/".join(x if isinstance(x, str) else f"{x:g}" for x in numbers)
 
 
 def _plain(value: Any) -> Any:

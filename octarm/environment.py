@@ -20,7 +20,8 @@ from octarm.disturbances import Acting
 from octarm.episode import Disturbance, Episode
 from octarm.errors import closest
 from octarm.interfaces import Motion, Reference
-from octarm.model import build_model, nominal_parameters
+from octarm.lagrange import positions
+from octarm.model import build_model, nominal_parameters, world_position
 from octarm.parameters import ArmParameters
 from octarm.plant import ArmPhysics
 from octarm.references import named_reference
@@ -72,7 +73,7 @@ def load(
 
     Returns:
         An environment with the observations q, v, q_d, v_d, a_d, each of shape (2N,), and
-        tip_position, shape (3,), in the world frame.
+        tip_position, shape (3,), in the world frame, where the arm seems to have it.
 
     Raises:
         ValueError: for an unknown name, a period that is not a whole multiple of the step, or an
@@ -161,7 +162,7 @@ class TrackingTask(control.Task):
     Attributes:
         reference: the desired motion.
         disturbances: what acts on the arm that the controller does not know.
-        random: what wrappers draw from.
+        random: what wrappers draw from; the same at the start of every episode.
     """
 
     def __init__(
@@ -175,9 +176,9 @@ class TrackingTask(control.Task):
         """A task for an episode of whole control periods [s]."""
         self.reference = episode.reference
         self.disturbances = tuple(disturbances)
-        self.random = np.random.default_rng(episode.streams("wrappers")[0])
+        self.random = episode.streams("wrappers")[0]
         self._episode = episode
-        self._acting = Acting(self.disturbances, episode)
+        Acting(self.disturbances, episode)  # raises when one does not suit the arm
         self._margin = np.repeat([_SLIDE_MARGIN, _BEND_MARGIN], episode.parameters.modules)
         self._period = period
         self._episode_periods = episode_periods
@@ -190,12 +191,12 @@ class TrackingTask(control.Task):
         return self._periods * self._period
 
     def initialize_episode(self, physics: AnyPhysics) -> None:
-        """The arm hangs still, loaded by its weight."""
+        """The arm hangs still, as it does undisturbed; what changes it acts from here on."""
         self._start_at(0)
+        self.random = self._episode.streams("wrappers")[0]
         rest = physics.hanging()
         physics.set_motion(rest, np.zeros_like(rest))
-        self._acting = Acting(self.disturbances, self._episode)
-        physics.begin(self._acting)
+        physics.begin(Acting(self.disturbances, self._episode))
 
     def before_step(self, action: np.ndarray, physics: AnyPhysics) -> None:
         """Holds the action, tau, shape (2N,) [N]."""
@@ -213,15 +214,18 @@ class TrackingTask(control.Task):
 
     def get_observation(self, physics: AnyPhysics) -> collections.OrderedDict[str, np.ndarray]:
         """What is measured and what is wanted, in fresh arrays."""
-        desired = self._desired
-        q, v = self._acting.sensed(physics.steps(), physics.q(), physics.v())
+        desired, acting = self._desired, physics.acting
+        q, v, tip = physics.q(), physics.v(), physics.tip_position()
+        if acting is not None and acting.sensors:  # nothing acts before the first episode
+            q, v = acting.sensed(physics.steps(), q, v)
+            tip = world_position(positions(q)[..., -1, :])
         return collections.OrderedDict(
             q=q,
             v=v,
             q_d=desired.q.copy(),
             v_d=desired.v.copy(),
             a_d=desired.a.copy(),
-            tip_position=physics.tip_position(),
+            tip_position=tip,
         )
 
     def get_reward(self, physics: AnyPhysics) -> np.ndarray | float:

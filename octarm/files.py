@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -64,7 +63,9 @@ def piped(path: Path) -> Iterator[str]:
         with open(source, "rb", buffering=0) as pipe:
             try:
                 with file:
-                    shutil.copyfileobj(pipe, file)
+                    while chunk := pipe.read(1 << 16):
+                        file.write(chunk)
+                        file.flush()  # the process may be killed
             except OSError as error:
                 failures.append(error)
             while pipe.read(1 << 20):  # the writer would wait for a reader that is gone

@@ -10,10 +10,9 @@ import numpy as np
 from octarm.arrays import cos_sin, entry, join, split
 from octarm.episode import Episode, Force
 from octarm.fields import Amount, Quantity, Words, coordinate_index
-from octarm.streams import HeldNoise, in_steps
+from octarm.streams import NEVER, HeldNoise, in_steps
 
 _TIP = {"tip-x": (1.0, 0.0), "tip-y": (0.0, 1.0)}  # directions in the base frame
-_FOREVER = 2**62  # [steps]
 
 _COORDINATES = Words(
     joined=("s1", "s2", "s3", "theta1", "theta2", "theta3"),
@@ -86,17 +85,22 @@ class BandLimitedNoise(Force):
 
 
 class _Noise:
-    """Held normal numbers times a scale, shape (..., 2N)."""
+    """Held normal numbers times their rms.
 
-    def __init__(self, held: HeldNoise, scale: np.ndarray) -> None:
-        self._held, self._scale = held, scale
+    Attributes:
+        rms: of each coordinate's force, shape (..., 2N) [N], [N m].
+    """
+
+    def __init__(self, held: HeldNoise, rms: np.ndarray) -> None:
+        self.rms = rms
+        self._held = held
         self._normal = self._force = np.empty(0)
 
     def __call__(self, step: int, q: np.ndarray) -> np.ndarray:
         del q
         normal = self._held(step)
         if normal is not self._normal:
-            self._normal, self._force = normal, _kept(self._scale * normal)
+            self._normal, self._force = normal, _kept(self.rms * normal)
         return self._force
 
 
@@ -266,9 +270,8 @@ class _Box:
     def __init__(self, height: Amount, begin: np.ndarray, end: np.ndarray) -> None:
         """A height of shape () or (n,), from `begin` to `end`, shapes () or (n,) [steps]."""
         self._height, self._begin, self._end = height, begin, end
-        finite = np.concatenate([np.ravel(begin), np.ravel(end)[np.isfinite(np.ravel(end))]])
-        edges = np.concatenate([np.zeros(1), np.floor(finite), np.ceil(finite)])
-        self._edges = np.unique(edges).astype(np.int64)
+        ends = np.minimum(np.concatenate([np.zeros(1), np.ravel(begin), np.ravel(end)]), NEVER)
+        self._edges = np.unique(np.concatenate([np.floor(ends), np.ceil(ends)]).astype(np.int64))
         self._from, self._until, self._size = 0, 0, 0.0
 
     def __call__(self, step: int) -> Amount:
@@ -276,7 +279,7 @@ class _Box:
         if not self._from <= step < self._until:
             place = int(np.searchsorted(self._edges, step, side="right"))
             self._from = int(self._edges[place - 1])
-            self._until = int(self._edges[place]) if place < len(self._edges) else _FOREVER
+            self._until = int(self._edges[place]) if place < len(self._edges) else NEVER
             ended, begun = (np.clip(x - step, 0.0, 1.0) for x in (self._end, self._begin))
             self._size = entry((ended - begun) * self._height + 0.0)  # 0.0 rather than -0.0
         return self._size

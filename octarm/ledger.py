@@ -1,12 +1,14 @@
 """The disturbance ledger: what each disturbance was asked to do, and what was delivered.
 
 Measured on one arm, on what really arrived: the forces that MuJoCo was stepped with, the parameters
-in its model, and the readings that the controller got. Sums and peaks are of the whole run;
+in its model, and the readings that the controller got. Sums, peaks and times are of the whole run;
 spectra and delays are of its first 65 536 physics steps.
 """
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,233 +16,300 @@ import numpy as np
 from scipy import signal
 
 from octarm.actuators import ActuationDelay
-from octarm.disturbances import to_dict
+from octarm.disturbances import Acting, from_dict, spelling, to_dict
 from octarm.episode import ActuatorFault, Disturbance, Force, PlantChange, SensorFault
 from octarm.forces import BandLimitedNoise, SineForce
 from octarm.parameters import ArmParameters
 from octarm.plant import ArmPhysics
-from octarm.sensors import MeasurementDelay
+from octarm.sensors import MeasurementDelay, MeasurementNoise
 
 _WINDOW = 65_536  # physics steps
-_LONGEST_DELAY = 4_000  # physics steps among which a delay is searched
+_HOLDS = 40  # fewer of a noise do not tell its spectrum
 
 
 class Ledger:
-    """Watches one arm during one run.
+    """Watches one arm: `physics.watch = ledger.step` before the episode, `rows` after it.
 
-    `step` after every physics step, `instant` after every control period, `rows` at the end.
+    It starts anew with every episode.
     """
 
     def __init__(self, disturbances: Sequence[Disturbance], physics: ArmPhysics) -> None:
-        """Watches this arm, whose episode has these disturbances."""
+        """Watches this arm, whose episodes have these disturbances."""
         self._disturbances = disturbances
         self._physics = physics
-        self._arms = [_arm(physics)]  # undisturbed, then during the first step
-        self._tau, self._motion = _Record(), _Record()
-        self._forces: dict[str, _Record] = {}
-        self._inputs: dict[str, _Record] = {}
-        self._readings: dict[str, _Record] = {}
-        self._unexplained = 0.0
+        self._begin()
 
     def step(self, physics: ArmPhysics) -> None:
-        """A physics step has been done."""
-        acting = physics.acting
+        """An episode has begun, or a physics step has been done."""
+        acting, step = physics.acting, physics.steps() - 1
         if acting is None:
             return
-        if len(self._arms) == 1:
+        if step < 0:
+            self._begin()
+        else:
+            self._take_up(step)
+        if step < 0 or any(process.changes_at(step) for _, process in acting.plant_changes):
             self._arms.append(_arm(physics))
-        for name, share in acting.shares.items():
-            self._forces.setdefault(name, _Record()).add(physics.steps() - 1, share)
-        missing = physics.added() - sum(acting.shares.values())
-        self._unexplained = max(self._unexplained, float(np.max(np.abs(missing))))
-        asked = physics.tau()
-        self._tau.add(physics.steps() - 1, asked)
-        for name, received in acting.inputs.items():
-            record = self._inputs.setdefault(name, _Record())
-            record.add(physics.steps() - 1, received, before=asked)
-            asked = received
-        self._motion.add(physics.steps(), np.concatenate([physics.q(), physics.v()]))
-
-    def instant(self, physics: ArmPhysics) -> None:
-        """A control instant has come, and with it the readings for the next command."""
-        acting = physics.acting
-        before = np.concatenate([physics.q(), physics.v()])
-        for name, reading in acting.readings.items() if acting is not None else ():
-            after = np.concatenate(reading)
-            record = self._readings.setdefault(name, _Record())
-            record.add(physics.steps(), after, before=before)
-            before = after
+        if acting.sensors:
+            self._truth = np.concatenate([physics.q(), physics.v()])
+            self._motion.add(step + 1, self._truth)
 
     def rows(self) -> list[dict[str, Any]]:
         """An entry for each disturbance: `name`, `asked`, and `delivered`, ready for JSON.
 
-        Lists are in the order of q, of tau for inputs, and of q, then v for readings.
+        Lists are in the order of q, of tau for inputs, and of q, then v for readings. None stands
+        for what could not be seen, or was not finite.
         """
-        rows, counts = [], {}
-        for disturbance in self._disturbances:
-            count = counts[disturbance.name] = counts.get(disturbance.name, 0) + 1
-            name = disturbance.name if count == 1 else f"{disturbance.name}-{count}"
-            asked = {key: x for key, x in to_dict(disturbance).items() if key != "name"}
-            rows.append(
-                {"name": name, "asked": asked, "delivered": self._delivered(disturbance, name)}
-            )
+        rows, acting = asked(self._disturbances), self._physics.acting
+        with np.errstate(all="ignore"):  # a diverged arm may hold anything
+            if acting is not None and self._truth.size and self._physics.steps() == 0:
+                self._hear(acting, 0)  # the run ended with the first readings
+            for row, disturbance in zip(rows, self._disturbances, strict=True):
+                row["delivered"] = _finite(self._delivered(disturbance, row["name"]))
         return rows
 
+    def _begin(self) -> None:
+        self._arms: list[dict[str, np.ndarray]] = []  # whenever they changed, from the start on
+        self._tau, self._motion = _Record(), _Record()
+        self._truth = np.empty(0)
+        self._forces: dict[str, _Record] = {}
+        self._inputs: dict[str, _Record] = {}
+        self._readings: dict[str, _Record] = {}
+        self._read: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self._unexplained = np.zeros(())
+
+    @np.errstate(all="ignore")
+    def _take_up(self, step: int) -> None:
+        """What acted during a physics step, and the readings if it is the first of a period."""
+        physics = self._physics
+        acting = physics.acting
+        assert acting is not None
+        for name, share in acting.shares.items():
+            self._forces.setdefault(name, _Record()).add(step, share)
+        if acting.forces:
+            missing = np.abs(physics.added() - sum(acting.shares.values()))
+            self._unexplained = np.maximum(self._unexplained, np.max(missing))
+        before, source = physics.tau(), self._tau
+        if acting.actuators:
+            source.add(step, before)
+        for name, received in acting.inputs.items():
+            record = self._inputs.setdefault(name, _Record(source))
+            record.add(step, received, before=before)
+            before, source = received, record
+        self._hear(acting, step)
+
+    def _hear(self, acting: Acting, step: int) -> None:
+        """The readings, if they are new."""
+        before, source = self._truth, self._motion
+        for name, reading in acting.readings.items():
+            if reading is self._read.get(name):
+                break  # the controller still goes by what it got earlier
+            self._read[name], after = reading, np.concatenate(reading)
+            record = self._readings.setdefault(name, _Record(source))
+            record.add(step, after, before=before)
+            before, source = after, record
+
     def _delivered(self, disturbance: Disturbance, name: str) -> dict[str, Any]:
-        dt = self._physics.timestep()
-        if isinstance(disturbance, PlantChange) and len(self._arms) == 2:
-            return _changes(*self._arms, _arm(self._physics))
+        acting = self._physics.acting
+        if isinstance(disturbance, PlantChange) and acting is not None and self._arms:
+            return _changes(_table(acting.undisturbed.parameters, 0.0), self._arms)
         for family, records in (
             (Force, self._forces),
             (ActuatorFault, self._inputs),
             (SensorFault, self._readings),
         ):
             if isinstance(disturbance, family) and name in records:
-                return records[name].sizes() | self._character(disturbance, records[name], dt)
+                return self._character(disturbance, name, records[name])
         return {}
 
-    def _character(self, disturbance: Disturbance, record: _Record, dt: float) -> dict[str, Any]:
-        """What makes a disturbance of its class what it is."""
+    def _character(self, disturbance: Disturbance, name: str, record: _Record) -> dict[str, Any]:
+        """How strong it was, and what makes a disturbance of its class what it is."""
+        dt, sizes = self._physics.timestep(), record.sizes()
+        acting = self._physics.acting
+        assert acting is not None
+        processes: dict[str, Any] = dict([*acting.forces, *acting.sensors])
         match disturbance:
             case BandLimitedNoise():
-                return _band(record.rows(), dt) | {"unexplained": self._unexplained}
+                wanted = {"rms_asked": processes[name].rms}
+                more = _band(record.rows(), dt) | {"unexplained": self._unexplained}
+                return wanted | sizes | more
+            case MeasurementNoise():
+                process = processes[name]
+                return {"rms_asked": np.concatenate([process.rms_q, process.rms_v])} | sizes
             case SineForce():
-                return _line(record.rows(), dt) | {"unexplained": self._unexplained}
+                return sizes | _line(record.rows(), dt) | {"unexplained": self._unexplained}
             case Force():
-                return _presence(record.rows(), dt) | {"unexplained": self._unexplained}
-            case ActuationDelay():
-                return {"delay": dt * _delay(record, self._tau)}
-            case MeasurementDelay():
-                return {"delay": dt * _delay(record, self._motion)}
+                return sizes | record.presence(dt) | {"unexplained": self._unexplained}
+            case ActuationDelay() | MeasurementDelay():
+                return sizes | {"delay": dt * record.delay()}
             case _:
-                return {}
+                return sizes
 
 
 class _Record:
     """A signal: its first rows, the numbers of their steps, and sums over all of them."""
 
-    def __init__(self) -> None:
+    def __init__(self, source: _Record | None = None) -> None:
+        """A signal, which may be made of another one."""
+        self._source = source
         self._rows: list[np.ndarray] = []
         self._steps: list[int] = []
         self._count = 0
         self._squares: np.ndarray | float = 0.0
-        self._changed = False
         self._changes: np.ndarray | float = 0.0
+        self._changed: np.ndarray | int = 0
         self._peak: np.ndarray | float = 0.0
+        self._acts: tuple[int, int] | None = None  # first and last step at which it is not zero
 
     def add(self, step: int, row: np.ndarray, *, before: np.ndarray | None = None) -> None:
         """The signal at a physics step, and what it was before the disturbance."""
-        if self._count < _WINDOW:
+        if step < _WINDOW:
             self._rows.append(row)
             self._steps.append(step)
         self._count += 1
         self._squares = self._squares + row * row
         self._peak = np.maximum(self._peak, np.abs(row))
         if before is not None:
-            self._changed = True
             self._changes = self._changes + (row - before) ** 2
+            self._changed = self._changed + (row != before)
+        elif np.any(row):
+            self._acts = (step if self._acts is None else self._acts[0], step)
 
     def rows(self) -> np.ndarray:
         """The first rows, shape (K, ...)."""
         return np.stack(self._rows)
 
-    def steps(self) -> np.ndarray:
-        """The physics steps of the first rows, shape (K,)."""
-        return np.array(self._steps)
-
-    def sizes(self) -> dict[str, list[float]]:
-        """Root mean square, of what was changed where something was, and peak, over the run."""
-        name, squares = ("rms_change", self._changes) if self._changed else ("rms", self._squares)
+    def sizes(self) -> dict[str, Any]:
+        """Root mean square and peak over the run, and how often a signal was changed."""
+        if self._source is None:
+            return {"rms": np.sqrt(self._squares / self._count), "peak": self._peak}
         return {
-            name: np.sqrt(squares / self._count).tolist(),
-            "peak": np.asarray(self._peak).tolist(),
+            "rms_change": np.sqrt(self._changes / self._count),
+            "share_changed": np.asarray(self._changed) / self._count,
+            "peak": self._peak,
         }
 
+    def presence(self, dt: float) -> dict[str, float]:
+        """When it began and ended [s]."""
+        if self._acts is None:
+            return {}
+        return {"from": dt * self._acts[0], "until": dt * (self._acts[1] + 1)}
 
-def _arm(physics: ArmPhysics) -> tuple[ArmParameters, np.ndarray]:
-    """The parameters in MuJoCo's model, and its gravity."""
+    def delay(self) -> float:
+        """The number of steps after which it repeats its source exactly; NaN if there is none."""
+        assert self._source is not None
+        original, rows = self._source.rows(), self.rows()
+        at = np.array(self._steps) - self._source._steps[0]
+        usable = (at < len(original)) & np.all(np.isfinite(rows), axis=1)
+        rows, at = rows[usable], at[usable]
+        if not len(at):
+            return math.nan
+        like_last = np.flatnonzero(np.all(original == rows[-1], axis=1))
+        for delay in at[-1] - like_last[like_last <= at[-1]][::-1]:
+            late = at >= delay
+            repeated = original[at[late] - delay]
+            if np.array_equal(rows[late], repeated) and np.any(np.ptp(repeated, axis=0) > 0.0):
+                return float(delay)
+        return math.nan
+
+
+def _arm(physics: ArmPhysics) -> dict[str, np.ndarray]:
+    """The parameters in MuJoCo's model, and where its gravity points."""
     model = physics.model.ptr
-    return ArmParameters.from_model(model), model.opt.gravity.copy()
+    gravity = model.opt.gravity
+    return _table(ArmParameters.from_model(model), np.arctan2(gravity[0], -gravity[2]))
 
 
-def _changes(*arms: tuple[ArmParameters, np.ndarray]) -> dict[str, Any]:
-    """Parameters that differ between the arms: without disturbance, at the start, at the end."""
-    tables = [arm.to_dict() for arm, _ in arms]
-    angles = [float(np.arctan2(gravity[0], -gravity[2])) for _, gravity in arms]
-    for table, angle in zip(tables, angles, strict=True):
-        table["gravity_angle"] = angle
-    moments = ("undisturbed", "start", "end")
-    return {
-        name: dict(zip(moments, (table[name] for table in tables), strict=True))
-        for name in tables[0]
-        if any(table[name] != tables[0][name] for table in tables)
-    }
+def _table(p: ArmParameters, gravity_angle: float) -> dict[str, np.ndarray]:
+    """Parameters by name, with the angle of gravity [rad] for its size, which nothing changes."""
+    fields = {name: np.asarray(value) for name, value in p.to_dict().items() if name != "gravity"}
+    return fields | {"gravity_angle": np.asarray(gravity_angle)}
+
+
+def _changes(
+    undisturbed: dict[str, np.ndarray], arms: Sequence[dict[str, np.ndarray]]
+) -> dict[str, Any]:
+    """Parameters that were not always what they are undisturbed: at some moments, and extremes."""
+    out = {}
+    for name, original in undisturbed.items():
+        values = np.stack([arm[name] for arm in arms])
+        if np.any(values != original):
+            moments = {"undisturbed": original, "start": values[0], "end": values[-1]}
+            out[name] = moments | {"least": values.min(axis=0), "most": values.max(axis=0)}
+    return out
 
 
 def _band(rows: np.ndarray, dt: float) -> dict[str, float]:
     """A noise: mean time between its changes [s], and where its power density is halved [Hz]."""
-    changes = int(np.sum(np.any(np.diff(rows, axis=0) != 0.0, axis=1)))
-    moving = rows[:, np.std(rows, axis=0) > 0.0]
-    if not changes:
+    changes = np.flatnonzero(np.any(np.diff(rows, axis=0) != 0.0, axis=1))
+    if len(changes) < 2:
         return {}
-    frequency, density = signal.welch(
-        moving / moving.std(axis=0),
-        1.0 / dt,
-        nperseg=min(len(rows), max(64, len(rows) // 16)),
-        axis=0,
-    )
-    smooth = np.convolve(np.mean(density, axis=1)[1:], np.ones(3) / 3.0, mode="same")
-    hold = dt * (len(rows) - 1) / changes
-    low = frequency[1:] < 0.2 / hold
-    below = np.flatnonzero(smooth < 0.5 * np.mean(smooth[low] if low.any() else smooth[:1]))
-    return {"hold": hold, "corner": float(frequency[1 + below[0]]) if below.size else np.inf}
+    hold = float(changes[-1] - changes[0]) / (len(changes) - 1)  # [steps]
+    if len(changes) < _HOLDS:
+        return {"hold": dt * hold}
+    moving = rows[:, np.std(rows, axis=0) > 0.0]
+    length = min(max(math.ceil(16.0 * hold), 256), len(rows) // 2)
+    frequency, density = signal.welch(moving / moving.std(axis=0), 1.0 / dt, nperseg=length, axis=0)
+    # Held over a physics step, as it acts, rather than sampled: times sinc^2.
+    held = np.mean(density, axis=1) * np.sinc(frequency * dt) ** 2
+    smooth = np.convolve(held[1:], np.ones(3) / 3.0, mode="valid")
+    frequency = frequency[2:-1]
+    level = np.mean(smooth[frequency * hold * dt < 0.15])
+    below = np.flatnonzero(smooth < 0.5 * level)
+    corner = float(frequency[below[0]]) if below.size else math.nan
+    return {"hold": dt * hold, "corner": corner}
 
 
 def _line(rows: np.ndarray, dt: float) -> dict[str, float]:
-    """A sine: the frequency of its strongest line [Hz], and the share of power around it."""
+    """A sine: the frequency of its strongest line [Hz], and the share of power around it.
+
+    A force on the tip acts on each coordinate by a lever that moves; all of them count alike.
+    """
     moving = rows[:, np.std(rows, axis=0) > 0.0]
-    if not moving.size:
+    if moving.shape[1] == 0:
         return {}
-    spectrum = np.fft.rfft(
-        (moving - moving.mean(axis=0)) * np.hanning(len(moving))[:, None], axis=0
-    )
+    moving = (moving - moving.mean(axis=0)) / moving.std(axis=0)
+    spectrum = np.fft.rfft(moving * np.hanning(len(moving))[:, None], axis=0)
     power = np.sum(np.abs(spectrum) ** 2, axis=1)
     at = int(np.argmax(power))
-    share = float(np.sum(power[max(at - 2, 0) : at + 3]) / np.sum(power))
-    return {"frequency": at / (dt * len(rows)), "share_in_line": share}
+    if not 2 <= at < len(power) - 1:
+        return {}  # less than two periods do not tell a frequency
+    low, top, high = np.log(power[at - 1 : at + 2] + 1e-300)
+    peak = at + 0.5 * (low - high) / (low - 2.0 * top + high)
+    share = float(np.sum(power[at - 2 : at + 3]) / np.sum(power))
+    return {"frequency": peak / (dt * len(rows)), "share_in_line": share}
 
 
-def _presence(rows: np.ndarray, dt: float) -> dict[str, float]:
-    """A push: when it began and ended [s]."""
-    acts = np.flatnonzero(np.any(rows != 0.0, axis=1))
-    return {"from": dt * int(acts[0]), "until": dt * int(acts[-1] + 1)} if acts.size else {}
+def _finite(value: Any) -> Any:
+    """Numbers, lists and dicts for JSON, with None for what is not finite."""
+    if isinstance(value, dict):
+        return {name: _finite(item) for name, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return value if math.isfinite(value) else None
 
 
-def _delay(record: _Record, source: _Record) -> int:
-    """The delay at which a signal is most like its source, in physics steps."""
-    rows, at = record.rows(), record.steps()
-    original, first = source.rows(), int(source.steps()[0])
-    at = at - first
-    few = np.linspace(0, len(at) - 1, min(len(at), 1000)).astype(int)
-    scale = np.std(original, axis=0)
-    alive = scale > 0.0
-    if not alive.any():
-        return 0
-    best, found = np.inf, 0
-    for delay in range(min(_LONGEST_DELAY, len(original) - 1)):
-        usable = few[(at[few] >= delay) & (at[few] - delay < len(original))]
-        if len(usable) < max(2, len(few) // 4):
-            break
-        miss = (rows[usable] - original[at[usable] - delay])[:, alive] / scale[alive]
-        size = float(np.mean(miss * miss))
-        if size < best:
-            best, found = size, delay
-    return found
+def asked(disturbances: Sequence[Disturbance]) -> list[dict[str, Any]]:
+    """An entry for each disturbance, `name` and `asked`: the ledger before a run."""
+    rows, counts = [], {}
+    for disturbance in disturbances:
+        fields = to_dict(disturbance)
+        kind = fields.pop("name")
+        count = counts[kind] = counts.get(kind, 0) + 1
+        rows.append({"name": kind if count == 1 else f"{kind}-{count}", "asked": fields})
+    return rows
 
 
 def in_words(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """What was delivered, a line a disturbance, for the terminal."""
-    return [f"{row['name']:>18}  {_words(row['delivered'])}" for row in rows]
+    """What was asked and what was delivered, a line a disturbance, for the terminal."""
+    return [f"  {_spelt(row)} -> {_words(row['delivered'])}" for row in rows]
+
+
+def _spelt(row: dict[str, Any]) -> str:
+    name = re.sub(r"-\d+$", "", row["name"])  # noise-2 is a noise
+    return spelling(from_dict({"name": name, **row["asked"]}))
 
 
 def _words(delivered: dict[str, Any]) -> str:
@@ -250,15 +319,20 @@ def _words(delivered: dict[str, Any]) -> str:
     for name, value in delivered.items():
         if isinstance(value, dict):
             parts.append(f"{name} {_number(value['undisturbed'])} -> {_number(value['end'])}")
+            ends = [value["undisturbed"], value["end"]]
+            if np.any(value["least"] < np.min(ends, 0)) or np.any(value["most"] > np.max(ends, 0)):
+                between = _number(value["least"]), _number(value["most"])
+                parts[-1] += ", in between {} to {}".format(*between)
         elif name not in ("peak", "unexplained"):
-            parts.append(f"{name.replace('_', ' ')} {_number(value)}{_UNITS.get(name, '')}")
+            unit = "" if value is None else _UNITS.get(name, "")
+            parts.append(f"{name.replace('_', ' ')} {_number(value)}{unit}")
     return "; ".join(parts)
 
 
 def _number(value: Any) -> str:
     if isinstance(value, list):
         return "(" + ", ".join(map(_number, value)) + ")"
-    return f"{value:.3g}"
+    return "unknown" if value is None else f"{value:.3g}"
 
 
 _UNITS = {

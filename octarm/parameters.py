@@ -154,7 +154,10 @@ class ArmParameters:
             )
         factor = (1.0 + wrong)[..., None]
         half = (1.0 + wrong / 2.0)[..., None, None]
-        return self.scaled(mass=factor, inertia=factor, damping=factor[..., None], stiffness=half)
+        arm = self.scaled(mass=factor, inertia=factor, damping=factor[..., None], stiffness=half)
+        # Contiguous along the arms, as states are.
+        fields = {name: np.array(getattr(arm, name), order="F") for name in _RULES}
+        return dataclasses.replace(arm, **fields)
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as numbers and nested lists, ready for JSON."""

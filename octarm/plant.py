@@ -15,6 +15,7 @@ import numpy as np
 
 from octarm.actuation import Actuation, GroundedActuation
 from octarm.disturbances import Acting
+from octarm.episode import Plant
 from octarm.limits import Limits
 from octarm.model import PlantFields, coordinate_names, paper_order
 from octarm.parameters import ArmParameters
@@ -31,7 +32,8 @@ class ArmPhysics(dm_mujoco.Physics):
     actuation: Actuation
     limits: Limits
     acting: Acting | None = None  # what disturbs this episode
-    watch: Callable[[ArmPhysics], object] | None = None  # called after every physics step
+    # Called when an episode begins, and after every physics step.
+    watch: Callable[[ArmPhysics], object] | None = None
 
     @classmethod
     def from_arm_model(
@@ -58,9 +60,9 @@ class ArmPhysics(dm_mujoco.Physics):
         self._disturbance = np.zeros(model.nu)
         self._steps = 0
         self._intact = True
-        arm = ArmParameters.from_model(model)
-        self.limits = Limits.of(arm)
-        self.actuation = GroundedActuation(arm.width)
+        self._undisturbed = ArmParameters.from_model(model)
+        self.limits = Limits.of(self._undisturbed)
+        self.actuation = GroundedActuation(self._undisturbed.width)
 
     def __getstate__(self) -> tuple:
         return super().__getstate__(), self._episode()
@@ -71,14 +73,19 @@ class ArmPhysics(dm_mujoco.Physics):
         self.__dict__.update(episode)
 
     def copy(self, share_model: bool = False) -> ArmPhysics:
-        """A physics in the same state, with the same actuation, inputs and disturbances."""
-        other = super().copy(share_model)
+        """A physics in the same state, with the same actuation, inputs and disturbances.
+
+        The model is shared only when asked for and when no disturbance changes it.
+        """
+        changing = self.acting is not None and self.acting.plant_changes
+        other = super().copy(share_model and not changing)
         other.__dict__.update(copy.deepcopy(self._episode()))
         return other
 
     def _episode(self) -> dict[str, Any]:
         """What an episode consists of beside MuJoCo's own data."""
-        names = ("actuation", "acting", "_tau", "_received", "_disturbance", "_steps", "_intact")
+        inputs = ("_tau", "_received", "_disturbance")
+        names = ("actuation", "acting", "limits", "_undisturbed", *inputs, "_steps", "_intact")
         return {name: getattr(self, name) for name in names}
 
     @property
@@ -120,8 +127,11 @@ class ArmPhysics(dm_mujoco.Physics):
         self._tau = np.array(control, dtype=np.float64)
 
     def reset(self, keyframe_id: int | None = None) -> None:
-        """Back to the model's defaults or a keyframe, with no input."""
+        """Back to the undisturbed model's defaults or a keyframe, with no input."""
         super().reset(keyframe_id)
+        if self.acting is not None and self.acting.plant_changes:
+            self._write(Plant(self._undisturbed))
+        self.acting = None
         self._tau = self._received = np.zeros(self.model.nu)
         self._disturbance = np.zeros(self.model.nu)
         self._steps = 0
@@ -132,6 +142,8 @@ class ArmPhysics(dm_mujoco.Physics):
         self.acting = acting
         self._change(acting)
         acting.record(0, self.q(), self.v())
+        if self.watch is not None:
+            self.watch(self)
 
     def step(self, nstep: int = 1) -> None:
         """Advances by `nstep` physics steps under Q = F(q) tau, q being the true coordinates.
@@ -209,5 +221,10 @@ class ArmPhysics(dm_mujoco.Physics):
     def _change(self, acting: Acting) -> None:
         """Lets the plant follow its disturbances."""
         plant = acting.plant(self._steps)
-        if plant is not None and self._fields.write(plant.parameters, plant.gravity_angle):
+        if plant is not None:
+            self._write(plant)
+
+    def _write(self, plant: Plant) -> None:
+        """Makes the plant this one."""
+        if self._fields.write(plant.parameters, plant.gravity_angle):
             mujoco.mj_setConst(self.model.ptr, mujoco.MjData(self.model.ptr))

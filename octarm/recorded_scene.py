@@ -7,10 +7,10 @@ the world's y axis, so that an angle is all that is new in each frame.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -18,10 +18,10 @@ from octarm import scene
 from octarm.parameters import ArmParameters
 
 MODULE_COLORS = ["FF9F43", "40A9FF", "48C987", "E76EBE", "F1D64A", "9B89FF", "4DD0D0", "FF7864"]
-HIDDEN = ("skeleton", "arcs")  # shown on request
+HIDDEN = ("skeleton",)  # shown on request
 _PLATE, _BASE = 0xDEE2E8FF, 0x78808CFF
-_TRAIL, _PATH, _GHOST = 0xFF4655FF, 0x8FA3B8FF, 0xB9CCE22E
-_RELAXED, _PULL, _PUSH = (150, 156, 163), (64, 156, 255), (255, 92, 72)
+_TRAIL, _PATH, _GHOST = 0xFF4655FF, 0x8FA3B8FF, 0xC6D6EA22
+_RELAXED, _PULL, _PUSH = (112, 118, 126), (240, 243, 248), (232, 62, 62)
 _DISTURBANCE, _GRAVITY, _PAYLOAD = 0xC58BFFFF, 0xB8C0CCFF, 0xB8A06AFF
 _STEEL = 7850.0  # [kg/m^3]; a payload is drawn as a ball of it
 _TRAIL_LENGTH = 1.0  # [s]
@@ -53,7 +53,8 @@ class Scene:
     def looks(self) -> dict[str, Any]:
         """What of the scene stays the same, by entity."""
         n, w = self.modules, self.width
-        solid = {"fill_mode": "solid"}
+        solid: dict[str, Any] = {"fill_mode": "solid"}
+        sheath = self._piece / 1.5 / scene.RIBS
         tube, column = self._piece / scene.PIECES, self._piece / scene.COLUMN_PIECES
         down = [self.weight_length() * math.sin(self._tilt), 0.0, 0.0]
         down[2] = -self.weight_length() * math.cos(self._tilt)
@@ -63,9 +64,7 @@ class Scene:
             "world/base": rr.Cylinders3D(
                 lengths=0.15 * w, radii=0.75 * w, centers=[0, 0, 0.075 * w], colors=_BASE, **solid
             ),
-            "world/plates": rr.Cylinders3D(
-                lengths=0.07 * w, radii=0.7 * w, colors=_PLATE, **solid
-            ),
+            "world/plates": rr.Cylinders3D(lengths=0.07 * w, radii=0.7 * w, colors=_PLATE, **solid),
             "world/tube": rr.Cylinders3D(
                 lengths=[tube] * (n * scene.PIECES), radii=[0.27 * w] * (n * scene.PIECES), **solid
             ),
@@ -73,15 +72,14 @@ class Scene:
                 lengths=[column] * (2 * n * scene.COLUMN_PIECES), **solid
             ),
             "world/desired": rr.Cylinders3D(
-                lengths=[0.02 * w] * (n * scene.RIBS),
-                radii=[0.8 * w] * (n * scene.RIBS),
+                lengths=[sheath] * (n * scene.RIBS),
+                radii=[0.37 * w] * (n * scene.RIBS),
                 colors=[_GHOST] * (n * scene.RIBS),
                 **solid,
             ),
             "world/trail": lines(colors=_TRAIL, radii=0.025 * w),
             "world/desired_path": lines(colors=_PATH, radii=0.012 * w),
             "world/skeleton": lines(colors=0xFFFFFFFF, radii=0.02 * w),
-            "world/arcs": lines(colors=0xFFFF66FF, radii=0.02 * w),
             "world/gravity": rr.Arrows3D(
                 vectors=[down],
                 origins=[[-1.6 * w, 0.0, 0.1 * w]],
@@ -125,7 +123,6 @@ class Scene:
             "world/trail": _strips(trail[:, None]),
             "world/desired_path": _strips(path[:, None]),
             "world/skeleton": _strips(scene.skeleton(q)[:, None]),
-            "world/arcs": _strips(scene.arcs(q)[:, None]),
         }
         if self.payloads:
             balls = len(self.payloads)
@@ -139,7 +136,7 @@ class Scene:
             poses = rr.InstancePoses3D.columns(translations=places.reshape(-1, 3))
             out["world/payload"] = [*poses.partition([balls] * count)]
         if disturbance is not None:
-            origins, forces = scene.force_arrows(q, disturbance, 0.7 * w)
+            origins, forces = scene.force_arrows(q, disturbance, 0.95 * w)
             vectors = forces * (self.weight_length() / self.weight)
             arrows = rr.Arrows3D.columns(
                 vectors=vectors.reshape(-1, 3), origins=origins.reshape(-1, 3)
@@ -155,7 +152,7 @@ class Scene:
         """A camera in front of the arm, a little to the side, the same for every run of it."""
         reach = 1.12 * self.length + self.width
         middle = np.array([0.0, 0.0, 0.5 * self.width - 0.5 * reach])
-        position = middle + 1.28 * reach * np.array([0.33, -0.92, 0.16])
+        position = middle + 1.05 * reach * np.array([0.33, -0.92, 0.16])
         cursor = rr.TimeRangeBoundary.cursor_relative
 
         def around(before: float, after: float) -> rrb.VisibleTimeRanges:
@@ -166,12 +163,9 @@ class Scene:
         return rrb.Spatial3DView(
             origin=origin,
             name=name,
-            eye_controls=rrb.EyeControls3D(
-                position=position, look_target=middle, eye_up=[0, 0, 1]
-            ),
+            eye_controls=rrb.EyeControls3D(position=position, look_target=middle, eye_up=[0, 0, 1]),
             line_grid=False,
             background=[13, 15, 19],
-            spatial_information=rrb.SpatialInformation(show_axes=False),
             overrides={
                 f"{origin}/trail": around(_TRAIL_LENGTH, 0.0),
                 f"{origin}/desired_path": around(_TRAIL_LENGTH, _TRAIL_LENGTH),
@@ -183,11 +177,11 @@ class Scene:
         """The colour of the module, the brighter the more it is bent."""
         n = self.modules
         bent = np.minimum(np.abs(q[:, n:]) / 0.4, 1.0)[..., None]
-        colors = module_colors(n) * (0.45 + 0.55 * bent) + 28.0 * (1.0 - bent)
+        colors = module_colors(n) * (0.6 + 0.4 * bent) + 15.0 * (1.0 - bent)
         return _colors(np.repeat(colors, scene.PIECES, axis=1), rr.Cylinders3D)
 
     def _column_looks(self, tau: np.ndarray) -> list[Any]:
-        """Red and thick where a column pushes, blue where it pulls."""
+        """Red and thick where a column pushes, white and thick where it pulls."""
         size = np.tanh(tau / (0.8 * self.weight))[..., None]
         toward = np.where(size > 0.0, _PUSH, _PULL)
         colors = np.array(_RELAXED) + np.abs(size) ** 0.6 * (toward - np.array(_RELAXED))
@@ -201,14 +195,18 @@ class Scene:
 
 
 def _poses(pieces: scene.Pieces) -> list[Any]:
-    count = pieces.angles.shape[1]
-    turns = [
-        rr.RotationAxisAngle(axis=[0, 1, 0], angle=rr.Angle(rad=a)) for a in pieces.angles.ravel()
-    ]
-    poses = rr.InstancePoses3D.columns(
-        translations=pieces.centers.reshape(-1, 3), rotation_axis_angles=turns
+    frames, count = pieces.angles.shape
+    kind: Any = rr.components.RotationAxisAngleBatch._ARROW_DATATYPE
+    angles = pa.array(pieces.angles.ravel().astype(np.float32))
+    axes = pa.array(np.tile(np.array([0.0, 1.0, 0.0], dtype=np.float32), len(angles)))
+    turns = pa.StructArray.from_arrays(
+        [pa.FixedSizeListArray.from_arrays(axes, type=kind.field("axis").type), angles],
+        fields=[kind.field("axis"), kind.field("angle")],
     )
-    return [*poses.partition([count] * len(pieces.angles))]
+    poses = rr.InstancePoses3D.columns(
+        translations=pieces.centers.reshape(-1, 3), rotation_axis_angles=cast(Any, turns)
+    )
+    return [*poses.partition([count] * frames)]
 
 
 def _strips(curves: np.ndarray) -> list[Any]:

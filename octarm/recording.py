@@ -1,60 +1,32 @@
 """A run as a `.rrd` file: the arm in 3D beside plots, laid out by a blueprint in the file.
 
-The arm is drawn as `octarm.scene` has it; the desired arm is a translucent band just behind.
-What belongs to module i has one colour: its backbone, and the plots of s_i, theta_i and their kin.
-This is the only module that imports rerun.
+The file can be written while the run goes on, and can be read up to the last block if the process
+is killed. The modules `recorded_run`, `recorded_scene`, `heat_map` and `blueprints` hold what is
+drawn and how it is laid out; together they are all that imports rerun.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
+import dataclasses
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping
+from types import TracebackType
+from typing import Any
 
-import numpy as np
+import pyarrow as pa
 import rerun as rr
-import rerun.blueprint as rrb
 from rerun.experimental import ViewerClient as ViewerClient  # for octarm.viewer
 
 from octarm.files import piped, whole_file
-from octarm.lagrange import positions
-from octarm.model import coordinate_names, world_position
-from octarm.parameters import ArmParameters
-from octarm.scene import plate_quaternions, smooth_arm
+from octarm.recorded_run import RecordedRun
 from octarm.trajectory import Trajectory
 
-_FRAME_RATE = 60.0  # of the 3D scene [Hz]; signals keep their full rate
-_BLOCK = 1000  # rows a chunk: fewer cost space, more cost memory and time to verify
-_DRAWABLE = 100.0  # [m], [rad]; a diverging arm beyond it would only spoil the scene
-_LEGEND = 8  # series at most that a legend can name
-
-_COLORS = ["FF9F43", "40A9FF", "48C987", "E76EBE", "F1D64A", "9B89FF", "4DD0D0", "FF7864"]
-_COLUMN, _PLATE, _BASE, _TRAIL = 0xA5ACB6FF, 0xDEE2E8FF, 0x78808CFF, 0xFF4655FF
-_DESIRED = 0x96A5BE5A  # translucent
-
-
-class _Series(NamedTuple):
-    """One entity of scalars, shape (T, k), and where it is plotted."""
-
-    tab: str  # empty for the plots that are always in sight
-    view: str
-    entity: str
-    values: np.ndarray
-    names: Sequence[str]
-    colors: np.ndarray
-    width: float = 1.5
+BLOCK = 5000  # rows a chunk: fewer cost space, more cost memory and what a crash loses
 
 
 def write_recording(
-    path: str | os.PathLike[str],
-    trajectory: Trajectory,
-    parameters: ArmParameters,
-    *,
-    title: str,
-    notes: str = "",
-    properties: Mapping[str, object] | None = None,
+    path: str | os.PathLike[str], trajectory: Trajectory, description: Mapping[str, Any]
 ) -> None:
     """Writes a run as a rerun recording, whole or not at all.
 
@@ -64,10 +36,7 @@ def write_recording(
     Args:
         path: the `.rrd` file; its folder must exist.
         trajectory: the run of one arm of N modules.
-        parameters: of the true arm; its width is drawn.
-        title: name of the recording in the viewer.
-        notes: Markdown, shown beside the plots.
-        properties: what is known of the run: numbers and texts; the rest is kept as JSON.
+        description: what `run.json` holds; `parameters` are needed, the rest may be missing.
 
     Raises:
         ValueError: if the trajectory has no rows, or the parameters are not those of one such arm.
@@ -76,25 +45,149 @@ def write_recording(
     """
     if len(trajectory) == 0:
         raise ValueError("there is nothing to record: the trajectory has no rows")
-    if parameters.batch_shape or trajectory.q.shape[1:] != (parameters.coordinates,):
-        raise ValueError("the parameters must be those of one arm with the trajectory's modules")
+    disturbed = bool(trajectory.disturbance.any() or description.get("disturbances"))
+    end = float(trajectory.t[-1])
+    short = end < 0.9 * float(description.get("duration", end))
+    announced = {**description, "duration": end} if short else description
+    with Recorder(path, announced, disturbed=disturbed) as recorder:
+        for k in range(0, len(trajectory), BLOCK):
+            recorder.add(part_of(trajectory, k, k + BLOCK))
+        recorder.finish(description)
+
+
+@contextlib.contextmanager
+def rrd_file(path: str | os.PathLike[str]) -> Iterator[rr.RecordingStream]:
+    """A stream to a `.rrd` file, which appears whole or not at all.
+
+    It is `PATH.part` until the block ends well; if the process is killed it stays, readable up to
+    the last flush.
+
+    Raises:
+        OSError: if the file cannot be written.
+        RuntimeError: if rerun does not take the data, or is switched off by RERUN=off.
+    """
     if os.environ.get("RERUN", "on").lower() in ("0", "off", "false"):
         raise RuntimeError(f"{path} cannot be recorded: RERUN={os.environ['RERUN']} is set")
     with whole_file(path) as part, _strict_mode():
-        stream = rr.RecordingStream(
-            "octarm", recording_id=trajectory.digest or None, send_properties=False
-        )
+        stream = rr.RecordingStream("octarm", send_properties=False)
+        with contextlib.ExitStack() as file, recording_errors(path):
+            # rerun itself would hang for ever on a full disk
+            stream.save(file.enter_context(piped(part)))
+            file.enter_context(stream)
+            opened = file.pop_all()
         try:
-            with piped(part) as name:  # rerun itself would hang for ever on a full disk
-                stream.save(name)
-                with stream:
-                    _describe(stream, title, notes, properties or {})
-                    _write(stream, trajectory, float(parameters.width), notes)
-        except OSError:
+            yield stream
+        except BaseException:
+            with contextlib.suppress(Exception):  # the error is known already
+                opened.close()
             raise
-        except Exception as error:
-            reason = (str(error) or type(error).__name__).splitlines()[0]
-            raise RuntimeError(f"{path} cannot be recorded: {reason}") from error
+        with recording_errors(path):
+            opened.close()
+
+
+@contextlib.contextmanager
+def recording_errors(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Turns rerun's errors, of many kinds, into RuntimeErrors of one sentence."""
+    try:
+        yield
+    except (OSError, ValueError, MemoryError):
+        raise
+    except Exception as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise RuntimeError(f"{path} cannot be recorded: {reason}") from error
+
+
+def time_axes(path: str | os.PathLike[str]) -> list[str]:
+    """The entities of a recording's blueprint that fix what time its plots show."""
+    reader = rr.chunk.RrdReader(os.fspath(path))
+    return sorted(
+        {
+            chunk.entity_path
+            for store in reader.blueprints()
+            for chunk in reader.stream(store=store)
+            if chunk.entity_path.endswith("/TimeAxis")
+        }
+    )
+
+
+def last_instant(path: str | os.PathLike[str]) -> float:
+    """The last instant of a recording [s]; see `octarm.viewer.end_of`."""
+    ends = []
+    try:
+        for chunk in rr.chunk.RrdReader(os.fspath(path)).stream():
+            batch = chunk.to_record_batch()
+            if not chunk.is_static and "t" in batch.schema.names and batch.num_rows:
+                ends.append(batch.column("t").cast(pa.int64()).to_numpy().max())
+    except Exception as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise RuntimeError(f"{path} cannot be read: {reason}") from None
+    if not ends:
+        raise RuntimeError(f"{path} is a recording without instants")
+    return float(max(ends)) * 1e-9
+
+
+class Recorder:
+    """Writes a recording while the run goes on: `add` rows in their order, then `finish`.
+
+    Used with `with`. The file is `PATH.part` until it is finished and whole; a failure removes it.
+    If the process is killed it stays, readable up to the last block.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        description: Mapping[str, Any],
+        *,
+        disturbed: bool | None = None,
+    ) -> None:
+        """A recording of the run that `description` announces; see `write_recording`.
+
+        Args:
+            path: the `.rrd` file; its folder must exist.
+            description: what `run.json` will hold, as far as it is known.
+            disturbed: whether the disturbances' force is recorded; by the description if None.
+        """
+        self._path, self._description, self._disturbed = path, description, disturbed
+        self._file = contextlib.ExitStack()
+
+    def __enter__(self) -> Recorder:
+        """Opens the file; raises what `rrd_file` does."""
+        with contextlib.ExitStack() as file:
+            self._stream = file.enter_context(rrd_file(self._path))
+            self._run = RecordedRun(self._stream, self._description, disturbed=self._disturbed)
+            self._file = file.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Closes the file; it takes its name unless there was an error."""
+        self._file.__exit__(kind, error, trace)
+
+    def add(self, rows: Trajectory) -> None:
+        """Records further rows; what was added is on disk afterwards.
+
+        Raises:
+            ValueError: if the rows are not those of an arm with these parameters.
+        """
+        with recording_errors(self._path):
+            self._run.add(rows)
+            self._stream.flush(timeout_sec=60.0)  # bounds what waits in memory; raises errors
+
+    def finish(self, description: Mapping[str, Any]) -> None:
+        """Records what is known when the run is over; `description` is now complete."""
+        with recording_errors(self._path):
+            self._run.finish(description)
+
+
+def part_of(run: Trajectory, start: int, stop: int) -> Trajectory:
+    """Rows of a run as a run."""
+    arrays = {name: array[start:stop] for name, array in run.arrays() if name not in run.signals}
+    signals = {name: array[start:stop] for name, array in run.signals.items()}
+    return dataclasses.replace(run, **arrays, signals=signals)  # pyright: ignore
 
 
 @contextlib.contextmanager
@@ -106,204 +199,3 @@ def _strict_mode() -> Iterator[None]:
         yield
     finally:
         rr.set_strict_mode(before)
-
-
-def _describe(
-    stream: rr.RecordingStream, title: str, notes: str, properties: Mapping[str, object]
-) -> None:
-    stream.send_recording_name(title)
-    values: dict[str, Any] = {}
-    for name, value in properties.items():
-        plain = isinstance(value, str | int | float)
-        values[name] = value if plain else json.dumps(value, default=str)
-    if values:
-        stream.send_property("run", rr.AnyValues(**values))
-    if notes:
-        document = rr.TextDocument(notes, media_type=rr.MediaType.MARKDOWN)
-        stream.log("notes", document, static=True)
-
-
-def _write(stream: rr.RecordingStream, run: Trajectory, width: float, notes: str) -> None:
-    series, frames = _series(run), _frames(run)
-    scene = _scene_view(positions(run.q[frames]), width)
-    stream.send_blueprint(_blueprint(scene, series, run.t, notes))
-    _log_scene(stream, run, frames, width)
-    for one in series:
-        _log_series(stream, run, one)
-
-
-def _send(
-    stream: rr.RecordingStream, run: Trajectory, rows: np.ndarray, columns: dict[str, Any]
-) -> None:
-    """Sends rerun's columns, by entity, for some rows of the run."""
-    t = np.round(run.t[rows] * 1e9).astype("timedelta64[ns]")  # rerun would truncate
-    times = [rr.TimeColumn("t", duration=t), rr.TimeColumn("step", sequence=rows)]
-    for entity, column in columns.items():
-        stream.send_columns(entity, times, column)
-    stream.flush(timeout_sec=60.0)  # bounds what waits in memory, and raises errors
-
-
-def _blocks(count: int) -> Iterator[np.ndarray]:
-    return (np.arange(k, min(k + _BLOCK, count)) for k in range(0, count, _BLOCK))
-
-
-def _series(run: Trajectory) -> list[_Series]:
-    """All that is plotted. rerun draws in the order of names, so that `q` lies over `desired`."""
-    n = run.q.shape[-1] // 2
-    desired = _split("", "desired", run.q_d, "rad", "m")
-    inputs = [f"column_{a}_{i}" for i in range(1, n + 1) for a in (1, 2)]
-    shades = np.repeat(_colors(n), 2, axis=0) * np.tile([[1.0], [0.6]], (n, 1))
-    out = [one._replace(colors=0.45 * one.colors + 25.0, width=6.0) for one in desired]
-    out += _split("", "q", run.q, "rad", "m")
-    out += _split("error", "error", run.error, "rad", "m")
-    out += [_Series("tau", "tau [N]", "tau", run.tau, inputs, shades)]
-    for name, signal in run.signals.items():
-        entity = f"signals/{rr.escape_entity_path_part(name)}"
-        values = signal.reshape(len(run), -1)
-        if values.shape[1] == 2 * n:
-            out += _split(name, entity, values)
-        elif values.size:
-            out.append(_Series(name, name, entity, values, [], _colors(values.shape[1])))
-    if run.disturbance.any():
-        out += _split("disturbance", "disturbance", run.disturbance, "N m", "N")
-    first = ["", "error", "s", "tau"]
-    return sorted(out, key=lambda one: first.index(one.tab) if one.tab in first else len(first))
-
-
-def _split(tab: str, entity: str, values: np.ndarray, *units: str) -> list[_Series]:
-    """One value a coordinate, shape (T, 2N): angles and slides apart, for their scales differ."""
-    n = values.shape[1] // 2
-    out = []
-    for k, (kind, part) in enumerate((("angles", slice(n, None)), ("slides", slice(n)))):
-        unit = f" [{units[k]}]" if units else ""
-        view = f"{tab}, {kind}{unit}" if tab else f"{kind}{unit}   thin: true, wide: desired"
-        names = coordinate_names(n)[part]
-        out.append(_Series(tab, view, f"{entity}/{kind}", values[:, part], names, _colors(n)))
-    return out
-
-
-def _colors(count: int) -> np.ndarray:
-    return np.resize([list(bytes.fromhex(color)) for color in _COLORS], (count, 3))
-
-
-def _log_series(stream: rr.RecordingStream, run: Trajectory, series: _Series) -> None:
-    style = rr.SeriesLines(
-        names=list(series.names) or None,
-        colors=series.colors.astype(np.uint8),
-        widths=[series.width] * len(series.colors),
-    )
-    stream.log(series.entity, style, static=True)
-    for rows in _blocks(len(run)):
-        scalars = rr.Scalars.columns(scalars=series.values[rows])
-        _send(stream, run, rows, {series.entity: scalars})
-
-
-def _frames(run: Trajectory) -> np.ndarray:
-    """Rows that the scene shows, about 60 a second."""
-    span = run.t[-1] - run.t[0]
-    rate = (len(run) - 1) / span if span > 0.0 else _FRAME_RATE
-    rows = np.arange(0, len(run), max(1, round(rate / _FRAME_RATE)))
-    return rows[np.abs(run.q[rows]).max(axis=-1) < _DRAWABLE]
-
-
-def _log_scene(
-    stream: rr.RecordingStream, run: Trajectory, frames: np.ndarray, width: float
-) -> None:
-    for entity, look in _looks(run.q.shape[-1] // 2, width).items():
-        stream.log(entity, look, static=True)
-    for block in _blocks(len(frames)):
-        rows, previous = frames[block], frames[np.maximum(block - 1, 0)]
-        q = run.q[rows]
-        turns = plate_quaternions(q)
-        tip = [positions(run.q[k])[:, -1:] for k in (previous, rows)]
-        columns = [smooth_arm(q, side * width) for side in (-0.5, 0.5)]
-        edges = [smooth_arm(run.q_d[rows], side * width) for side in (-0.7, 0.7)]
-        band = np.stack(edges, axis=-2)
-        band[..., 1] += 0.15 * width  # behind the arm, so as not to cut it
-        plates = rr.InstancePoses3D.columns(
-            translations=world_position(positions(q)).reshape(-1, 3),
-            quaternions=turns.reshape(-1, 4),
-        )
-        mesh = rr.Mesh3D.columns(vertex_positions=band.reshape(-1, 3))
-        content = {
-            "world/backbone": _strips(smooth_arm(q)),
-            "world/columns": _strips(np.concatenate(columns, axis=1)),
-            "world/plates": plates.partition([turns.shape[1]] * len(rows)),
-            "world/desired": mesh.partition([band[0].size // 3] * len(rows)),
-            "world/trail": _strips(world_position(np.stack(tip, axis=2))),
-        }
-        _send(stream, run, rows, content)
-
-
-def _looks(n: int, width: float) -> dict[str, Any]:
-    """What of the scene stays the same."""
-    lines = rr.LineStrips3D.from_fields
-    disc = {"radii": 0.7 * width, "fill_mode": "solid"}
-    above = [0.0, 0.0, 0.075 * width]
-    corner = 2 * np.arange(smooth_arm(np.zeros(2 * n)).size // 3 - 1)[:, None]
-    band = corner + np.array([0, 1, 2, 1, 3, 2])
-    return {
-        "world": rr.ViewCoordinates.RIGHT_HAND_Z_UP,
-        "world/base": rr.Cylinders3D(lengths=0.15 * width, centers=above, colors=_BASE, **disc),
-        "world/plates": rr.Cylinders3D(lengths=0.08 * width, colors=_PLATE, **disc),
-        "world/backbone": lines(colors=_colors(n), radii=0.11 * width),
-        "world/columns": lines(colors=_COLUMN, radii=0.07 * width),
-        "world/desired": rr.Mesh3D.from_fields(
-            triangle_indices=band.reshape(-1, 3), albedo_factor=_DESIRED
-        ),
-        "world/trail": lines(colors=_TRAIL, radii=0.03 * width),
-    }
-
-
-def _strips(curves: np.ndarray) -> Any:
-    frames, count, *shape = curves.shape
-    strips = curves.reshape(-1, *shape).astype(np.float32)
-    return rr.LineStrips3D.columns(strips=strips).partition([count] * frames)
-
-
-def _scene_view(ends: np.ndarray, width: float) -> rrb.Spatial3DView:
-    """A camera in front of all places that the arm reaches, a little to the side."""
-    depth = ends[..., 0].max(initial=0.0) + width
-    reach = np.abs(ends[..., 1]).max(initial=0.0) + width
-    middle = np.array([0.0, 0.0, 0.5 * (width - depth)])
-    position = middle + 1.05 * max(depth, 1.3 * reach) * np.array([0.33, -0.92, 0.18])
-    now = rr.TimeRangeBoundary.cursor_relative
-    last_second = rrb.VisibleTimeRanges(timeline="t", start=now(seconds=-1.0), end=now())
-    return rrb.Spatial3DView(
-        origin="world",
-        name="arm   pale band: desired",
-        eye_controls=rrb.EyeControls3D(position=position, look_target=middle, eye_up=[0, 0, 1]),
-        line_grid=False,
-        overrides={"world/trail": last_second},
-    )
-
-
-def _blueprint(scene: Any, series: list[_Series], t: np.ndarray, notes: str) -> rrb.Blueprint:
-    margin = 0.16 * (t[-1] - t[0]) + 1e-3  # on the right, for the legends
-    at = rr.TimeRangeBoundary.absolute
-    shown = rr.TimeRange(start=at(seconds=t[0]), end=at(seconds=t[-1] + margin))
-    tabs: dict[str, dict[str, list[_Series]]] = {}
-    for one in series:
-        tabs.setdefault(one.tab, {}).setdefault(one.view, []).append(one)
-    plots = {tab: [_plot(v, tabs[tab][v], shown) for v in tabs[tab]] for tab in tabs}
-    motion = plots.pop("")
-    pages: list[Any] = [rrb.Horizontal(*plots[tab], name=tab) for tab in plots]
-    if notes:
-        pages.append(rrb.TextDocumentView(origin="notes", name="notes"))
-    right = rrb.Vertical(*motion, rrb.Tabs(*pages, active_tab=0))
-    return rrb.Blueprint(
-        rrb.Horizontal(scene, right, column_shares=[2, 3]),
-        rrb.TimePanel(timeline="t", play_state="paused", state="collapsed"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.BlueprintPanel(state="hidden"),
-    )
-
-
-def _plot(title: str, series: list[_Series], shown: rr.TimeRange) -> rrb.TimeSeriesView:
-    named = len(series[0].names)
-    return rrb.TimeSeriesView(
-        name=title,
-        contents=[one.entity for one in series],
-        axis_x=rrb.TimeAxis(view_range=shown),
-        plot_legend=rrb.PlotLegend("RightTop", visible=0 < named <= _LEGEND),
-    )

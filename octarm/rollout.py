@@ -72,21 +72,22 @@ def drive(
     state = controller.initial_state(physics.batch_shape)
     message = ""
     for _ in range(periods):
-        seen = timestep.observation
+        seen = {name: _read_only(array) for name, array in timestep.observation.items()}
         measurement = Measurement(task.time, seen["q"], seen["v"])
         reference = Reference(seen["q_d"], seen["v_d"], seen["a_d"])
         with np.errstate(all="ignore"):  # what diverges is reported, not warned of
             command, state = controller(state, measurement, reference)
             message = _refusal(physics, command.force, measurement)
             tau = physics.actuation.inputs(measurement.q, command.force)
-        q, v = physics.q(), physics.v()
+        q, v, disturbance = physics.q(), physics.v(), np.zeros_like(measurement.q)
         if not message:
             try:
                 timestep = environment.step(tau)
             except control.PhysicsError as error:
                 message = physics.divergence() or _stop(physics, error)
             tau = physics.tau()  # what a wrapper made of it
-        observe(Instant(measurement, reference, command, q, v, tau, physics.disturbance()))
+            disturbance = physics.disturbance()
+        observe(Instant(measurement, reference, command, q, v, tau, disturbance))
         if message or timestep.last():
             break
     return message or physics.divergence()
@@ -98,6 +99,8 @@ def rollout(
     duration: float,
     *,
     progress: Callable[[], object] | None = None,
+    keep: Callable[[Trajectory], object] | None = None,
+    block: int = 5000,
 ) -> Trajectory:
     """Runs one episode of one arm from the start, and records it.
 
@@ -106,6 +109,9 @@ def rollout(
         controller: see `octarm.interfaces`.
         duration: length of the run [s], rounded up to whole control periods.
         progress: called after every control period.
+        keep: called with every `block` of rows while the run goes on, and with the last ones. An
+            interrupt then ends the run: what there is is returned, with the status `interrupted`.
+        block: number of rows.
 
     Returns:
         The trajectory; its status is `diverged` when the arm left its limits, or a force was not
@@ -126,8 +132,27 @@ def rollout(
         log.append(instant)
         if progress is not None:
             progress()
+        if keep is not None and len(log) - kept[-1] == block:
+            keep(log.rows(kept[-1]))
+            kept.append(len(log))
 
-    return log.trajectory(drive(environment, controller, duration, observe))
+    kept, status, message = [0], "", ""
+    try:
+        message = drive(environment, controller, duration, observe)
+    except KeyboardInterrupt:
+        if keep is None or not len(log):
+            raise
+        status, message = "interrupted", f"interrupted at t = {physics.time():.6g} s"
+    if keep is not None and len(log) > kept[-1]:
+        keep(log.rows(kept[-1]))
+    return log.trajectory(message, status)
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """A view: what is recorded is what the controller was given, not what it made of it."""
+    view = array.view()
+    view.setflags(write=False)
+    return view
 
 
 def _refusal(physics: AnyPhysics, force: np.ndarray, measurement: Measurement) -> str:
@@ -191,12 +216,20 @@ class _Log:
         self._hash.update(self._physics.integration_state().tobytes())
         self._used += 1
 
-    def trajectory(self, message: str) -> Trajectory:
-        """What was recorded; `message` says how a diverged run ended."""
+    def __len__(self) -> int:
+        return self._used
+
+    def rows(self, start: int) -> Trajectory:
+        """The latest rows."""
+        return self.trajectory("", start=start)
+
+    def trajectory(self, message: str, status: str = "", start: int = 0) -> Trajectory:
+        """What was recorded; `message` says how a run ended before its time."""
+        rows = slice(start, self._used)
         return Trajectory(
-            **{name: column[: self._used] for name, column in self._columns.items()},
-            signals={name: column[: self._used] for name, column in self._signals.items()},
-            status="diverged" if message else "ok",
+            **{name: column[rows] for name, column in self._columns.items()},
+            signals={name: column[rows] for name, column in self._signals.items()},
+            status=status or ("diverged" if message else "ok"),  # pyright: ignore
             message=message,
             digest=self._hash.hexdigest(),
         )

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from octarm.arrays import plain
 from octarm.files import write_text
 from octarm.interfaces import Controller
 from octarm.metrics import Block, Metrics
@@ -26,6 +27,8 @@ from octarm.trajectory import Trajectory
 RECORDING = "run.rrd"
 ARRAYS = "run.npz"
 DESCRIPTION = "run.json"
+PARTIAL = RECORDING + ".part"  # what a killed run leaves of its recording
+RUNNING = "running"
 
 _PACKAGES = ("octarm", "mujoco", "dm-control", "numpy", "rerun-sdk")
 
@@ -85,6 +88,14 @@ def versions() -> dict[str, str]:
     }
 
 
+def announce(folder: Path, description: Mapping[str, Any]) -> None:
+    """Writes `run.json` before the run, with the status `running`.
+
+    That status stays if the process is killed; the recording is then partial.
+    """
+    write_text(folder / DESCRIPTION, _json({**description, "status": RUNNING}) + "\n")
+
+
 def write_run(folder: Path, trajectory: Trajectory, description: Mapping[str, Any]) -> None:
     """Writes `run.npz` and `run.json` into a folder."""
     trajectory.save(folder / ARRAYS)
@@ -121,9 +132,11 @@ def read_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """A folder to fill, which takes its final name only when the block ends well.
+    """A folder to fill.
 
-    An earlier run of that name is replaced; anything else that stands there is left alone.
+    Where nothing stands it has its final name from the start, so that what a killed run leaves is
+    found there. An earlier run is replaced only when the block ends well; until then the folder
+    has another name. Anything else that stands there is left alone.
 
     Raises:
         ValueError: if the name is taken by something that is not a run.
@@ -133,18 +146,19 @@ def new_folder(folder: Path) -> Iterator[Path]:
     folder = folder.resolve()
     if folder.exists() and not (folder.is_dir() and _is_run_or_empty(folder)):
         raise ValueError(f"{folder} exists and is not an earlier run; choose another --out")
-    place = next(parent for parent in folder.parents if parent.exists())
+    if not folder.exists():
+        with _fresh(folder):
+            yield folder
+        return
     try:
-        part = Path(tempfile.mkdtemp(prefix=f".{folder.name}.part-", dir=place))
+        part = Path(tempfile.mkdtemp(prefix=f".{folder.name}.part-", dir=folder.parent))
     except OSError as error:
         raise OSError(f"{folder} cannot be written: {error.strerror}") from None
     earlier = part.with_name(part.name + ".old")
     try:
         part.chmod(0o777 & ~_umask())
         yield part
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        if folder.exists():
-            os.replace(folder, earlier)
+        os.replace(folder, earlier)
         os.replace(part, folder)
     except (OSError, RuntimeError) as error:
         raise type(error)(str(error).replace(str(part), str(folder))) from error
@@ -157,9 +171,29 @@ def new_folder(folder: Path) -> Iterator[Path]:
             shutil.rmtree(leftover, ignore_errors=True)
 
 
+@contextmanager
+def _fresh(folder: Path) -> Iterator[None]:
+    """Makes a folder and removes it, and the parents it needed, unless the block ends well."""
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise OSError(f"{folder} cannot be written: {error.strerror}") from None
+    done = False
+    try:
+        yield
+        done = True
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("nothing was written") from None
+    finally:
+        if not done:
+            shutil.rmtree(made[-1], ignore_errors=True)
+
+
 def _is_run_or_empty(folder: Path) -> bool:
     found = {path.name for path in folder.iterdir()}
-    return not found or (DESCRIPTION in found and found <= {RECORDING, ARRAYS, DESCRIPTION})
+    own = {RECORDING, ARRAYS, DESCRIPTION, PARTIAL, ARRAYS + ".part", DESCRIPTION + ".part"}
+    return not found or (DESCRIPTION in found and found <= own)
 
 
 def _umask() -> int:
@@ -171,13 +205,9 @@ def _umask() -> int:
 def _plain(value: Any) -> Any:
     if isinstance(value, ArmParameters):
         return value.to_dict()
-    if isinstance(value, np.ndarray):
-        return value.tolist()
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
-    if dataclasses.is_dataclass(value):
-        return describe_fields(value)
-    return value
+    return describe_fields(value) if dataclasses.is_dataclass(value) else plain(value)
 
 
 def _json(value: Any, indent: str = "") -> str:

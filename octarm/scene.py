@@ -7,8 +7,7 @@ u(phi_{i-1}) and turns by theta_i ends s_i theta_i / 2 beside p_i. So the tube i
 curve through the ends p_i that leaves plate i-1 along u(phi_{i-1}) and meets plate i along
 u(phi_i): its tangent is continuous, module i turns by exactly theta_i over about the length s_i,
 and the tip is the simulated tip. The columns are the curves beside it at half the width, so that
-their lengths differ by l theta_i as those of the model do. `arcs` are the arcs of length s_i and
-angle theta_i themselves, joined end to end, to compare; `skeleton` is the lumped arm.
+their lengths differ by l theta_i as those of the model do. `skeleton` is the lumped arm itself.
 """
 
 from __future__ import annotations
@@ -20,9 +19,9 @@ import numpy as np
 from octarm.lagrange import positions
 from octarm.model import world_position
 
-PIECES = 8  # of the tube, a module
-COLUMN_PIECES = 5
-RIBS = 6  # of the desired arm, a module
+PIECES = 6  # of the tube, a module
+COLUMN_PIECES = 4
+RIBS = 5  # of the desired arm, a module
 _LONGEST = 100.0  # [m], [rad]; beyond it a coordinate cannot be drawn
 
 
@@ -80,7 +79,7 @@ def columns(q: np.ndarray, width: float) -> Pieces:
 
 
 def ribs(q: np.ndarray) -> Pieces:
-    """Cross sections of the arm, `RIBS` a module."""
+    """The backbone in `RIBS` pieces a module."""
     return _pieces(smooth_arm(q, points=RIBS + 1), q)
 
 
@@ -99,20 +98,6 @@ def skeleton(q: np.ndarray) -> np.ndarray:
     """The lumped arm: base, then the ends of the modules, shape (..., N + 1, 3) [m]."""
     ends = world_position(positions(q))
     return np.concatenate([np.zeros_like(ends[..., :1, :]), ends], axis=-2)
-
-
-def arcs(q: np.ndarray, points: int = 6) -> np.ndarray:
-    """Arcs of length s_i and angle theta_i, joined smoothly, shape (..., N * points + 1, 3) [m]."""
-    n = q.shape[-1] // 2
-    bend, start = q[..., n:, None], np.zeros_like(q[..., n:, None])
-    start[..., 1:, :] = np.cumsum(q[..., n:-1, None], axis=-2)
-    u = np.linspace(0.0, 1.0, points + 1)
-    middle = start + bend * 0.5 * (u[1:] + u[:-1])
-    length = q[..., :n, None] / points * np.sinc(bend / (2.0 * np.pi * points))
-    steps = np.stack([np.cos(middle), np.sin(middle)], axis=-1) * length[..., None]
-    flat = steps.reshape(*q.shape[:-1], n * points, 2)
-    curve = np.cumsum(np.concatenate([np.zeros_like(flat[..., :1, :]), flat], axis=-2), axis=-2)
-    return world_position(curve)
 
 
 def force_arrows(q: np.ndarray, force: np.ndarray, rim: float) -> tuple[np.ndarray, np.ndarray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -12,6 +13,7 @@ from dm_control.rl import control
 
 from octarm.digest import CHECKPOINTS, StateDigest
 from octarm.environment import AnyPhysics, load, whole_periods
+from octarm.facts import host, versions
 from octarm.interfaces import Controller
 from octarm.metrics import METRICS, Block, Metrics
 from octarm.model import coordinate_names, nominal_parameters
@@ -31,11 +33,15 @@ _FINGERPRINT = pa.list_(pa.uint64(), CHECKPOINTS)
 def run_shard(spec: SweepSpec, shard: int, factory: Factory) -> pa.Table:
     """The rows of a shard; they depend on nothing else.
 
+    The metadata of the table's schema say where they were made: `host` and `versions`.
+
     Raises:
         ValueError: if an arm, a disturbance or a controller cannot be made.
     """
     plan = Plan(spec)
-    return run_arms(plan, plan.arms(plan.shards[shard]), factory)
+    table = run_arms(plan, plan.arms(plan.shards[shard]), factory)
+    facts = {"host": host(), "versions": versions()}
+    return table.replace_schema_metadata({k: json.dumps(v) for k, v in facts.items()})
 
 
 def run_arms(plan: Plan, arms: Arms, factory: Factory, duration: float | None = None) -> pa.Table:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,14 @@ COLORS = {  # of the states, as hexadecimal red, green, blue
     "interrupted": "8A6FBF",
 }
 OTHER_COLOR = "9B89FF"
+
+
+class Event(NamedTuple):
+    """A change of a lane: when [s], of which, and to what state; empty for none."""
+
+    at: float
+    lane: str
+    state: str
 
 
 class States:
@@ -39,16 +47,17 @@ class States:
         self, tau: np.ndarray, signals: Mapping[str, np.ndarray]
     ) -> dict[str, list[tuple[int, str]]]:
         """Rows of this block at which a lane changes, and its new state."""
-        found: dict[str, list[tuple[int, str]]] = {}
+        flags: dict[str, tuple[np.ndarray, str, str]] = {}
         s = signals.get("s")
         if s is not None and s.shape[1:] == (len(self._names),):
-            for j, inside in enumerate(self._sliding(s).T):
-                found[f"on the surface/{self._names[j]}"] = self._of(
-                    f"on the surface/{self._names[j]}", inside, "reaching", "sliding"
-                )
+            inside = self._sliding(s)
+            flags["surface"] = np.asarray(inside.all(axis=1)), "reaching", "sliding"
+            for j, name in enumerate(self._names):
+                flags[f"each/{name}"] = inside[:, j], "reaching", "sliding"
         if self._limit is not None and np.any(np.isfinite(self._limit)):
             full = np.any(np.abs(tau) >= self._limit, axis=1)
-            found["inputs"] = self._of("inputs", full, "free", "saturated")
+            flags["inputs"] = full, "free", "saturated"
+        found = {lane: self._of(lane, *flag) for lane, flag in flags.items()}
         return {lane: changes for lane, changes in found.items() if changes}
 
     def _sliding(self, s: np.ndarray) -> np.ndarray:
@@ -68,8 +77,8 @@ class States:
         return [(int(row), on if flag[row] else off) for row in rows]
 
 
-def events(disturbances: list[dict[str, Any]], end: float) -> list[tuple[str, float, float, str]]:
-    """What of the disturbances comes or goes: lane, from when until when [s], and what."""
+def events(disturbances: list[dict[str, Any]]) -> list[Event]:
+    """What of the disturbances comes and goes, in the order of time."""
     found = []
     for entry in disturbances:
         asked = entry["asked"]
@@ -78,6 +87,7 @@ def events(disturbances: list[dict[str, Any]], end: float) -> list[tuple[str, fl
         if not isinstance(start, int | float) or not isinstance(length, int | float | str):
             continue
         text = entry["name"] if size is None else f"{entry['name']} {size:g}"
-        if start < end:
-            found.append((entry["name"], float(start), min(end, start + float(length)), text))
-    return found
+        found.append(Event(float(start), entry["name"], text))
+        if np.isfinite(float(length)):
+            found.append(Event(float(start) + float(length), entry["name"], ""))
+    return sorted(found)

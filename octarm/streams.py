@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 _BLOCK = 64  # holds an arm draws at once; the draws are the same for any number
+NEVER = 2**62  # a step that no episode reaches
 
 
 def stream(seed: np.random.SeedSequence, name: str) -> np.random.Generator:
@@ -36,15 +37,18 @@ def in_steps(time: np.ndarray | float, timestep: float) -> np.ndarray:
         time: shape (...), possibly infinite [s].
         timestep: length of a step [s].
     """
-    steps = np.asarray(time) / timestep
-    whole = np.rint(steps)
-    with np.errstate(invalid="ignore"):  # inf - inf
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite, and inf - inf
+        steps = np.asarray(time) / timestep
+        whole = np.rint(steps)
         return np.where(np.abs(steps - whole) < 1e-6, whole, steps)
 
 
 def first_step(time: np.ndarray | float, timestep: float) -> np.ndarray:
-    """The first step that begins at or after a time [s], shape (...) of integers."""
-    return np.ceil(in_steps(time, timestep)).astype(np.int64)
+    """The first step that begins at or after a time [s], shape (...) of integers.
+
+    For times so late that no episode reaches them it is `NEVER`.
+    """
+    return np.minimum(np.ceil(in_steps(time, timestep)), NEVER).astype(np.int64)
 
 
 def periods_begun(step: int, timestep: float, period: np.ndarray | float) -> np.ndarray | int:

@@ -26,7 +26,7 @@ from octarm.sweep_plan import Plan
 from octarm.sweep_spec import SweepSpec
 from octarm.workers import WorkerProcesses, cores
 
-_TRIES = 3  # of a shard whose worker dies
+_TRIES = 4  # of a shard whose worker dies
 _FAILURES = 3  # shards that may fail before no new one is begun
 
 
@@ -79,9 +79,9 @@ def sweep(
     with folder.locked():
         for change in folder.begin(gains):
             say(change)
-        done = folder.finished()
+        done = set(folder.finished())
         progress(sum(len(plan.shards[i]) for i in done))
-        todo = [i for i in range(len(plan.shards)) if i not in set(done)]
+        todo = [i for i in range(len(plan.shards)) if i not in done]
         with _executor(executor, len(todo)) as pool:
 
             def submit(shard: int) -> Future:
@@ -205,6 +205,7 @@ class _Run:
                 for future in wait(self._under_way, return_when=FIRST_COMPLETED).done:
                     self._take(self._under_way[future], future)
                     del self._under_way[future]
+                future = None  # a cluster keeps the result for as long as anybody might ask for it
             except KeyboardInterrupt:
                 if self._interrupted:
                     raise KeyboardInterrupt(self._there()) from None
@@ -228,7 +229,7 @@ class _Run:
 
     def _there(self) -> str:
         left = len(self._pending) + len(self._under_way) + len(self._failed)
-        return f"{left} shards are left to do, the others are kept; --resume goes on with them"
+        return f"shards left to do: {left}, the others are kept; --resume goes on"
 
     def _take(self, shard: int, future: Future) -> None:
         """Keeps a finished shard, or has it run again."""

@@ -16,15 +16,17 @@ import pyarrow.compute as pc
 from tqdm import tqdm
 
 from controllers import make_controller
+from octarm.chosen import COLUMNS, RECORDED, choose, record_chosen
 from octarm.errors import ExitCode
 from octarm.model import nominal_parameters
 from octarm.sweep import estimate
 from octarm.sweep import sweep as run_sweep
-from octarm.sweep_folder import read_sweep
+from octarm.sweep_folder import SweepFolder, read_sweep
 from octarm.sweep_parser import read_spec
 from octarm.sweep_plan import Plan
 from octarm.sweep_spec import SweepSpec
 from octarm.toml_table import Source
+from octarm.verify_episode import FinishedSweep
 from octarm.workers import WorkerProcesses, cores, dask_cluster
 
 if TYPE_CHECKING:
@@ -37,15 +39,47 @@ def sweep(options: Sweep) -> int:
         raise ValueError(f"workers is {options.workers}; it must be at least 1")
     spec = read_spec(options.spec)
     _check_controllers(spec, options.spec)
+    _check_recorded(spec, options.spec)
     if options.dry_run:
         return _dry_run(spec, options.workers or cores())
     if options.out is None:
         raise ValueError("there is no folder to write to; give --out DIR, or --dry-run")
     _run(spec, options, options.out)
+    alike = _record(spec, options, options.out)
     _print_summary(options.out)
     print(f"wrote {options.out}/  (spec.toml, manifest.json, episodes/*.parquet)")
     print(f"read it: octarm.read_sweep({str(options.out)!r})")
-    return ExitCode.FINE
+    return ExitCode.FINE if alike else ExitCode.CHECK_FAILED
+
+
+def _record(spec: SweepSpec, options: Sweep, out: Path) -> bool:
+    """Records the episodes that the spec chooses; whether they are what the table says."""
+    if not spec.record:
+        return True
+    done = FinishedSweep(out)
+    chosen = choose(read_sweep(out, COLUMNS), spec.record)
+    for note in chosen.notes:
+        print(f"octarm: {note}", file=sys.stderr)
+    with (
+        SweepFolder(out, done.plan).locked(),
+        tqdm(unit=" periods", disable=None, leave=False) as bar,
+    ):
+
+        def begin(periods: int, label: str) -> None:
+            bar.reset(periods)
+            bar.set_description(label)
+
+        try:
+            different = record_chosen(
+                done, chosen.reasons, make_controller, begin=begin, progress=bar.update
+            )
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"all rows are there; {_resume(options)} goes on") from None
+    for sentence in different.values():
+        print(f"octarm: {sentence}", file=sys.stderr)
+    names = [f"{episode} ({', '.join(why)})" for episode, why in chosen.reasons.items()]
+    print(f"recorded in {out / RECORDED}/: {', '.join(names) or 'none'}")
+    return not different
 
 
 def _run(spec: SweepSpec, options: Sweep, out: Path) -> None:
@@ -128,6 +162,18 @@ def _check_controllers(spec: SweepSpec, file: Path) -> None:
         except ValueError as error:
             keys = ("gains", name) if gains else ("grid", "controller")
             raise ValueError(f"{source.where(*keys)}: {error}") from None
+
+
+def _check_recorded(spec: SweepSpec, file: Path) -> None:
+    """Raises ValueError, with the line, for the number of an episode that there is not."""
+    plan = Plan(spec)
+    for episode in spec.record:
+        if isinstance(episode, int):
+            try:
+                plan.episode(episode)
+            except ValueError as error:
+                where = Source(spec.text, str(file)).where("record", "episodes")
+                raise ValueError(f"{where}: {error}") from None
 
 
 def _dry_run(spec: SweepSpec, workers: int) -> int:

@@ -6,19 +6,18 @@ import contextlib
 import datetime
 import io
 import json
-import os
-import platform
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from octarm import runs
+from octarm.facts import host, versions
 from octarm.files import whole_file, write_text
+from octarm.sweep_parser import as_toml, parse_spec
 from octarm.sweep_plan import Plan
+from octarm.sweep_spec import SweepSpec
 
 SPEC = "spec.toml"
 MANIFEST = "manifest.json"
@@ -100,14 +99,22 @@ class SweepFolder:
             Which versions have changed since it was begun, a sentence each.
 
         Raises:
+            ValueError: if controllers have other gains than when it was begun.
             OSError: if it cannot be written.
         """
         start = {"time": _now(), "versions": versions(), "host": host()}
         if (self.path / MANIFEST).exists():
-            starts = [*read_manifest(self.path)["starts"], start]
+            before = read_manifest(self.path)
+            for name, own in gains.items():
+                if before["gains"].get(name) != own:
+                    raise ValueError(
+                        f"{self.path} was begun with other gains of {name}: this version "
+                        "recommends others"
+                    )
+            starts = [*before["starts"], start]
         else:
             starts = [start]
-            write_text(self.path / SPEC, self._plan.spec.text)
+            write_text(self.path / SPEC, _spec_text(self._plan.spec))
         shards = [
             {"file": f"{EPISODES}/{shard_name(i)}", "first": s.start, "episodes": len(s)}
             for i, s in enumerate(self._plan.shards)
@@ -182,6 +189,20 @@ def read_sweep(folder: str | Path, columns: Sequence[str] | None = None) -> pa.T
     return pa.concat_tables(table.replace_schema_metadata(None) for table in tables)
 
 
+def read_facts(folder: str | Path, episode: int) -> dict[str, Any]:
+    """Where and with which versions an episode was run: `host` and `versions`.
+
+    Raises:
+        ValueError: if the folder holds no sweep, or the episode is not finished.
+    """
+    for shard in read_manifest(Path(folder))["shards"]:
+        file = Path(folder) / shard["file"]
+        if 0 <= episode - shard["first"] < shard["episodes"] and file.is_file():
+            labels = pq.read_schema(file).metadata
+            return {key: json.loads(labels[key.encode()]) for key in ("host", "versions")}
+    raise ValueError(f"episode {episode} is not in {folder}")
+
+
 def read_manifest(folder: Path) -> dict[str, Any]:
     """What `manifest.json` says.
 
@@ -195,7 +216,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise ValueError(f"{folder} is not a sweep: it has no {MANIFEST}") from None
     except ValueError as error:
         raise ValueError(f"{file} is not readable ({error})") from None
-    missing = {"spec", "starts", "shards"} - set(manifest if isinstance(manifest, dict) else ())
+    missing = {"spec", "gains", "starts", "shards"} - set(
+        manifest if isinstance(manifest, dict) else ()
+    )
     if missing:
         raise ValueError(f"{file} does not describe a sweep: it lacks {', '.join(sorted(missing))}")
     return manifest
@@ -220,27 +243,11 @@ def parquet_bytes(table: pa.Table) -> bytes:
     return sink.getvalue()
 
 
-def versions() -> dict[str, str]:
-    """What the rows of a sweep depend on for being repeated bit for bit."""
-    return runs.versions() | {name: version(name) for name in ("scipy", "pyarrow")}
-
-
-def host() -> dict[str, Any]:
-    """The machine that this process runs on."""
-    return {
-        "name": platform.node(),
-        "machine": platform.machine(),
-        "cpu": _cpu(),
-        "cores": os.cpu_count(),
-    }
-
-
-def _cpu() -> str:
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor()
+def _spec_text(spec: SweepSpec) -> str:
+    """The file that the spec was read from, or one that says the same if it was changed since."""
+    if spec.text and parse_spec(spec.text) == spec:
+        return spec.text
+    return as_toml(spec)
 
 
 def _json(manifest: Mapping[str, Any]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -56,11 +57,11 @@ def parse_spec(text: str, file: str = "spec.toml") -> SweepSpec:
         random=tuple(axis for axis in axes if isinstance(axis, RandomAxis)),
         seed=top.whole("seed", 0, at_least=0),
         episodes=top.whole("episodes", 1, at_least=1),
-        duration=top.positive("duration", 10.0) or 0.0,
-        timestep=top.positive("timestep", None),
-        control_period=top.positive("control_period", None),
+        duration=top.positive("duration") or 10.0,
+        timestep=top.positive("timestep"),
+        control_period=top.positive("control_period"),
         actuation=top.word("actuation", ACTUATIONS, "f-coeff"),
-        batch=top.whole("batch", 512, at_least=1),
+        batch=top.whole("batch", 1024, at_least=1),
         fixed=_fixed(top.table("disturbance"), axes),
         gains=_gains(top.table("gains")),
         record=_record(top.table("record")),
@@ -78,6 +79,36 @@ def parse_spec(text: str, file: str = "spec.toml") -> SweepSpec:
     for name in spec.disturbances:
         _try(spec, name, source)
     return spec
+
+
+def as_toml(spec: SweepSpec) -> str:
+    """A file that `parse_spec` makes this spec of."""
+
+    def rows(kind: type) -> dict[str, list[str]]:
+        """The lines of the axes of one kind: controller and such, and disturbances."""
+        out: dict[str, list[str]] = {"": [], ".disturbance": []}
+        for axis in (*spec.axes, *spec.random):
+            if isinstance(axis, kind):
+                key = _spelt(axis.disturbance, axis.field) if axis.disturbance else axis.name
+                value = _toml_axis(axis)
+                out[".disturbance" if axis.disturbance else ""].append(f"{key} = {value}")
+        return out
+
+    plain = ("seed", "episodes", "duration", "timestep", "control_period", "actuation", "batch")
+    given = {name: getattr(spec, name) for name in plain}
+    sections = {"": [f"{name} = {_toml(v)}" for name, v in given.items() if v is not None]}
+    for heading, kind in (("grid", Axis), ("random", RandomAxis)):
+        sections |= {f"{heading}{place}": lines for place, lines in rows(kind).items()}
+    sections["disturbance"] = [
+        f"{_spelt(name, field)} = {_toml(value)}"
+        for name, fields in spec.fixed.items()
+        for field, value in fields.items()
+    ]
+    for name, gains in spec.gains.items():
+        sections[f"gains.{name}"] = [f"{gain} = {_toml(value)}" for gain, value in gains.items()]
+    sections["record"] = [f"episodes = {_toml(list(spec.record))}"]
+    blocks = ["\n".join([f"[{k}]"] * bool(k) + lines) for k, lines in sections.items() if lines]
+    return "\n\n".join(blocks) + "\n"
 
 
 def _axes(top: Table, grid: Table, drawn: Table) -> list[Axis | RandomAxis]:
@@ -273,3 +304,23 @@ def _try(spec: SweepSpec, name: str, source: Source) -> None:
             cls(**fixed, **chosen)
         except ValueError as error:
             raise ValueError(f"{place}: {error}") from None
+
+
+def _spelt(disturbance: str, field: str) -> str:
+    """A field as files spell it, such as `noise.time`."""
+    spoken = {own: key for key, own in _spoken(disturbance).items()}
+    return f"{disturbance}.{spoken[field]}"
+
+
+def _toml_axis(axis: Axis | RandomAxis) -> str:
+    if isinstance(axis, Axis):
+        return _toml(list(axis.values))
+    bounds = f"low = {_toml(axis.low)}, high = {_toml(axis.high)}"
+    return f"{{ {bounds}, method = {_toml(axis.method)} }}"
+
+
+def _toml(value: Any) -> str:
+    """A number, a word or a list of them."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(_toml, value))}]"
+    return str(value) if isinstance(value, float) else json.dumps(value)

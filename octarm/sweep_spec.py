@@ -94,7 +94,7 @@ class SweepSpec:
     timestep: float | None = None
     control_period: float | None = None
     actuation: str = "f-coeff"
-    batch: int = 512
+    batch: int = 1024
     fixed: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
     gains: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
     record: tuple[int | str, ...] = ()

@@ -87,11 +87,11 @@ class Table:
             )
         return value
 
-    def positive(self, key: str, default: float | None) -> float | None:
-        """A positive number."""
+    def positive(self, key: str) -> float | None:
+        """A positive number; None when it is not there."""
         value = self.take(key)
         if value is None:
-            return default
+            return None
         if not is_number(value) or not 0.0 < value < math.inf:
             raise self.error(f"{key} is {shown(value)}; it must be a positive number", key)
         return float(value)

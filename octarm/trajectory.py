@@ -33,8 +33,8 @@ class Trajectory:
         force: generalised force Q the controller asked for, shape (T, 2N) [N], [N m].
         disturbance: generalised force that disturbances added, shape (T, 2N) [N], [N m].
         signals: the controller's own quantities by name, each of shape (T, k).
-        status: `ok`, or `diverged` when the run ended before its time.
-        message: one sentence on how a diverged run ended; empty otherwise.
+        status: `ok`, or `diverged` or `interrupted` when the run ended before its time.
+        message: one sentence on how such a run ended; empty otherwise.
         digest: SHA-256 over MuJoCo's integration state at every control instant.
 
     Raises:
@@ -50,7 +50,7 @@ class Trajectory:
     force: np.ndarray
     disturbance: np.ndarray
     signals: Mapping[str, np.ndarray]
-    status: Literal["ok", "diverged"] = "ok"
+    status: Literal["ok", "diverged", "interrupted"] = "ok"
     message: str = ""
     digest: str = ""
 

@@ -14,11 +14,13 @@ import subprocess
 import sys
 import tempfile
 import time as clock
-from collections.abc import Iterable, Iterator
+import urllib.parse
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 from octarm.files import whole_file
+from octarm.web_page import guarded_page
 
 if TYPE_CHECKING:
     from octarm.recording import ViewerClient
@@ -46,6 +48,68 @@ def open_viewer(paths: Iterable[str | os.PathLike[str]]) -> None:
     with _viewer(files) as (process, _, errors):
         if process.wait() != 0:
             raise RuntimeError(_reason(errors))
+
+
+def serve(paths: Iterable[str | os.PathLike[str]], ready: Callable[[str], object]) -> None:
+    """Serves recordings to a browser on this machine, and returns when it is interrupted.
+
+    All that the page needs comes from the installed package, and a browser is told to fetch from
+    this machine only.
+
+    Args:
+        paths: `.rrd` files.
+        ready: called with the address to open.
+
+    Raises:
+        FileNotFoundError: if a file does not exist.
+        RuntimeError: if the server fails.
+    """
+    files = [_existing(path) for path in paths]
+    port = _free_port()
+    web = ["--serve-web", "--web-viewer-port", str(port)]
+    with _viewer([*web, *files]) as (process, url, errors):
+        _await_page(process, port, errors)
+        query = urllib.parse.urlencode({"url": url})
+        data_port = urllib.parse.urlsplit(url.removeprefix("rerun+")).port or 0
+        with guarded_page(port, data_port) as page, contextlib.suppress(KeyboardInterrupt):
+            ready(f"http://127.0.0.1:{page}/?{query}")
+            process.wait()
+            raise RuntimeError(_reason(errors))
+
+
+def rescue(partial: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
+    """Writes what can be read of a recording that was not finished as one that is.
+
+    Its plots show what time there is rather than the time that was planned.
+
+    Raises:
+        RuntimeError: if nothing can be read.
+    """
+    from octarm.recording import time_axes  # imports rerun, which takes half a second
+
+    def rrd(*arguments: str) -> None:
+        command = [str(_executable()), "rrd", *arguments]
+        done = subprocess.run(command, capture_output=True, env=_environment(), check=False)
+        if done.returncode:
+            raise RuntimeError(f"nothing can be read of {partial}")
+
+    with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
+        whole = os.path.join(scratch, "whole.rrd")
+        rrd("merge", "--continue-on-error", str(partial), "-o", whole)
+        dropped = [item for axis in time_axes(whole) for item in ("--drop-entity", axis)]
+        rrd("filter", *dropped, whole, "-o", str(path))
+    end_of(path)
+
+
+def end_of(path: str | os.PathLike[str]) -> float:
+    """The last instant of a recording [s].
+
+    Raises:
+        RuntimeError: if the file is not a recording, or has no instants.
+    """
+    from octarm.recording import last_instant  # imports rerun, which takes half a second
+
+    return last_instant(_existing(path))
 
 
 def screenshot(
@@ -96,6 +160,18 @@ def _capture(
         if image and image == before:  # plots glide to their ranges at first
             return image
     raise RuntimeError(f"the rerun viewer showed nothing steady within {timeout:g} s")
+
+
+def _await_page(process: subprocess.Popen[bytes], port: int, errors: IO[bytes]) -> None:
+    """Waits until the page is served."""
+    deadline = clock.monotonic() + 30.0
+    while clock.monotonic() < deadline:
+        if process.poll() is not None:
+            raise RuntimeError(_reason(errors))
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+            return
+        clock.sleep(0.05)
+    raise RuntimeError("the rerun viewer did not serve its page within 30 s")
 
 
 def _connect(url: str, time: float | None) -> ViewerClient | None:

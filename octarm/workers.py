@@ -6,6 +6,7 @@ This module imports nothing heavy: it is the first thing that a new process impo
 from __future__ import annotations
 
 import contextlib
+import logging
 import multiprocessing
 import os
 import signal
@@ -137,13 +138,16 @@ def dask_cluster(address: str, workers: int) -> Iterator[tuple[Executor, Callabl
             "--cluster needs the package distributed: pip install 'octarm[cluster]'"
         ) from None
     with contextlib.ExitStack() as stack:
+        logger = logging.getLogger("distributed")
+        stack.callback(logger.setLevel, logger.level)
+        logger.setLevel(logging.WARNING)  # what it does when all is well is of no interest here
         if address == "local":
             target: Any = stack.enter_context(
                 distributed.LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
                     host="127.0.0.1",
-                    dashboard_address=None,  # pyright: ignore[reportArgumentType]
+                    dashboard_address="127.0.0.1:0",  # a port that is free
                 )
             )
         else:

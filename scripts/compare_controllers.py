@@ -1,6 +1,7 @@
 """Compares the controllers on the default sine, with a right and with two wrong nominal models.
 
-Run it: python scripts/compare_controllers.py [--duration 4]
+The three arms of a controller run as one batch; each believes its own nominal model.
+Run it: python scripts/compare_controllers.py [--duration 4] [--disturbance noise:0.4]
 """
 
 import argparse
@@ -9,34 +10,48 @@ import numpy as np
 
 import octarm
 from controllers import CONTROLLERS, make_controller
-from octarm.metrics import SETTLED_AFTER
+from octarm.disturbances import parse_disturbance
+from octarm.metrics import SETTLED_AFTER, Block, Metrics
+from octarm.rollout import Instant, drive
 
-MISMATCHES = (-0.3, 0.0, 0.3)
+MISMATCHES = np.array([-0.3, 0.0, 0.3])
 
 
-def rms_error(name: str, mismatch: float, duration: float) -> str:
-    """Error of theta1 [rad], root mean square once the arm has settled."""
+def rms_errors(name: str, disturbances: list, duration: float) -> np.ndarray:
+    """Error of theta1 [rad], root mean square once the arm has settled; NaN when diverged."""
     arm = octarm.nominal_parameters()
-    controller = make_controller(name, nominal=arm.mismatched(mismatch))
-    run = octarm.rollout(octarm.load("sine"), controller, duration)
-    if run.status != "ok":
-        return run.status
-    theta1 = arm.modules
-    error = run.error[run.t >= SETTLED_AFTER, theta1]
-    return f"{np.sqrt(np.mean(error**2)):.1e}"
+    believed = arm.scaled(
+        mass=1.0 + MISMATCHES[:, None],
+        inertia=1.0 + MISMATCHES[:, None],
+        damping=1.0 + MISMATCHES[:, None, None],
+        stiffness=1.0 + MISMATCHES[:, None, None] / 2.0,
+    )
+    environment = octarm.load("sine", disturbances=disturbances, batch=len(MISMATCHES))
+    metrics = Metrics(control_period=environment.control_timestep())
+
+    def observe(instant: Instant) -> None:
+        t, force = instant.measurement.t, instant.command.force
+        rows = (instant.q, instant.reference.q, instant.tau, force)
+        metrics.update(Block(np.array([t]), *(row[None] for row in rows), signals={}))
+
+    drive(environment, make_controller(name, nominal=believed), duration, observe)
+    diverged = ~environment.physics.intact()
+    return metrics.result(diverged=diverged)["rms_error"][:, arm.modules]
 
 
 def main() -> None:
     """Prints a table: a row a controller, a column a mismatch of its nominal model."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--duration", type=float, default=4.0, help="length of each run [s]")
-    duration = parser.parse_args().duration
-    if not duration > SETTLED_AFTER:
-        parser.error(f"duration is {duration:g} s; it must be above {SETTLED_AFTER:g} s")
+    parser.add_argument("--disturbance", action="append", default=[], help="NAME:VALUE")
+    options = parser.parse_args()
+    if not options.duration > SETTLED_AFTER:
+        parser.error(f"duration is {options.duration:g} s; it must be above {SETTLED_AFTER:g} s")
+    disturbances = [parse_disturbance(text) for text in options.disturbance]
     print("rms error of theta1 [rad]", *(f"{100 * m:+.0f} %".rjust(10) for m in MISMATCHES))
     for name in CONTROLLERS:
-        errors = [rms_error(name, mismatch, duration) for mismatch in MISMATCHES]
-        print(f"{name:>25}", *(f"{error:>10}" for error in errors))
+        errors = rms_errors(name, disturbances, options.duration)
+        print(f"{name:>25}", *(f"{error:10.1e}" for error in errors))
 
 
 if __name__ == "__main__":

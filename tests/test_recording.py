@@ -1,175 +1,151 @@
 """What the `.rrd` file of a run holds, and that failures leave none."""
 
 import dataclasses
+import os
+import signal
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 import rerun as rr
+from recordings import (
+    chunks,
+    column,
+    described,
+    entities,
+    fields,
+    static,
+    swinging,
+)
 
 from octarm.lagrange import positions
 from octarm.model import world_position
-from octarm.parameters import ArmParameters
-from octarm.recording import write_recording
-from octarm.scene import plate_quaternions, smooth_arm
-from octarm.trajectory import Trajectory
+from octarm.recording import Recorder, last_instant, part_of, write_recording
+from octarm.viewer import rescue
 
 
-def arm(modules):
-    ones = np.ones(modules)
-    return ArmParameters(
-        mass=0.2 * ones,
-        inertia=5e-4 * ones,
-        width=0.08,
-        stiffness=1000.0 * np.ones((2, modules)),
-        damping=10.0 * np.ones((2, modules)),
-        rest_length=0.12 * ones,
-        gravity=9.81,
-    )
-
-
-def swinging(modules=3, rows=2500, rate=2000.0, **signals):
-    """A run made of sines, with noise in every digit so that rounding cannot hide."""
-    t = np.arange(rows) / rate
-    phase = t[:, None] + np.arange(modules)
-    q_d = np.concatenate([0.12 + 0.01 * np.sin(7 * phase), 0.3 * np.sin(3 * phase)], axis=1)
-    noise = np.random.default_rng(0).normal(size=(rows, 2 * modules))
-    return Trajectory(
-        t=t,
-        q=q_d + 1e-3 * noise,
-        q_d=q_d,
-        disturbance=0.0 * noise,
-        signals={"s": 2.0 * noise, **{k: np.asarray(v) for k, v in signals.items()}},
-        digest="0123abcd",
-        v=noise[::-1],
-        v_d=noise,
-        tau=np.roll(noise, 1, axis=0),
-        force=noise,
-    )
-
-
-def record(tmp_path, run, **options):
+def record(tmp_path, run, **more):
     path = tmp_path / "run.rrd"
-    write_recording(path, run, arm(run.q.shape[1] // 2), title="a run", **options)
+    write_recording(path, run, described(run.q.shape[1] // 2, **more))
     return path
 
 
-def chunks(path, entity):
-    """The temporal record batches of an entity, in the order of the rows."""
-    found = [c for c in rr.chunk.RrdReader(path).stream() if c.entity_path == entity]
-    batches = [c.to_record_batch() for c in found if not c.is_static]
-    return sorted(batches, key=lambda batch: batch.column("step")[0].as_py())
-
-
-def column(path, entity, name):
-    parts = [batch.column(name) for batch in chunks(path, entity)]
-    return np.concatenate([flat(part) for part in parts])
-
-
-def flat(array):
-    while hasattr(array, "flatten") and hasattr(array.type, "value_type"):
-        array = array.flatten()
-    return array.to_numpy(zero_copy_only=False)
-
-
-def scalars(path, entity, rows):
-    return column(path, entity, "Scalars:scalars").reshape(rows, -1)
+def verified(path):
+    verify = [sys.executable, "-m", "rerun_cli", "rrd", "verify", str(path)]
+    return subprocess.run(verify, capture_output=True).returncode == 0
 
 
 @pytest.mark.parametrize("modules", [1, 3, 5])
 def test_every_signal_comes_back_bit_for_bit(tmp_path, modules):
-    run = swinging(modules, gain=np.random.default_rng(1).normal(size=(2500, 30)))
-    path = record(tmp_path, run)
-    for entity, values in (
-        ("/q", run.q),
-        ("/desired", run.q_d),
-        ("/error", run.error),
-        ("/signals/s", run.signals["s"]),
-    ):
-        back = [scalars(path, f"{entity}/{kind}", len(run)) for kind in ("slides", "angles")]
-        np.testing.assert_array_equal(np.concatenate(back, axis=1), values)
-    np.testing.assert_array_equal(scalars(path, "/tau", len(run)), run.tau)
-    np.testing.assert_array_equal(scalars(path, "/signals/gain", len(run)), run.signals["gain"])
+    run = swinging(modules, rows=7000, gain=np.random.default_rng(1).normal(size=(7000, 30)))
+    found = fields(record(tmp_path, run), "/signals")
+    for name, values in (("q", run.q), ("q_d", run.q_d), ("s", run.signals["s"])):
+        both = np.concatenate([found[f"{name}_slides"], found[f"{name}_bends"]], axis=1)
+        np.testing.assert_array_equal(both, values)
+    for name in ("V", "gain"):
+        np.testing.assert_array_equal(found[name], run.signals[name])
+    np.testing.assert_array_equal(found["tau"], run.tau)
+    error = np.concatenate([found["error_slides"], found["error_bends"]], axis=1)
+    np.testing.assert_array_equal(error, run.error.astype(np.float32))
+
+
+def test_the_rate_of_V_and_its_claim_are_those_of_the_signals(tmp_path):
+    run = swinging(rows=7000)
+    found = fields(record(tmp_path, run), "/signals")
+    V = run.signals["V"][:, 0]
+    np.testing.assert_allclose(found["V_rate"][1:, 0], np.diff(V) / np.diff(run.t), rtol=1e-5)
+    claim = np.sum(run.signals["s"] * run.signals["switching"], axis=1)
+    np.testing.assert_allclose(found["V_claim"][:, 0], claim, rtol=1e-6)
+
+
+def test_numbers_of_rules_are_recorded_60_times_a_second_and_drawn(tmp_path):
+    theta = np.random.default_rng(1).normal(size=(2500, 6, 5))
+    path = record(tmp_path, swinging(theta=theta))
+    rows = column(path, "/rules", "step")
+    np.testing.assert_array_equal(np.diff(rows), 17)
+    np.testing.assert_array_equal(fields(path, "/rules")["theta"], theta.reshape(-1, 30)[rows])
+    assert "/heat/theta/picture" in entities(path)
 
 
 def test_the_timelines_are_the_rows_and_the_rounded_time(tmp_path):
-    run = swinging()
-    path = record(tmp_path, run)
-    steps = column(path, "/tau", "step")
-    np.testing.assert_array_equal(steps, np.arange(len(run)))
-    t = column(path, "/tau", "t").astype("timedelta64[ns]").astype(np.int64)
-    np.testing.assert_array_equal(t, 500_000 * np.arange(len(run)))
-    assert max(batch.num_rows for batch in chunks(path, "/tau")) <= 1000
+    path = record(tmp_path, swinging(rate=2000.0))
+    np.testing.assert_array_equal(column(path, "/signals", "step"), np.arange(2500))
+    t = column(path, "/signals", "t").astype("timedelta64[ns]").astype(np.int64)
+    np.testing.assert_array_equal(t, 500_000 * np.arange(2500))
+    assert last_instant(path) == pytest.approx(1.2495)
 
 
 @pytest.mark.parametrize("rate", [50.0, 500.0, 2000.0])
 def test_the_scene_has_about_60_frames_a_second(tmp_path, rate):
     path = record(tmp_path, swinging(rows=1500, rate=rate))
-    spacing = np.diff(column(path, "/world/backbone", "step")) / rate
-    assert np.ptp(spacing) == 0.0
-    assert 1 / spacing[0] == pytest.approx(min(rate, 60.0), rel=0.08)
+    t = column(path, "/world/tube", "t").astype("timedelta64[ns]").astype(np.int64)
+    spacing = np.diff(t)
+    assert np.ptp(spacing) == 0
+    assert 1e9 / spacing[0] == pytest.approx(min(rate, 60.0), rel=0.08)
 
 
-@pytest.mark.parametrize("modules", [1, 5])
-def test_the_drawn_arm_is_smooth_and_ends_where_the_lumped_arm_ends(tmp_path, modules):
-    run = swinging(modules)
+def test_the_trail_is_the_way_of_the_tip(tmp_path):
+    run = swinging(rows=7000)
     path = record(tmp_path, run)
-    rows = column(path, "/world/backbone", "step")
-    strips = column(path, "/world/backbone", "LineStrips3D:strips").reshape(
-        len(rows), modules, -1, 3
-    )
-    ends = world_position(positions(run.q[rows]))
-    np.testing.assert_allclose(strips[:, :, -1], ends, atol=1e-6)
-    np.testing.assert_allclose(strips[:, 1:, 0], ends[:, :-1], atol=1e-6)
-    steps = np.diff(strips, axis=2)
-    steps /= np.linalg.norm(steps, axis=-1, keepdims=True)
-    turns = np.sum(steps[:, :-1, -1] * steps[:, 1:, 0], axis=-1)
-    assert np.all(turns > np.cos(0.1))  # chords of 12 points: no kink between modules
+    for entity, q in (("/world/trail", run.q), ("/world/desired_path", run.q_d)):
+        ends = world_position(positions(q[::17])[:, -1])
+        pieces = column(path, entity, "LineStrips3D:strips").reshape(-1, 2, 3)
+        np.testing.assert_allclose(pieces[:, 1], ends, atol=1e-6)
+        np.testing.assert_allclose(pieces[1:, 0], ends[:-1], atol=1e-6)
 
 
-def test_the_columns_differ_in_length_as_the_model_says(tmp_path):
-    run = swinging()
-    path = record(tmp_path, run)
-    rows = column(path, "/world/columns", "step")
-    strips = column(path, "/world/columns", "LineStrips3D:strips").reshape(len(rows), 2, 3, -1, 3)
-    lengths = np.linalg.norm(np.diff(strips, axis=3), axis=-1).sum(axis=-1)
-    expected = 0.08 * run.q[rows, 3:]
-    np.testing.assert_allclose(lengths[:, 0] - lengths[:, 1], expected, atol=2e-4)
+def test_columns_show_push_and_pull(tmp_path):
+    run = swinging(rows=200)
+    tau = np.tile([20.0, -20.0, 0.0, 0.0, 0.0, 0.0], (200, 1))
+    path = record(tmp_path, dataclasses.replace(run, tau=tau))
+    colors = column(path, "/world/columns", "Cylinders3D:colors").reshape(-1, 6, 4)[:, :, 0]
+    radii = column(path, "/world/columns", "Cylinders3D:radii").reshape(-1, 6, 4)[:, :, 0]
+    red, green = (colors >> 24) & 0xFF, (colors >> 16) & 0xFF
+    assert np.all(red[:, 0] > 2 * green[:, 0])  # pushes
+    assert np.all(green[:, 1] > 200)  # pulls
+    assert np.all(radii[:, :2] > 1.5 * radii[:, 2:].max())
+
+
+def test_a_disturbance_has_arrows_and_a_payload_its_ball(tmp_path):
+    run = swinging(rows=2500)
+    run = dataclasses.replace(run, disturbance=run.force)
+    asked = [{"name": "payload", "asked": {"mass": 0.2, "at": 1.0}}]
+    path = record(tmp_path, run, disturbances=asked)
+    assert {"/world/disturbance", "/ledger", "/states/payload"} <= entities(path)
+    balls = column(path, "/world/payload", "InstancePoses3D:translations").reshape(-1, 3)
+    assert np.all(balls[:58, 2] > 0.0)  # in the base until it is there
+    ends = world_position(positions(run.q[::17])[:, -1])
+    np.testing.assert_allclose(np.linalg.norm(balls[60:] - ends[60:], axis=1), 0.0211, atol=2e-3)
+    assert "/world/disturbance" not in entities(record(tmp_path, swinging()))
 
 
 def test_the_file_is_valid_and_carries_layout_and_metadata(tmp_path):
-    properties = {"seed": 3, "controller": "smc", "gains": {"K": [1.0, 2.0]}}
-    path = record(tmp_path, swinging(), notes="# Notes", properties=properties)
-    verify = [sys.executable, "-m", "rerun_cli", "rrd", "verify", str(path)]
-    assert subprocess.run(verify, capture_output=True).returncode == 0
+    path = record(tmp_path, swinging())
+    assert verified(path)
     reader = rr.chunk.RrdReader(path)
     assert len(reader.blueprints()) == 1
     (store,) = reader.recordings()
-    assert (store.application_id, store.recording_id) == ("octarm", "0123abcd")
-    static = {c.entity_path: c.to_record_batch() for c in reader.stream() if c.is_static}
-    assert static["/notes"].column("TextDocument:text").to_pylist() == [["# Notes"]]
-    assert static["/__properties"].column("RecordingInfo:name").to_pylist() == [["a run"]]
-    run = static["/__properties/run"].to_pydict()
-    assert (run["seed"], run["controller"]) == ([[3]], [["smc"]])
-    assert run["gains"] == [['{"K": [1.0, 2.0]}']]
+    assert store.application_id == "octarm"
+    fixed = static(path)
+    assert "octarm run" in fixed["/notes"].column("TextDocument:text").to_pylist()[0][0]
+    assert fixed["/__properties"].column("RecordingInfo:name").to_pylist() == [["smc on sine"]]
+    run = fixed["/__properties/run"].to_pydict()
+    assert (run["seed"], run["status"]) == ([[3]], [["ok"]])
+    assert '"lambda_": 10.0' in run["controller"][0][0]
 
 
-def test_the_plots_name_the_coordinates_but_not_a_wide_signal(tmp_path):
-    path = record(tmp_path, swinging(gain=np.ones((2500, 30))))
-    static = {c.entity_path: c for c in rr.chunk.RrdReader(path).stream() if c.is_static}
-    angles = static["/q/angles"].to_record_batch()
-    assert angles.column("SeriesLines:names").to_pylist() == [["theta1", "theta2", "theta3"]]
-    gain = static["/signals/gain"].to_record_batch()
-    assert "SeriesLines:names" not in gain.schema.names
+def test_bounds_are_lines_from_end_to_end(tmp_path):
+    found = fields(record(tmp_path, swinging()), "/bounds/error", "bounds")
+    np.testing.assert_allclose(found["bends"], [[0.08, -0.08]] * 2)
+    np.testing.assert_allclose(found["slides"], [[0.005, -0.005]] * 2)
 
 
 def test_a_signal_may_have_any_name_and_shape(tmp_path):
     odd = {"error": np.ones(2500), "a name/with: +": np.ones((2500, 2)), "none": np.ones((2500, 0))}
-    path = record(tmp_path, swinging(**odd))
-    names = {c.entity_path for c in rr.chunk.RrdReader(path).stream()}
-    assert any("name" in name for name in names)
-    assert scalars(path, "/signals/error", 2500).shape == (2500, 1)
+    found = fields(record(tmp_path, swinging(**odd)), "/signals")
+    assert found["error_"].shape == (2500, 1)
+    assert found["a_name_with___"].shape == (2500, 2)
 
 
 def test_a_diverged_run_is_recorded_with_the_frames_that_can_be_drawn(tmp_path):
@@ -178,23 +154,69 @@ def test_a_diverged_run_is_recorded_with_the_frames_that_can_be_drawn(tmp_path):
     q[1200:] *= 1e30
     q[-1] = np.nan
     broken = dataclasses.replace(run, q=q, status="diverged")
-    path = record(tmp_path, broken)
-    assert column(path, "/world/backbone", "step").max() < 1200
-    np.testing.assert_array_equal(scalars(path, "/q/angles", 2500), q[:, 3:])
+    path = record(tmp_path, broken, status="diverged", duration=10.0)
+    t = column(path, "/world/tube", "t").astype("timedelta64[ns]").astype(np.int64)
+    assert t.max() < 1.2e9
+    np.testing.assert_array_equal(fields(path, "/signals")["q_bends"], q[:, 3:])
+    states = [
+        batch.column("StateChange:state").to_pylist() for batch in chunks(path, "/states/run")
+    ]
+    assert states == [[["running"], ["diverged"]]]
 
 
 @pytest.mark.parametrize("rows", [1, 2])
 def test_the_shortest_runs_are_recorded(tmp_path, rows):
     path = record(tmp_path, swinging(rows=rows))
-    assert len(column(path, "/tau", "step")) == rows
+    assert len(fields(path, "/signals")["tau"]) == rows
+
+
+def test_it_is_the_same_whatever_the_blocks(tmp_path):
+    run = swinging(theta=np.random.default_rng(1).normal(size=(2500, 6, 5)))
+    once = fields(record(tmp_path, run), "/signals")
+    path = tmp_path / "blocks.rrd"
+    with Recorder(path, described()) as recorder:
+        for k in range(0, 2500, 300):
+            recorder.add(part_of(run, k, k + 300))
+        recorder.finish(described())
+    assert verified(path)
+    blocks = fields(path, "/signals")
+    for name, values in once.items():
+        np.testing.assert_array_equal(blocks[name][1:], values[1:])  # V has no rate at first
+    for name in ("/world/tube", "/world/trail", "/world/columns"):
+        for component in chunks(path, name)[0].schema.names:
+            if ":" in component and "rotation" not in component:
+                whole = column(tmp_path / "run.rrd", name, component)
+                np.testing.assert_array_equal(column(path, name, component), whole)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as on POSIX")
+def test_what_was_added_survives_a_kill(tmp_path):
+    script = (
+        "import os, signal, sys; sys.path.insert(0, sys.argv[2])\n"
+        "from recordings import described, swinging\n"
+        "from octarm.recording import Recorder, part_of\n"
+        "run = swinging()\n"
+        "with Recorder(sys.argv[1], described(duration=60.0)) as recorder:\n"
+        "    recorder.add(part_of(run, 0, 1000))\n"
+        "    recorder.add(part_of(run, 1000, 2000))\n"
+        "    __import__('time').sleep(0.3)\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    path = tmp_path / "run.rrd"
+    command = [sys.executable, "-c", script, str(path), os.path.dirname(__file__)]
+    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+    assert [p.name for p in tmp_path.iterdir()] == ["run.rrd.part"]
+    rescue(tmp_path / "run.rrd.part", path)
+    assert verified(path)
+    np.testing.assert_array_equal(fields(path, "/signals")["tau"], swinging().tau[:2000])
+    assert len(rr.chunk.RrdReader(path).blueprints()) == 1
 
 
 def test_what_is_not_one_arm_is_refused(tmp_path):
-    run = swinging()
     with pytest.raises(ValueError, match="modules"):
-        write_recording(tmp_path / "run.rrd", run, arm(2), title="")
+        write_recording(tmp_path / "run.rrd", swinging(), described(2))
     with pytest.raises(ValueError, match="no rows"):
-        write_recording(tmp_path / "run.rrd", swinging(rows=0), arm(3), title="")
+        write_recording(tmp_path / "run.rrd", swinging(rows=0), described())
     assert list(tmp_path.iterdir()) == []
 
 
@@ -202,9 +224,9 @@ def test_an_unwritable_place_is_one_sentence_and_leaves_nothing(tmp_path):
     (tmp_path / "file").touch()
     path = tmp_path / "file" / "run.rrd"
     with pytest.raises(OSError, match=r"run\.rrd cannot be written: Not a directory$"):
-        write_recording(path, swinging(), arm(3), title="")
+        write_recording(path, swinging(), described())
     with pytest.raises(OSError, match="No such file or directory"):
-        write_recording(tmp_path / "folder" / "run.rrd", swinging(), arm(3), title="")
+        write_recording(tmp_path / "folder" / "run.rrd", swinging(), described())
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/dev/full is a Linux device")
@@ -213,7 +235,7 @@ def test_a_full_disk_leaves_the_file_that_was_there(tmp_path):
     path.write_text("before")
     (tmp_path / "run.rrd.part").symlink_to("/dev/full")
     with pytest.raises(OSError, match=r"cannot be written: No space left on device$"):
-        write_recording(path, swinging(), arm(3), title="")
+        write_recording(path, swinging(), described())
     assert [p.name for p in tmp_path.iterdir()] == ["run.rrd"]
     assert path.read_text() == "before"
 
@@ -234,15 +256,3 @@ def test_a_rerun_that_is_switched_off_is_an_error(tmp_path, monkeypatch):
     with pytest.raises(RuntimeError, match="cannot be recorded"):
         record(tmp_path, swinging())
     assert list(tmp_path.iterdir()) == []
-
-
-def test_plates_face_along_the_arm():
-    q = np.array([0.1, 0.1, 0.1, 0.3, -0.5, 0.2])
-    curve = smooth_arm(q)
-    x, y, z, w = np.moveaxis(plate_quaternions(q), -1, 0)
-    # The plate's axis, world z, turned by its quaternion, is the tangent of the curve at its end.
-    axis = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
-    steps = np.diff(curve, axis=1)
-    tangent = 1.5 * steps[:, -1] - 0.5 * steps[:, -2]
-    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
-    np.testing.assert_allclose(axis, -tangent, atol=0.02)

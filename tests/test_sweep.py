@@ -1,5 +1,6 @@
 """A sweep gives one table, however and by whom it is run, and whatever happens meanwhile."""
 
+import dataclasses
 import errno
 import os
 import random
@@ -10,6 +11,7 @@ import threading
 import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from importlib.metadata import version
 from multiprocessing import active_children
 from pathlib import Path
 
@@ -23,7 +25,7 @@ from octarm.cli import main
 from octarm.errors import ExitCode
 from octarm.shards import run_arms
 from octarm.sweep import estimate
-from octarm.sweep_folder import MANIFEST, read_manifest, shard_name
+from octarm.sweep_folder import MANIFEST, read_facts, read_manifest, shard_name
 from octarm.sweep_parser import parse_spec
 from octarm.sweep_plan import Plan
 from octarm.workers import WorkerProcesses, dask_cluster
@@ -101,8 +103,8 @@ def test_the_table_is_the_same_on_threads_and_in_any_order(tmp_path, undisturbed
             future = Future()
             self.calls.append((future, fn, args))
             if len(self.calls) == SHARDS:
-                for future, fn, args in reversed(self.calls):
-                    future.set_result(fn(*args))
+                for earlier, function, given in reversed(self.calls):
+                    earlier.set_result(function(*given))
             return future
 
     assert run(tmp_path / "reversed", executor=Reversed(), in_flight=SHARDS).equals(undisturbed)
@@ -110,10 +112,9 @@ def test_the_table_is_the_same_on_threads_and_in_any_order(tmp_path, undisturbed
         assert run(tmp_path / "threads", executor=threads, in_flight=3).equals(undisturbed)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_the_table_is_the_same_in_processes(tmp_path, undisturbed, workers: int):
-    with WorkerProcesses(workers) as processes:
-        assert run(tmp_path / "s", executor=processes, in_flight=workers).equals(undisturbed)
+def test_the_table_is_the_same_in_a_process(tmp_path, undisturbed):
+    with WorkerProcesses(1) as process:
+        assert run(tmp_path / "s", executor=process, in_flight=2).equals(undisturbed)
 
 
 def test_the_table_is_the_same_on_a_dask_cluster_that_loses_a_worker(tmp_path, undisturbed):
@@ -131,7 +132,7 @@ def test_the_table_is_the_same_on_a_dask_cluster_that_loses_a_worker(tmp_path, u
     assert table.equals(undisturbed)
 
 
-def test_a_worker_that_is_killed_costs_its_shard_a_second_run(tmp_path, undisturbed):
+def test_one_of_two_workers_that_is_killed_costs_its_shard_a_second_run(tmp_path, undisturbed):
     said = []
 
     def kill_one() -> None:
@@ -158,7 +159,9 @@ def test_a_shard_that_kills_its_workers_fails_alone(tmp_path, undisturbed):
             future.set_exception(BrokenProcessPool("gone"))
             return future
 
-    with pytest.raises(RuntimeError, match=r"shard 2 failed: its worker died 3 times; 1 shard"):
+    with pytest.raises(
+        RuntimeError, match=r"shard 2 failed: its worker died 4 times; shards left to do: 1"
+    ):
         run(tmp_path / "s", executor=Deadly())
     numbers = rows(tmp_path / "s")["episode"].to_pylist()
     assert numbers == [*range(8), *range(12, 24)]
@@ -222,6 +225,19 @@ def test_a_changed_spec_is_refused_with_the_difference(tmp_path, old: str, new: 
         run(tmp_path / "s", SPEC.replace(old, new), resume=True)
     with pytest.raises(ValueError, match="holds a sweep already; go on with it by --resume"):
         run(tmp_path / "s")
+
+
+def test_other_gains_are_refused(tmp_path):
+    spec = 'controller = "smc-boundary"\nduration = 0.002'
+    run(tmp_path / "s", spec)
+    with pytest.raises(ValueError, match="begun with other gains of smc-boundary"):
+        octarm.sweep(
+            parse_spec(spec),
+            lambda name, nominal, gains: make_controller(name, nominal, {"lambda": 1.0, **gains}),
+            tmp_path / "s",
+            executor=Inline(),
+            resume=True,
+        )
 
 
 def test_a_spec_that_cannot_run_leaves_no_folder(tmp_path):
@@ -289,6 +305,21 @@ def test_the_manifest_says_what_was_run(tmp_path, undisturbed):
     assert sum(shard["episodes"] for shard in manifest["shards"]) == len(undisturbed)
     assert set(manifest["gains"]) == {"smc-boundary", "pd"}
     assert {"mujoco", "numpy", "octarm"} <= set(manifest["starts"][0]["versions"])
+
+
+def test_a_shard_says_where_it_was_run(tmp_path):
+    run(tmp_path / "s")
+    facts = read_facts(tmp_path / "s", 23)
+    assert facts["versions"]["octarm"] == version("octarm")
+    assert facts["host"]["cores"] == os.cpu_count()
+    with pytest.raises(ValueError, match="episode 24 is not in"):
+        read_facts(tmp_path / "s", 24)
+
+
+def test_a_spec_that_was_changed_after_reading_is_kept_as_it_was_run(tmp_path):
+    spec = dataclasses.replace(parse_spec(SPEC), episodes=1)
+    folder = octarm.sweep(spec, make_controller, tmp_path / "s", executor=Inline())
+    assert octarm.read_spec(folder / "spec.toml").hash() == spec.hash()
 
 
 def test_chosen_columns_are_read_alone(tmp_path):
@@ -418,28 +449,27 @@ def test_an_interrupted_command_leaves_whole_shards_and_goes_on(tmp_path, spec_f
 # --- memory ----------------------------------------------------------------------------------
 
 MEASURE = """
-import json, resource, sys
+import resource, sys
 from pathlib import Path
 sys.path.insert(0, "tests")
 from test_sweep import SPEC, Inline
 import octarm
 from controllers import make_controller
 from octarm.sweep_parser import parse_spec
-spec = SPEC.replace("duration = 0.02", "duration = %s").replace("batch = 4", "batch = 200")
-for i, episodes in enumerate((100, 100, %d)):
-    text = spec.replace("episodes = 3", f"episodes = {episodes}")
+spec = SPEC.replace("batch = 4", "batch = 200")
+CASES = [(100, 0.0005), (100, 0.0005), (1000, 0.0005), (100, 0.04)]
+for i, (episodes, duration) in enumerate(CASES):
+    text = spec.replace("episodes = 3", f"episodes = {episodes}").replace("0.02", str(duration))
     octarm.sweep(parse_spec(text), make_controller, Path("%s") / str(i), executor=Inline(),
                  in_flight=1)
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
 """
 
 
-@pytest.mark.parametrize(("duration", "episodes"), [("0.0005", 1000), ("0.05", 100)])
-def test_memory_grows_neither_with_episodes_nor_with_their_length(tmp_path, duration, episodes):
-    code = MEASURE % (duration, episodes, tmp_path)
+def test_memory_grows_neither_with_episodes_nor_with_their_length(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=Path(__file__).parent.parent,
+        [sys.executable, "-c", MEASURE % tmp_path], cwd=Path(__file__).parent.parent,
         capture_output=True, text=True, check=True,
     )  # fmt: skip
-    _, before, after = map(float, done.stdout.split())
-    assert after - before < 15.0  # [MB]
+    _, before, *after = map(float, done.stdout.split())
+    assert max(after) - before < 15.0  # [MB]

@@ -1,9 +1,11 @@
 """A sweep's TOML file: what it means, and what is said when it is wrong."""
 
+import dataclasses
+
 import pytest
 
 from octarm.disturbances import DISTURBANCES
-from octarm.sweep_parser import parse_spec, read_spec
+from octarm.sweep_parser import as_toml, parse_spec, read_spec
 
 SPEC = """\
 seed = 3
@@ -62,6 +64,14 @@ def test_a_spec_says_what_is_in_it():
     assert spec.fixed == {"tilt": {"angle": 0.1}, "measurement-noise": {"rms": 0.001}}
     assert spec.gains == {"pd": {"K_p": 100.0}}
     assert spec.record == ("worst", 7)
+
+
+def test_a_spec_can_be_written_and_read_back():
+    for text in (SPEC, 'controller = "pd"\n[grid.disturbance]\nsaturation = [inf, 1e-5]'):
+        spec = parse_spec(text)
+        again = parse_spec(as_toml(spec))
+        assert dataclasses.replace(again, text=spec.text) == spec
+        assert again.hash() == spec.hash()
 
 
 def test_axes_of_words_come_first_since_they_share_no_batch():

@@ -1,16 +1,22 @@
 """Pictures and windows of the rerun viewer, and how it ends."""
 
+import dataclasses
 import os
+import signal
 import subprocess
 import sys
 import time
+import urllib.parse
+import urllib.request
 
 import numpy as np
 import psutil
 import pytest
 from PIL import Image
+from recordings import described, swinging
 
 from octarm import viewer
+from octarm.comparison import Run, write_comparison
 from octarm.model import nominal_parameters
 from octarm.recording import write_recording
 from octarm.trajectory import Trajectory
@@ -30,7 +36,7 @@ def recording(tmp_path_factory):
         t=t, q=q, v=zero, q_d=1.1 * q, v_d=zero, tau=q, force=q, disturbance=zero, signals={}
     )
     path = tmp_path_factory.mktemp("run") / "run.rrd"
-    write_recording(path, run, nominal_parameters(), title="a run")
+    write_recording(path, run, {"parameters": nominal_parameters().to_dict()})
     return path
 
 
@@ -172,3 +178,75 @@ def test_a_viewer_that_fails_is_one_sentence(recording, stand_in):
     stand_in("echo 'Error: no luck' >&2; exit 3")
     with pytest.raises(RuntimeError, match="the rerun viewer failed: Error: no luck"):
         open_viewer([recording])
+
+
+def kinds():
+    """Runs of each kind, and how many views they need at least."""
+    run = swinging(rows=600)
+    rules = np.random.default_rng(0).normal(size=(600, 6, 5))
+    pushed = [{"name": "payload", "asked": {"mass": 0.2, "at": 0.1}, "delivered": {}}]
+    yield "plain", dataclasses.replace(run, signals={}), {}, 7
+    yield "sliding", run, {}, 12
+    adaptive = swinging(rows=600, E=np.abs(run.force), theta=rules, alpha=rules)
+    yield "adaptive", adaptive, {}, 15
+    yield "disturbed", dataclasses.replace(run, disturbance=run.force), {"disturbances": pushed}, 15
+
+
+KINDS = list(kinds())
+
+
+@pytest.mark.parametrize(("name", "run", "more", "views"), KINDS, ids=[kind[0] for kind in KINDS])
+def test_every_kind_of_run_opens_without_warnings(picture, tmp_path, name, run, more, views):
+    path = tmp_path / f"{name}.rrd"
+    write_recording(path, run, described(**more))
+    assert shown_views(path) >= views
+
+
+def test_a_comparison_opens_without_warnings(picture, tmp_path):
+    path = tmp_path / "both.rrd"
+    run = Run(swinging(rows=600), described())
+    write_comparison(path, run, run)
+    assert shown_views(path) >= 10
+
+
+def shown_views(path):
+    """How many views the viewer shows of a recording, none of which complains."""
+    arguments = ["--headless", "--window-size", "960x600", str(path)]
+    with viewer._viewer(arguments) as (_, url, _):
+        client, deadline = None, time.monotonic() + 30.0
+        while client is None and time.monotonic() < deadline:
+            time.sleep(0.05)
+            client = viewer._connect(url, 0.3)
+        assert client is not None
+        for _ in range(3):
+            client.take_screenshot()
+        state, logs = client.get_state(), client.get_logs()
+    assert [(view.name, view.reports) for view in state.views if view.reports] == []
+    assert [entry.message for entry in logs if entry.level in ("WARN", "ERROR")] == []
+    return len(state.views)
+
+
+@posix
+def test_the_page_is_served_on_this_machine_and_may_fetch_from_it_only(picture, recording):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "octarm.cli", "replay", str(recording), "--web"],
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        address = process.stdout.readline().split()[1]
+        with urllib.request.urlopen(address) as page:
+            assert b"rerun" in page.read()
+            allowed = page.headers["Content-Security-Policy"]
+        with urllib.request.urlopen(urllib.parse.urljoin(address, "re_viewer_bg.wasm")) as wasm:
+            assert wasm.read()[:4] == b"\0asm"
+        places = [word for word in allowed.split() if "//" in word]
+        assert {urllib.parse.urlsplit(place).hostname for place in places} == {"127.0.0.1"}
+        children = psutil.Process(process.pid).children(recursive=True)
+        found = [c for p in (psutil.Process(process.pid), *children) for c in p.net_connections()]
+        assert {c.laddr.ip for c in found if c.status == psutil.CONN_LISTEN} == {"127.0.0.1"}
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert all(not child.is_running() for child in children)

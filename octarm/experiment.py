@@ -1,0 +1,269 @@
+"""All that a run of one arm depends on, how it is run into a folder, and back from `run.json`."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import re
+import shlex
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from dm_control.rl import control
+
+from octarm import runs
+from octarm.disturbances import from_dict
+from octarm.environment import TrackingTask, load
+from octarm.episode import Disturbance
+from octarm.errors import closest
+from octarm.facts import host, versions
+from octarm.interfaces import Controller
+from octarm.ledger import Ledger, asked
+from octarm.parameters import ArmParameters
+from octarm.references import REFERENCES
+from octarm.rollout import rollout
+from octarm.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from octarm.recording import Recorder
+
+# Name, nominal model and gains to controller; `controllers.make_controller` is one.
+Factory = Callable[[str, ArmParameters, Mapping[str, Any]], Controller]
+
+_INPUTS = ("controller", "parameters", "nominal", "reference", "disturbances", "seed", "duration",
+           "timestep", "control_period", "actuation")  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Experiment:
+    """All that a run of one arm depends on.
+
+    Attributes:
+        controller: name.
+        gains: those that the factory of controllers is given.
+        nominal: the model of the arm that the controller is given.
+        parameters: the true arm.
+        reference: name of the desired motion.
+        disturbances: what acts on the arm that the controller does not know.
+        seed: of all that is random.
+        spawn_key: of the `SeedSequence` that has this seed; empty but for episodes of sweeps.
+        duration: of the run [s].
+        timestep: physics step [s]; that of models/octarm.xml when None.
+        control_period: time between control actions [s]; one physics step when None.
+        actuation: see `octarm.actuation`.
+    """
+
+    controller: str
+    gains: Mapping[str, Any]
+    nominal: ArmParameters
+    parameters: ArmParameters
+    reference: str
+    disturbances: tuple[Disturbance, ...] = ()
+    seed: int = 0
+    spawn_key: tuple[int, ...] = ()
+    duration: float
+    timestep: float | None = None
+    control_period: float | None = None
+    actuation: str = "f-coeff"
+
+    def begin(self, factory: Factory) -> tuple[control.Environment, Controller]:
+        """The environment and the controller.
+
+        Raises:
+            ValueError: if one of them cannot be made.
+        """
+        seed = self.seed
+        if self.spawn_key:
+            seed = np.random.SeedSequence(self.seed, spawn_key=self.spawn_key)
+        environment = load(
+            self.reference,
+            disturbances=self.disturbances,
+            parameters=self.parameters,
+            timestep=self.timestep,
+            control_period=self.control_period,
+            actuation=self.actuation,
+            seed=seed,
+        )
+        return environment, factory(self.controller, self.nominal, self.gains)
+
+    def announcement(
+        self, environment: control.Environment, controller: Controller
+    ) -> dict[str, Any]:
+        """The content of `run.json` before the run, given what `begin` made."""
+        task: TrackingTask = environment.task
+        return {
+            "controller": {"name": self.controller, "gains": runs.gains_of(controller)},
+            "parameters": self.parameters.to_dict(),
+            "nominal": self.nominal.to_dict(),
+            "reference": {"name": self.reference, **runs.describe_fields(task.reference)},
+            "disturbances": asked(task.disturbances),
+            "seed": self.seed,
+            "spawn_key": list(self.spawn_key),
+            "duration": self.duration,
+            "timestep": environment.physics.timestep(),
+            "control_period": environment.control_timestep(),
+            "actuation": self.actuation,
+            "metrics": {},
+            "status": runs.RUNNING,
+            "message": "",
+            "versions": versions(),
+            "host": host(),
+            "digest": "",
+            "command": shlex.join(["octarm", *sys.argv[1:]]),
+        }
+
+    @classmethod
+    def from_description(cls, description: Mapping[str, Any]) -> Experiment:
+        """What was run, from the content of `run.json`; its factory is to be given all the gains.
+
+        Raises:
+            ValueError: if something is missing or not allowed, or the reference is a custom one.
+        """
+        missing = [key for key in _INPUTS if key not in description]
+        if missing:
+            raise ValueError(f"{runs.DESCRIPTION} lacks {', '.join(missing)}: no run to repeat")
+        try:
+            return cls._of(description)
+        except (AttributeError, IndexError, KeyError, TypeError) as error:
+            raise ValueError(
+                f"{runs.DESCRIPTION} does not say what was run: {type(error).__name__}, {error}"
+            ) from None
+
+    @classmethod
+    def _of(cls, description: Mapping[str, Any]) -> Experiment:
+        reference = description["reference"]["name"]
+        if reference not in REFERENCES:
+            raise ValueError(
+                f"the run followed a custom reference, {reference!r}, which its folder does not "
+                f"hold{closest(str(reference), REFERENCES)}"
+            )
+        disturbances = [
+            # noise-2 is the second noise
+            from_dict({"name": re.sub(r"-\d+$", "", entry["name"]), **entry["asked"]})
+            for entry in description["disturbances"]
+        ]
+        gains = description["controller"]["gains"]
+        return cls(
+            controller=description["controller"]["name"],
+            gains={name.rstrip("_"): value for name, value in gains.items()},
+            nominal=ArmParameters.from_dict(description["nominal"]),
+            parameters=ArmParameters.from_dict(description["parameters"]),
+            reference=reference,
+            disturbances=tuple(disturbances),
+            seed=description["seed"],
+            spawn_key=tuple(description.get("spawn_key", ())),
+            duration=float(description["duration"]),
+            timestep=float(description["timestep"]),
+            control_period=float(description["control_period"]),
+            actuation=description["actuation"],
+        )
+
+
+def perform(
+    environment: control.Environment,
+    controller: Controller,
+    announced: Mapping[str, Any],
+    *,
+    progress: Callable[[], object] | None = None,
+    keep: Callable[[Trajectory], object] | None = None,
+) -> tuple[Trajectory, dict[str, Any]]:
+    """Runs an experiment that was begun and announced.
+
+    Args:
+        environment: from `Experiment.begin`.
+        controller: likewise.
+        announced: from `Experiment.announcement`.
+        progress: see `octarm.rollout.rollout`.
+        keep: see there.
+
+    Returns:
+        The trajectory, and the content of `run.json`: also what came of the run.
+    """
+    task, physics = environment.task, environment.physics
+    ledger = Ledger(task.disturbances, physics) if task.disturbances else None
+    if ledger is not None:
+        physics.watch = ledger.step
+    duration = announced["duration"]
+    trajectory = rollout(environment, controller, duration, progress=progress, keep=keep)
+    return trajectory, {
+        **announced,
+        "disturbances": ledger.rows() if ledger is not None else [],
+        "metrics": runs.measure(
+            trajectory,
+            control_period=environment.control_timestep(),
+            input_limit=physics.input_limit(),
+            phi=getattr(controller, "phi", None),
+        ),
+        "status": trajectory.status,
+        "message": trajectory.message,
+        "digest": trajectory.digest,
+    }
+
+
+def run_into(
+    out: Path,
+    environment: control.Environment,
+    controller: Controller,
+    announced: Mapping[str, Any],
+    *,
+    progress: Callable[[], object] | None = None,
+    partial: bool = True,
+) -> tuple[Trajectory, dict[str, Any]]:
+    """Runs an experiment into a run folder: recording, arrays and description.
+
+    Args:
+        out: the folder; an earlier run there is replaced when this one is complete.
+        environment: from `Experiment.begin`.
+        controller: likewise.
+        announced: from `Experiment.announcement`.
+        progress: called after every control period.
+        partial: whether a run that is interrupted is kept up to there, with the status
+            `interrupted`, unless there is an earlier one.
+
+    Returns:
+        The trajectory and the content of `run.json`.
+
+    Raises:
+        ValueError: if the place is taken by something else.
+        OSError: if it cannot be written.
+        RuntimeError: if the run cannot be recorded.
+        KeyboardInterrupt: if interrupted, and nothing was kept.
+    """
+    with contextlib.ExitStack() as peace, runs.new_folder(out) as folder:
+        runs.announce(folder, announced)
+        with _recorder(folder / runs.RECORDING, announced) as recorder:
+            trajectory, description = perform(
+                environment, controller, announced, progress=progress, keep=recorder.add
+            )
+            if trajectory.status == "interrupted":
+                if not partial or folder != out.resolve():
+                    raise KeyboardInterrupt  # the earlier run stays
+                peace.enter_context(_without_interrupts())
+            recorder.finish(description)
+        runs.write_run(folder, trajectory, description)
+    return trajectory, description
+
+
+def _recorder(path: Path, announced: Mapping[str, Any]) -> Recorder:
+    from octarm.recording import Recorder  # imports rerun, which takes half a second
+
+    return Recorder(path, announced)
+
+
+@contextlib.contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """A run that was interrupted is closed although the user may press Ctrl-C again."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals do not come here
+        return
+    before = {n: signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

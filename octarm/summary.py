@@ -1,0 +1,69 @@
+"""What a run came to, in a few lines for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from octarm.ledger import in_words
+from octarm.metrics import SETTLED_AFTER
+from octarm.model import coordinate_names
+from octarm.trajectory import Trajectory
+
+_HEADINGS = ("rms", "peak", "rms/amplitude", "overshoot", "chattering", "reached s=0")
+
+
+def summary(trajectory: Trajectory, description: Mapping[str, Any], elapsed: float) -> str:
+    """What was run, what the disturbances delivered, and a table with a row a coordinate.
+
+    Args:
+        trajectory: the run.
+        description: the content of run.json.
+        elapsed: what it took [s].
+    """
+    rate = 1.0 / description["control_period"]
+    simulated = len(trajectory) * description["control_period"]
+    lines = [
+        f"{description['controller']['name']} on {description['reference']['name']}: "
+        f"{simulated:g} s at {rate:g} Hz, done in {elapsed:.1f} s"
+    ]
+    if description["disturbances"]:
+        lines += ["disturbances, as delivered", *in_words(description["disturbances"])]
+    metrics = description["metrics"]
+    if None not in metrics["rms_error"]:
+        lines += _table(trajectory, metrics)
+    return "\n".join(lines)
+
+
+def _table(trajectory: Trajectory, metrics: Mapping[str, Any]) -> list[str]:
+    names = coordinate_names(trajectory.q.shape[-1] // 2)
+    amplitude = 0.5 * np.ptp(trajectory.q_d, axis=0)
+    unit = [("m", "N")] * (len(names) // 2) + [("rad", "N m")] * (len(names) // 2)
+    width = [10, 11, 15, 11, 14, 13]
+    head = "".join(f"{h:>{w}}" for h, w in zip(_HEADINGS, width, strict=True))
+    lines = [f"after {SETTLED_AFTER:g} s".ljust(13) + head.rstrip()]
+    for j, name in enumerate(names):
+        rms = metrics["rms_error"][j]
+        share = 100.0 * rms / amplitude[j] if amplitude[j] > 0.0 else None
+        reached = metrics.get("reaching_time")
+        cells = (
+            f"{rms:.2e}",
+            f"{metrics['peak_error'][j]:.2e}",
+            _cell(share, ".3f", " %"),
+            _cell(metrics["overshoot"][j], "+.2f", " %"),
+            _cell(metrics["chattering"][j], ".1e", f" {unit[j][1]}"),
+            _cell(reached[j] if reached else None, ".4g", " s"),
+        )
+        row = "".join(f"{cell:>{w}}" for cell, w in zip(cells, width, strict=True))
+        lines.append(f"{name:>7} [{unit[j][0]}]".ljust(13) + row.rstrip())
+    tip = f"tip: {1e3 * metrics['tip_rms_error']:.3g} mm rms"
+    bound = metrics.get("reaching_bound")
+    if bound is not None:
+        tip += f"; s = 0 is reached within {bound:.3g} s by (14)-(15)"
+    return [*lines, tip]
+
+
+def _cell(value: float | None, form: str, unit: str) -> str:
+    return "" if value is None else f"{value:{form}}{unit}"

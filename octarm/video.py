@@ -1,0 +1,141 @@
+"""A run as a film: MuJoCo's own picture of the arm, drawn without a display."""
+# pyright: reportAttributeAccessIssue=false
+# (mujoco ships no type stubs)
+
+from __future__ import annotations
+
+import contextlib
+import ctypes.util
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from octarm.files import whole_file
+from octarm.parameters import ArmParameters
+from octarm.trajectory import Trajectory
+
+_GHOST = np.array([0.75, 0.82, 0.9, 0.28])  # the desired arm
+_NEEDED = (
+    "drawing needs an OpenGL library: on Debian it is one of the packages libegl1 and libosmesa6"
+)
+
+
+def choose_renderer() -> None:
+    """Sets MUJOCO_GL to what there is, EGL before OSMesa, unless it is set.
+
+    MuJoCo reads it when it is imported; a display is not used.
+
+    Raises:
+        RuntimeError: if there is neither library.
+    """
+    if os.environ.get("MUJOCO_GL") or sys.platform != "linux":
+        return
+    for name, library in (("egl", "EGL"), ("osmesa", "OSMesa")):
+        if ctypes.util.find_library(library):
+            os.environ["MUJOCO_GL"] = name
+            return
+    raise RuntimeError(_NEEDED)
+
+
+def write_video(
+    path: str | os.PathLike[str],
+    run: Trajectory,
+    description: Mapping[str, Any],
+    *,
+    size: tuple[int, int] = (960, 720),
+    rate: float = 30.0,
+    speed: float = 1.0,
+    camera: str = "oblique",
+) -> None:
+    """Writes the film of a run, whole or not at all; the desired arm is shown as a ghost.
+
+    `choose_renderer` must have been called before MuJoCo was imported, unless MUJOCO_GL is set.
+
+    Args:
+        path: an `.mp4` file; its folder must exist.
+        run: of one arm.
+        description: what `run.json` holds; only `parameters` are needed.
+        size: width and height [pixel], even.
+        rate: pictures a second [Hz].
+        speed: how much faster than real time it runs.
+        camera: of `models/octarm.xml`.
+
+    Raises:
+        ValueError: if a number is out of range, or the file is not named .mp4.
+        OSError: if the file cannot be written.
+        RuntimeError: if nothing can be drawn on this machine.
+    """
+    if not str(path).endswith(".mp4"):
+        raise ValueError(f"the film is {os.fspath(path)!r}; its name must end in .mp4")
+    if not (1.0 <= rate <= 240.0 and 0.0 < speed <= 1000.0):
+        raise ValueError(
+            f"rate is {rate:g} and speed {speed:g}; they must be within 1 to 240 and above 0"
+        )
+    if min(size) < 16 or max(size) > 4096 or size[0] % 2 or size[1] % 2:
+        raise ValueError(f"the size is {size[0]} x {size[1]}; both must be even, 16 to 4096")
+    count = max(1, round((run.t[-1] - run.t[0]) / speed * rate) + 1)
+    rows = np.searchsorted(run.t, run.t[0] + np.arange(count) * speed / rate - 1e-9)
+    rows = np.minimum(rows, len(run) - 1)
+    rows = rows[np.isfinite(run.q[rows]).all(axis=1)]
+    with whole_file(path) as part, _film(part, size, rate) as add:
+        for picture in _pictures(run, rows, description, size, camera):
+            add(picture)
+
+
+def _pictures(
+    run: Trajectory,
+    rows: np.ndarray,
+    description: Mapping[str, Any],
+    size: tuple[int, int],
+    camera: str,
+) -> Iterator[np.ndarray]:
+    """Red, green and blue of the arm at these rows, each of shape (height, width, 3)."""
+    import mujoco
+
+    from octarm.model import build_model, paper_order
+
+    model = build_model(ArmParameters.from_dict(description["parameters"]))
+    model.vis.global_.offwidth, model.vis.global_.offheight = size
+    order, _ = paper_order(model)
+    data, ghost = mujoco.MjData(model), mujoco.MjData(model)
+    try:
+        renderer = mujoco.Renderer(model, size[1], size[0])
+    except Exception as error:  # of OpenGL, of many kinds
+        raise RuntimeError(f"{_NEEDED} ({type(error).__name__})") from None
+    only_arm = mujoco.MjvOption()
+    with contextlib.closing(renderer):
+        for row in rows:
+            data.qpos[order], ghost.qpos[order] = run.q[row], run.q_d[row]
+            mujoco.mj_forward(model, data)
+            mujoco.mj_forward(model, ghost)
+            renderer.update_scene(data, camera=camera)
+            first = renderer.scene.ngeom
+            mujoco.mjv_addGeoms(
+                model, ghost, only_arm, mujoco.MjvPerturb(),
+                int(mujoco.mjtCatBit.mjCAT_DYNAMIC), renderer.scene,
+            )  # fmt: skip
+            for geom in renderer.scene.geoms[first : renderer.scene.ngeom]:
+                geom.rgba[:] = _GHOST
+            yield renderer.render()
+
+
+@contextlib.contextmanager
+def _film(part: os.PathLike[str], size: tuple[int, int], rate: float) -> Iterator[Any]:
+    """A function that adds a picture to an H.264 film."""
+    import av
+
+    with av.open(os.fspath(part), "w", format="mp4") as container:
+        stream: Any = container.add_stream("libx264", rate=Fraction(rate).limit_denominator(1000))
+        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
+        stream.options = {"crf": "20", "preset": "medium"}
+
+        def add(picture: np.ndarray) -> None:
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+            container.mux(stream.encode(frame))
+
+        yield add
+        container.mux(stream.encode())

@@ -1,0 +1,54 @@
+"""The figures of a run."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from PIL import Image
+from recordings import described, swinging
+
+from octarm.plots import _MOST, _thinned, write_figures
+
+
+def test_every_kind_of_run_gets_its_figures_as_png_and_svg(tmp_path):
+    run = swinging(rows=300, theta=np.random.default_rng(0).normal(size=(300, 6, 5)))
+    run = dataclasses.replace(run, disturbance=run.force)
+    written = write_figures(tmp_path / "figures", run, described())
+    names = {"tracking", "error", "inputs", "sliding", "adaptation", "disturbance"}
+    assert {p.name for p in written} == {f"{n}.{kind}" for n in names for kind in ("png", "svg")}
+    for path in written:
+        if path.suffix == ".png":
+            with Image.open(path) as image:
+                assert image.size[0] == 1260
+                assert len(image.convert("RGB").getcolors(1 << 24) or []) > 100
+        else:
+            assert "smc on sine" in path.read_text()
+    plain = dataclasses.replace(run, signals={}, disturbance=0.0 * run.force)
+    written = write_figures(tmp_path / "plain", plain, described())
+    assert {p.stem for p in written} == {"tracking", "error", "inputs"}
+
+
+def test_equal_runs_give_equal_files(tmp_path):
+    run = dataclasses.replace(swinging(rows=50), signals={})
+    first = write_figures(tmp_path / "a", run, described())
+    second = write_figures(tmp_path / "b", run, described())
+    for one, other in zip(first, second, strict=True):
+        assert one.read_bytes() == other.read_bytes()
+
+
+def test_a_long_curve_keeps_its_extremes():
+    t = np.arange(100_003) * 1e-3
+    y = np.sin(t)
+    y[54_321] = 9.0
+    few_t, few = _thinned(t, y)
+    assert len(few) <= 1.1 * _MOST
+    assert few.max() == 9.0
+    assert few_t[np.argmax(few)] == t[54_321]
+    assert np.all(np.diff(few_t) >= 0.0)
+    assert (few_t[0], few_t[-1]) == (t[0], t[-1])
+
+
+def test_an_unwritable_place_is_one_sentence(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError):
+        write_figures(tmp_path / "file", swinging(rows=10), described())

@@ -1,0 +1,469 @@
+"""Tuning: the measure, the search, and the files that come of it."""
+
+import dataclasses
+import datetime
+import functools
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import controllers.gains
+from controllers import CONTROLLERS, make_controller
+from controllers.gain_sets import SHIPPED, GainSet, read_gain_set
+from octarm import cli
+from octarm.chattering import Chattering
+from octarm.disturbances import parse_disturbance
+from octarm.environment import load
+from octarm.model import nominal_parameters
+from octarm.objective import LONG, SCENARIOS, SHORT, EachItsOwn, Scenario, Trial, costs
+from octarm.references import named_reference
+from octarm.rollout import rollout
+from octarm.search_space import KNOBS, Space, gains_of
+from octarm.streams import stream
+from octarm.tuning import Effort, State, StateFile, initial_population, next_generation, tune
+
+P = nominal_parameters()
+N = P.modules
+TINY = Trial(begin=0.02, duration=0.06)
+EFFORT = Effort(
+    population=5, generations=4, finalists=2, short=TINY, long=Trial(begin=0.03, duration=0.1)
+)
+
+
+def by_hand(name: str):
+    """The factory that tuning is given."""
+    return functools.partial(make_controller, name, gain_set="recommended")
+
+
+# The measure
+
+
+@pytest.mark.parametrize("i", range(len(SCENARIOS)))
+def test_the_cost_is_the_declared_formula(i: int):
+    scenario, trial = SCENARIOS[i], Trial(begin=0.1, duration=0.2)
+    K = np.array([[1.0], [3.0]])
+    both = costs(trial, by_hand("smc"), {"K": K})
+    assert both.shape == (2, len(SCENARIOS))
+    environment = load(
+        scenario.reference,
+        disturbances=[parse_disturbance(f"noise:{scenario.noise}")],
+        seed=trial.seeds()[i],
+    )
+    controller = by_hand("smc")(P.mismatched(scenario.mismatch), {"K": 3.0})
+    run = rollout(environment, controller, trial.duration)
+    rms = np.sqrt(np.mean(run.error[200:] ** 2, axis=0))  # 2 kHz, from 0.1 s on
+    high_pass = Chattering(run.tau[0], 5e-4)
+    high_pass.update(run.tau[:200], steady=False)
+    high_pass.update(run.tau[200:])
+    rattle = high_pass.result()["chattering"]
+    e = np.sqrt(np.sum((rms[:3] / 0.0175) ** 2 + (rms[3:] / 0.3) ** 2) / 6)
+    c = np.sqrt(np.sum(rattle**2) / 6) / (9.81 * (0.3 + 0.25 + 0.2))
+    assert both[1, i] == pytest.approx(e + 0.1 * c, rel=1e-6)
+    assert c > 0.1 and e > 1e-4  # neither of them goes unnoticed
+
+
+def test_the_scales_are_the_mean_amplitudes_of_the_references():
+    slides, bends = (named_reference(name, np.zeros(6)) for name in ("sine-slides", "sine"))
+    assert np.mean(getattr(slides, "amplitude")[:2]) == pytest.approx(0.0175)  # noqa: B009
+    assert np.mean(getattr(bends, "amplitude")[3:5]) == pytest.approx(0.3)  # noqa: B009
+
+
+def test_the_scenarios_are_a_balanced_half_of_the_full_design():
+    def values(field: str) -> set[Any]:
+        return {getattr(scenario, field) for scenario in SCENARIOS}
+
+    def pairs(one: str, other: str) -> set[tuple]:
+        return {(getattr(s, one), getattr(s, other)) for s in SCENARIOS}
+
+    assert len(set(SCENARIOS)) == 6
+    assert values("mismatch") == {-0.3, 0.0, 0.3} and values("noise") == {0.0, 0.4}
+    for one, other in (("reference", "mismatch"), ("reference", "noise"), ("mismatch", "noise")):
+        assert len(pairs(one, other)) == len(values(one)) * len(values(other))
+
+
+def test_tuning_has_noise_that_no_experiment_has():
+    own = [seed for trial in (SHORT, LONG) for seed in trial.seeds()]
+    drawn = {stream(seed, "noise").standard_normal() for seed in own}
+    assert len(drawn) == len(own)
+    evaluation = [np.random.SeedSequence(0, spawn_key=(i,)) for i in range(1000)]
+    alone = [np.random.SeedSequence(i) for i in range(1000)]
+    assert not drawn & {stream(s, "noise").standard_normal() for s in [*evaluation, *alone]}
+
+
+def test_lost_arms_cost_the_more_the_earlier_and_touch_nobody():
+    trial = Trial(
+        begin=0.02, duration=0.1, scenarios=(Scenario(reference="sine", mismatch=0.0, noise=0.4),)
+    )
+    gains = np.array([[160.0], [8e3], [1e5], [np.inf]])  # K_d; above 2 / 0.5 ms it is unstable
+    gains[3] = 1e300  # the first force is beyond all bounds
+    cost = costs(trial, by_hand("computed-torque"), {"K_d": gains})[:, 0]
+    assert cost[0] < 1.0
+    assert 10.0 < cost[1] < cost[2] < cost[3] <= 20.0
+    alone = costs(trial, by_hand("computed-torque"), {"K_d": gains[:1]})[:, 0]
+    assert alone[0] == cost[0]
+
+
+def test_when_all_arms_are_lost_the_bar_still_gets_to_its_end():
+    seconds: list[float] = []
+    cost = costs(TINY, by_hand("computed-torque"), {"K_d": np.array([[1e6]])}, seconds.append)
+    assert np.all(cost >= 10.0)
+    assert sum(seconds) == pytest.approx(TINY.seconds)
+
+
+def test_each_arm_may_have_its_own_motion():
+    motions = [named_reference(name, np.arange(6.0)) for name in ("sine", "multi-sine")]
+    together = EachItsOwn(motions, np.array([1, 0, 1]))(0.3)
+    for k, which in enumerate([1, 0, 1]):
+        for batch, alone in zip(together, motions[which](0.3), strict=True):
+            np.testing.assert_array_equal(batch[k], alone)
+
+
+# What is searched
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_every_controller_has_a_few_unknowns(name: str):
+    space = Space(by_hand(name)(P), N)
+    assert 2 <= len(space.unknowns) <= 8
+    assert space.bounds.shape == (len(space.unknowns), 2)
+    np.testing.assert_array_equal(np.sign(space.bounds), [[-1, 1]] * len(space.unknowns))
+    turned, fixed = space.turned(np.zeros((1, len(space.unknowns)))), space.fixed()
+    assert turned.keys() | fixed.keys() == space.gains.keys()
+    assert not turned.keys() & fixed.keys()
+    for gain, rows in turned.items():  # hand-set gains are the middle, to the digits kept
+        np.testing.assert_allclose(rows[0], np.broadcast_to(space.gains[gain], 6), rtol=1e-3)
+
+
+def test_a_knob_turns_its_gains_by_a_factor():
+    space = Space(by_hand("afsmc")(P), N)
+    names = [unknown.name for unknown in space.unknowns]
+    candidate = np.zeros((2, len(names)))
+    candidate[1, names.index("width of bends")] = np.log10(2.0)
+    candidate[1, names.index("lambda")] = np.log10(1.2)
+    turned = space.turned(candidate)
+    for gain in ("phi", "scale", "dead_zone"):
+        np.testing.assert_allclose(turned[gain][1] / turned[gain][0], [1, 1, 1, 2, 2, 2])
+    np.testing.assert_allclose(turned["lambda"], np.repeat([[15.0], [18.0]], 6, axis=1))
+    np.testing.assert_array_equal(turned["K_v"][0], turned["K_v"][1])
+    assert space.at_bounds(candidate[1]) == []
+    candidate[1, names.index("premises")] = 1.0
+    assert space.at_bounds(candidate[1]) == ["premises"]
+
+
+def test_a_gain_has_one_knob():
+    gains = [gain for knob in KNOBS for gain in knob.gains]
+    assert len(gains) == len(set(gains))
+
+
+def test_a_new_controller_is_tuned_by_the_names_of_its_gains():
+    @dataclasses.dataclass(frozen=True)
+    class New:
+        nominal: object = P
+        K_p: float = 2.0
+        colour: float = 1.0
+        safe: bool = True
+
+    space = Space(New(), N)  # pyright: ignore[reportArgumentType]
+    assert [unknown.name for unknown in space.unknowns] == ["K_p of slides", "K_p of bends"]
+    assert space.fixed() == {"colour": 1.0}
+
+    @dataclasses.dataclass(frozen=True)
+    class Untunable:
+        colour: float = 1.0
+
+    with pytest.raises(ValueError, match="Untunable has no gain that can be tuned; those are lam"):
+        Space(Untunable(), N)  # pyright: ignore[reportArgumentType]
+
+
+# The search
+
+
+def test_the_search_finds_the_bottom_of_a_bowl():
+    bounds = np.array([[-1.0, 1.0]] * 3)
+    bottom = np.array([0.3, -0.6, 0.9])
+    asked: list[int] = []
+
+    def bowl(candidates: np.ndarray) -> np.ndarray:
+        asked.append(len(candidates))
+        return np.sum((candidates - bottom) ** 2, axis=1)
+
+    draw = np.random.default_rng(0)
+    population = initial_population(bounds, 24, draw)
+    np.testing.assert_array_equal(population[0], 0.0)
+    assert np.all(np.abs(population) <= 0.5) and np.ptp(population[1:], axis=0).min() > 0.9
+    state = State(0, population, bowl(population))
+    for g in range(60):
+        before, state = state, next_generation(bowl, bounds, state, np.random.default_rng(g))
+        assert np.all(state.costs <= before.costs.max()) and state.costs[0] <= before.costs.min()
+        np.testing.assert_allclose(bowl(state.population), state.costs, atol=1e-12)
+    np.testing.assert_allclose(state.population[0], bottom, atol=1e-3)
+    assert asked == [24] * (1 + 2 * 60)  # a generation is one batch; the population costs nothing
+
+
+@pytest.fixture(scope="module")
+def uninterrupted():
+    states: list[State] = []
+    return tune(by_hand("smc-boundary"), EFFORT, seed=3, keep=states.append), states
+
+
+def assert_same(one: Any, other: Any) -> None:
+    for field in dataclasses.fields(one):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        np.testing.assert_equal(a, b)
+
+
+def test_it_is_at_least_as_good_as_the_hand_set_gains(uninterrupted):
+    tuned, states = uninterrupted
+    assert [state.generation for state in states] == [0, 1, 2, 3]
+    best = [state.costs[0] for state in states[1:]]
+    assert best == sorted(best, reverse=True)
+    assert tuned.long.mean() <= tuned.long_by_hand.mean()
+    assert states[-1].costs[0] < tuned.short_by_hand.mean()
+    space = Space(by_hand("smc-boundary")(P), N)
+    np.testing.assert_allclose(  # the first candidate was the hand-set gains
+        states[0].costs[0], tuned.short_by_hand.mean(), rtol=1e-12
+    )
+    assert tuned.gains.keys() == space.gains.keys()
+    rows = {name: np.broadcast_to(gain, (1, 6)) for name, gain in tuned.gains.items()}
+    np.testing.assert_array_equal(costs(TINY, by_hand("smc-boundary"), rows)[0], tuned.short)
+    np.testing.assert_array_equal(costs(EFFORT.long, by_hand("smc-boundary"), rows)[0], tuned.long)
+
+
+def test_it_may_stop_anywhere_and_go_on_with_the_same_bits(uninterrupted, tmp_path):
+    tuned, _ = uninterrupted
+    file = StateFile(tmp_path / "state", {"seed": 3})
+    for last in (0, 2):
+
+        def keep(state: State, last: int = last) -> None:
+            file.write(state)
+            if state.generation == last:
+                raise KeyboardInterrupt
+
+        start = file.read() if last else None
+        with pytest.raises(KeyboardInterrupt):
+            tune(by_hand("smc-boundary"), EFFORT, seed=3, state=start, keep=keep)
+    seconds: list[float] = []
+    again = tune(
+        by_hand("smc-boundary"), EFFORT, seed=3, state=file.read(), progress=seconds.append
+    )
+    assert_same(again, tuned)
+    assert sum(seconds) == pytest.approx(EFFORT.seconds)
+
+
+def test_the_seed_changes_the_search_and_not_the_scenarios(uninterrupted):
+    tuned, states = uninterrupted
+    other: list[State] = []
+    different = tune(by_hand("smc-boundary"), EFFORT, seed=4, keep=other.append)
+    assert not np.any(other[-1].costs == states[-1].costs[0])
+    np.testing.assert_array_equal(different.short_by_hand, tuned.short_by_hand)
+
+
+def test_the_budget_counts_simulated_seconds():
+    effort = Effort.within(8000.0)
+    assert effort.population == 24 and effort.generations == 18
+    assert effort.search_seconds == 18 * 24 * 6 * 3.0
+    assert effort.seconds == effort.search_seconds + 8 * 6 * (3.0 + 10.0)
+    with pytest.raises(ValueError, match="budget is 400 s; it must be at least 432 s"):
+        Effort.within(400.0)
+
+
+# Files
+
+
+@pytest.fixture
+def _small(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Effort, "within", classmethod(lambda cls, budget: EFFORT))
+
+
+@pytest.mark.usefixtures("_small")
+def test_the_command_writes_gains_and_how_they_were_found(capsys):
+    assert cli.main(["tune", "smc", "--out", "my.toml", "--seed", "5"]) == 0
+    out, err = capsys.readouterr()
+    assert "wrote my.toml" in out and "octarm run --controller smc --gains my.toml" in out
+    assert err == ""
+    assert [path.name for path in Path().iterdir()] == ["my.toml"]
+    content = tomllib.loads(Path("my.toml").read_text())
+    assert (content["controller"], content["modules"]) == ("smc", 3)
+    tuning = content["tuning"]
+    assert tuning["command"] == "octarm tune smc --budget 8000 --seed 5"
+    assert tuning["date"] == datetime.date.today()
+    assert (tuning["seed"], tuning["candidates"]) == (5, 20)
+    assert tuning["objective"].startswith("J = mean over scenarios of sqrt(mean_j (rms_j / A_j)^2)")
+    assert content["versions"].keys() == {
+        "python", "octarm", "mujoco", "dm-control", "numpy", "scipy"
+    }  # fmt: skip
+    for trial, table in ((EFFORT.short, content["search"]), (EFFORT.long, content["long_trial"])):
+        rows = table["scenarios"]
+        keys = [field.name for field in dataclasses.fields(Scenario)]
+        assert [Scenario(**{k: row[k] for k in keys}) for row in rows] == list(SCENARIOS)
+        assert table["cost"] == pytest.approx(np.mean([row["cost"] for row in rows]))
+        assert table["recommended"] == pytest.approx(np.mean([r["recommended"] for r in rows]))
+        own = {k: np.broadcast_to(x, (1, 6)) for k, x in content["gains"].items()}
+        found = costs(trial, by_hand("smc"), own)[0]  # the file alone gives the same again
+        np.testing.assert_array_equal(found, [row["cost"] for row in rows])
+    controller = make_controller("smc", P, gain_set="my.toml")
+    for name, gain in gains_of(controller).items():
+        np.testing.assert_array_equal(gain, content["gains"][name])
+    assert cli.main(["tune", "smc", "--out", "my.toml", "--seed", "5"]) == 0  # replaced
+    assert tomllib.loads(Path("my.toml").read_text()) == content
+    assert cli.main(["tune", "pd", "--out", "my.toml"]) == 2
+    assert "my.toml holds gains of smc; choose another --out" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("_small")
+def test_an_interrupted_command_goes_on(capsys, monkeypatch):
+    arguments = ["tune", "smc", "--seed", "5"]
+    assert cli.main([*arguments, "--resume"]) == 2
+    assert "nothing to resume: smc.toml.state does not exist" in capsys.readouterr().err
+    write, count = StateFile.write, iter(range(9))
+
+    def interrupted(self: StateFile, state: State) -> None:
+        write(self, state)
+        if next(count) == 1:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(StateFile, "write", interrupted)
+    assert cli.main(arguments) == 130
+    assert capsys.readouterr().err == (
+        "octarm: interrupted; go on by: "
+        "octarm tune smc --budget 8000 --seed 5 --out smc.toml --resume\n"
+    )
+    assert [path.name for path in Path().iterdir()] == ["smc.toml.state"]
+    assert cli.main(arguments) == 2
+    assert "keeps a search that was interrupted" in capsys.readouterr().err
+    assert cli.main(["tune", "smc", "--seed", "6", "--resume"]) == 2
+    assert "belongs to a search with another seed" in capsys.readouterr().err
+    assert cli.main([*arguments, "--resume"]) == 0
+    resumed = Path("smc.toml").read_text()
+    assert [path.name for path in Path().iterdir()] == ["smc.toml"]
+    assert cli.main(arguments) == 0
+    assert Path("smc.toml").read_text() == resumed
+    Path("smc.toml.state").write_text("{}")
+    assert cli.main([*arguments, "--resume"]) == 2
+    assert "smc.toml.state is damaged" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["smcc"], "unknown controller 'smcc', did you mean 'smc'?"),
+        (["smc", "--budget", "1"], "budget is 1 s; it must be at least 432 s, one generation"),
+        (["smc", "--budget", "nan"], "budget is nan s; it must be at least 432 s, one generation"),
+        (["smc", "--budget", "inf"], "it must be at least 432 s, one generation, and finite"),
+        (["smc", "--seed", "-1"], "seed is -1; it must be at least 0"),
+        (["smc", "--out", "gains.txt"], "--out is 'gains.txt'; its name must end in .toml"),
+        (["smc", "--out", "no/x.toml"], "no/x.toml cannot be written: there is no folder for it"),
+    ],
+)
+def test_bad_input_is_refused_in_one_sentence(arguments, sentence, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["tune", *arguments]) == 2
+    err = capsys.readouterr().err
+    assert sentence in err and err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_gain_set_survives_the_file():
+    whole = GainSet(
+        controller="smc",
+        modules=3,
+        gains={"lambda": 12.5, "K": [1e-7, 2.0, 3.0e20, 0.1, 0.2, 0.3], "theta_max": float("inf")},
+        origin={
+            "tuning": {"date": datetime.date(2026, 1, 2), "words": 'a "quoted" \\ é', "none": []},
+            "search": {"good": True, "rows": [{"name": "x", "n": 1}, {"name": "y", "n": -2.5e-9}]},
+        },
+    )
+    assert GainSet.from_toml(whole.to_toml(), "x.toml") == whole
+
+
+GIVEN = GainSet(controller="smc", modules=3, gains={"lambda": 33.0, "K": [1, 2, 3, 4, 5, 6]})
+
+
+def written(tmp_path: Path, **changes: Any) -> Path:
+    path = tmp_path / "mine.toml"
+    path.write_text(dataclasses.replace(GIVEN, **changes).to_toml())
+    return path
+
+
+def test_gains_come_from_the_set_then_from_the_caller(tmp_path):
+    path = written(tmp_path)
+    controller: Any = make_controller("smc", P, {"lambda": 44.0}, gain_set=path)
+    recommended: Any = make_controller("smc", P, gain_set="recommended")
+    assert controller.lambda_ == 44.0
+    np.testing.assert_array_equal(controller.K, [1, 2, 3, 4, 5, 6])
+    np.testing.assert_array_equal(controller.K_v, recommended.K_v)
+    derived: Any = make_controller("smc", P, {"uncertainty": 0.3}, gain_set=path)
+    assert derived.K is None and derived.lambda_ == 33.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"controller": "pd"}, "holds gains of pd, not of smc"),
+        ({"modules": 5}, "is for an arm of 5 modules; this one has 3"),
+        ({"gains": {"K_q": 1.0}}, "smc has no gain 'K_q'"),
+        ({"gains": {"K": "much"}}, "K is 'much'; it must be made of numbers"),
+    ],
+)
+def test_a_set_that_does_not_fit_is_refused(tmp_path, changes, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        make_controller("smc", P, gain_set=written(tmp_path, **changes))
+
+
+def test_what_is_no_gain_set_is_refused(tmp_path):
+    path = tmp_path / "x.toml"
+    for text, sentence in {"a = ": "x.toml: ", "a = 1": "x.toml holds no gains; it needs"}.items():
+        path.write_text(text)
+        with pytest.raises(ValueError, match=sentence):
+            read_gain_set(path)
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(ValueError, match="holds no gains: it is not text"):
+        read_gain_set(path)
+    with pytest.raises(ValueError, match="holds no gains: No such file"):
+        make_controller("smc", P, gain_set=tmp_path / "none.toml")
+    with pytest.raises(ValueError, match="unknown gains 'tuend'; they are tuned, recommended, or"):
+        make_controller("smc", P, gain_set="tuend")
+
+
+def test_a_run_takes_its_gains_from_where_it_is_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    short = ["run", "--controller", "smc", "--duration", "0.01", "--out", "a"]
+    assert cli.main([*short, "--gains", str(written(tmp_path))]) == 0
+    assert '"lambda_": 33.0' in Path("a/run.json").read_text()
+    assert cli.main([*short, "--gains", "recommended"]) == 0
+    assert '"lambda_": 15.0' in Path("a/run.json").read_text()
+    assert cli.main([*short, "--gains", "tuend"]) == 2
+    assert "unknown gains 'tuend'" in capsys.readouterr().err
+
+
+def test_the_shipped_gains_are_complete_and_better_than_the_recommended_ones():
+    names = {path.stem for path in SHIPPED.glob("*.toml")}
+    assert names in (set(), set(CONTROLLERS))  # all controllers, or none of them
+    for name in names:
+        own = read_gain_set(SHIPPED / f"{name}.toml")
+        assert (own.controller, own.modules) == (name, N)
+        assert own.origin["search"]["cost"] < own.origin["search"]["recommended"]
+        assert own.origin["tuning"]["budget"] == 8000.0
+        default, chosen = (make_controller(name, P, gain_set=x) for x in (None, "tuned"))
+        for gain, value in gains_of(default).items():
+            np.testing.assert_array_equal(value, own.gains[gain])
+            np.testing.assert_array_equal(value, gains_of(chosen)[gain])
+    five = dataclasses.replace(
+        P,
+        **{  # pyright: ignore[reportArgumentType]
+            name: np.concatenate([x := getattr(P, name), x[..., :2]], axis=-1)
+            for name in ("mass", "inertia", "stiffness", "damping", "rest_length")
+        },
+    )
+    for name in CONTROLLERS:  # another arm has the recommended ones
+        one, other = (make_controller(name, five, gain_set=x) for x in (None, "recommended"))
+        for gain, value in gains_of(one).items():
+            np.testing.assert_array_equal(value, gains_of(other)[gain])
+
+
+def test_the_folder_of_gains_does_not_hide_the_module():
+    assert Path(controllers.gains.__file__ or "") == SHIPPED.with_suffix(".py")
