@@ -67,8 +67,8 @@ class Run:
     """
 
     controller: str = "smc-boundary"
-    """Controller: pd, computed-torque, smc, smc-boundary, smc-integral, super-twisting, fuzzy, fsmc,
-    afsmc-consequent, afsmc."""
+    """Controller: pd, computed-torque, smc, smc-boundary, smc-integral, super-twisting, fuzzy,
+    fsmc, afsmc-consequent, afsmc."""
 
     reference: str = "sine"
     """Desired motion: sine (of theta1, theta2), sine-slides, multi-sine, smooth-step, set-point."""
@@ -458,6 +458,9 @@ class Tune:
         return tune_commands.tune(self)
 
 
+Command = Run | Sweep | Report | Verify | Margin | Tune | Replay | Record | Plot | Video | Validate
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command line; returns the exit code."""
     try:
@@ -497,14 +500,12 @@ def command_line() -> int:
     return main()
 
 
-def _parse(
-    arguments: Sequence[str],
-) -> Run | Sweep | Report | Verify | Margin | Tune | Replay | Record | Plot | Video | Validate:
+def _parse(arguments: Sequence[str]) -> Command:
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):
             return tyro.cli(
-                Run | Sweep | Report | Verify | Margin | Tune | Replay | Record | Plot | Video | Validate,  # pyright: ignore[reportArgumentType]
+                Command,  # pyright: ignore[reportArgumentType]
                 prog="octarm",
                 description="A testbed for robust controllers of a continuum robot arm.",
                 args=list(arguments),

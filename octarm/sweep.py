@@ -27,6 +27,7 @@ from octarm.sweep_spec import SweepSpec
 from octarm.workers import WorkerProcesses, cores
 
 _TRIES = 4  # of a shard whose worker dies
+_GLANCE = 5.0  # [s]; after so long it looks whether there are more workers
 _FAILURES = 3  # shards that may fail before no new one is begun
 
 
@@ -199,10 +200,8 @@ class _Run:
         """Runs them, so many at a time."""
         while self._under_way or (self._pending and not self._stopping):
             try:
-                while self._pending and not self._stopping and len(self._under_way) < limit():
-                    self._under_way[self._submit(self._pending[0])] = self._pending[0]
-                    self._pending.popleft()
-                for future in wait(self._under_way, return_when=FIRST_COMPLETED).done:
+                self._begin(limit() - len(self._under_way))
+                for future in wait(self._under_way, _GLANCE, FIRST_COMPLETED).done:
                     self._take(self._under_way[future], future)
                     del self._under_way[future]
                 future = None  # a cluster keeps the result for as long as anybody might ask for it
@@ -230,6 +229,13 @@ class _Run:
     def _there(self) -> str:
         left = len(self._pending) + len(self._under_way) + len(self._failed)
         return f"shards left to do: {left}, the others are kept; --resume goes on"
+
+    def _begin(self, most: int) -> None:
+        """Submits shards, if the run goes on."""
+        while most > 0 and self._pending and not self._stopping:
+            self._under_way[self._submit(self._pending[0])] = self._pending[0]
+            self._pending.popleft()
+            most -= 1
 
     def _take(self, shard: int, future: Future) -> None:
         """Keeps a finished shard, or has it run again."""

@@ -246,24 +246,26 @@ def _norm(values: np.ndarray) -> Normalize:
 
 def _failures(report: Report) -> Figure:
     """A panel an axis, or one for the whole sweep."""
-    axes = report.episodes.axes
+    axes, names = report.episodes.axes, report.episodes.controllers
     figure, panels = panels_of(max(1, len(axes)), 2.3, sharey=True)
     for axis, ax in zip(axes or (None,), panels, strict=True):
-        for c, name in enumerate(report.episodes.controllers):
+        places = np.zeros(1) if axis is None else axis.places
+        step = 1.0 if len(places) < 2 else float(np.min(np.diff(places)))
+        for c, name in enumerate(names):
             own = [entry for entry in report.of(axis) if entry.controller == name]
             value, low, high = 100.0 * np.array([entry.failures for entry in own]).T
-            places = np.zeros(1) if axis is None else axis.places
-            step = 1.0 if len(places) < 2 else float(np.min(np.diff(places)))
-            x = places + 0.4 * step * _shift(c, len(report.episodes.controllers))
+            x = places + 0.6 * step * _shift(c, len(names))
             color, marker = COLORS[c % len(COLORS)], MARKERS[c % len(MARKERS)]
             ax.vlines(x, low, high, color=color, linewidth=1.0, alpha=0.7)
-            line = "-" if axis is not None and axis.scaled else "none"
-            ax.plot(x, value, color=color, marker=marker, label=name, linestyle=line, linewidth=1.0)
-        if axis is not None:
-            name_axis(ax, axis)
-        else:
+            if axis is not None and axis.scaled:
+                ax.plot(x, value, color=color, linewidth=0.8, alpha=0.5)
+            ax.plot(x, value, marker, color=color, label=name, markersize=4.0)
+        if axis is None:
             ax.set_xticks([])
-        ax.set_ylim(0.0, None)
+        else:
+            name_axis(ax, axis)
+    worst = max(100.0 * entry.failures.high for entry in report.entries if entry.episodes)
+    panels[0].set_ylim(-0.03 * worst, 1.03 * worst)
     panels[0].set_title("diverged [%]")
     add_legend(figure, panels[0])
     return figure

@@ -90,7 +90,7 @@ def panels_of(
     """So many panels, in rows; heights and margin in inches."""
     columns = count if count <= _COLUMNS else -(-count // -(-count // _COLUMNS))
     rows = -(-count // columns)
-    size = (max(3.6, 2.75 * columns) + margin, height * rows + 0.45)
+    size = (max(5.5, 2.75 * columns) + margin, height * rows + 0.25)
     figure = Figure(figsize=size, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.06, h_pad=0.06)  # pyright: ignore
     grid = figure.subplots(rows, columns, squeeze=False, **options)
@@ -150,12 +150,14 @@ def logarithmic_ticks(direction: XAxis | YAxis, low: float, high: float) -> None
 
 
 def add_legend(figure: Figure, ax: Axes) -> None:
-    """The legend of a panel, above all of them."""
+    """The legend of a panel, above all of them; makes room for it."""
     handles, labels = ax.get_legend_handles_labels()
     room = int(figure.get_figwidth() / (0.7 + LETTER * max(map(len, labels))))
+    columns = min(max(1, room), len(labels), 5)
+    figure.set_figheight(figure.get_figheight() + 0.2 * -(-len(labels) // columns))
     figure.legend(
-        handles, labels, loc="outside upper left", ncols=min(max(1, room), len(labels), 5),
-        handlelength=1.8, columnspacing=1.6, borderaxespad=0.1,
+        handles, labels, loc="outside upper left", ncols=columns, handlelength=1.8,
+        columnspacing=1.6, borderaxespad=0.1,
     )  # fmt: skip
 
 

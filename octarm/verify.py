@@ -113,7 +113,7 @@ class RunCheck:
         if now == kept and not self.deviations:
             return "the re-run has the digest that run.npz states: run.json was changed"
         if moved(self.then, self.now):
-            return f"not what they were are {', '.join(moved(self.then, self.now))}"
+            return f"changed since the run: {', '.join(moved(self.then, self.now))}"
         unknown = [key for key in self.now if key not in self.then]
         missing = f", and {', '.join(unknown)} are not known" if unknown else ""
         return f"run.json or the code was changed: versions and machine are as then{missing}"

@@ -160,6 +160,7 @@ def dask_cluster(address: str, workers: int) -> Iterator[tuple[Executor, Callabl
 
         def useful() -> int:
             if address == "local":
+                target.scale(workers)  # dask gives up on a worker that dies while it starts
                 return workers
             # More than there are threads, for a cluster that grows with the demand.
             return max(8, 2 * sum(client.nthreads().values()))

@@ -19,7 +19,7 @@ from octarm.batch import BatchPhysics
 from octarm.disturbances import DISTURBANCES, parse_disturbance
 from octarm.environment import load
 from octarm.episode import Disturbance
-from octarm.interfaces import Controller
+from octarm.interfaces import Controller, Measurement, Reference
 from octarm.metrics import Block, Metrics
 from octarm.rollout import Instant, drive, rollout
 from octarm.validation import arm_with
@@ -220,8 +220,9 @@ def test_forces_beyond_what_mujoco_takes_end_a_run_alike_in_a_batch():
 
 
 def test_nothing_acts_after_a_force_that_cannot_be_applied():
-    def law(measurement, reference):
-        return np.full_like(reference.q, np.nan if measurement.t >= 0.00295 else 0.1)
+    def law(measurement: Measurement, reference: Reference) -> np.ndarray:
+        del reference
+        return np.full_like(measurement.q, np.nan if measurement.t >= 0.00295 else 0.1)
 
     listed = [parse_disturbance(text) for text in ("noise:0.4", "step:1,on=all")]
     alone = rollout(load(disturbances=listed), Listener(law), 0.01)

@@ -12,7 +12,8 @@ SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 
 def test_compare_controllers_prints_its_table(tmp_path):
     done = subprocess.run(
-        [sys.executable, SCRIPTS / "compare_controllers.py", "--duration", "2.05", "--disturbance", "noise:0.4"],
+        [sys.executable, SCRIPTS / "compare_controllers.py", "--duration", "2.05",
+         "--disturbance", "noise:0.4"],
         cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

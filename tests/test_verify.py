@@ -289,7 +289,7 @@ def test_versions_and_machine_of_both_sides_are_said(run):
     ]
     edit(run, "seed", to=lambda x: x + 1)
     lines = check(run).lines()
-    assert "not what they were are numpy, kernels" in lines
+    assert "changed since the run: numpy, kernels" in lines
     marked = [line.split() for line in lines if line.startswith("*")]
     assert marked[0] == ["*", "numpy", "1.0", np.__version__]
     assert marked[1][:3] == ["*", "kernels", "ABACUS"] and len(marked) == 2
