@@ -17,7 +17,8 @@ class ComputedTorque:
 
     With an exact model the error obeys e'' + K_d e' + K_p e = 0.
 
-    Signals: `equivalent` D^ q_d'' + (C^ + B^) q' + G^ and `feedback` -D^ (K_d e' + K_p e).
+    Signals: `equivalent` D^ q_d'' + (C^ + B^) q' + G^, and `feedback` -D^ (K_d e' + K_p e) =
+    -D^ K_d s with s = e' + (K_p / K_d) e.
 
     Attributes:
         nominal: the model that the controller believes.
@@ -50,4 +51,6 @@ class ComputedTorque:
         equivalent = inverse_dynamics(self.nominal, q, v, reference.a)
         a = reference.a - self.K_d * e_dot - self.K_p * e
         force = inverse_dynamics(self.nominal, q, v, a)
-        return Command(force, {"equivalent": equivalent, "feedback": force - equivalent}), state
+        s = e_dot + self.K_p / self.K_d * e
+        signals = {"s": s, "equivalent": equivalent, "feedback": force - equivalent}
+        return Command(force, signals), state

@@ -25,7 +25,8 @@ class ProportionalDerivative:
     is, G^(q) would cancel the springs, and a model that is too stiff would cancel more than there
     is.
 
-    Signals: `equivalent` G^(q_d) and `feedback` -K_p e - K_d e'.
+    Signals: `equivalent` G^(q_d), and `feedback` -K_p e - K_d e' = -K_d s with
+    s = e' + (K_p / K_d) e.
 
     Attributes:
         nominal: the model that the controller believes.
@@ -62,6 +63,6 @@ class ProportionalDerivative:
         rest = np.zeros_like(e)
         equivalent = inverse_dynamics(self.nominal, reference.q, rest, rest)
         feedback = -self.K_p * e - self.K_d * e_dot
-        return Command(
-            equivalent + feedback, {"equivalent": equivalent, "feedback": feedback}
-        ), state
+        s = e_dot + self.K_p / self.K_d * e
+        signals = {"s": s, "equivalent": equivalent, "feedback": feedback}
+        return Command(equivalent + feedback, signals), state

@@ -1,6 +1,6 @@
 """Runs disturbance_sweep.toml, and prints how the error of theta1 grows with the noise.
 
-Run it: python scripts/disturbance_sweep.py [--episodes 4 --duration 4] [--out runs/disturbance-sweep]
+Run it: python scripts/disturbance_sweep.py [--episodes 4 --duration 4] [--out DIR]
 Run it again with the same options, and it goes on where it was interrupted.
 """
 
@@ -47,7 +47,8 @@ def _median(errors: np.ndarray) -> str:
 def main() -> None:
     """Runs the sweep, or goes on with it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("runs/disturbance-sweep"), help="its folder")
+    folder = Path("runs/disturbance-sweep")
+    parser.add_argument("--out", type=Path, default=folder, help="its folder")
     parser.add_argument("--episodes", type=int, default=64, help="seeds in each cell")
     parser.add_argument("--duration", type=float, default=10.0, help="length of an episode [s]")
     options = parser.parse_args()

@@ -170,6 +170,8 @@ def test_the_parts_add_up(name: str, gains: dict):
     controller, seen = make_controller(name, P, gains), instants((50,))
     for instant, answer in zip(seen, answers(controller, seen, (50,)), strict=True):
         parts = [answer[part] for part in ("switching", "feedback") if part in answer]
+        assert answer["s"].shape == answer["force"].shape
+        assert ("equivalent" in answer) == (name != "fuzzy")
         if "equivalent" in answer:
             np.testing.assert_allclose(answer["equivalent"] + parts[0], answer["force"], atol=1e-9)
         if "V" in answer:

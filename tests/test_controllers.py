@@ -42,6 +42,8 @@ def test_computed_torque_makes_the_error_linear():
     e, e_dot, e_ddot = measurement.q - reference.q, measurement.v - reference.v, a - reference.a
     residual = e_ddot + controller.K_d * e_dot + controller.K_p * e
     np.testing.assert_allclose(residual, 0.0, atol=1e-9 * np.max(np.abs(a)))
+    feedback = -controller.K_d * command.signals["s"]
+    np.testing.assert_allclose(e_ddot, feedback, rtol=1e-9, atol=1e-9 * np.max(np.abs(a)))
 
 
 def test_computed_torque_falls_over_when_it_cancels_springs_that_are_not_there():
@@ -61,9 +63,11 @@ def test_pd_holds_the_arm_where_it_shall_be():
     there = Measurement(0.0, reference.q, reference.v)
     force = controller(None, there, reference)[0].force
     np.testing.assert_allclose(force, potential_force(P, reference.q), rtol=1e-9)
-    feedback = controller(None, measurement, reference)[0].signals["feedback"]
+    signals = controller(None, measurement, reference)[0].signals
     e, e_dot = measurement.q - reference.q, measurement.v - reference.v
-    np.testing.assert_allclose(feedback, -controller.K_p * e - controller.K_d * e_dot)
+    expected = -controller.K_p * e - controller.K_d * e_dot
+    np.testing.assert_allclose(signals["feedback"], expected)
+    np.testing.assert_allclose(-controller.K_d * signals["s"], expected, rtol=1e-9)
 
     bent = REST + np.array([0.01, 0.0, -0.01, 0.4, -0.3, 0.2])
     run = rollout(load(SetPoint(q=bent)), controller, 3.0)

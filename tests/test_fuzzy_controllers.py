@@ -58,6 +58,17 @@ class MamdaniFuzzy(FuzzyController):
 # The pure fuzzy controller
 
 
+@pytest.mark.parametrize("first", [True, False])
+def test_the_surface_is_called_with_the_error_then_its_rate(first: bool):
+    class One(FuzzyController):
+        surface: ClassVar = staticmethod(lambda e, rate: e if first else rate)
+
+    plain, (m, r) = make_controller("fuzzy", P), random_instant(5)
+    controller = One(**{f.name: getattr(plain, f.name) for f in dataclasses.fields(plain)})
+    scaled = (m.q - r.q) / plain.e_scale if first else (m.v - r.v) / plain.rate_scale
+    np.testing.assert_allclose(controller(None, m, r)[0].force, -plain.force_scale * scaled)
+
+
 def test_fuzzy_knows_no_model():
     """Another nominal model gives the same force."""
     instant = random_instant(20)

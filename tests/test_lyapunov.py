@@ -102,6 +102,11 @@ def trusting(law: SlidingMode, state, measurement, reference):
     return SlidingMode.__call__(law, state, measurement, reference)
 
 
+def without_linear_term(law, state, measurement, reference):
+    command, after = type(law).__mro__[1].__call__(law, state, measurement, reference)
+    return command._replace(force=command.force + law.K_v * command.signals["s"]), after
+
+
 def wider_layer(law: BoundaryLayer, state, measurement, reference):
     law = BoundaryLayer(**vars(law) | {"phi": 1.5 * law.phi})
     return BoundaryLayer.__call__(law, state, measurement, reference)
@@ -125,6 +130,12 @@ def slack(law: FuzzySlidingMode, state, measurement, reference):
     command, state = FuzzySlidingMode.__call__(law, state, measurement, reference)
     signals = dict(command.signals, switching=0.5 * command.signals["switching"])
     return command._replace(force=signals["equivalent"] + signals["switching"]), state
+
+
+def weaker(law: FuzzySlidingMode, state, measurement, reference):
+    """A switching gain that is not the one that was given."""
+    law = FuzzySlidingMode(**vars(law) | {"K": 0.9 * law.K})
+    return FuzzySlidingMode.__call__(law, state, measurement, reference)
 
 
 def opposite_w(law: SuperTwisting, state, measurement, reference):
@@ -166,6 +177,13 @@ BROKEN = [
     ("smc-integral", IntegralSlidingMode, forgetful_integral),
     ("smc-integral", IntegralSlidingMode, single_pole),
     ("fsmc", FuzzySlidingMode, slack),
+    ("fsmc", FuzzySlidingMode, weaker),
+    *(
+        (name, CONTROLLERS[name], without_linear_term)
+        for name in ("smc", "smc-boundary", "smc-integral", "fsmc", "super-twisting")
+    ),
+    ("afsmc", AdaptiveFuzzy, without_linear_term),
+    ("afsmc-consequent", AdaptiveConsequents, without_linear_term),
     ("super-twisting", SuperTwisting, opposite_w),
     ("afsmc-consequent", AdaptiveConsequents, with_rates(theta=-1.0)),
     ("afsmc-consequent", AdaptiveConsequents, with_rates(E=0.99)),

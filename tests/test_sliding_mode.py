@@ -218,6 +218,21 @@ def test_recommended_gains_exceed_the_model_error_and_its_rate_on_the_default_re
     assert np.all(rate < make_controller("super-twisting", P).k_2)
 
 
+def test_super_twisting_integrates_the_sign_of_s():
+    """w' = -k_2 sgn(s), and w is in the force as it stands."""
+    controller = make_controller("super-twisting", P, {"K": 1e6})
+    (measurement, reference), dt = random_instant(50), 0.05
+    state = controller.initial_state((50,))
+    w = np.zeros((50, 6))
+    for k in range(4):
+        command, state = controller(state, measurement._replace(t=k * dt), reference)
+        s, root = command.signals["s"], np.sqrt(np.abs(command.signals["s"]))
+        robust = -controller.k_1 * root * np.sign(s) - controller.K_v * s + w
+        np.testing.assert_allclose(command.signals["switching"], robust, rtol=1e-9)
+        w = -controller.k_2 * np.sign(s) * k * dt
+        np.testing.assert_allclose(state.w, w, rtol=1e-9)
+
+
 def test_super_twisting_does_not_wind_up():
     controller = make_controller("super-twisting", P)
     _, _, signals = simulated(controller, SetPoint(q=REST), 0.5, load=20.0 * LOAD)
