@@ -30,6 +30,7 @@ from octarm.validation import arm_with, random_arm
 
 P = nominal_parameters()
 BARE = P.scaled(damping=0.0)
+ADAPTIVE = ("afsmc", "afsmc normalised", "afsmc-consequent", "afsmc-consequent normalised")
 
 
 def draw(states: int = 500, arm=P):
@@ -71,6 +72,14 @@ def test_every_controller_with_a_lyapunov_function_has_its_rows():
         assert any(row.startswith(name) and row.endswith(": V' - claim") for row in rows)
         assert any(row.startswith(name) and row.endswith(": largest V' - bound") for row in rows)
     assert sum(row.startswith("wrong, ") for row in rows) == 7
+
+
+@pytest.mark.usefixtures("without_a_run")
+def test_bounds_are_no_higher_than_they_must_be():
+    """At some of the states all that could raise V' does."""
+    measured = {check.what: check.measured for check in ledger(P, 1000).checks}
+    for name in ("smc", "smc, K from an uncertainty of 0.3", "smc-integral", *ADAPTIVE):
+        assert measured[f"{name}: largest V' - bound"] > -1e-6
 
 
 def test_a_share_needs_states():

@@ -90,8 +90,8 @@ def test_columns_are_the_same_for_all_controllers_and_metrics_say_their_unit():
     assert units["effort_tau6"] == b"N" and units["tip_rms_error"] == b"m"
     for metric in METRICS:
         assert any(name.startswith(metric) for name in units)
-    # What only a sliding-mode controller has is null for the other one.
-    assert tables[0]["sliding_violations_s1"].null_count == 1
+    # What a controller does not report is null: a reaching bound, without a declared uncertainty.
+    assert tables[1]["reaching_bound"].null_count == 1
     assert tables[1]["sliding_violations_s1"].null_count == 0
 
 
