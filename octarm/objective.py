@@ -17,9 +17,10 @@ Why it is what it is:
   them are the least bad.
 - The scenarios are half of the full design reference x model error x noise, in a chessboard: both
   references with and without noise, each model error with and without noise and with both
-  references. The true arm is the nominal one, its inputs are limited as everywhere.
+  references. The true arm is the nominal one.
 - The measurement begins after 1 s, when the start from rest is over, and lasts one period of the
   sine. What drifts slowly does not show in that time: see `LONG`.
+- No controller gets more force than the actuators' range has: what it asks for beyond is cut off.
 
 The noise comes from seeds of its own, which no run and no sweep has, and every candidate meets the
 same noise.
@@ -34,6 +35,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from octarm.actuators import Saturation
 from octarm.arrays import split
 from octarm.batch import BatchPhysics
 from octarm.chattering import Chattering
@@ -41,7 +43,7 @@ from octarm.environment import load
 from octarm.forces import BandLimitedNoise
 from octarm.interfaces import Controller, Motion, Reference
 from octarm.lagrange import equilibrium
-from octarm.model import nominal_parameters
+from octarm.model import nominal_parameters, template_model
 from octarm.parameters import ArmParameters
 from octarm.references import named_reference
 from octarm.rollout import Instant, drive
@@ -58,7 +60,8 @@ LARGEST = 10.0  # cost of an arm that stays within its limits; one that does not
 FORMULA = (
     f"J = mean over scenarios of sqrt(mean_j (rms_j / A_j)^2) + {CHATTERING_WEIGHT:g} "
     "sqrt(mean_i chattering_i^2) / (g sum_k m_k), with the rms of q - q_d, "
-    f"A = {SLIDE_SCALE:g} m and {BEND_SCALE:g} rad, the chattering of the inputs tau above 50 Hz; "
+    f"A = {SLIDE_SCALE:g} m and {BEND_SCALE:g} rad, the chattering of the inputs tau above 50 Hz, "
+    "tau within the actuators' range; "
     f"{LARGEST:g} to {2.0 * LARGEST:g} for an arm that is lost"
 )
 
@@ -159,7 +162,10 @@ def costs(
             [named_reference(name, rest) for name in names],
             each([names.index(scenario.reference) for scenario in scenarios]),
         ),
-        disturbances=[BandLimitedNoise(ratio=each([s.noise for s in scenarios])[:, None])],
+        disturbances=[
+            BandLimitedNoise(ratio=each([s.noise for s in scenarios])[:, None]),
+            Saturation(limit=template_model().actuator_ctrlrange[:, 1]),
+        ],
         batch=arms,
         seed=trial.seeds() * n,
     )
