@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from octarm.parameters import ArmParameters as ArmParameters
     from octarm.rollout import rollout as rollout
     from octarm.sweep import sweep as sweep
-    from octarm.sweep_folder import read_sweep as read_sweep
-    from octarm.sweep_parser import read_spec as read_spec
+    from octarm.sweeps.folder import read_sweep as read_sweep
+    from octarm.sweeps.parser import read_spec as read_spec
     from octarm.trajectory import Trajectory as Trajectory
 
 # Looked up when first used, so that `octarm --help` does not wait for MuJoCo.
@@ -34,8 +34,8 @@ _HOMES = {
     "ArmParameters": "parameters",
     "rollout": "rollout",
     "sweep": "sweep",
-    "read_sweep": "sweep_folder",
-    "read_spec": "sweep_parser",
+    "read_sweep": "sweeps.folder",
+    "read_spec": "sweeps.parser",
     "Trajectory": "trajectory",
 }
 

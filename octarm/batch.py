@@ -14,7 +14,7 @@ from mujoco.batch import Batch
 
 from octarm.actuation import Actuation
 from octarm.disturbances import Acting
-from octarm.episode import Plant
+from octarm.effects.episode import Plant
 from octarm.lagrange import positions
 from octarm.limits import Limits
 from octarm.model import PlantFields, build_model, paper_order, world_position

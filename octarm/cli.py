@@ -115,7 +115,7 @@ class Run:
 
     def main(self) -> int:
         """Runs, writes the folder, prints a summary."""
-        from octarm import commands
+        from octarm.commands import run as commands
 
         return commands.run(self)
 
@@ -144,7 +144,7 @@ class Replay:
 
     def main(self) -> int:
         """Opens the viewer and waits until it is closed, or writes the picture."""
-        from octarm import replay_commands
+        from octarm.commands import replay as replay_commands
 
         return replay_commands.replay(self)
 
@@ -164,7 +164,7 @@ class Record:
 
     def main(self) -> int:
         """Writes the recording."""
-        from octarm import replay_commands
+        from octarm.commands import replay as replay_commands
 
         return replay_commands.record(self)
 
@@ -184,7 +184,7 @@ class Plot:
 
     def main(self) -> int:
         """Writes the figures."""
-        from octarm import replay_commands
+        from octarm.commands import replay as replay_commands
 
         return replay_commands.plot(self)
 
@@ -216,10 +216,10 @@ class Video:
 
     def main(self) -> int:
         """Writes the film."""
-        from octarm import video
+        from octarm.recordings import video
 
         video.choose_renderer()  # before anything imports MuJoCo
-        from octarm import replay_commands
+        from octarm.commands import replay as replay_commands
 
         return replay_commands.video(self)
 
@@ -253,7 +253,7 @@ class Validate:
 
     def main(self) -> int:
         """Prints the report; exit code 1 when a check failed."""
-        from octarm import commands
+        from octarm.commands import run as commands
 
         return commands.validate(self)
 
@@ -292,7 +292,7 @@ class Sweep:
 
     def main(self) -> int:
         """Runs the sweep and prints a row a controller."""
-        from octarm import sweep_commands
+        from octarm.commands import sweep as sweep_commands
 
         return sweep_commands.sweep(self)
 
@@ -323,7 +323,7 @@ class Report:
 
     def main(self) -> int:
         """Writes the report and prints a row a controller."""
-        from octarm import report_commands
+        from octarm.commands import report as report_commands
 
         return report_commands.report(self)
 
@@ -352,7 +352,7 @@ class Verify:
 
     def main(self) -> int:
         """Runs and compares."""
-        from octarm import verify_commands
+        from octarm.commands import verify as verify_commands
 
         return verify_commands.verify(self)
 
@@ -421,7 +421,7 @@ class Margin:
 
     def main(self) -> int:
         """Searches and prints a row a controller."""
-        from octarm import margin_commands
+        from octarm.commands import margin as margin_commands
 
         return margin_commands.margin(self)
 
@@ -453,7 +453,7 @@ class Tune:
 
     def main(self) -> int:
         """Searches, writes the file, prints what was gained."""
-        from octarm import tune_commands
+        from octarm.commands import tune as tune_commands
 
         return tune_commands.tune(self)
 

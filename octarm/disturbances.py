@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from octarm.actuators import (
+from octarm.effects.actuators import (
     ActuationDelay,
     DeadZone,
     Lag,
@@ -20,7 +20,7 @@ from octarm.actuators import (
     Saturation,
     SlewLimit,
 )
-from octarm.episode import (
+from octarm.effects.episode import (
     ActuatorFault,
     ActuatorProcess,
     Disturbance,
@@ -34,11 +34,9 @@ from octarm.episode import (
     SensorProcess,
     field_kinds,
 )
-from octarm.errors import closest
-from octarm.fields import Amount, Quantity
-from octarm.forces import BandLimitedNoise, PulseForce, SineForce, StepForce
-from octarm.parameters import ArmParameters
-from octarm.plant_changes import (
+from octarm.effects.fields import Amount, Quantity
+from octarm.effects.forces import BandLimitedNoise, PulseForce, SineForce, StepForce
+from octarm.effects.plant_changes import (
     CyclicDrift,
     Drift,
     GravityTilt,
@@ -46,7 +44,9 @@ from octarm.plant_changes import (
     Payload,
     RandomMismatch,
 )
-from octarm.sensors import MeasurementDelay, MeasurementNoise, Quantisation
+from octarm.effects.sensors import MeasurementDelay, MeasurementNoise, Quantisation
+from octarm.errors import closest
+from octarm.parameters import ArmParameters
 
 # In the order in which those of one family act, whatever the order in which they are listed.
 DISTURBANCES: dict[str, type[Disturbance]] = {

@@ -17,7 +17,7 @@ from octarm.actuation import ACTUATIONS
 from octarm.arrays import split
 from octarm.batch import BatchPhysics
 from octarm.disturbances import Acting
-from octarm.episode import Disturbance, Episode
+from octarm.effects.episode import Disturbance, Episode
 from octarm.errors import closest
 from octarm.interfaces import Motion, Reference
 from octarm.lagrange import positions

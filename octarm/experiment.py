@@ -18,8 +18,8 @@ from dm_control.rl import control
 
 from octarm import runs
 from octarm.disturbances import from_dict
+from octarm.effects.episode import Disturbance
 from octarm.environment import TrackingTask, load
-from octarm.episode import Disturbance
 from octarm.errors import closest
 from octarm.facts import host, versions
 from octarm.interfaces import Controller

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from scipy import signal
 
-from octarm.actuators import ActuationDelay
 from octarm.disturbances import Acting, from_dict, spelling, to_dict
-from octarm.episode import ActuatorFault, Disturbance, Force, PlantChange, SensorFault
-from octarm.forces import BandLimitedNoise, SineForce
+from octarm.effects.actuators import ActuationDelay
+from octarm.effects.episode import ActuatorFault, Disturbance, Force, PlantChange, SensorFault
+from octarm.effects.forces import BandLimitedNoise, SineForce
+from octarm.effects.sensors import MeasurementDelay, MeasurementNoise
 from octarm.parameters import ArmParameters
 from octarm.plant import ArmPhysics
-from octarm.sensors import MeasurementDelay, MeasurementNoise
 
 _WINDOW = 65_536  # physics steps
 _HOLDS = 40  # fewer of a noise do not tell its spectrum

@@ -13,14 +13,14 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octarm.blocks import SETTLED_AFTER as SETTLED_AFTER
-from octarm.blocks import Block as Block
-from octarm.blocks import parts
-from octarm.chattering import CORNER, Chattering
-from octarm.input_metrics import ForceUse, InputUse
-from octarm.sliding_metrics import Sliding
-from octarm.tracking_metrics import DWELL, Overshoot, Settling, TipError, TrackingError
-from octarm.tracking_metrics import default_band as default_band
+from octarm.measures.blocks import SETTLED_AFTER as SETTLED_AFTER
+from octarm.measures.blocks import Block as Block
+from octarm.measures.blocks import parts
+from octarm.measures.chattering import CORNER, Chattering
+from octarm.measures.inputs import ForceUse, InputUse
+from octarm.measures.sliding import Sliding
+from octarm.measures.tracking import DWELL, Overshoot, Settling, TipError, TrackingError
+from octarm.measures.tracking import default_band as default_band
 
 _NUMBERS_A_PART = 12_000  # what is worked on at a time should stay in the processor's caches
 

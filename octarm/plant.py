@@ -15,7 +15,7 @@ import numpy as np
 
 from octarm.actuation import Actuation, GroundedActuation
 from octarm.disturbances import Acting
-from octarm.episode import Plant
+from octarm.effects.episode import Plant
 from octarm.limits import Limits
 from octarm.model import PlantFields, coordinate_names, paper_order
 from octarm.parameters import ArmParameters

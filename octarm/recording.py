@@ -16,10 +16,10 @@ from typing import Any
 
 import pyarrow as pa
 import rerun as rr
-from rerun.experimental import ViewerClient as ViewerClient  # for octarm.viewer
+from rerun.experimental import ViewerClient as ViewerClient  # for octarm.recordings.viewer
 
 from octarm.files import piped, whole_file
-from octarm.recorded_run import RecordedRun
+from octarm.recordings.recorded_run import RecordedRun
 from octarm.trajectory import Trajectory
 
 BLOCK = 5000  # rows a chunk: fewer cost space, more cost memory and what a crash loses
@@ -111,7 +111,7 @@ def time_axes(path: str | os.PathLike[str]) -> list[str]:
 
 
 def last_instant(path: str | os.PathLike[str]) -> float:
-    """The last instant of a recording [s]; see `octarm.viewer.end_of`."""
+    """The last instant of a recording [s]; see `octarm.recordings.viewer.end_of`."""
     ends = []
     try:
         for chunk in rr.chunk.RrdReader(os.fspath(path)).stream():

@@ -20,11 +20,11 @@ from typing import NamedTuple
 from octarm import runs
 from octarm.environment import whole_periods
 from octarm.model import nominal_parameters
-from octarm.shards import Factory, begin, run_arms, run_shard
-from octarm.sweep_folder import SweepFolder, parquet_bytes
-from octarm.sweep_plan import Plan
-from octarm.sweep_spec import SweepSpec
-from octarm.workers import WorkerProcesses, cores
+from octarm.sweeps.folder import SweepFolder, parquet_bytes
+from octarm.sweeps.plan import Plan
+from octarm.sweeps.shards import Factory, begin, run_arms, run_shard
+from octarm.sweeps.spec import SweepSpec
+from octarm.sweeps.workers import WorkerProcesses, cores
 
 _TRIES = 4  # of a shard whose worker dies
 _GLANCE = 5.0  # [s]; after so long it looks whether there are more workers
@@ -52,7 +52,7 @@ def sweep(
     workers, nor on how often the sweep was interrupted.
 
     Args:
-        spec: see `octarm.sweep_parser.read_spec`.
+        spec: see `octarm.sweeps.parser.read_spec`.
         factory: makes a controller from its name, the nominal model and gains, as
             `controllers.make_controller` does; other processes have to be able to import it.
         out: folder of the sweep.

@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from octarm import free_motion, lagrange
-from octarm.mechanics import (
+from octarm import lagrange
+from octarm.checks import free_motion
+from octarm.checks.mechanics import (
     Mechanics,
     lagrange_mechanics,
     levers,

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.random import SeedSequence
 
-from octarm.actuators import (
+from octarm.effects.actuators import (
     ActuationDelay,
     DeadZone,
     Lag,
@@ -20,7 +20,7 @@ from octarm.actuators import (
     Saturation,
     SlewLimit,
 )
-from octarm.episode import ActuatorFault, Episode
+from octarm.effects.episode import ActuatorFault, Episode
 from octarm.lagrange import equilibrium
 from octarm.model import nominal_parameters
 from octarm.references import named_reference

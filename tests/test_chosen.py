@@ -10,13 +10,14 @@ from test_verify import Inline
 
 import octarm
 from controllers import make_controller
-from octarm import chosen, runs
-from octarm.chosen import METRIC, RECORDED, choose, experiment_of, record_chosen
+from octarm import runs
+from octarm.checks.verify import check_run
+from octarm.checks.verify_episode import FinishedSweep
 from octarm.cli import main
-from octarm.shards import begin
-from octarm.sweep_parser import parse_spec
-from octarm.verify import check_run
-from octarm.verify_episode import FinishedSweep
+from octarm.sweeps import chosen
+from octarm.sweeps.chosen import METRIC, RECORDED, choose, experiment_of, record_chosen
+from octarm.sweeps.parser import parse_spec
+from octarm.sweeps.shards import begin
 
 SPEC = """\
 seed = 4

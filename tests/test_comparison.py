@@ -7,7 +7,7 @@ import pytest
 import rerun as rr
 from recordings import described, entities, fields, swinging
 
-from octarm.comparison import Run, difference, write_comparison
+from octarm.recordings.comparison import Run, difference, write_comparison
 
 
 def test_it_holds_both_runs_and_the_difference_of_their_errors(tmp_path):

@@ -19,14 +19,14 @@ from octarm.disturbances import (
     parse_disturbance,
     to_dict,
 )
-from octarm.episode import Disturbance, Episode, field_kinds
-from octarm.forces import BandLimitedNoise, SineForce, StepForce
+from octarm.effects.episode import Disturbance, Episode, field_kinds
+from octarm.effects.forces import BandLimitedNoise, SineForce, StepForce
+from octarm.effects.plant_changes import Payload, RandomMismatch
+from octarm.effects.sensors import MeasurementNoise
+from octarm.effects.streams import stream
 from octarm.lagrange import equilibrium
 from octarm.model import nominal_parameters
-from octarm.plant_changes import Payload, RandomMismatch
 from octarm.references import named_reference
-from octarm.sensors import MeasurementNoise
-from octarm.streams import stream
 
 P = nominal_parameters()
 REST = equilibrium(P)

@@ -17,8 +17,8 @@ from test_disturbed_runs import ALL, DT, Listener, P
 from controllers import make_controller
 from octarm.batch import BatchPhysics
 from octarm.disturbances import DISTURBANCES, parse_disturbance
+from octarm.effects.episode import Disturbance
 from octarm.environment import load
-from octarm.episode import Disturbance
 from octarm.interfaces import Controller, Measurement, Reference
 from octarm.metrics import Block, Metrics
 from octarm.rollout import Instant, drive, rollout

@@ -11,7 +11,7 @@ from test_disturbances import SPELLINGS
 
 from octarm import cli, runs
 from octarm.disturbances import DISTURBANCES, parse_disturbance, spelling
-from octarm.episode import Disturbance, field_kinds
+from octarm.effects.episode import Disturbance, field_kinds
 
 _NAMES = "|".join(sorted(DISTURBANCES, key=len, reverse=True))
 _SPELLING = re.compile(rf"(?<![\w-])({_NAMES}):(\S*[\w.])")

@@ -25,9 +25,9 @@ from test_disturbances import SPELLINGS
 from controllers import CONTROLLERS, make_controller
 from octarm.actuation import GroundedActuation, InternalActuation
 from octarm.disturbances import parse_disturbance
+from octarm.effects.episode import Disturbance, Episode, PlantChange
+from octarm.effects.forces import tip_force
 from octarm.environment import load
-from octarm.episode import Disturbance, Episode, PlantChange
-from octarm.forces import tip_force
 from octarm.interfaces import Command, Measurement, Reference
 from octarm.lagrange import damping_matrix, energy, equilibrium, forward_dynamics, positions
 from octarm.model import nominal_parameters, paper_order

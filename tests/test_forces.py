@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from octarm.episode import Episode
-from octarm.forces import BandLimitedNoise, PulseForce, SineForce, StepForce, tip_force
+from octarm.effects.episode import Episode
+from octarm.effects.forces import BandLimitedNoise, PulseForce, SineForce, StepForce, tip_force
+from octarm.effects.streams import HeldNoise, stream
 from octarm.lagrange import equilibrium, inverse_dynamics, positions, potential_force
 from octarm.model import build_model, nominal_parameters, paper_order, world_position
 from octarm.parameters import ArmParameters
 from octarm.references import SetPoint, Sine, named_reference
-from octarm.streams import HeldNoise, stream
 
 P = nominal_parameters()
 REST = equilibrium(P)
@@ -318,7 +318,7 @@ def test_rms_may_differ_between_coordinates():
 def test_noise_is_the_same_in_another_process():
     code = (
         "import numpy as np;"
-        "from octarm.streams import HeldNoise, stream;"
+        "from octarm.effects.streams import HeldNoise, stream;"
         "g = [stream(np.random.SeedSequence(11, spawn_key=(2,)), 'noise')];"
         "noise = HeldNoise(g, 6, 0.01, 1e-3, ());"
         "print(b''.join(noise(k).tobytes() for k in range(2000)).hex())"

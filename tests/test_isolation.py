@@ -21,8 +21,8 @@ from test_disturbances import SPELLINGS
 from controllers import CONTROLLERS, make_controller
 from octarm import cli
 from octarm.disturbances import Acting, parse_disturbance
+from octarm.effects.episode import Disturbance, Episode
 from octarm.environment import TrackingTask, load
-from octarm.episode import Disturbance, Episode
 from octarm.interfaces import Command, Controller, Measurement, Reference
 from octarm.ledger import Ledger
 from octarm.model import nominal_parameters

@@ -22,13 +22,13 @@ ORDER = [
     "report",
     "actuation",
     "lagrange",
-    "streams",
-    "fields",
-    "episode",
-    "forces",
-    "actuators",
-    "sensors",
-    "plant_changes",
+    "effects.streams",
+    "effects.fields",
+    "effects.episode",
+    "effects.forces",
+    "effects.actuators",
+    "effects.sensors",
+    "effects.plant_changes",
     "disturbances",
     "model",
     "limits",
@@ -36,69 +36,69 @@ ORDER = [
     "batch",
     "references",
     "environment",
-    "blocks",
-    "tracking_metrics",
-    "input_metrics",
-    "chattering",
-    "sliding_metrics",
+    "measures.blocks",
+    "measures.tracking",
+    "measures.inputs",
+    "measures.chattering",
+    "measures.sliding",
     "metrics",
     "trajectory",
     "rollout",
-    "search_space",
-    "objective",
-    "tuning",
+    "tuning.space",
+    "tuning.objective",
+    "tuning.search",
     "ledger",
     "runs",
     "facts",
     "digest",
-    "sweep_spec",
-    "sweep_parser",
-    "sweep_plan",
-    "shards",
-    "sweep_folder",
-    "workers",
+    "sweeps.spec",
+    "sweeps.parser",
+    "sweeps.plan",
+    "sweeps.shards",
+    "sweeps.folder",
+    "sweeps.workers",
     "sweep",
-    "statistics",
-    "sweep_measures",
-    "sweep_episodes",
-    "sweep_report",
-    "sweep_checks",
-    "sweep_panels",
-    "sweep_figures",
-    "report_tables",
-    "report_page",
-    "mechanics",
-    "free_motion",
+    "reports.statistics",
+    "reports.measures",
+    "reports.episodes",
+    "reports.findings",
+    "reports.checks",
+    "reports.panels",
+    "reports.figures",
+    "reports.tables",
+    "reports.page",
+    "checks.mechanics",
+    "checks.free_motion",
     "validation",
-    "scene",
-    "channels",
-    "states",
-    "notes",
-    "heat_map",
-    "recorded_scene",
-    "blueprints",
-    "recorded_run",
+    "recordings.scene",
+    "recordings.channels",
+    "recordings.states",
+    "recordings.notes",
+    "recordings.heat_map",
+    "recordings.recorded_scene",
+    "recordings.blueprints",
+    "recordings.recorded_run",
     "recording",
-    "comparison",
-    "web_page",
-    "viewer",
-    "plots",
-    "video",
+    "recordings.comparison",
+    "recordings.web_page",
+    "recordings.viewer",
+    "recordings.plots",
+    "recordings.video",
     "experiment",
-    "differences",
-    "verify",
-    "verify_episode",
-    "chosen",
-    "margin",
-    "margin_trial",
-    "summary",
-    "commands",
-    "sweep_commands",
-    "report_commands",
-    "tune_commands",
-    "verify_commands",
-    "margin_commands",
-    "replay_commands",
+    "checks.differences",
+    "checks.verify",
+    "checks.verify_episode",
+    "sweeps.chosen",
+    "sweeps.margin",
+    "sweeps.margin_trial",
+    "commands.summary",
+    "commands.run",
+    "commands.sweep",
+    "commands.report",
+    "commands.tune",
+    "commands.verify",
+    "commands.margin",
+    "commands.replay",
     "cli",
 ]
 
@@ -117,42 +117,53 @@ def imports(path: Path) -> set[str]:
 
 
 def modules_of(names: set[str]) -> set[str]:
-    return {name.split(".")[1] for name in names if name.startswith("octarm.")} & set(ORDER)
+    return {name.removeprefix("octarm.") for name in names if name.startswith("octarm.")} & set(
+        ORDER
+    )
+
+
+def name_of(path: Path) -> str:
+    return ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+
+
+def path_of(name: str) -> Path:
+    return PACKAGE.joinpath(*name.split(".")).with_suffix(".py")
+
+
+MODULES = [path for path in PACKAGE.rglob("*.py") if path.name != "__init__.py"]
 
 
 def test_every_module_has_its_place():
-    found = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__"}
-    assert found == set(ORDER)
+    assert {name_of(path) for path in MODULES} == set(ORDER)
 
 
 @pytest.mark.parametrize("name", ORDER)
 def test_imports_point_downwards(name: str):
     allowed = set(ORDER[: ORDER.index(name)])
-    lazily = {"commands": set(), "cli": {"commands"}}.get(name, set())
-    assert modules_of(imports(PACKAGE / f"{name}.py")) - {"cli"} <= allowed | lazily
+    assert modules_of(imports(path_of(name))) - {"cli"} <= allowed
 
 
 WITH_CONTROLLERS = (
-    "summary",
-    "commands",
-    "sweep_commands",
-    "report_commands",
-    "tune_commands",
-    "verify_commands",
-    "margin_commands",
+    "commands.summary",
+    "commands.run",
+    "commands.sweep",
+    "commands.report",
+    "commands.tune",
+    "commands.verify",
+    "commands.margin",
     "cli",
 )
 
 
 @pytest.mark.parametrize("name", [n for n in ORDER if n not in WITH_CONTROLLERS])
 def test_octarm_does_not_import_controllers(name: str):
-    assert not any(m.split(".")[0] == "controllers" for m in imports(PACKAGE / f"{name}.py"))
+    assert not any(m.split(".")[0] == "controllers" for m in imports(path_of(name)))
 
 
 def test_only_what_makes_recordings_imports_rerun():
-    users = {p.stem for p in PACKAGE.glob("*.py") if any("rerun" in m for m in imports(p))}
+    users = {name_of(p) for p in MODULES if any("rerun" in m for m in imports(p))}
     parts = {"recorded_run", "recorded_scene", "heat_map", "blueprints", "comparison"}
-    assert users == {"recording", *parts}
+    assert users == {"recording", *(f"recordings.{part}" for part in parts)}
 
 
 def test_the_analytic_model_never_sees_mujoco():

@@ -11,14 +11,16 @@ import pytest
 from scipy.stats import binom
 
 from controllers import make_controller
-from octarm import margin_commands
 from octarm.cli import main
+from octarm.commands import margin as margin_commands
 from octarm.disturbances import DISTURBANCES, parse_disturbance
-from octarm.forces import PulseForce
+from octarm.effects.forces import PulseForce
 from octarm.interfaces import Command
 from octarm.lagrange import potential_force
-from octarm.margin import Brackets, Outcome, estimate, search
-from octarm.margin_trial import (
+from octarm.model import nominal_parameters
+from octarm.parameters import ArmParameters
+from octarm.sweeps.margin import Brackets, Outcome, estimate, search
+from octarm.sweeps.margin_trial import (
     NOMINAL,
     RANGES,
     Bound,
@@ -27,8 +29,6 @@ from octarm.margin_trial import (
     parse_bound,
     parse_varied,
 )
-from octarm.model import nominal_parameters
-from octarm.parameters import ArmParameters
 
 P = nominal_parameters()
 

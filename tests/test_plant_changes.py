@@ -7,11 +7,8 @@ import pytest
 from scipy import stats
 
 from octarm.disturbances import Acting
-from octarm.episode import Episode, Plant, PlantChange
-from octarm.lagrange import equilibrium, potential_force
-from octarm.model import nominal_parameters
-from octarm.parameters import ArmParameters
-from octarm.plant_changes import (
+from octarm.effects.episode import Episode, Plant, PlantChange
+from octarm.effects.plant_changes import (
     CyclicDrift,
     Drift,
     GravityTilt,
@@ -19,6 +16,9 @@ from octarm.plant_changes import (
     Payload,
     RandomMismatch,
 )
+from octarm.lagrange import equilibrium, potential_force
+from octarm.model import nominal_parameters
+from octarm.parameters import ArmParameters
 from octarm.references import named_reference
 
 P = nominal_parameters()

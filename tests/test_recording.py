@@ -22,7 +22,7 @@ from recordings import (
 from octarm.lagrange import positions
 from octarm.model import world_position
 from octarm.recording import Recorder, last_instant, part_of, write_recording
-from octarm.viewer import rescue
+from octarm.recordings.viewer import rescue
 
 
 def record(tmp_path, run, **more):

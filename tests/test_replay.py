@@ -12,7 +12,9 @@ import pytest
 import rerun as rr
 from recordings import described, fields, swinging
 
-from octarm import cli, replay_commands, runs, viewer
+from octarm import cli, runs
+from octarm.commands import replay as replay_commands
+from octarm.recordings import viewer
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals as on POSIX")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from recordings import swinging
 
-from octarm import scene
 from octarm.lagrange import positions
 from octarm.model import world_position
+from octarm.recordings import scene
 
 
 @pytest.mark.parametrize("modules", [1, 5])

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from numpy.random import SeedSequence
 from scipy import stats
 
-from octarm.episode import Episode, SensorFault
+from octarm.effects.episode import Episode, SensorFault
+from octarm.effects.sensors import MeasurementDelay, MeasurementNoise, Quantisation
 from octarm.lagrange import equilibrium
 from octarm.model import nominal_parameters
 from octarm.references import named_reference
-from octarm.sensors import MeasurementDelay, MeasurementNoise, Quantisation
 
 P = nominal_parameters()
 STEP = 5e-4  # [s]

@@ -7,9 +7,9 @@ from controllers import CONTROLLERS, make_controller
 from octarm.digest import CHECKPOINTS, StateDigest
 from octarm.metrics import METRICS
 from octarm.rollout import drive
-from octarm.shards import begin, run_arms, run_shard, schema
-from octarm.sweep_parser import parse_spec
-from octarm.sweep_plan import Plan
+from octarm.sweeps.parser import parse_spec
+from octarm.sweeps.plan import Plan
+from octarm.sweeps.shards import begin, run_arms, run_shard, schema
 
 EVERYTHING = """\
 episodes = 2

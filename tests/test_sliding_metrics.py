@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from octarm.sliding_metrics import Sliding
+from octarm.measures.sliding import Sliding
 
 STEP = 1e-3
 

@@ -3,10 +3,10 @@
 import numpy as np
 from recordings import described, swinging
 
-from octarm.channels import bounds_of, channels_of, values_of
-from octarm.heat_map import HeatMap
-from octarm.notes import notes_of, title_of
-from octarm.states import Event, States, events
+from octarm.recordings.channels import bounds_of, channels_of, values_of
+from octarm.recordings.heat_map import HeatMap
+from octarm.recordings.notes import notes_of, title_of
+from octarm.recordings.states import Event, States, events
 
 
 def test_channels_and_values_have_the_same_names_and_widths():

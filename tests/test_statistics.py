@@ -6,8 +6,8 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octarm import statistics
-from octarm.statistics import binomial, medians, paired
+from octarm.reports import statistics
+from octarm.reports.statistics import binomial, medians, paired
 
 values = st.lists(st.floats(-1e6, 1e6) | st.just(np.inf) | st.just(np.nan), min_size=1, max_size=60)
 

@@ -23,12 +23,12 @@ import octarm
 from controllers import make_controller
 from octarm.cli import main
 from octarm.errors import ExitCode
-from octarm.shards import run_arms
 from octarm.sweep import estimate
-from octarm.sweep_folder import MANIFEST, read_facts, read_manifest, shard_name
-from octarm.sweep_parser import parse_spec
-from octarm.sweep_plan import Plan
-from octarm.workers import WorkerProcesses, dask_cluster
+from octarm.sweeps.folder import MANIFEST, read_facts, read_manifest, shard_name
+from octarm.sweeps.parser import parse_spec
+from octarm.sweeps.plan import Plan
+from octarm.sweeps.shards import run_arms
+from octarm.sweeps.workers import WorkerProcesses, dask_cluster
 
 SPEC = """\
 seed = 1
@@ -455,7 +455,7 @@ sys.path.insert(0, "tests")
 from test_sweep import SPEC, Inline
 import octarm
 from controllers import make_controller
-from octarm.sweep_parser import parse_spec
+from octarm.sweeps.parser import parse_spec
 spec = SPEC.replace("batch = 4", "batch = 200")
 CASES = [(100, 0.0005), (100, 0.0005), (1000, 0.0005), (100, 0.04)]
 for i, (episodes, duration) in enumerate(CASES):

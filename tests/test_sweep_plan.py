@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octarm.forces import BandLimitedNoise
-from octarm.streams import stream
-from octarm.sweep_parser import parse_spec
-from octarm.sweep_plan import Plan
+from octarm.effects.forces import BandLimitedNoise
+from octarm.effects.streams import stream
+from octarm.sweeps.parser import parse_spec
+from octarm.sweeps.plan import Plan
 
 SPEC = """\
 seed = 5

@@ -22,14 +22,14 @@ from controllers import make_controller
 from octarm.cli import main
 from octarm.errors import ExitCode
 from octarm.metrics import METRICS
-from octarm.report_page import inline_svg
-from octarm.report_tables import number
-from octarm.sweep_checks import findings
-from octarm.sweep_episodes import read_episodes
-from octarm.sweep_figures import pictures
-from octarm.sweep_panels import COLORS
-from octarm.sweep_parser import parse_spec
-from octarm.sweep_report import make_report, partners
+from octarm.reports.checks import findings
+from octarm.reports.episodes import read_episodes
+from octarm.reports.figures import pictures
+from octarm.reports.findings import make_report, partners
+from octarm.reports.page import inline_svg
+from octarm.reports.panels import COLORS
+from octarm.reports.tables import number
+from octarm.sweeps.parser import parse_spec
 
 HOSTILE = '<script>alert("&")</script>'
 NOISES, MISMATCHES, SEEDS = (0.0, 0.2, 0.4), (-0.3, 0.3), 6

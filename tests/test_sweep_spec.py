@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from octarm.disturbances import DISTURBANCES
-from octarm.sweep_parser import as_toml, parse_spec, read_spec
+from octarm.sweeps.parser import as_toml, parse_spec, read_spec
 
 SPEC = """\
 seed = 3

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from octarm.lagrange import positions
-from octarm.tracking_metrics import (
+from octarm.measures.tracking import (
     DWELL,
     Overshoot,
     Settling,

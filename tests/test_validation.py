@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from octarm import free_motion, lagrange, mechanics, validation
+from octarm import lagrange, validation
+from octarm.checks import free_motion, mechanics
 from octarm.model import build_model, model_path, nominal_parameters
 from octarm.parameters import ArmParameters
 from octarm.report import Check, Report

@@ -17,17 +17,17 @@ from test_disturbances import SPELLINGS
 import octarm
 from controllers import CONTROLLERS, make_controller
 from octarm import runs
+from octarm.checks.differences import compare
+from octarm.checks.verify import RunCheck, check_run
+from octarm.checks.verify_episode import FinishedSweep, first_difference
 from octarm.cli import main
-from octarm.differences import compare
 from octarm.digest import CHECKPOINTS
 from octarm.disturbances import parse_disturbance
 from octarm.experiment import Experiment, perform
 from octarm.model import nominal_parameters
 from octarm.parameters import ArmParameters
-from octarm.sweep_parser import parse_spec
+from octarm.sweeps.parser import parse_spec
 from octarm.trajectory import Trajectory
-from octarm.verify import RunCheck, check_run
-from octarm.verify_episode import FinishedSweep, first_difference
 
 P = nominal_parameters()
 FACTORY = functools.partial(make_controller, gain_set="recommended")

@@ -12,7 +12,7 @@ from recordings import described, swinging
 
 from octarm import runs
 from octarm.model import nominal_parameters
-from octarm.video import write_video
+from octarm.recordings.video import write_video
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="EGL and OSMesa as on Linux")
 

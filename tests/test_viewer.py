@@ -15,12 +15,12 @@ import pytest
 from PIL import Image
 from recordings import described, swinging
 
-from octarm import viewer
-from octarm.comparison import Run, write_comparison
 from octarm.model import nominal_parameters
 from octarm.recording import write_recording
+from octarm.recordings import viewer
+from octarm.recordings.comparison import Run, write_comparison
+from octarm.recordings.viewer import open_viewer, screenshot
 from octarm.trajectory import Trajectory
-from octarm.viewer import open_viewer, screenshot
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="Vulkan and displays as on Linux")
 posix = pytest.mark.skipif(os.name != "posix", reason="the stand-in for the viewer is a script")

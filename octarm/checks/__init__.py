@@ -1,0 +1,1 @@
+"""Checks of the model against mathematics, and of runs against what they recorded."""

@@ -1,0 +1,255 @@
+"""The arm let go: MuJoCo's integrators against an accurate solution of the analytic equations.
+
+Also what follows from motion alone: the energy balance, and the frequencies of small oscillations.
+Time is a count of steps, so that every run ends at the same instant whatever its timestep.
+"""
+# pyright: reportAttributeAccessIssue=false
+# (mujoco ships no type stubs)
+
+from __future__ import annotations
+
+import copy
+
+import mujoco
+import numpy as np
+from scipy.integrate import simpson, solve_ivp
+from scipy.linalg import eigh
+
+from octarm import lagrange
+from octarm.actuation import InternalActuation
+from octarm.checks.mechanics import levers
+from octarm.model import paper_order
+from octarm.parameters import ArmParameters
+
+DURATION = 2.0  # of a free motion [s]
+SAMPLES = 50  # instants at which motions are compared
+
+
+def initial_motion(p: ArmParameters, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A lively start near the equilibrium, q and v of shape (2N,) [m], [rad], [m/s], [rad/s]."""
+    n = p.modules
+    q, v = lagrange.equilibrium(p), np.repeat([0.3, 3.0], n) * rng.uniform(-1.0, 1.0, 2 * n)
+    q[:n] += p.rest_length * rng.uniform(-0.2, 0.2, n)
+    q[n:] += rng.uniform(-0.6, 0.6, n)
+    return q, v
+
+
+def simulate(
+    model: mujoco.MjModel,
+    q: np.ndarray,
+    v: np.ndarray,
+    samples: int,
+    stride: int = 1,
+    tendon_forces: np.ndarray | float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Steps MuJoCo from q, v, shape (2N,), under constant tendon forces, shape (2N,) [N].
+
+    Returns:
+        q and v at the start and after every `stride` steps, each of shape (samples + 1, 2N).
+    """
+    qpos, dof = paper_order(model)
+    data = mujoco.MjData(model)
+    data.qpos[qpos], data.qvel[dof], data.ctrl[:] = q, v, tendon_forces
+    motion = np.empty((2, samples + 1, q.size))
+    motion[:, 0] = q, v
+    for k in range(1, samples + 1):
+        mujoco.mj_step(model, data, stride)
+        motion[:, k] = data.qpos[qpos], data.qvel[dof]
+    return motion[0], motion[1]
+
+
+def reference_motion(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Coordinates of the analytic arm let go from q, v, shape (SAMPLES + 1, 2N) [m], [rad].
+
+    DOP853 at a relative tolerance of 1e-12, restarted at every sample: its interpolant is of lower
+    order than its steps. Samples after a divergence are NaN.
+    """
+    n = q.size
+    out = np.full((SAMPLES + 1, 2 * n), np.nan)
+    out[0] = state = np.concatenate([q, v])
+    rest = np.zeros(n)
+
+    def slope(_: float, y: np.ndarray) -> np.ndarray:
+        if not np.max(np.abs(y)) < 1e3:
+            raise FloatingPointError("the motion diverges")
+        return np.concatenate([y[n:], lagrange.forward_dynamics(p, y[:n], y[n:], rest)])
+
+    try:
+        for k in range(1, SAMPLES + 1):
+            span = (0.0, DURATION / SAMPLES)
+            solution = solve_ivp(slope, span, state, method="DOP853", rtol=1e-12, atol=1e-13)
+            if not solution.success:
+                break
+            out[k] = state = solution.y[:, -1]
+    except FloatingPointError:
+        pass
+    return out[:, :n]
+
+
+def integrator_error(
+    model: mujoco.MjModel,
+    p: ArmParameters,
+    v: np.ndarray,
+    reference: np.ndarray,
+    integrator: mujoco.mjtIntegrator,
+    steps: int,
+) -> float:
+    """Largest error over a free motion, angles at the lever l/2 [m].
+
+    Args:
+        model: the arm.
+        p: its parameters.
+        v: initial velocities, shape (2N,) [m/s], [rad/s].
+        reference: the motion, starting at the initial coordinates, shape (SAMPLES + 1, 2N).
+        integrator: one of MuJoCo's.
+        steps: number of steps of the whole motion, a multiple of SAMPLES.
+    """
+    model = copy.copy(model)
+    model.opt.integrator = int(integrator)
+    model.opt.timestep = DURATION / steps
+    q, _ = simulate(model, reference[0], v, SAMPLES, steps // SAMPLES)
+    return float(np.max(np.abs(q - reference) * levers(p)))
+
+
+def observed_order(
+    model: mujoco.MjModel,
+    p: ArmParameters,
+    v: np.ndarray,
+    reference: np.ndarray,
+    integrator: mujoco.mjtIntegrator,
+) -> float:
+    """Order of convergence of an integrator [1]; arguments as in `integrator_error`.
+
+    The least-squares slope of error against timestep, both in logarithms, over four timesteps,
+    each half the one before. The first is a tenth of the arm's shortest time constant, which lets
+    the leading term dominate; it is longer where that is so short, by much damping, that the
+    motion which matters is followed to rounding.
+    """
+
+    def error(steps: int) -> float:
+        return integrator_error(model, p, v, reference, integrator, steps)
+
+    steps = 8 * SAMPLES * int(np.ceil(DURATION * _fastest_rate(p) / 0.1 / (8 * SAMPLES)))
+    for _ in range(3):
+        if not error(steps) < 1e-9:
+            break
+        steps //= 2
+    counts = [steps * 2**k for k in range(4)]
+    finer = np.log(counts) - np.mean(np.log(counts))
+    errors = np.array([error(count) for count in counts])
+    return float(-(finer @ np.log(errors)) / (finer @ finer))
+
+
+def analytic_linearisation(p: ArmParameters) -> np.ndarray:
+    """d(v, v')/d(q, v) at the equilibrium by D, B and the Hessian of V, shape (4N, 4N)."""
+    q = lagrange.equilibrium(p)
+    inertia = lagrange.mass_matrix(p, q)
+    slopes = np.hstack([lagrange.potential_hessian(p, q), lagrange.damping_matrix(p)])
+    return _state_matrix(-np.linalg.solve(inertia, slopes))
+
+
+def mujoco_linearisation(model: mujoco.MjModel, q: np.ndarray) -> np.ndarray:
+    """d(v, v')/d(q, v) of MuJoCo at rest at q, shape (4N, 4N), by differences of its accelerations.
+
+    Not by mjd_transitionFD, whose answer is that of one integrator at one timestep.
+    """
+    qpos, dof = paper_order(model)
+    data = mujoco.MjData(model)
+
+    def acceleration(state: np.ndarray) -> np.ndarray:
+        data.qpos[qpos], data.qvel[dof] = np.split(state, 2)
+        mujoco.mj_forward(model, data)
+        return data.qacc[dof]
+
+    def slopes(h: float) -> np.ndarray:
+        steps = h * np.eye(2 * q.size)
+        rest = np.concatenate([q, np.zeros_like(q)])
+        differences = [acceleration(rest + d) - acceleration(rest - d) for d in steps]
+        return np.stack(differences, axis=1) / (2.0 * h)
+
+    return _state_matrix((4.0 * slopes(1e-4) - slopes(2e-4)) / 3.0)  # Richardson, fourth order
+
+
+def undamped_modes(p: ArmParameters) -> tuple[np.ndarray, np.ndarray]:
+    """Modes of the analytic arm about its equilibrium, by ascending frequency.
+
+    Returns:
+        Frequencies, shape (2N,) [rad/s], NaN for an unstable mode; and the modes as columns, shape
+        (2N, 2N), orthonormal with respect to D.
+    """
+    q = lagrange.equilibrium(p)
+    squares, modes = eigh(lagrange.potential_hessian(p, q), lagrange.mass_matrix(p, q))
+    return np.sqrt(np.where(squares > 0.0, squares, np.nan)), modes
+
+
+def measured_frequencies(model: mujoco.MjModel, p: ArmParameters) -> np.ndarray:
+    """Frequencies at which MuJoCo's arm oscillates in `undamped_modes(p)`, shape (2N,) [rad/s].
+
+    Each mode is let go 1 um from the equilibrium and followed for ten periods of 200 steps, of
+    which RK4 misjudges the length by 8e-9. A sampled sine has x[k+1] + x[k-1] = 2 cos(w h) x[k],
+    so that w is measured without being presupposed.
+    """
+    model = undamped(model)
+    still = lagrange.equilibrium(p)
+    frequencies, modes = undamped_modes(p)
+    weights = lagrange.mass_matrix(p, still) @ modes
+    measured = np.full_like(frequencies, np.nan)
+    for k in np.flatnonzero(np.isfinite(frequencies)):
+        model.opt.timestep = 2.0 * np.pi / frequencies[k] / 200
+        start = 1e-6 * modes[:, k] / np.max(np.abs(modes[:, k]) * levers(p))
+        q, _ = simulate(model, still + start, np.zeros_like(still), 2000)
+        x = (q - still) @ weights[:, k]
+        cosine = np.sum(x[1:-1] * (x[2:] + x[:-2])) / (2.0 * np.sum(x[1:-1] ** 2))
+        measured[k] = np.arccos(cosine) / model.opt.timestep
+    return measured
+
+
+def undamped(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy without dampers."""
+    model = copy.copy(model)
+    model.tendon_damping[:] = 0.0
+    return model
+
+
+def energy_drift(model: mujoco.MjModel, p: ArmParameters, q: np.ndarray, v: np.ndarray) -> float:
+    """Largest change of T + V without damping, relative to the largest T, over DURATION [1].
+
+    From q, v, shape (2N,), with the model's integrator and timestep.
+    """
+    steps = round(DURATION / model.opt.timestep)
+    kinetic, potential = lagrange.energy(p, *simulate(undamped(model), q, v, steps))
+    total = kinetic + potential
+    return float(np.max(np.abs(total - total[0])) / np.max(kinetic))
+
+
+def energy_imbalance(
+    model: mujoco.MjModel,
+    p: ArmParameters,
+    q: np.ndarray,
+    v: np.ndarray,
+    tendon_forces: np.ndarray,
+) -> float:
+    """T + V - (T + V)_0 - work + dissipated energy after DURATION, relative to the largest T [1].
+
+    From q, v, shape (2N,), under constant tendon forces, shape (2N,) [N], whose generalised force
+    is constant, so that their work is exact; dissipation by Simpson's rule.
+    """
+    steps = round(DURATION / model.opt.timestep)
+    q_t, v_t = simulate(model, q, v, steps, tendon_forces=tendon_forces)
+    kinetic, potential = lagrange.energy(p, q_t, v_t)
+    work = (q_t[-1] - q_t[0]) @ InternalActuation(p.width).force(q, tendon_forces)
+    power = np.sum(v_t * (v_t @ lagrange.damping_matrix(p)), axis=-1)
+    dissipated = simpson(power, dx=model.opt.timestep)
+    change = (kinetic + potential)[-1] - (kinetic + potential)[0]
+    return float(abs(change - work + dissipated) / np.max(kinetic))
+
+
+def _state_matrix(slopes: np.ndarray) -> np.ndarray:
+    """[[0, 1], slopes] for slopes of the accelerations of shape (2N, 4N)."""
+    n = slopes.shape[0]
+    return np.vstack([np.eye(n, 2 * n, n), slopes])
+
+
+def _fastest_rate(p: ArmParameters) -> float:
+    """Largest absolute eigenvalue of the linearised arm [1/s]."""
+    return float(np.max(np.abs(np.linalg.eigvals(analytic_linearisation(p)))))

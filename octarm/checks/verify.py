@@ -1,0 +1,223 @@
+"""Whether a run comes out again bit by bit, and where it does not."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from octarm import runs
+from octarm.checks.differences import Difference, beside, compare, despite, flat, moved, told
+from octarm.experiment import Experiment, Factory, perform
+from octarm.model import coordinate_names
+from octarm.trajectory import Trajectory
+
+_MOTION = ("q", "v")
+_INPUTS = ("controller", "parameters", "nominal", "reference", "timestep", "control_period")
+_RESULTS = ("disturbances", "metrics", "status", "message")
+
+
+class Deviation(NamedTuple):
+    """Where an array of `run.npz` and that of the re-run first have other bits.
+
+    Attributes:
+        array: name.
+        row: number of the control instant.
+        t: its time [s].
+        place: which number of the row.
+        was: the number in `run.npz`.
+        now: that of the re-run.
+        largest: largest difference of all their numbers.
+    """
+
+    array: str
+    row: int
+    t: float
+    place: str
+    was: float
+    now: float
+    largest: float
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RunCheck:
+    """A run folder beside a re-run of what its `run.json` says.
+
+    Attributes:
+        rows: number of control instants in `run.npz`.
+        arrays: number of arrays there.
+        deviations: of its arrays, the earliest first.
+        differences: of `run.json`, and of names and lengths of arrays; those of results only when
+            no array deviates.
+        digests: those that `run.json` and `run.npz` state, and that of the re-run.
+        then: versions and machine of the run, as far as they are known.
+        now: those of the re-run.
+    """
+
+    rows: int
+    arrays: int
+    deviations: tuple[Deviation, ...]
+    differences: tuple[Difference, ...]
+    digests: tuple[str, str, str]
+    then: Mapping[str, str]
+    now: Mapping[str, str]
+
+    @property
+    def identical(self) -> bool:
+        """Whether everything came out again."""
+        return not self.deviations and not self.differences and len(set(self.digests)) == 1
+
+    def lines(self) -> list[str]:
+        """What was found, for the terminal."""
+        if self.identical:
+            said = (
+                f"identical: {self.rows} control instants, {self.arrays} arrays and the digest, "
+                "bit for bit"
+            )
+            return [said, *despite(self.then, self.now)]
+        found = [self._headline(), *self._table()]
+        if self.differences:
+            found += told(self.differences, "entry")
+        found.append(self._diagnosis())
+        stated, _, now = self.digests
+        return found if now == stated else [*found, *beside(self.then, self.now)]
+
+    def _headline(self) -> str:
+        first = next((d for d in self.deviations if d.array in _MOTION), None)
+        if first is None:
+            return f"different, although q and v are the same at all {self.rows} control instants"
+        return (
+            f"different from t = {first.t:.9g} s on, control instant {first.row} of {self.rows}: "
+            f"{first.array} of {first.place} was {first.was!r} and is {first.now!r}"
+        )
+
+    def _table(self) -> Iterator[str]:
+        if self.deviations:
+            yield "  array               first at t [s]  of        was -> is (largest difference)"
+        for d in self.deviations:
+            numbers = f"{d.was!r} -> {d.now!r} ({d.largest:.2g})"
+            yield f"  {d.array:<18}  {d.t:<14.9g}  {d.place:<8}  {numbers}"
+
+    def _diagnosis(self) -> str:
+        stated, kept, now = self.digests
+        if now == stated:
+            if self.deviations or kept != now:
+                return "the re-run has the digest that run.json states: run.npz was changed"
+            return (
+                "the motion came out again: run.json was changed, or this version measures "
+                "something else"
+            )
+        if now == kept and not self.deviations:
+            return "the re-run has the digest that run.npz states: run.json was changed"
+        if moved(self.then, self.now):
+            return f"changed since the run: {', '.join(moved(self.then, self.now))}"
+        unknown = [key for key in self.now if key not in self.then]
+        missing = f", and {', '.join(unknown)} are not known" if unknown else ""
+        return f"run.json or the code was changed: versions and machine are as then{missing}"
+
+
+def check_run(
+    folder: Path, factory: Factory, progress: Callable[[], object] | None = None
+) -> RunCheck:
+    """Runs again what `run.json` of a run folder says, and compares.
+
+    A run that diverged or was interrupted is repeated up to where it ended.
+
+    Args:
+        folder: of the run.
+        factory: makes the controller from all its gains.
+        progress: called after every control period.
+
+    Raises:
+        ValueError: if the folder holds no complete run, or one that cannot be made again.
+    """
+    description = runs.read_description(folder)
+    stored = _stored(folder, description)
+    interrupted = stored.status == "interrupted"
+    try:
+        experiment = Experiment.from_description(description)
+        if interrupted:
+            length = len(stored) * float(description["control_period"])
+            experiment = dataclasses.replace(experiment, duration=length)
+        environment, controller = experiment.begin(factory)
+    except ValueError as error:
+        raise ValueError(f"{folder} cannot be run again: {error}") from None
+    announced = experiment.announcement(environment, controller)
+    again, described = perform(environment, controller, announced, progress=progress)
+    deviations = sorted(_deviations(stored, again), key=lambda d: d.row)
+    keys = [*_INPUTS]
+    if not deviations:  # what was measured of another motion is another one anyway
+        keys += ["metrics"] if interrupted else _RESULTS
+    known = {key: description[key] for key in keys if key in description}
+    return RunCheck(
+        rows=len(stored),
+        arrays=len(list(stored.arrays())),
+        deviations=tuple(deviations),
+        differences=(*_form(stored, again), *compare(known, described)),
+        digests=(str(description.get("digest")), stored.digest, again.digest),
+        then=flat(description),
+        now=flat(described),
+    )
+
+
+def _stored(folder: Path, description: Mapping[str, Any]) -> Trajectory:
+    """The arrays of a run.
+
+    Raises:
+        ValueError: if there are none.
+    """
+    file = folder / runs.ARRAYS
+    if not file.is_file():
+        killed = description.get("status") == runs.RUNNING
+        why = "it is still going on or was killed" if killed else "it is incomplete"
+        raise ValueError(f"{folder} has no {runs.ARRAYS} to compare with: {why}")
+    stored = Trajectory.load(file)
+    if not len(stored):
+        raise ValueError(f"{file} holds no rows")
+    return stored
+
+
+def _deviations(stored: Trajectory, again: Trajectory) -> Iterator[Deviation]:
+    """Of all arrays that both have in the same form, as far as both reach."""
+    others, rows = dict(again.arrays()), min(len(stored), len(again))
+    for name, array in stored.arrays():
+        other = others.get(name)
+        if other is None or other.shape[1:] != array.shape[1:]:
+            continue
+        was, now = (np.ascontiguousarray(x[:rows]) for x in (array, other))
+        differs = was.view(np.uint64) != now.view(np.uint64)
+        if not differs.any():
+            continue
+        row, *place = here = tuple(int(i) for i in np.argwhere(differs)[0])
+        with np.errstate(all="ignore"):
+            sizes = np.abs(was - now)[differs]
+        yield Deviation(
+            array=name,
+            row=row,
+            t=float(again.t[row]),
+            place=_place(name, place, array.shape[1:], stored.q.shape[1] // 2),
+            was=float(was[here]),
+            now=float(now[here]),
+            largest=float(np.max(sizes)),
+        )
+
+
+def _place(name: str, place: list[int], shape: tuple[int, ...], modules: int) -> str:
+    """Which number of a row, in words where it has some."""
+    if shape == (2 * modules,):
+        return f"tau{place[0] + 1}" if name == "tau" else coordinate_names(modules)[place[0]]
+    return ", ".join(map(str, place)) or "-"
+
+
+def _form(stored: Trajectory, again: Trajectory) -> Iterator[Difference]:
+    """Names, shapes and lengths of the arrays that are not the same."""
+    if len(stored) != len(again):
+        yield Difference("rows", len(stored), len(again))
+    was, now = ({name: a.shape[1:] for name, a in run.arrays()} for run in (stored, again))
+    for name in dict.fromkeys((*was, *now)):
+        if was.get(name) != now.get(name):
+            shapes = (shape.get(name, "absent") for shape in (was, now))
+            yield Difference(f"shape of {name}", *shapes)

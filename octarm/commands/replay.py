@@ -1,0 +1,168 @@
+"""What the commands do that look at runs: replay, record, plot, video."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from octarm import runs
+from octarm.errors import ExitCode
+from octarm.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from octarm.cli import Plot, Record, Replay, Video
+
+_SWEEP = "manifest.json"  # a folder with it is a sweep
+_MOST = 32  # recordings of a sweep that are opened at once
+
+
+def replay(options: Replay) -> int:
+    """`octarm replay`: the viewer on runs, or a picture of it."""
+    from octarm.recordings import viewer
+
+    if options.screenshot is not None and options.web:
+        raise ValueError("--screenshot and --web exclude each other")
+    if options.screenshot is not None and options.screenshot.suffix != ".png":
+        raise ValueError(f"screenshot is {str(options.screenshot)!r}; its name must end in .png")
+    with _recordings(options.runs) as files:
+        if options.screenshot is not None:
+            return _picture(options, files)
+        if options.web:
+            viewer.serve(files, lambda url: print(f"open {url}   (Ctrl-C ends it)", flush=True))
+        else:
+            viewer.open_viewer(files)
+    return ExitCode.FINE
+
+
+def record(options: Record) -> int:
+    """`octarm record`: the recording of a run again, from its arrays and its description."""
+    from octarm.recording import write_recording
+
+    trajectory, description = _whole_run(options.run)
+    target = options.run / runs.RECORDING if options.out is None else options.out
+    write_recording(target, trajectory, description)
+    print(f"wrote {target}")
+    return ExitCode.FINE
+
+
+def plot(options: Plot) -> int:
+    """`octarm plot`: the standard figures of a run."""
+    from octarm.recordings.plots import write_figures
+
+    trajectory, description = _whole_run(options.run)
+    folder = _beside(options.run, "-figures") if options.out is None else options.out
+    for path in write_figures(folder, trajectory, description):
+        print(f"wrote {path}")
+    return ExitCode.FINE
+
+
+def video(options: Video) -> int:
+    """`octarm video`: MuJoCo's picture of a run as a film."""
+    from octarm.recordings.video import write_video
+
+    trajectory, description = _whole_run(options.run)
+    target = _beside(options.run, ".mp4") if options.out is None else options.out
+    write_video(
+        target, trajectory, description, size=(options.width, options.height),
+        rate=options.rate, speed=options.speed,
+    )  # fmt: skip
+    print(f"wrote {target}")
+    return ExitCode.FINE
+
+
+def _beside(folder: Path, ending: str) -> Path:
+    """A name like the run folder's; the folder itself holds the run and nothing else."""
+    return folder.resolve().with_name(folder.resolve().name + ending)
+
+
+def _picture(options: Replay, files: list[Path]) -> int:
+    from octarm.recordings import viewer
+
+    assert options.screenshot is not None
+    if len(files) != 1:
+        raise ValueError(f"a picture shows one recording; {len(files)} were found")
+    end = viewer.end_of(files[0])
+    shown = 0.5 * end if options.time is None else options.time
+    if not 0.0 <= shown <= end:
+        raise ValueError(f"time is {shown:g} s; the run goes from 0 to {end:g} s")
+    viewer.screenshot(files[0], options.screenshot, time=shown)
+    print(f"wrote {options.screenshot}")
+    return ExitCode.FINE
+
+
+@contextlib.contextmanager
+def _recordings(folders: tuple[Path, ...]) -> Iterator[list[Path]]:
+    """The recordings to open: of one run, of two runs together, or of a sweep.
+
+    Raises:
+        ValueError: if there is nothing to replay.
+    """
+    if not 1 <= len(folders) <= 2:
+        raise ValueError(f"{len(folders)} runs are given; replay shows one, or two side by side")
+    with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
+        if len(folders) == 2:
+            from octarm.recordings.comparison import Run, write_comparison
+
+            both = Path(scratch) / "comparison.rrd"
+            write_comparison(both, *(Run(*_whole_run(folder)) for folder in folders))
+            yield [both]
+        elif (folders[0] / _SWEEP).is_file():
+            yield _of_sweep(folders[0])
+        else:
+            yield [_of_run(folders[0], Path(scratch))]
+
+
+def _of_sweep(folder: Path) -> list[Path]:
+    """The recordings of the episodes that were chosen."""
+    files = sorted(folder.rglob("*.rrd"))
+    if not files:
+        raise ValueError(f"{folder} is a sweep without recorded episodes; see [record] in its spec")
+    if len(files) > _MOST:
+        print(f"octarm: the first {_MOST} of {len(files)} recordings are shown", file=sys.stderr)
+    return files[:_MOST]
+
+
+def _of_run(folder: Path, scratch: Path) -> Path:
+    """The recording of a run; what can be read of it if the run is partial."""
+    from octarm.recordings import viewer
+
+    if folder.suffix == ".rrd" and folder.is_file():
+        return folder
+    description = runs.read_description(folder)  # raises when this is no run
+    recording, partial = folder / runs.RECORDING, folder / runs.PARTIAL
+    if recording.is_file():
+        if description["status"] == "interrupted":
+            print(f"octarm: the run is partial: it was {description['message']}", file=sys.stderr)
+        return recording
+    if not partial.is_file():
+        raise ValueError(f"{folder} has no recording {runs.RECORDING}; octarm record writes one")
+    rescued = scratch / runs.RECORDING
+    viewer.rescue(partial, rescued)
+    print(
+        f"octarm: the run is partial: it is still going on or was killed, and reaches to "
+        f"t = {viewer.end_of(rescued):.6g} s",
+        file=sys.stderr,
+    )
+    return rescued
+
+
+def _whole_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
+    """The arrays of a run and its description.
+
+    Raises:
+        ValueError: if there are none, or no rows in them.
+    """
+    description = runs.read_description(folder)
+    if not (folder / runs.ARRAYS).is_file():
+        why = "it is partial" if description["status"] == runs.RUNNING else "it is incomplete"
+        raise ValueError(f"{folder} has no {runs.ARRAYS}: {why}")
+    trajectory, description = runs.read_run(folder)
+    if not len(trajectory) or not np.isfinite(trajectory.t).all():
+        raise ValueError(f"{folder / runs.ARRAYS} holds no rows")
+    return trajectory, description

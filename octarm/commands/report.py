@@ -1,0 +1,98 @@
+"""What `octarm report` does."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from octarm.errors import ExitCode
+from octarm.files import whole_file, write_text
+from octarm.reports.checks import Finding, findings
+from octarm.reports.episodes import read_episodes
+from octarm.reports.figures import Picture, pictures
+from octarm.reports.findings import TABLES, Report, make_report, tables
+from octarm.reports.page import Source, page
+from octarm.sweeps.folder import SPEC
+
+if TYPE_CHECKING:
+    from octarm import cli
+
+PAGE = "report.html"
+FIGURES = "figures"
+
+
+def report(options: cli.Report) -> int:
+    """`octarm report`: a page, tables and figures on a sweep."""
+    out = options.sweep / "report" if options.out is None else options.out
+    _check_place(out, options.sweep)
+    episodes = read_episodes(options.sweep, options.metric)
+    numbers = make_report(episodes, options.baseline)
+    found = findings(episodes)
+    drawn = list(pictures(numbers))
+    files = tables(numbers)
+    source = Source(
+        name=options.sweep.resolve().name,
+        spec=(options.sweep / SPEC).read_text(encoding="utf-8"),
+        commands=_commands(options),
+        files=list(files),
+    )
+    _write(out, page(numbers, found, drawn, source), files, drawn)
+    _say(numbers, found, out)
+    return ExitCode.FINE
+
+
+def _check_place(out: Path, sweep: Path) -> None:
+    """Raises ValueError if the folder holds something else; an earlier report is replaced."""
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"{out} is not a folder; choose another --out")
+    if out.resolve() == sweep.resolve():
+        raise ValueError(f"{out} is the sweep itself; choose another --out")
+    found = {entry.name for entry in out.iterdir()} if out.is_dir() else set()
+    if PAGE not in found and found - {FIGURES, *TABLES}:
+        raise ValueError(f"{out} exists and is not a report; choose another --out")
+
+
+def _write(out: Path, text: str, files: dict[str, str], drawn: list[Picture]) -> None:
+    """Writes the report; the page, last, makes it one.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    (out / FIGURES).mkdir(parents=True, exist_ok=True)
+    earlier = [out / name for name in TABLES]
+    for start in ("degradation-", "distributions", "map-", "failures"):
+        earlier += (out / FIGURES).glob(f"{start}*")
+    for file in earlier:
+        file.unlink(missing_ok=True)  # it may be of another choice of metrics
+    for name, content in files.items():
+        write_text(out / name, content)
+    for picture in drawn:
+        write_text(out / FIGURES / f"{picture.name}.svg", picture.svg)
+        with whole_file(out / FIGURES / f"{picture.name}.png") as part:
+            part.write_bytes(picture.png)
+    write_text(out / PAGE, text)
+
+
+def _commands(options: cli.Report) -> list[str]:
+    """That make the sweep and the report again."""
+    words = ["octarm", "report", str(options.sweep)]
+    words += ["--baseline", options.baseline] if options.baseline is not None else []
+    words += [word for name in options.metric for word in ("--metric", name)]
+    words += ["--out", str(options.out)] if options.out is not None else []
+    spec, again = str(options.sweep / SPEC), f"{os.path.normpath(options.sweep)}-again"
+    return [shlex.join(["octarm", "sweep", spec, "--out", again]), shlex.join(words)]
+
+
+def _say(numbers: Report, found: list[Finding], out: Path) -> None:
+    """A row a controller, the warnings, and where to look."""
+    measure = numbers.episodes.measures[0]
+    print(f"controller            episodes  diverged  median {measure.name} [{measure.unit}]")
+    for entry in numbers.of(None):
+        middle, low, high = (float(x[0]) for x in entry.medians)
+        told = f"{middle:.3e}  ({low:.3e} .. {high:.3e})"
+        print(f"{entry.controller:<20} {entry.episodes:>9} {entry.failed:>9}  {told}")
+    for finding in found:
+        print(f"{'warning' if finding.warning else 'note'}: {finding.text}")
+    print(f"wrote {out / PAGE}")

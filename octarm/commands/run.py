@@ -1,0 +1,164 @@
+"""What the commands do."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import functools
+import itertools
+import json
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from tqdm import tqdm
+
+from controllers import make_controller
+from octarm import runs
+from octarm.commands.summary import summary
+from octarm.disturbances import parse_disturbance
+from octarm.environment import whole_periods
+from octarm.errors import ExitCode, closest
+from octarm.experiment import Experiment, run_into
+from octarm.files import write_text
+from octarm.model import nominal_parameters
+from octarm.parameters import ArmParameters
+
+if TYPE_CHECKING:
+    from octarm.cli import Run, Validate
+
+
+def run(options: Run) -> int:
+    """`octarm run`: one controller against the arm, as a run folder."""
+    true = _true_parameters(options)
+    nominal = true.mismatched(options.mismatch).scaled(**named_values("--nominal", options.nominal))
+    experiment = Experiment(
+        controller=options.controller,
+        gains=_gains(options.gain),
+        nominal=nominal,
+        parameters=true,
+        reference=options.reference,
+        disturbances=tuple(parse_disturbance(text) for text in options.disturbance),
+        seed=options.seed,
+        duration=options.duration,
+        timestep=options.timestep,
+        control_period=options.control_period,
+        actuation=options.actuation,
+    )
+    factory = functools.partial(make_controller, gain_set=options.gains)
+    environment, controller = experiment.begin(factory)
+    announced = experiment.announcement(environment, controller)
+    periods = whole_periods(options.duration, environment.control_timestep())
+    out = options.out or _dated_folder(options.controller)
+    started = time.perf_counter()
+    with tqdm(total=periods, unit=" periods", disable=None, leave=False) as bar:
+        trajectory, description = run_into(
+            out, environment, controller, announced, progress=bar.update
+        )
+    elapsed = time.perf_counter() - started
+    print(summary(trajectory, description, elapsed))
+    print(f"wrote {out}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
+    if trajectory.status == "interrupted":
+        raise KeyboardInterrupt(f"{out} holds the run up to t = {trajectory.t[-1]:.6g} s")
+    if trajectory.status == "diverged":
+        print(f"octarm: the run {trajectory.message}; it was kept up to there", file=sys.stderr)
+        return ExitCode.DIVERGED
+    if options.view:
+        return _view(out)
+    print(f"see it: octarm replay {shlex.quote(str(out))}")
+    return ExitCode.FINE
+
+
+def validate(options: Validate) -> int:
+    """`octarm validate`: MuJoCo against the analytic model, or the controllers' Lyapunov ledger."""
+    from controllers.ledger import ledger
+    from octarm.validation import arm_with, random_arm
+    from octarm.validation import validate as plant
+
+    compare, states = (ledger, 3000) if options.controllers else (plant, 10_000)
+    states = states if options.states is None else options.states
+    if options.modules < 1 or options.random_parameters < 0 or states < 1:
+        raise ValueError(
+            f"modules is {options.modules}, states {states}, random parameters "
+            f"{options.random_parameters}; they must be at least 1, 1 and 0"
+        )
+    if options.seed < 0:
+        raise ValueError(f"seed is {options.seed}; it must be at least 0")
+    if options.json is not None and not options.json.parent.is_dir():
+        raise ValueError(f"{options.json} cannot be written: there is no folder for it")
+    draw = np.random.default_rng(options.seed)
+    arms = [random_arm(draw, options.modules) for _ in range(options.random_parameters)]
+    reports = []
+    for arm in arms or [arm_with(options.modules)]:
+        with tqdm(bar_format="checking {desc}", disable=None, leave=False) as line:
+            report = compare(arm, states, options.seed, line.set_description_str)
+        print(report.format(), flush=True)
+        reports.append(report)
+    if options.json is not None:
+        write_text(options.json, json.dumps([r.to_dict() for r in reports], indent=2) + "\n")
+    return ExitCode.FINE if all(r.passed for r in reports) else ExitCode.CHECK_FAILED
+
+
+def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
+    """Parses NAME:VALUES items; values are separated by `,`, rows by `;`.
+
+    Raises:
+        ValueError: if an item has no name, or its values are not numbers.
+    """
+    values = {}
+    for item in items:
+        name, _, text = item.partition(":")
+        if name in values:
+            raise ValueError(f"{option} gives {name} twice")
+        try:
+            rows = [[float(x) for x in row.split(",")] for row in text.split(";")]
+            table = np.array(rows)
+        except ValueError:
+            raise ValueError(
+                f"{option} is {item!r}; it must read NAME:NUMBER, NAME:A,B,C or NAME:A,B;C,D"
+            ) from None
+        if table.shape[0] == 1:
+            table = table[0]
+        values[name] = table[0] if table.shape == (1,) else table
+    return values
+
+
+def _gains(items: Sequence[str]) -> dict[str, npt.ArrayLike]:
+    gains = named_values("--gain", items)
+    for item, value in zip(items, gains.values(), strict=True):
+        if np.ndim(value) > 1:
+            raise ValueError(f"--gain is {item!r}; a gain is one number, or one a coordinate")
+    return gains
+
+
+def _true_parameters(options: Run) -> ArmParameters:
+    changes = named_values("--parameter", options.parameter)
+    known = [field.name for field in dataclasses.fields(ArmParameters)]
+    for name in changes:
+        if name not in known:
+            raise ValueError(f"unknown parameter {name!r}{closest(name, known)}")
+    return dataclasses.replace(nominal_parameters(), **changes)
+
+
+def _view(folder: Path) -> int:
+    """Opens the viewer on a fresh run; without a display the run is still fine."""
+    from octarm.recordings import viewer
+
+    try:
+        viewer.open_viewer([folder / runs.RECORDING])
+    except RuntimeError as error:
+        print(f"the viewer did not open: {error}")
+        print(f"a picture: octarm replay {shlex.quote(str(folder))} --screenshot picture.png")
+    return ExitCode.FINE
+
+
+def _dated_folder(controller: str) -> Path:
+    now = datetime.datetime.now().strftime("%Y%m%d-%H%M%S.%f")[:-3]
+    base = Path("runs") / f"{now}-{controller}"
+    names = itertools.chain([base], (Path(f"{base}-{i}") for i in itertools.count(2)))
+    return next(name for name in names if not name.exists())

@@ -1,0 +1,162 @@
+"""What `octarm tune` does."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import functools
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from tqdm import tqdm
+
+from controllers import make_controller
+from controllers.gain_sets import GainSet, plain, read_gain_set
+from octarm.errors import ExitCode
+from octarm.files import write_text
+from octarm.model import nominal_parameters
+from octarm.tuning.objective import FORMULA, Trial
+from octarm.tuning.search import Effort, State, StateFile, Tuned, settings, versions
+from octarm.tuning.search import tune as tune_gains
+from octarm.tuning.space import Space
+
+if TYPE_CHECKING:
+    from octarm.cli import Tune
+
+
+def tune(options: Tune) -> int:
+    """`octarm tune`: gains for one controller, as a TOML file."""
+    effort = Effort.within(options.budget)
+    if options.seed < 0:
+        raise ValueError(f"seed is {options.seed}; it must be at least 0")
+    out = options.out or Path(f"{options.controller}.toml")
+    tuned = _search(options, effort, out)
+    write_text(out, gain_set(options, effort, tuned).to_toml())
+    state_file(out).unlink(missing_ok=True)
+    _print_summary(options.controller, effort, tuned)
+    print(f"wrote {out}")
+    print(f"try it: octarm run --controller {options.controller} --gains {shlex.quote(str(out))}")
+    return ExitCode.FINE
+
+
+def _search(options: Tune, effort: Effort, out: Path) -> Tuned:
+    """The search, with a bar on its progress and its state on disk."""
+    factory = functools.partial(make_controller, options.controller, gain_set="recommended")
+    nominal = nominal_parameters()
+    space = Space(factory(nominal), nominal.modules)
+    file = StateFile(state_file(out), settings(options.controller, space, effort, options.seed))
+    _check_place(out, file, options)
+    state = file.read() if options.resume else None
+    bar = tqdm(
+        total=effort.seconds, unit=" simulated s", unit_scale=True, disable=None, leave=False
+    )
+
+    def keep(state: State) -> None:
+        file.write(state)
+        bar.set_postfix_str(f"generation {state.generation + 1}, cost {state.costs[0]:.4g}")
+
+    try:
+        with bar:
+            return tune_gains(
+                factory, effort, seed=options.seed, state=state, keep=keep, progress=bar.update
+            )
+    except KeyboardInterrupt:
+        if not file.path.exists():
+            raise KeyboardInterrupt("nothing was written") from None
+        more = ("--out", str(out), "--resume")
+        again = _command(options.controller, options.budget, options.seed, *more)
+        raise KeyboardInterrupt(f"go on by: {again}") from None
+
+
+def _check_place(out: Path, file: StateFile, options: Tune) -> None:
+    """Raises ValueError if something stands where the result shall be.
+
+    An earlier result is replaced.
+    """
+    if out.suffix != ".toml":
+        raise ValueError(f"--out is {str(out)!r}; its name must end in .toml")
+    if not out.parent.is_dir():
+        raise ValueError(f"{out} cannot be written: there is no folder for it")
+    if out.exists():
+        earlier = read_gain_set(out)
+        if earlier.controller != options.controller:
+            raise ValueError(
+                f"{out} holds gains of {earlier.controller}; choose another --out for those of "
+                f"{options.controller}"
+            )
+    if file.path.exists() and not options.resume:
+        raise ValueError(
+            f"{file.path} keeps a search that was interrupted; go on with it by --resume, or "
+            "delete it"
+        )
+
+
+def state_file(out: Path) -> Path:
+    """Where the state of the search is kept that ends in a file."""
+    return out.with_name(out.name + ".state")
+
+
+def gain_set(options: Tune, effort: Effort, tuned: Tuned) -> GainSet:
+    """The result, with all that is needed to find it again."""
+    tuning = {
+        "command": _command(options.controller, options.budget, options.seed),
+        "date": datetime.date.today(),
+        "seed": options.seed,
+        "budget": options.budget,
+        "candidates": effort.generations * effort.population,
+        "simulated_seconds": effort.seconds,
+        "objective": FORMULA,
+        "selection": f"the best of the last generation's best {effort.finalists} and the "
+        "recommended gains in the long trial",
+        "at_bounds": tuned.at_bounds,
+    }
+    return GainSet(
+        controller=options.controller,
+        modules=nominal_parameters().modules,
+        gains={name: plain(gain) for name, gain in tuned.gains.items()},
+        origin={
+            "tuning": tuning,
+            "versions": versions(),
+            "search": _outcome(effort.short, tuned.short, tuned.short_by_hand),
+            "long_trial": _outcome(effort.long, tuned.long, tuned.long_by_hand),
+        },
+    )
+
+
+def _outcome(trial: Trial, tuned: np.ndarray, by_hand: np.ndarray) -> dict[str, Any]:
+    """What the gains cost, in all and in each scenario."""
+    rows = [
+        {**dataclasses.asdict(scenario), "cost": cost, "recommended": other}
+        for scenario, cost, other in zip(
+            trial.scenarios, tuned.tolist(), by_hand.tolist(), strict=True
+        )
+    ]
+    return {
+        "cost": tuned.mean().item(),
+        "recommended": by_hand.mean().item(),
+        "measured_from": trial.begin,
+        "duration": trial.duration,
+        "scenarios": rows,
+    }
+
+
+def _command(controller: str, budget: float, seed: int, *more: str) -> str:
+    budget_and_seed = ("--budget", f"{budget:g}", "--seed", str(seed))
+    return shlex.join(["octarm", "tune", controller, *budget_and_seed, *more])
+
+
+def _print_summary(controller: str, effort: Effort, tuned: Tuned) -> None:
+    print(
+        f"{controller}: {effort.generations * effort.population} candidates, "
+        f"{effort.seconds:.0f} simulated s"
+    )
+    print("  cost                     tuned  recommended")
+    for name, trial, cost, other in (
+        ("search", effort.short, tuned.short, tuned.short_by_hand),
+        ("long trial", effort.long, tuned.long, tuned.long_by_hand),
+    ):
+        print(f"  {name:<10} of {trial.duration:>4g} s {cost.mean():>11.5f} {other.mean():>12.5f}")
+    if tuned.at_bounds:
+        print(f"  as small or large as allowed: {', '.join(tuned.at_bounds)}")

@@ -1,0 +1,1 @@
+"""What a finished sweep says: tables, figures, a page."""

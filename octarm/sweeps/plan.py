@@ -1,0 +1,174 @@
+"""The episodes of a sweep, how they are counted, and which of them are stepped together."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import qmc
+
+from octarm.disturbances import DISTURBANCES
+from octarm.effects.episode import Disturbance, field_kinds
+from octarm.effects.fields import Amount, Quantity
+from octarm.effects.streams import stream
+from octarm.sweeps.spec import RandomAxis, SweepSpec
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Arms:
+    """All that makes episodes what they are: of arms that share a batch, or of one arm alone.
+
+    Attributes:
+        episodes: their numbers, shape (n,).
+        batch: n; None for one arm alone.
+        controller: name.
+        reference: name.
+        mismatch: of the nominal model, shape () or (n,) [1].
+        disturbances: with fields for each arm where they differ.
+        seeds: one for each arm.
+    """
+
+    episodes: np.ndarray
+    batch: int | None
+    controller: str
+    reference: str
+    mismatch: Amount
+    disturbances: tuple[Disturbance, ...]
+    seeds: list[np.random.SeedSequence]
+
+
+class Plan:
+    """Numbers for episodes and shards.
+
+    Episode numbers count through the grid, the first axis slowest and the seeds fastest. A shard
+    is a run of numbers with the same controller, reference and words: they share a batch. The
+    partition depends on the spec alone.
+
+    Attributes:
+        spec: the sweep.
+        shards: the episodes of each shard.
+    """
+
+    def __init__(self, spec: SweepSpec) -> None:
+        """The plan of a sweep."""
+        self.spec = spec
+        self._shape = (*(len(axis.values) for axis in spec.axes), spec.episodes)
+        apart = int(np.prod([len(axis.values) for axis in spec.axes if axis.words], dtype=object))
+        together = self.episodes // apart  # axes of words come first
+        pieces = -(-together // spec.batch)
+        cuts = [together * i // pieces for i in range(pieces + 1)]
+        self.shards = [
+            range(group * together + begin, group * together + end)
+            for group in range(apart)
+            for begin, end in itertools.pairwise(cuts)
+        ]
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes."""
+        return int(np.prod(self._shape, dtype=object))
+
+    def seeds(self, episodes: np.ndarray) -> np.ndarray:
+        """Which of the seeds 0, 1, ... episodes have, shape (n,)."""
+        return episodes % self.spec.episodes
+
+    def values(self, episodes: np.ndarray) -> dict[str, np.ndarray]:
+        """The values of all axes by name, each of shape (n,)."""
+        places = np.unravel_index(episodes, self._shape)
+        chosen = {
+            axis.name: np.array(axis.values)[place]
+            for axis, place in zip(self.spec.axes, places, strict=False)
+        }
+        seeds = self.seeds(episodes)
+        return chosen | {name: drawn[seeds] for name, drawn in self._drawn.items()}
+
+    def arms(self, episodes: npt.ArrayLike) -> Arms:
+        """Episodes of one shard."""
+        numbers = np.asarray(episodes)
+        values = {name: _common(column) for name, column in self.values(numbers).items()}
+        return Arms(
+            episodes=numbers,
+            batch=len(numbers),
+            controller=values["controller"],
+            reference=values["reference"],
+            mismatch=values["mismatch"],
+            disturbances=self._disturbances(values),
+            seeds=[
+                np.random.SeedSequence(self.spec.seed, spawn_key=(i,))
+                for i in self.seeds(numbers).tolist()
+            ],
+        )
+
+    def episode(self, number: int) -> Arms:
+        """One episode, to be run alone.
+
+        Raises:
+            ValueError: if there is no such episode.
+        """
+        if not 0 <= number < self.episodes:
+            raise ValueError(
+                f"there is no episode {number}; they are numbered 0 .. {self.episodes - 1}"
+            )
+        return dataclasses.replace(self.arms([number]), batch=None)
+
+    def probes(self) -> list[np.ndarray]:
+        """Episodes in which every value of every axis occurs, in groups that share a batch.
+
+        Of seeds and drawn values it is a few.
+        """
+        words = [len(axis.values) for axis in self.spec.axes if axis.words]
+        shared = self._shape[len(words) : -1]
+        few = min(64, self.spec.episodes) if self.spec.random else 1
+        count = np.arange(max(few, *shared))
+        turning = [count % length for length in (*shared, self.spec.episodes)]
+        return [
+            np.ravel_multi_index((*(np.full_like(count, i) for i in group), *turning), self._shape)
+            for group in np.ndindex(*words)
+        ]
+
+    def _disturbances(self, values: dict[str, Any]) -> tuple[Disturbance, ...]:
+        fields = {name: dict(self.spec.fixed.get(name, {})) for name in self.spec.disturbances}
+        for axis in (*self.spec.axes, *self.spec.random):
+            if axis.disturbance:
+                kind = field_kinds(DISTURBANCES[axis.disturbance])[axis.field]
+                value = values[axis.name]
+                spread = isinstance(kind, Quantity) and kind.each and np.ndim(value) > 0
+                fields[axis.disturbance][axis.field] = value[:, None] if spread else value
+        return tuple(DISTURBANCES[name](**own) for name, own in fields.items())
+
+    @functools.cached_property
+    def _drawn(self) -> dict[str, np.ndarray]:
+        """The values of the random axes for all seeds.
+
+        Those of a seed do not depend on the number of seeds.
+        """
+        spec = self.spec
+        sobol = [axis for axis in spec.random if axis.method == "sobol"]
+        spread = _sobol(len(sobol), spec.episodes) if sobol else np.empty((spec.episodes, 0))
+        drawn = {}
+        for axis in spec.random:
+            draw = stream(np.random.SeedSequence(spec.seed), f"axis {axis.name}")
+            if axis.method == "sobol":  # turned as a whole: every seed of the sweep has its own
+                share = (spread[:, sobol.index(axis)] + draw.random()) % 1.0
+            else:
+                share = draw.random(spec.episodes)
+            drawn[axis.name] = _between(axis, share)
+        return drawn
+
+
+def _between(axis: RandomAxis, share: np.ndarray) -> np.ndarray:
+    return np.minimum(axis.low + share * (axis.high - axis.low), axis.high)
+
+
+def _sobol(width: int, count: int) -> np.ndarray:
+    """The first points of a Sobol sequence, shape (count, width)."""
+    return qmc.Sobol(width, scramble=False).random_base2((count - 1).bit_length())[:count]
+
+
+def _common(column: np.ndarray) -> Any:
+    """The value that all arms have, or the column when they differ."""
+    return column[0].item() if np.all(column == column[0]) else column

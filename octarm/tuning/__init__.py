@@ -1,0 +1,1 @@
+"""Gains by the same search, objective and budget for every controller."""
