@@ -1,10 +1,14 @@
 """The controllers, by the names that the command line uses.
 
-To add one, write its file and its line in `CONTROLLERS`: a dataclass with the field `nominal`, the
-model that the controller believes, and a field for each gain. The recommended value of a gain is
-that of the class's own `recommended` table (gain to function of the nominal model), else of the one
-shared by all controllers, else the field's default. A gain that the class's `derived` table derives
-from another one is left out when that one is given.
+To add one, write its file, import its class here, and add its line to `CONTROLLERS`. The class is a
+frozen dataclass with the field `nominal`, the model that the controller believes, and a field for
+each gain; `octarm.interfaces` says what it does. Where nothing else is asked for, a gain has
+
+- the value of the class's own `recommended` table (gain to function of the nominal model),
+- else that of `controllers.gains.RECOMMENDED`, the one shared by all controllers,
+- else the field's default.
+
+A gain that the class's `derived` table derives from another one is left out when that one is given.
 
 Tuned gains take the place of recommended ones where `controllers/gains/` holds some for the
 controller and for arms of as many modules. `octarm tune` finds gains.
@@ -60,7 +64,9 @@ def make_controller(
     Args:
         name: one of `CONTROLLERS`.
         nominal: the model of the arm that the controller is given.
-        gains: gains by the names of the controller's fields; those of the gain set where not given.
+        gains: gains by the names of the controller's fields, each a number or an array that
+            broadcasts to (..., 2N), unless the field says otherwise; those of the gain set where
+            not given.
             `lambda` stands for `lambda_`, as Python keeps the former word for itself.
         gain_set: `tuned`, `recommended`, or a file NAME.toml of `octarm tune`; tuned gains where
             there are any for such an arm, else recommended ones, when not given.

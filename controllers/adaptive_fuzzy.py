@@ -178,8 +178,7 @@ class AdaptiveFuzzy(AdaptiveGains):
             _keep_near(0.0, theta, self.theta_max)
             _keep_near(self.alpha0, alpha, self.alpha_max)
             _keep_between(self._sigma_low, sigma, _each_rule(self.sigma_max))
-        E = _grown(self, E, s, dt)
-        return command, FuzzyState(measurement.t, theta, alpha, sigma, E)
+        return command, FuzzyState(measurement.t, theta, alpha, sigma, _grown(self, E, s, dt))
 
     @property
     def _sigma_low(self) -> np.ndarray:

@@ -142,15 +142,7 @@ def _as_rate(name: str, value: npt.ArrayLike, nominal: ArmParameters) -> np.ndar
 
 
 def _as_bound(name: str, value: npt.ArrayLike, nominal: ArmParameters) -> np.ndarray:
-    """A gain that may be infinite."""
-    try:
-        unbounded = np.isposinf(np.asarray(value, dtype=np.float64))
-    except (TypeError, ValueError):
-        return as_gain(name, value, nominal)  # raises
-    finite = as_gain(name, np.where(unbounded, 0.0, value), nominal, zero_allowed=True)
-    bound = np.where(unbounded, np.inf, finite)
-    bound.setflags(write=False)
-    return bound
+    return as_gain(name, value, nominal, zero_allowed=True, unbounded=True)
 
 
 def _as_premise(name: str, value: npt.ArrayLike, nominal: ArmParameters) -> np.ndarray:

@@ -144,8 +144,8 @@ def along_a_run(p: ArmParameters, rng: np.random.Generator) -> Iterator[Check]:
         trial = trial._replace(best=trial.best._replace(E=np.max(np.abs(trial.eps), axis=0)))
         s, E = trial.surface.s, trial.now.E
         rate, claim = trial.rate(), trial.claim + np.sum(E * _unsaturated(s, phi), axis=-1)
-        V = kinetic_energy(p, trial.at.measurement.q, s)
-        V = (V + parameter_energy(trial.law, trial.now, trial.best)) / rms(claim)
+        energy = kinetic_energy(p, trial.at.measurement.q, s)
+        V = (energy + parameter_energy(trial.law, trial.now, trial.best)) / rms(claim)
         pairs = rate[:-2:2] + 4.0 * rate[1:-1:2] + rate[2::2]  # Simpson's rule over two steps
         integral = np.cumsum(pairs, axis=0) * (t[1] / 3.0) / rms(claim)
         yield as_claimed("afsmc along a run", rate, claim)
@@ -281,5 +281,5 @@ def _random_values(F: np.ndarray, rng: np.random.Generator) -> Fuzzy:
 
 
 def each_rule(x: Any) -> np.ndarray:
-    """One value a coordinate, for each of its rules."""
+    """One value a coordinate, for each of its rules: shape (..., 2N) to (..., 2N, 1)."""
     return np.asarray(x)[..., None]

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 
-from controllers.gains import Gain, as_gain
+from controllers.pd import ErrorFeedback
 from controllers.shapes import check_shapes
 from octarm.interfaces import Command, Measurement, Reference
 from octarm.lagrange import inverse_dynamics
-from octarm.parameters import ArmParameters
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class ComputedTorque:
+class ComputedTorque(ErrorFeedback):
     """Q = D^ (q_d'' - K_d e' - K_p e) + (C^ + B^) q' + G^, with e = q - q_d.
 
     With an exact model the error obeys e'' + K_d e' + K_p e = 0.
@@ -28,18 +27,6 @@ class ComputedTorque:
     Raises:
         ValueError: for a gain that is not positive or has a wrong shape.
     """
-
-    nominal: ArmParameters
-    K_p: Gain
-    K_d: Gain
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "K_p", as_gain("K_p", self.K_p, self.nominal))
-        object.__setattr__(self, "K_d", as_gain("K_d", self.K_d, self.nominal))
-
-    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> None:
-        """There is nothing to remember."""
-        del batch_shape
 
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference

@@ -11,9 +11,9 @@ import functools
 import json
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -34,7 +34,7 @@ class GainSet:
     controller: str
     modules: int
     gains: Mapping[str, Any]
-    origin: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    origin: Mapping[str, Any] = dataclasses.field(default_factory=dict[str, Any])
 
     def to_toml(self) -> str:
         """The text of a file; `from_toml` is the inverse."""
@@ -68,7 +68,8 @@ class GainSet:
                 f"{file} holds no gains; it needs the keys controller and modules, and the table "
                 "gains"
             )
-        return cls(controller=controller, modules=modules, gains=gains, origin=content)
+        table = cast("dict[str, Any]", gains)
+        return cls(controller=controller, modules=modules, gains=table, origin=content)
 
 
 def read_gain_set(path: str | Path) -> GainSet:
@@ -127,8 +128,8 @@ def starting_gains(controller: str, modules: int, choice: str | Path | None) -> 
     return found.gains
 
 
-def plain(gain: np.ndarray) -> Any:
-    """A gain as a number where it is the same for all coordinates, else as a list."""
+def shortest(gain: np.ndarray) -> Any:
+    """A gain, of any shape, as a number where all its values are the same, else as a list."""
     values = np.unique(gain)
     return values.item() if values.size == 1 else np.asarray(gain).tolist()
 
@@ -136,13 +137,14 @@ def plain(gain: np.ndarray) -> Any:
 def _toml(value: Any) -> str:
     """A value as TOML spells it, a table on one line."""
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {_toml(x)}" for key, x in value.items()) + " }"
+        table = cast("Mapping[str, Any]", value)
+        return "{ " + ", ".join(f"{key} = {_toml(x)}" for key, x in table.items()) + " }"
     if isinstance(value, list | tuple):
-        nested = any(isinstance(item, Mapping) for item in value)
-        items = [_toml(item) for item in value]
-        return (
-            "[\n" + "".join(f"  {x},\n" for x in items) + "]" if nested else f"[{', '.join(items)}]"
-        )
+        array = cast("Sequence[Any]", value)
+        items = [_toml(item) for item in array]
+        if any(isinstance(item, Mapping) for item in array):
+            return "[\n" + "".join(f"  {x},\n" for x in items) + "]"
+        return f"[{', '.join(items)}]"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, bool):

@@ -15,14 +15,26 @@ Gain = np.ndarray | float
 
 
 def as_gain(
-    name: str, value: npt.ArrayLike, nominal: ArmParameters, *, zero_allowed: bool = False
+    name: str,
+    value: npt.ArrayLike,
+    nominal: ArmParameters,
+    *,
+    zero_allowed: bool = False,
+    unbounded: bool = False,
 ) -> np.ndarray:
-    """A gain as a read-only float array that broadcasts against the coordinates.
+    """A gain as a read-only float array that broadcasts to shape (..., 2N).
+
+    Args:
+        name: of the gain, for errors.
+        value: a number, or an array of shape (..., 1) or (..., 2N).
+        nominal: the arm that says what N is.
+        zero_allowed: whether it may be 0.
+        unbounded: whether it may be infinite.
 
     Raises:
         ValueError: if it is not finite, not positive, or has neither one value nor 2N of them.
     """
-    gain = read_only(name, value)
+    gain = read_only(name, value, unbounded=unbounded)
     if gain.ndim and gain.shape[-1] not in (1, nominal.coordinates):
         raise ValueError(
             f"{name} has {gain.shape[-1]} values; it needs 1 or {nominal.coordinates}, one for "
@@ -83,7 +95,10 @@ def linear_gain(nominal: ArmParameters) -> np.ndarray:
 
 
 def layer_slope(nominal: ArmParameters) -> np.ndarray:
-    """K_v + K / phi, the slope of the recommended boundary layer; in the units of `linear_gain`."""
+    """K_v + K / phi, the slope of the recommended boundary layer, shape (..., 2N).
+
+    In the units of `linear_gain`.
+    """
     return linear_gain(nominal) + switching_gain(nominal) / boundary_width(nominal)
 
 

@@ -34,7 +34,7 @@ _COVERED = 1e-3
 
 
 def probabilistic_sum(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a + b - a b, the OR that belongs to AND as a product."""
+    """a + b - a b of memberships [1] of any shape, the OR that belongs to AND as a product."""
     return a + b - a * b
 
 
@@ -120,7 +120,7 @@ class Linear:
     slopes: tuple[float, ...]
 
     def __call__(self, *inputs: np.ndarray) -> np.ndarray:
-        """The consequent at these inputs.
+        """The consequent at these inputs, of the broadcast shape of the inputs.
 
         Raises:
             ValueError: unless there is one slope an input.
@@ -142,7 +142,8 @@ class Sugeno:
     Attributes:
         inputs: the input variables, in the order in which they are passed.
         rules: what follows from what.
-        consequents: conclusion of a rule to its number, or to a function of all inputs.
+        consequents: conclusion of a rule to its number, or to a function of all inputs,
+            of the broadcast shape of the inputs.
         conjunction: AND; above 0 where both of its sides are, so that some rule always fires.
         disjunction: OR.
 
@@ -219,11 +220,17 @@ class Mamdani:
         return self.coa(*inputs)
 
     def coa(self, *inputs: np.ndarray) -> np.ndarray:
-        """Centre of area (50): of the aggregated set, sum_i U_i mu(U_i) / sum_i mu(U_i)."""
+        """Centre of area (50): of the aggregated set, sum_i U_i mu(U_i) / sum_i mu(U_i).
+
+        Of the broadcast shape of the inputs.
+        """
         return self._centre(inputs, self.aggregation)
 
     def cog(self, *inputs: np.ndarray) -> np.ndarray:
-        """Centre of gravity (49): of all rules' sets, which is COA under sum-min (48)."""
+        """Centre of gravity (49): of all rules' sets, which is COA under sum-min (48).
+
+        Of the broadcast shape of the inputs.
+        """
         return self._centre(inputs, np.add)
 
     def _centre(self, inputs: tuple[np.ndarray, ...], aggregation: Operator) -> np.ndarray:
@@ -269,12 +276,12 @@ def _weights(system: Sugeno | Mamdani, inputs: Sequence[np.ndarray]) -> list[np.
         names = ", ".join(variable.name for variable in system.inputs)
         raise ValueError(f"{len(inputs)} inputs are given; the rules need {names}")
     labels = {v.name: v(x) for v, x in zip(system.inputs, inputs, strict=True)}
-    weights = []
+    weights: list[np.ndarray] = []
     for rule in system.rules:
-        cases = (
+        cases = [
             functools.reduce(system.conjunction, [labels[name][label] for name, label in case])
             for case in rule.cases
-        )
+        ]
         weights.append(functools.reduce(system.disjunction, cases))
     return weights
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from controllers.gains import Gain, as_gain, boundary_width
 from controllers.shapes import check_shapes, elapsed
-from controllers.sliding_mode import SlidingGains, Surface, force_along, saturation
+from controllers.sliding_mode import SlidingGains, Surface, saturation
 from octarm.interfaces import Command, Measurement, Reference
 from octarm.parameters import ArmParameters
 
@@ -67,10 +67,6 @@ class IntegralSlidingMode(SlidingGains):
         object.__setattr__(self, "phi", phi)
         object.__setattr__(self, "s_max", as_gain("s_max", self.s_max, self.nominal))
 
-    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> None:
-        """Nothing is known before the first call: the integral starts from the error then."""
-        del batch_shape
-
     def __call__(
         self, state: IntegralState | None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, IntegralState]:
@@ -83,13 +79,10 @@ class IntegralSlidingMode(SlidingGains):
             v_r=measurement.v - s,
             a_r=reference.a - 2.0 * self.lambda_ * e_dot - self.lambda_ * self.lambda_ * e,
         )
-        equivalent = force_along(self.nominal, measurement, surface)
-        K = self._switching_gain(measurement, surface)
-        switching = -K * saturation(s, self.phi) - self.K_v * s
-        signals = self._signals(measurement.q, s, equivalent, switching, K)
+        force, signals = self._command(measurement, surface, saturation(s, self.phi))
         dt = 0.0 if state is None else elapsed(state.t, measurement.t)
         advanced = IntegralState(measurement.t, integral + e * dt)
-        return Command(equivalent + switching, {**signals, "integral": integral}), advanced
+        return Command(force, {**signals, "integral": integral}), advanced
 
     def _sliding_variable(
         self, state: IntegralState | None, e: np.ndarray, e_dot: np.ndarray

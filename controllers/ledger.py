@@ -38,7 +38,7 @@ from controllers.misprints import misprints
 from controllers.super_twisting import SuperTwistingState
 from octarm.interfaces import Command
 from octarm.parameters import ArmParameters
-from octarm.report import Check, Report
+from octarm.report import Check, Report, gathered
 
 FEWEST_STATES = 100
 UNCERTAINTY = 0.3  # share by which a nominal model may be off when K is derived
@@ -77,17 +77,13 @@ def ledger(
         "misprints": misprints(parameters, states, rng),
         "a run": along_a_run(parameters, rng),
     }
-    checks: list[Check] = []
-    for name, part in parts.items():
-        if progress:
-            progress(name)
-        checks += part
+    checks = gathered(parts, progress)
     n = parameters.modules
     title = (
         f"Controllers against their Lyapunov functions: {n} module{'s' if n > 1 else ''}, "
         f"{states} states, seed {seed}; V' as a share of its rms"
     )
-    return Report(title, parameters, states, seed, tuple(checks))
+    return Report(title, parameters, states, seed, checks)
 
 
 class Trial(NamedTuple):
@@ -183,7 +179,7 @@ def _worst_model(at: Instants, surface: Sliding) -> ArmParameters:
 
     F is linear in the parameters, so that each of them can be taken for itself.
     """
-    factors = {}
+    factors: dict[str, np.ndarray] = {}
     for name, share in (("mass", 1.0), ("inertia", 1.0), ("damping", 1.0), ("stiffness", 0.5)):
         size = getattr(at.true, name).shape
         factors[name] = np.ones((*surface.s.shape[:-1], *size))

@@ -18,6 +18,7 @@ bound, so that no smaller gain will do.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -59,7 +60,7 @@ def largest_model_error(
     u = _one_an_arm(uncertainty)
     middle, half_width = _interval(u)
     middle_k, half_width_k = _interval(0.5 * u)  # stiffness is known twice as well
-    largest = []
+    largest: list[Entry] = []
     for i in range(2 * n):
         mean = middle * (inertial[0][i] + damping[0][i]) + middle_k * elastic[0][i]
         spread = half_width * (inertial[1][i] + damping[1][i]) + half_width_k * elastic[1][i]
@@ -93,9 +94,9 @@ def reaching_time_bound(
     """
     inertia = _straight_inertia(nominal, split(q))
     gains = split(eta) if eta.shape[-1:] == (len(inertia),) else [_one_an_arm(eta)] * len(inertia)
-    L: Entry = 0.0
-    for D_ii, eta_i in zip(inertia, gains, strict=True):
-        L = np.maximum(L, D_ii / (eta_i * eta_i))
+    L = functools.reduce(
+        np.maximum, [D_ii / (eta_i * eta_i) for D_ii, eta_i in zip(inertia, gains, strict=True)]
+    )
     known = np.asarray(1.0 - _one_an_arm(uncertainty))
     return np.sqrt(2.0 * np.asarray(L)[..., None] * V) / known[..., None]
 
@@ -158,7 +159,10 @@ def _column_terms(
     """What the springs or dampers of the columns contribute, eqs (4) and (5)."""
     half = 0.5 * entry(p.width)
     left, right = (split(coefficient[..., a, :]) for a in (0, 1))
-    pushes, push_sizes, couples, couple_sizes = [], [], [], []
+    pushes: list[Entry] = []
+    couples: list[Entry] = []
+    push_sizes: list[Entry] = []
+    couple_sizes: list[Entry] = []
     for i in range(p.modules):
         first = left[i] * (along[i] + half * bend[i])
         second = right[i] * (along[i] - half * bend[i])
@@ -174,7 +178,8 @@ def _straight_inertia(p: ArmParameters, x: Sequence[Entry]) -> list[Entry]:
     """The diagonal of D^ for modules of these lengths in one straight line."""
     n = p.modules
     mass, inertia = split(p.mass), split(p.inertia)
-    slides, bends = [], []
+    slides: list[Entry] = []
+    bends: list[Entry] = []
     for k in range(n):
         total = turned = lever = 0.0
         for b in range(k, n):

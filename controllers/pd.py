@@ -17,7 +17,36 @@ from octarm.parameters import ArmParameters
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class ProportionalDerivative:
+class ErrorFeedback:
+    """The gains of a linear feedback of e and e', with e = q - q_d.
+
+    Both K_p e and K_d e' enter with a minus sign; together they are -K_d s with
+    s = e' + (K_p / K_d) e.
+
+    Attributes:
+        nominal: the model that the controller believes.
+        K_p: position gain, broadcasts to (..., 2N); its units are the controller's.
+        K_d: velocity gain, broadcasts to (..., 2N).
+
+    Raises:
+        ValueError: for a gain that is not positive or has a wrong shape.
+    """
+
+    nominal: ArmParameters
+    K_p: Gain
+    K_d: Gain
+
+    def __post_init__(self) -> None:
+        for name in ("K_p", "K_d"):
+            object.__setattr__(self, name, as_gain(name, getattr(self, name), self.nominal))
+
+    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> None:
+        """There is nothing to remember."""
+        del batch_shape
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class ProportionalDerivative(ErrorFeedback):
     """Q = G^(q_d) - K_p e - K_d e', with e = q - q_d.
 
     G of eq (5) holds the arm against its weight and its springs. It is taken where the arm shall
@@ -39,20 +68,8 @@ class ProportionalDerivative:
 
     recommended: ClassVar[Mapping[str, Callable[[ArmParameters], npt.ArrayLike]]] = {
         "K_p": lambda nominal: 15.0 * layer_slope(nominal),  # lambda times the slope
-        "K_d": lambda nominal: layer_slope(nominal),
+        "K_d": layer_slope,
     }
-
-    nominal: ArmParameters
-    K_p: Gain
-    K_d: Gain
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "K_p", as_gain("K_p", self.K_p, self.nominal))
-        object.__setattr__(self, "K_d", as_gain("K_d", self.K_d, self.nominal))
-
-    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> None:
-        """There is nothing to remember."""
-        del batch_shape
 
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference

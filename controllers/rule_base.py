@@ -114,7 +114,7 @@ class RuleBase:
                 "labels of the columns, as in 'e / rate  N Z P'"
             )
         row_variable, (column_variable, *columns) = first.strip(), head
-        rules = []
+        rules: list[Rule] = []
         for line in lines[1:]:
             row, *conclusions = line.split()
             if len(conclusions) != len(columns):

@@ -42,7 +42,7 @@ class Surface(NamedTuple):
 
 
 def sliding_surface(lambda_: Gain, measurement: Measurement, reference: Reference) -> Surface:
-    """Eqs (17) and (18)."""
+    """Eqs (17) and (18), for a lambda [1/s] that broadcasts to (..., 2N)."""
     e, e_dot = measurement.q - reference.q, measurement.v - reference.v
     return Surface(
         s=e_dot + lambda_ * e,
@@ -124,25 +124,31 @@ class SlidingGains:
         for name, gain in gains.items():
             object.__setattr__(self, name, gain)
 
+    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> None:
+        """Nothing is remembered from before the first call."""
+        del batch_shape
+
+    def _command(self, measurement: Measurement, surface: Surface, switch: np.ndarray) -> Command:
+        """The force with the robust part -K switch - K_v s, and its signals.
+
+        The switch, shape (..., 2N) [1], is sgn(s) or what takes its place.
+        """
+        s, equivalent = surface.s, force_along(self.nominal, measurement, surface)
+        K = self._switching_gain(measurement, surface)
+        switching = -K * switch - self.K_v * s
+        V = kinetic_energy(self.nominal, measurement.q, s)[..., None]
+        signals = {"s": s, "equivalent": equivalent, "switching": switching, "V": V}
+        derived = {} if self.uncertainty is None else {"K": K}
+        return Command(equivalent + switching, signals | derived)
+
     def _switching_gain(self, measurement: Measurement, surface: Surface) -> np.ndarray:
         """The given K, or max |F| + eta by eq (40), broadcasts to (..., 2N) [N], [N m]."""
-        if self.K is not None:
+        if self.uncertainty is None:
             return np.asarray(self.K)
         _, q, v = measurement
         u = np.asarray(self.uncertainty)
-        return self.eta + largest_model_error(self.nominal, u, q, v, surface.a_r, surface.v_r)
-
-    def _signals(
-        self,
-        q: np.ndarray,
-        s: np.ndarray,
-        equivalent: np.ndarray,
-        switching: np.ndarray,
-        K: np.ndarray,
-    ) -> dict[str, np.ndarray]:
-        V = kinetic_energy(self.nominal, q, s)[..., None]
-        signals = {"s": s, "equivalent": equivalent, "switching": switching, "V": V}
-        return signals if self.uncertainty is None else {**signals, "K": K}
+        F = largest_model_error(self.nominal, u, q, v, surface.a_r, surface.v_r)
+        return np.asarray(self.eta) + F
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,25 +160,18 @@ class SlidingMode(SlidingGains):
     s = 0 is reached [s], eqs (14) and (15).
     """
 
-    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> None:
-        """There is nothing to remember."""
-        del batch_shape
-
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
         """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
         check_shapes(self.nominal, measurement, reference)
         surface = sliding_surface(self.lambda_, measurement, reference)
-        equivalent = force_along(self.nominal, measurement, surface)
-        K = self._switching_gain(measurement, surface)
-        switching = -K * np.sign(surface.s) - self.K_v * surface.s
-        signals = self._signals(measurement.q, surface.s, equivalent, switching, K)
-        if self.uncertainty is not None:
-            u, eta = np.asarray(self.uncertainty), np.asarray(self.eta)
-            bound = reaching_time_bound(self.nominal, u, eta, measurement.q, signals["V"])
-            signals["reaching_bound"] = bound
-        return Command(equivalent + switching, signals), state
+        command = self._command(measurement, surface, np.sign(surface.s))
+        if self.uncertainty is None:
+            return command, state
+        u, eta, V = np.asarray(self.uncertainty), np.asarray(self.eta), command.signals["V"]
+        bound = reaching_time_bound(self.nominal, u, eta, measurement.q, V)
+        return command._replace(signals={**command.signals, "reaching_bound": bound}), state
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -197,18 +196,10 @@ class BoundaryLayer(SlidingGains):
         phi = as_gain("phi", self.phi, self.nominal, zero_allowed=True)
         object.__setattr__(self, "phi", phi)
 
-    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> None:
-        """There is nothing to remember."""
-        del batch_shape
-
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
         """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
         check_shapes(self.nominal, measurement, reference)
         surface = sliding_surface(self.lambda_, measurement, reference)
-        equivalent = force_along(self.nominal, measurement, surface)
-        K = self._switching_gain(measurement, surface)
-        switching = -K * saturation(surface.s, self.phi) - self.K_v * surface.s
-        signals = self._signals(measurement.q, surface.s, equivalent, switching, K)
-        return Command(equivalent + switching, signals), state
+        return self._command(measurement, surface, saturation(surface.s, self.phi)), state

@@ -14,7 +14,8 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from octarm.arrays import Entry, cos_sin, entry, join, split
+from octarm.arrays import Entry, entry, join, split
+from octarm.kinematics import plate_entries
 
 
 class Actuation(Protocol):
@@ -88,19 +89,20 @@ class GroundedActuation:
 
     def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
         """tau = F_coeff(q)^-1 Q by back-substitution from the tip, shape (..., 2N) [N]."""
-        n = q.shape[-1] // 2
-        s, axes = split(q), _parent_axes(q)
+        n: int = q.shape[-1] // 2
+        s, axes = split(q), plate_entries(q)
         wanted, width = split(force), entry(self.width)
         out: list[Entry] = [0.0] * (2 * n)
-        fx = fy = moment = 0.0
+        fx: Entry = 0.0
+        fy: Entry = 0.0
+        carried: Entry = 0.0  # moment of the modules below
         for i in reversed(range(n)):
             if i + 1 < n:
-                cos, sin = axes[i + 1]
-                moment = moment + s[i + 1] * (cos * fy - sin * fx)
+                carried = _carried(wanted[n + i + 1], s[i + 1], axes[i + 1], fx, fy)
             cos, sin = axes[i]
             push = wanted[i] - (cos * fx + sin * fy)
-            couple = (wanted[n + i] - moment) / width
-            fx, fy, moment = fx + push * cos, fy + push * sin, wanted[n + i]
+            couple = (wanted[n + i] - carried) / width
+            fx, fy = fx + push * cos, fy + push * sin
             out[2 * i], out[2 * i + 1] = 0.5 * push + couple, 0.5 * push - couple
         return join(out, q, force.shape, (*np.shape(self.width), 2 * n))
 
@@ -112,14 +114,13 @@ class GroundedActuation:
     def _forces(self, q: np.ndarray, tau: np.ndarray) -> list[Entry]:
         """The entries of F_coeff(q) tau."""
         n = q.shape[-1] // 2
-        s, axes = split(q), _parent_axes(q)
+        s, axes = split(q), plate_entries(q)
         inputs, half = split(tau), 0.5 * entry(self.width)
         out: list[Entry] = [0.0] * (2 * n)
         fx = fy = moment = 0.0  # that module i carries
         for i in reversed(range(n)):
             if i + 1 < n:
-                cos, sin = axes[i + 1]
-                moment = moment + s[i + 1] * (cos * fy - sin * fx)
+                moment = _carried(moment, s[i + 1], axes[i + 1], fx, fy)
             cos, sin = axes[i]
             left, right = inputs[2 * i], inputs[2 * i + 1]
             push = left + right
@@ -129,10 +130,18 @@ class GroundedActuation:
         return out
 
 
+def _carried(
+    moment: Entry, length: Entry, axis: tuple[Entry, Entry], fx: Entry, fy: Entry
+) -> Entry:
+    """The moment [N m] at the beginning of a module, of a moment and a force at its end."""
+    cos, sin = axis
+    return moment + length * (cos * fy - sin * fx)
+
+
 def _column_forces(force: Sequence[Entry], width: Entry) -> list[Entry]:
     """The entries of T^-1 Q."""
     n = len(force) // 2
-    out = []
+    out: list[Entry] = []
     for push, couple in zip(force[:n], force[n:], strict=True):
         out += [0.5 * push + couple / width, 0.5 * push - couple / width]
     return out
@@ -141,14 +150,3 @@ def _column_forces(force: Sequence[Entry], width: Entry) -> list[Entry]:
 ACTUATIONS: dict[str, type[GroundedActuation] | type[InternalActuation]] = {
     kind.name: kind for kind in (GroundedActuation, InternalActuation)
 }
-
-
-def _parent_axes(q: np.ndarray) -> list[tuple[Entry, Entry]]:
-    """Cosine and sine of the angle of the plate that module i stands on, i = 1..N."""
-    n = q.shape[-1] // 2
-    angle: Entry = 0.0
-    axes: list[tuple[Entry, Entry]] = [(1.0, 0.0)]
-    for theta in split(q[..., n:-1]):
-        angle = angle + theta
-        axes.append(cos_sin(angle))
-    return axes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,9 @@ Entry = np.ndarray | float
 
 
 def split(x: np.ndarray) -> Sequence[Entry]:
-    """The entries of the last axis: floats for one arm, views of shape (...) for a batch.
+    """The entries of the last axis of an array of shape (..., k).
+
+    They are floats for one arm, views of shape (...) for a batch.
 
     Arithmetic on an entry is then elementwise along the batch, and as fast as it can be for one
     arm. Both give the same bits.
@@ -26,10 +28,10 @@ def entry(x: np.ndarray | float) -> Entry:
 
 
 def join(entries: Sequence[Entry], like: np.ndarray, *shapes: tuple[int, ...]) -> np.ndarray:
-    """The array whose last axis has these entries; the inverse of `split`.
+    """The array of shape (..., k) whose last axis has these entries; the inverse of `split`.
 
     Args:
-        entries: numbers, or arrays that broadcast against the batch.
+        entries: k numbers, or arrays that broadcast against the batch.
         like: for a batch, the result has the memory order of this array, and its batch axes.
         shapes: shapes of other arrays whose batch axes the result has as well.
     """
@@ -43,23 +45,37 @@ def join(entries: Sequence[Entry], like: np.ndarray, *shapes: tuple[int, ...]) -
 
 
 def cos_sin(angle: Entry) -> tuple[Entry, Entry]:
-    """Cosine and sine [1] of an entry [rad], by the same NumPy loops for one arm and a batch."""
+    """Cosine and sine [1] of a number or an array of shape (...) [rad].
+
+    By the same NumPy loops for one arm and a batch, so that both get the same bits.
+    """
     cos, sin = np.cos(angle), np.sin(angle)
     return (float(cos), float(sin)) if isinstance(angle, float) else (cos, sin)
 
 
-def read_only(name: str, value: npt.ArrayLike) -> np.ndarray:
-    """A read-only float64 copy.
+def coordinate_names(modules: int) -> list[str]:
+    """Names of the coordinates in the paper's order: s1..sN, theta1..thetaN."""
+    return [f"{kind}{i}" for kind in ("s", "theta") for i in range(1, modules + 1)]
+
+
+def read_only(name: str, value: npt.ArrayLike, *, unbounded: bool = False) -> np.ndarray:
+    """A read-only float64 copy, of the shape of the value.
+
+    Args:
+        name: of the value, for errors.
+        value: a number, or an array of any shape.
+        unbounded: whether +infinity is allowed.
 
     Raises:
-        ValueError: if the value is not made of finite numbers; `name` says whose it is.
+        ValueError: if the value is not made of finite numbers.
     """
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise ValueError(f"{name} is {value!r}; it must be made of numbers") from None
-    if not np.all(np.isfinite(array)):
-        raise ValueError(f"{name} holds {array[~np.isfinite(array)].flat[0]:g}; it must be finite")
+    good = np.isfinite(array) | (unbounded & np.isposinf(array))
+    if not np.all(good):
+        raise ValueError(f"{name} holds {array[~good].flat[0]:g}; it must be finite")
     array.setflags(write=False)
     return array
 
@@ -69,5 +85,5 @@ def plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [plain(item) for item in cast("Sequence[Any]", value)]
     return str(value) if isinstance(value, float) and not np.isfinite(value) else value

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Generator
 
 import mujoco
 import numpy as np
@@ -13,11 +13,12 @@ from dm_control.rl import control
 from mujoco.batch import Batch
 
 from octarm.actuation import Actuation
+from octarm.arrays import Entry, split
 from octarm.disturbances import Acting
 from octarm.effects.episode import Plant
-from octarm.lagrange import positions
+from octarm.kinematics import plate_entries
 from octarm.limits import Limits
-from octarm.model import PlantFields, build_model, paper_order, world_position
+from octarm.model import PlantFields, build_model, paper_order
 from octarm.parameters import ArmParameters
 
 
@@ -79,11 +80,11 @@ class BatchPhysics(control.Physics):
 
     def q(self) -> np.ndarray:
         """Generalised coordinates, shape (n, 2N) [m], [rad]; a copy."""
-        return self._qpos.T.take(self._qpos_index, axis=0).T
+        return self._q.copy(order="K")
 
     def v(self) -> np.ndarray:
         """Generalised velocities, shape (n, 2N) [m/s], [rad/s]; a copy."""
-        return self._qvel.T.take(self._qvel_index, axis=0).T
+        return self._v.copy(order="K")
 
     def tau(self) -> np.ndarray:
         """The input forces being held, shape (n, 2N) [N]; a copy."""
@@ -99,7 +100,7 @@ class BatchPhysics(control.Physics):
 
     def tip_position(self) -> np.ndarray:
         """Tips in the world frame, shape (n, 3) [m]; a copy."""
-        return world_position(positions(self.q())[:, -1])
+        return tip_position(self._q)
 
     def input_limit(self) -> np.ndarray:
         """Bound on the absolute input forces tau, shape (n, 2N) [N]."""
@@ -113,6 +114,7 @@ class BatchPhysics(control.Physics):
         """Places the arms at q, shape (n, 2N) [m], [rad], moving with v [m/s], [rad/s]."""
         self._qpos[:, self._qpos_index] = q
         self._qvel[:, self._qvel_index] = v
+        self._read_state()
 
     def set_control(self, control: np.ndarray) -> None:
         """Holds the input forces tau, shape (n, 2N) [N], until the next call."""
@@ -122,7 +124,7 @@ class BatchPhysics(control.Physics):
         """Starts an episode under these disturbances, the arms standing where they were placed."""
         self.acting = acting
         self._change(acting)
-        acting.record(0, self.q(), self.v())
+        acting.record(0, self._q, self._v)
 
     def freeze(self, arms: np.ndarray) -> None:
         """Marks arms, shape (n,) of bool, as diverged: they stay as they are."""
@@ -132,16 +134,15 @@ class BatchPhysics(control.Physics):
     def step(self, n_sub_steps: int = 1) -> None:
         """Advances by physics steps under Q = F(q) tau, q being the true coordinates."""
         self._disturbance = np.zeros_like(self._tau)
-        q = self.q()
         with np.errstate(all="ignore"):  # a frozen arm may hold anything
             for _ in range(n_sub_steps):
-                self._receive(q, n_sub_steps)
+                self._receive(self._q, n_sub_steps)
                 self.batch.step(None if self._intact.all() else np.flatnonzero(self._intact))
                 self._steps += 1
-                q, v = self.q(), self.v()
+                self._read_state()
                 if self.acting is not None:
-                    self.acting.record(self._steps, q, v)
-                self.freeze(~self.limits.holding(q, v))
+                    self.acting.record(self._steps, self._q, self._v)
+                self.freeze(~self.limits.holding(self._q, self._v))
         if self.batch.warning.any():  # MuJoCo refused a state or an input of some arms
             self.freeze(np.any(self.batch.warning, axis=(1, 2)))
 
@@ -184,15 +185,23 @@ class BatchPhysics(control.Physics):
         self._intact = np.ones(self.arms, dtype=bool)
         self._diverged_at = np.full(self.arms, np.nan)
         self._steps = 0
+        self._read_state()
 
     def after_reset(self) -> None:
         """Nothing is derived from the state."""
 
     @contextlib.contextmanager
-    def reset_context(self) -> Iterator[BatchPhysics]:
+    def reset_context(self) -> Generator[BatchPhysics]:
         """Resets, and lets the block place the arms."""
         self.reset()
         yield self
+
+    def _read_state(self) -> None:
+        """Takes the coordinates and velocities over from MuJoCo."""
+        self._q = self._qpos.T.take(self._qpos_index, axis=0).T
+        self._v = self._qvel.T.take(self._qvel_index, axis=0).T
+        for array in (self._q, self._v):
+            array.setflags(write=False)
 
     def _receive(self, q: np.ndarray, nstep: int) -> None:
         """What acts during the next physics step, q being the coordinates at its start."""
@@ -219,6 +228,20 @@ class BatchPhysics(control.Physics):
         """Makes the plants these."""
         if self._fields.write(plant.parameters, plant.gravity_angle):
             self.batch.set_const()
+
+
+def tip_position(q: np.ndarray) -> np.ndarray:
+    """The tip of an arm at q, shape (..., 2N) [m], [rad], in the world frame, shape (..., 3) [m].
+
+    It is `world_position` of the last of `positions`, worked out entry by entry along the batch.
+    """
+    x: Entry = 0.0
+    y: Entry = 0.0
+    for length, (cos, sin) in zip(split(q), plate_entries(q), strict=False):
+        x, y = x + length * cos, y + length * sin
+    out = np.zeros_like(q, shape=(*q.shape[:-1], 3))
+    out[..., 0], out[..., 2] = y, -x
+    return out
 
 
 def _rest(model: mujoco.MjModel) -> np.ndarray:

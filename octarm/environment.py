@@ -10,18 +10,16 @@ from collections.abc import Sequence
 
 import numpy as np
 from dm_control.rl import control
-from dm_control.utils import rewards
 from dm_env import specs
 
 from octarm.actuation import ACTUATIONS
 from octarm.arrays import split
-from octarm.batch import BatchPhysics
+from octarm.batch import BatchPhysics, tip_position
 from octarm.disturbances import Acting
 from octarm.effects.episode import Disturbance, Episode
 from octarm.errors import closest
 from octarm.interfaces import Motion, Reference
-from octarm.lagrange import positions
-from octarm.model import build_model, nominal_parameters, world_position
+from octarm.model import build_model, nominal_parameters
 from octarm.parameters import ArmParameters
 from octarm.plant import ArmPhysics
 from octarm.references import named_reference
@@ -213,12 +211,17 @@ class TrackingTask(control.Task):
         return specs.BoundedArray(limit.shape, np.float64, -limit, limit, name="tau")
 
     def get_observation(self, physics: AnyPhysics) -> collections.OrderedDict[str, np.ndarray]:
-        """What is measured and what is wanted, in fresh arrays."""
+        """What is measured and what is wanted, in fresh arrays.
+
+        q, v, q_d, v_d and a_d have shape (..., 2N), tip_position has shape (..., 3); see `load`.
+        """
         desired, acting = self._desired, physics.acting
-        q, v, tip = physics.q(), physics.v(), physics.tip_position()
+        q, v = physics.q(), physics.v()
         if acting is not None and acting.sensors:  # nothing acts before the first episode
             q, v = acting.sensed(physics.steps(), q, v)
-            tip = world_position(positions(q)[..., -1, :])
+            tip = tip_position(q)
+        else:
+            tip = physics.tip_position()
         return collections.OrderedDict(
             q=q,
             v=v,
@@ -229,11 +232,13 @@ class TrackingTask(control.Task):
         )
 
     def get_reward(self, physics: AnyPhysics) -> np.ndarray | float:
-        """In [0, 1]: 1 without error, 0.1 when the rms of error by margin is 1, 0 when diverged."""
+        """In [0, 1], shape (...).
+
+        It is 1 without error, 0.1 when the rms of error by margin is 1, 0 when diverged.
+        """
         error = (physics.q() - self._desired.q) / self._margin
-        mean = sum(x * x for x in split(error)) / error.shape[-1]
-        reward = rewards.tolerance(np.sqrt(mean), margin=1.0)
-        return np.where(physics.intact(), reward, 0.0)[()]
+        mean = sum(split(error * error)) / error.shape[-1]
+        return np.where(physics.intact(), np.exp(math.log(0.1) * mean), 0.0)[()]
 
     def get_termination(self, physics: AnyPhysics) -> float | None:
         """Discount 0 when every arm has left its limits, 1 when the time is up, else None."""

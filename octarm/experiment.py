@@ -17,16 +17,17 @@ import numpy as np
 from dm_control.rl import control
 
 from octarm import runs
+from octarm.archive import Archive, Ending, mapped
 from octarm.disturbances import from_dict
 from octarm.effects.episode import Disturbance
-from octarm.environment import TrackingTask, load
+from octarm.environment import TrackingTask, load, whole_periods
 from octarm.errors import closest
 from octarm.facts import host, versions
 from octarm.interfaces import Controller
 from octarm.ledger import Ledger, asked
 from octarm.parameters import ArmParameters
 from octarm.references import REFERENCES
-from octarm.rollout import rollout
+from octarm.streaming import SIGNALS, joined, rollout
 from octarm.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -170,38 +171,52 @@ def perform(
     announced: Mapping[str, Any],
     *,
     progress: Callable[[], object] | None = None,
-    keep: Callable[[Trajectory], object] | None = None,
 ) -> tuple[Trajectory, dict[str, Any]]:
-    """Runs an experiment that was begun and announced.
+    """Runs an experiment that was begun and announced, in memory.
 
     Args:
         environment: from `Experiment.begin`.
         controller: likewise.
         announced: from `Experiment.announcement`.
-        progress: see `octarm.rollout.rollout`.
-        keep: see there.
+        progress: called after every control period.
 
     Returns:
         The trajectory, and the content of `run.json`: also what came of the run.
     """
+    blocks: list[Trajectory] = []
+    ending, description = _perform(environment, controller, announced, blocks.append, progress)
+    return joined(blocks, ending), description
+
+
+def _perform(
+    environment: control.Environment,
+    controller: Controller,
+    announced: Mapping[str, Any],
+    keep: Callable[[Trajectory], object],
+    progress: Callable[[], object] | None,
+) -> tuple[Ending, dict[str, Any]]:
+    """Runs an experiment of any length, whose rows are handed to `keep`."""
     task, physics = environment.task, environment.physics
     ledger = Ledger(task.disturbances, physics) if task.disturbances else None
     if ledger is not None:
         physics.watch = ledger.step
+    measured = runs.Measured(
+        control_period=environment.control_timestep(),
+        input_limit=physics.input_limit(),
+        phi=getattr(controller, "phi", None),
+    )
+
+    def take_up(rows: Trajectory) -> None:
+        keep(rows)
+        measured.add(rows)
+
     duration = announced["duration"]
-    trajectory = rollout(environment, controller, duration, progress=progress, keep=keep)
-    return trajectory, {
+    ending = rollout(environment, controller, duration, keep=take_up, progress=progress)
+    return ending, {
         **announced,
         "disturbances": ledger.rows() if ledger is not None else [],
-        "metrics": runs.measure(
-            trajectory,
-            control_period=environment.control_timestep(),
-            input_limit=physics.input_limit(),
-            phi=getattr(controller, "phi", None),
-        ),
-        "status": trajectory.status,
-        "message": trajectory.message,
-        "digest": trajectory.digest,
+        "metrics": measured.numbers(diverged=ending.status == "diverged"),
+        **ending._asdict(),
     }
 
 
@@ -212,9 +227,10 @@ def run_into(
     announced: Mapping[str, Any],
     *,
     progress: Callable[[], object] | None = None,
+    keep: Callable[[Trajectory], object] | None = None,
     partial: bool = True,
 ) -> tuple[Trajectory, dict[str, Any]]:
-    """Runs an experiment into a run folder: recording, arrays and description.
+    """Runs an experiment of any length into a run folder: recording, arrays and description.
 
     Args:
         out: the folder; an earlier run there is replaced when this one is complete.
@@ -222,11 +238,13 @@ def run_into(
         controller: likewise.
         announced: from `Experiment.announcement`.
         progress: called after every control period.
+        keep: called with every block of rows, when it is on disk.
         partial: whether a run that is interrupted is kept up to there, with the status
             `interrupted`, unless there is an earlier one.
 
     Returns:
-        The trajectory and the content of `run.json`.
+        The trajectory, whose arrays stay on disk until they are looked at, and the content of
+        `run.json`.
 
     Raises:
         ValueError: if the place is taken by something else.
@@ -234,19 +252,28 @@ def run_into(
         RuntimeError: if the run cannot be recorded.
         KeyboardInterrupt: if interrupted, and nothing was kept.
     """
+    rows = whole_periods(announced["duration"], environment.control_timestep())
     with contextlib.ExitStack() as peace, runs.new_folder(out) as folder:
         runs.announce(folder, announced)
-        with _recorder(folder / runs.RECORDING, announced) as recorder:
-            trajectory, description = perform(
-                environment, controller, announced, progress=progress, keep=recorder.add
-            )
-            if trajectory.status == "interrupted":
-                if not partial or folder != out.resolve():
+        with Archive(folder / runs.BLOCKS, rows=rows) as archive:
+            with _recorder(folder / runs.RECORDING, announced) as recorder:
+
+                def take_up(block: Trajectory) -> None:
+                    archive.add(block)
+                    recorder.add(block)
+                    if keep is not None:
+                        keep(block)
+
+                archive.ending, description = _perform(
+                    environment, controller, announced, take_up, progress
+                )
+                interrupted = archive.ending.status == "interrupted"
+                if interrupted and (not partial or folder != out.resolve()):
                     raise KeyboardInterrupt  # the earlier run stays
                 peace.enter_context(_without_interrupts())
-            recorder.finish(description)
-        runs.write_run(folder, trajectory, description)
-    return trajectory, description
+                recorder.finish(description)
+            runs.write_run(folder, archive, description)
+    return mapped(out / runs.ARRAYS), description
 
 
 def _recorder(path: Path, announced: Mapping[str, Any]) -> Recorder:
@@ -257,11 +284,11 @@ def _recorder(path: Path, announced: Mapping[str, Any]) -> Recorder:
 
 @contextlib.contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """A run that was interrupted is closed although the user may press Ctrl-C again."""
+    """A run that is over is closed although the user may press Ctrl-C, perhaps again."""
     if threading.current_thread() is not threading.main_thread():
         yield  # signals do not come here
         return
-    before = {n: signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, signal.SIGTERM)}
+    before = {n: signal.signal(n, signal.SIG_IGN) for n in SIGNALS}
     try:
         yield
     finally:

@@ -1,17 +1,19 @@
 """The analytic model of the arm, eqs (1)-(5): F_coeff tau = D q'' + C q' + G.
 
-Module i slides by s_i along the axis u(phi_{i-1}) of the plate it stands on, then bends by
-theta_i. With u(a) = (cos a, sin a), n(a) = (-sin a, cos a) and phi_i = theta_1 + .. + theta_i:
+With the ends of the modules p_i and the angles phi_i = theta_1 + .. + theta_i of their plates, see
+`octarm.kinematics`:
 
-    p_i = p_{i-1} + s_i u(phi_{i-1})                            end of module i
     T = 1/2 sum m_i |p_i'|^2 + I_i phi_i'^2
     V = -g u(0).sum m_i p_i + 1/2 sum k_ai (L_ai - s0_i)^2      gravity along the hanging arm
     R = 1/2 sum c_ai L_ai'^2,    L_1i, L_2i = s_i +- (l/2) theta_i
 
-Pure functions of arrays with the coordinates q = [s1..sN, theta1..thetaN] on the last axis and any
-batch axes before it. They never see MuJoCo: they are what it is checked against, and what the
-controllers use as their nominal model. `inverse_dynamics` is the recursion that runs in the control
-loop; the matrices are built from the Jacobians instead, so that each checks the other.
+Pure functions that never see MuJoCo: they are what it is checked against, and what the controllers
+use as their nominal model. `inverse_dynamics` is the recursion that runs in the control loop; the
+matrices are built from the Jacobians instead, so that each checks the other.
+
+Shapes: coordinates q = [s1..sN, theta1..thetaN] [m], [rad], velocities v, accelerations a and
+generalised forces are arrays of shape (..., 2N). Their batch axes broadcast against those of the
+parameters. An array whose last axis is not 2N long raises ValueError.
 """
 
 from __future__ import annotations
@@ -22,6 +24,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from octarm.arrays import Entry, cos_sin, entry, join, split
+from octarm.kinematics import jacobian, jacobian_rate, plate_axes
+from octarm.kinematics import positions as positions
 from octarm.parameters import ArmParameters
 
 
@@ -63,7 +67,8 @@ def inverse_dynamics(
     cos, sin = 1.0, 0.0
     phi = w = w_r = alpha = 0.0
     ax, ay = -entry(p.gravity), 0.0  # the ground accelerates against gravity
-    axes, forces = [], []
+    axes: list[tuple[Entry, Entry]] = []
+    forces: list[tuple[Entry, Entry, Entry]] = []
     for i in range(n):
         along = x_a[i] - x[i] * (w * w_r)
         across = x[i] * alpha + (x_v[i] * w_r + x_vr[i] * w)
@@ -79,7 +84,9 @@ def inverse_dynamics(
             cos, sin = cos_sin(phi)
 
     # Inwards: force and moment that each module carries, projected on its own axes.
-    fx = fy = moment = 0.0
+    fx: Entry = 0.0
+    fy: Entry = 0.0
+    moment: Entry = 0.0
     for i in reversed(range(n)):
         if i + 1 < n:
             cos, sin = axes[i + 1]
@@ -94,9 +101,9 @@ def inverse_dynamics(
 def mass_matrix(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     """Inertia matrix D(q), eq (3), symmetric positive definite, shape (..., 2N, 2N)."""
     n = _modules(p, q=q)
-    jacobian = _jacobian(q)
+    J = jacobian(q)
     rotation = np.tril(np.ones((n, n)))  # d phi_b / d theta_k
-    out = np.einsum("...b,...bxi,...bxj->...ij", p.mass, jacobian, jacobian)
+    out = np.einsum("...b,...bxi,...bxj->...ij", p.mass, J, J)
     out[..., n:, n:] += np.einsum("...b,bi,bj->...ij", p.inertia, rotation, rotation)
     return out
 
@@ -109,7 +116,7 @@ def coriolis_matrix(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarra
     every x. Units: force per velocity, [N s/m] to [N m s].
     """
     _modules(p, q=q, v=v)
-    return np.einsum("...b,...bxi,...bxj->...ij", p.mass, _jacobian(q), _jacobian_rate(q, v))
+    return np.einsum("...b,...bxi,...bxj->...ij", p.mass, jacobian(q), jacobian_rate(q, v))
 
 
 def damping_matrix(p: ArmParameters) -> np.ndarray:
@@ -126,7 +133,7 @@ def potential_force(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     """G(q), eq (5): what holds the arm against gravity and springs, shape (..., 2N) [N], [N m]."""
     _modules(p, q=q)
     gravity = np.asarray(p.gravity)[..., None]
-    out = -gravity * np.einsum("...b,...bi->...i", p.mass, _jacobian(q)[..., 0, :])
+    out = -gravity * np.einsum("...b,...bi->...i", p.mass, jacobian(q)[..., 0, :])
     pushes, couples = _column_forces(p, split(q), split(np.zeros_like(q)))
     return out + np.stack(pushes + couples, axis=-1)
 
@@ -138,7 +145,7 @@ def force_coefficients(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     plate, both reacting on the ground.
     """
     n = _modules(p, q=q)
-    pushes = np.einsum("...bxi,...bx->...ib", _jacobian(q), _parent_axes(q))
+    pushes = np.einsum("...bxi,...bx->...ib", jacobian(q), plate_axes(q))
     batch = np.broadcast_shapes(q.shape[:-1], p.batch_shape)
     out = np.array(np.broadcast_to(np.repeat(pushes, 2, axis=-1), (*batch, 2 * n, 2 * n)))
     turns = np.triu(np.ones((n, n)))  # the couple on plate b turns every theta_k with k <= b
@@ -164,7 +171,7 @@ def forward_dynamics(
 def energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Kinetic and potential energy, each of shape (...) [J]; no weight potential at the base."""
     n = _modules(p, q=q, v=v)
-    velocity = np.einsum("...bxi,...i->...bx", _jacobian(q), v)
+    velocity = np.einsum("...bxi,...i->...bx", jacobian(q), v)
     rate = np.cumsum(v[..., n:], axis=-1)
     kinetic = 0.5 * np.sum(
         p.mass * np.sum(velocity * velocity, axis=-1) + p.inertia * rate * rate, axis=-1
@@ -203,12 +210,6 @@ def kinetic_energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray
     return np.asarray(0.5 * twice)
 
 
-def positions(q: np.ndarray) -> np.ndarray:
-    """Ends of the modules in the base frame, shape (..., N, 2) [m]; x along the hanging arm."""
-    n = q.shape[-1] // 2
-    return np.cumsum(q[..., :n, None] * _parent_axes(q), axis=-2)
-
-
 def equilibrium(p: ArmParameters) -> np.ndarray:
     """The coordinates at which the arm hangs still, G(q) = 0, shape (..., 2N) [m], [rad].
 
@@ -243,7 +244,7 @@ def potential_hessian(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     for j in range(2 * n):
         unit = np.zeros_like(q)
         unit[..., j] = 1.0
-        rate = _jacobian_rate(q, unit)[..., 0, :]
+        rate = jacobian_rate(q, unit)[..., 0, :]
         out[..., :, j] -= gravity * np.einsum("...b,...bi->...i", p.mass, rate)
     return out
 
@@ -267,7 +268,8 @@ def _column_forces(
     rest = split(p.rest_length)
     k1, k2 = (split(p.stiffness[..., a, :]) for a in (0, 1))
     c1, c2 = (split(p.damping[..., a, :]) for a in (0, 1))
-    pushes, couples = [], []
+    pushes: list[Entry] = []
+    couples: list[Entry] = []
     for i in range(n):
         stretch, bend = q[i] - rest[i], half * q[n + i]
         rate, bend_rate = v[i], half * v[n + i]
@@ -295,48 +297,4 @@ def _column_matrix(p: ArmParameters, coefficient: np.ndarray) -> np.ndarray:
     out[..., i, i] = first + second
     out[..., i, n + i] = out[..., n + i, i] = half * (first - second)
     out[..., n + i, n + i] = half * half * (first + second)
-    return out
-
-
-def _parent_angles(q: np.ndarray) -> np.ndarray:
-    """phi_{i-1}, the angle of the plate that module i stands on, shape (..., N) [rad]."""
-    n = q.shape[-1] // 2
-    out = np.zeros_like(q[..., n:], dtype=np.result_type(q, 1.0))
-    out[..., 1:] = np.cumsum(q[..., n:-1], axis=-1)
-    return out
-
-
-def _parent_axes(q: np.ndarray) -> np.ndarray:
-    """u(phi_{i-1}), shape (..., N, 2)."""
-    angle = _parent_angles(q)
-    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-
-
-def _jacobian(q: np.ndarray) -> np.ndarray:
-    """dp_b/dq_j, shape (..., N, 2, 2N)."""
-    n = q.shape[-1] // 2
-    u = _parent_axes(q)
-    normal = np.stack([-u[..., 1], u[..., 0]], axis=-1)
-    out = np.zeros_like(u, shape=(*q.shape[:-1], n, 2, 2 * n))
-    for b in range(n):
-        for j in range(b + 1):
-            out[..., b, :, j] = u[..., j, :]
-            lever = q[..., j, None] * normal[..., j, :]
-            out[..., b, :, n : n + j] += lever[..., None]  # segment j swings with theta_k, k < j
-    return out
-
-
-def _jacobian_rate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """d/dt dp_b/dq_j when q moves with v, shape (..., N, 2, 2N)."""
-    n = q.shape[-1] // 2
-    u = _parent_axes(q)
-    normal = np.stack([-u[..., 1], u[..., 0]], axis=-1)
-    rate = _parent_angles(v)[..., None]
-    turn = rate * normal  # u' = phi' n
-    swing = v[..., :n, None] * normal - q[..., :n, None] * rate * u  # (s n)' = s' n - s phi' u
-    out = np.zeros_like(u, shape=(*np.broadcast_shapes(q.shape, v.shape)[:-1], n, 2, 2 * n))
-    for b in range(n):
-        for j in range(b + 1):
-            out[..., b, :, j] = turn[..., j, :]
-            out[..., b, :, n : n + j] += swing[..., j, :, None]
     return out

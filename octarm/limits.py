@@ -7,8 +7,7 @@ from operator import le
 
 import numpy as np
 
-from octarm.arrays import Entry, split
-from octarm.model import coordinate_names
+from octarm.arrays import Entry, coordinate_names, split
 from octarm.parameters import ArmParameters
 
 
@@ -44,7 +43,7 @@ class Limits:
         )
 
     def hold(self, q: np.ndarray, v: np.ndarray) -> bool:
-        """Whether a state, shapes (2N,), is within the limits; NaN never is."""
+        """Whether one arm's state, q and v of shape (2N,), is within the limits; NaN never is."""
         place, speed = q.tolist(), map(abs, v.tolist())
         return (
             all(map(le, self.low, place))
@@ -53,7 +52,7 @@ class Limits:
         )
 
     def holding(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Which arms of a batch are within the limits, states of shape (n, 2N), shape (n,)."""
+        """Which arms of a batch are within the limits, q and v of shape (n, 2N), shape (n,)."""
         within = np.ones(len(q), dtype=bool)
         for j, top in enumerate(self.speed):
             place, speed = q[:, j], v[:, j]
@@ -62,7 +61,12 @@ class Limits:
         return within
 
     def violation(self, q: np.ndarray, v: np.ndarray) -> str:
-        """Which coordinate has left them and how, as words; empty when none has."""
+        """Which coordinate of one arm has left them and how, as words; empty when none has.
+
+        Args:
+            q: coordinates, shape (2N,) [m], [rad].
+            v: velocities, shape (2N,) [m/s], [rad/s].
+        """
         n = len(q) // 2
         names, units = coordinate_names(n), ["m"] * n + ["rad"] * n
         for j, (name, unit) in enumerate(zip(names, units, strict=True)):

@@ -22,7 +22,7 @@ from octarm.measures.sliding import Sliding
 from octarm.measures.tracking import DWELL, Overshoot, Settling, TipError, TrackingError
 from octarm.measures.tracking import default_band as default_band
 
-_NUMBERS_A_PART = 12_000  # what is worked on at a time should stay in the processor's caches
+_NUMBERS_A_PART = 50_000  # of a coordinate array; more at a time would leave the caches
 
 
 class Meaning(NamedTuple):

@@ -5,8 +5,6 @@ y to the right, so that a point (x, y) of `octarm.lagrange` is (y, 0, -x) in MuJ
 MuJoCo orders the coordinates along the arm, q = [s1, theta1, s2, ..]; outside this module they are
 always in the paper's order, q = [s1..sN, theta1..thetaN].
 """
-# pyright: reportAttributeAccessIssue=false
-# (mujoco ships no type stubs)
 
 from __future__ import annotations
 
@@ -19,6 +17,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from octarm.arrays import coordinate_names as coordinate_names
 from octarm.parameters import ArmParameters
 
 _COLUMN_SIDES = ((1, 1.0), (2, -1.0))  # column 1 lengthens with +theta
@@ -26,7 +25,11 @@ _PARTS = ("column_1", "column_2", "backbone")
 
 
 def model_path() -> Path:
-    """The file `octarm.xml`, in a checkout or in an installed package."""
+    """The file `octarm.xml`, in a checkout or in an installed package.
+
+    Raises:
+        FileNotFoundError: if it is missing.
+    """
     package = Path(__file__).resolve().parent
     for folder in (package.parent / "models", package / "models"):
         if (folder / "octarm.xml").is_file():
@@ -98,11 +101,6 @@ def paper_order(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     return np.array([j.qposadr[0] for j in joints]), np.array([j.dofadr[0] for j in joints])
 
 
-def coordinate_names(modules: int) -> list[str]:
-    """Names of the coordinates in the paper's order: s1..sN, theta1..thetaN."""
-    return [f"{kind}{i}" for kind in ("s", "theta") for i in range(1, modules + 1)]
-
-
 def world_position(position: np.ndarray) -> np.ndarray:
     """Points (x, y) of the base plane, shape (..., 2), in the world frame, shape (..., 3) [m]."""
     x, y = position[..., 0], position[..., 1]
@@ -121,9 +119,12 @@ class PlantFields:
         self._field = field
 
     def write(self, p: ArmParameters, gravity_angle: np.ndarray | float = 0.0) -> bool:
-        """Writes the parameters, which may have the batch's axis.
+        """Writes the parameters.
 
-        Gravity turns by `gravity_angle` [rad] from the hanging arm towards +y of the base frame.
+        Args:
+            p: of all arms, or with the batch's axis (n,).
+            gravity_angle: by which gravity turns from the hanging arm towards +y of the base
+                frame, shape () or (n,) [rad].
 
         Returns:
             Whether inertias changed, so that the caller must make MuJoCo's constants follow.
@@ -166,7 +167,7 @@ def _set_modules(spec: mujoco.MjSpec, modules: int) -> None:
     spec.key("hanging").qpos = np.zeros(2 * modules)
 
 
-def _geoms_of(spec: mujoco.MjSpec, i: int) -> tuple[list, list]:
+def _geoms_of(spec: mujoco.MjSpec, i: int) -> tuple[list[mujoco.MjsGeom], list[mujoco.MjsGeom]]:
     """The pictures of module i: those on the body it stands on, and those on its own."""
     below, own = _geom_names(i)
     return [spec.geom(name) for name in below], [spec.geom(name) for name in own]

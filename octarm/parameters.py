@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -84,7 +84,9 @@ class ArmParameters:
             object.__setattr__(self, name, value)
         _ = self.batch_shape  # raises when the batch axes do not fit together
 
-    def __reduce__(self) -> tuple:  # copies and pickles stay read-only
+    def __reduce__(
+        self,
+    ) -> tuple[Callable[[], ArmParameters], tuple[()]]:  # copies and pickles stay read-only
         fields = {name: getattr(self, name) for name in _RULES}
         return functools.partial(ArmParameters, **fields), ()
 

@@ -1,14 +1,15 @@
 """The arm as MuJoCo steps it, behind a few methods."""
-# pyright: reportAttributeAccessIssue=false, reportIncompatibleMethodOverride=false
-# (mujoco ships no type stubs, dm_control few annotations)
+# pyright: reportUnknownMemberType=false
+# (the base class, dm_control's Physics, has no types)
 
 from __future__ import annotations
 
 import copy
+import logging
 import operator
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -24,6 +25,9 @@ with warnings.catch_warnings():  # without a display, glfw complains although no
     warnings.simplefilter("ignore")
     from dm_control import mujoco as dm_mujoco
     from dm_control.mujoco import wrapper
+
+# dm_control logs each warning of MuJoCo, which also ends the run or freezes the arm of a batch.
+logging.getLogger("absl").addFilter(lambda record: record.funcName != "_warning_callback")
 
 
 class ArmPhysics(dm_mujoco.Physics):
@@ -64,10 +68,10 @@ class ArmPhysics(dm_mujoco.Physics):
         self.limits = Limits.of(self._undisturbed)
         self.actuation = GroundedActuation(self._undisturbed.width)
 
-    def __getstate__(self) -> tuple:
-        return super().__getstate__(), self._episode()
+    def __getstate__(self) -> tuple[Any, dict[str, Any]]:
+        return cast("Any", super().__getstate__()), self._episode()
 
-    def __setstate__(self, state: tuple) -> None:
+    def __setstate__(self, state: tuple[Any, dict[str, Any]]) -> None:
         data, episode = state
         super().__setstate__(data)
         self.__dict__.update(episode)
@@ -78,7 +82,7 @@ class ArmPhysics(dm_mujoco.Physics):
         The model is shared only when asked for and when no disturbance changes it.
         """
         changing = self.acting is not None and self.acting.plant_changes
-        other = super().copy(share_model and not changing)
+        other = cast("ArmPhysics", super().copy(share_model and not changing))
         other.__dict__.update(copy.deepcopy(self._episode()))
         return other
 

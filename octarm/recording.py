@@ -18,11 +18,10 @@ import pyarrow as pa
 import rerun as rr
 from rerun.experimental import ViewerClient as ViewerClient  # for octarm.recordings.viewer
 
+from octarm.archive import BLOCK
 from octarm.files import piped, whole_file
 from octarm.recordings.recorded_run import RecordedRun
 from octarm.trajectory import Trajectory
-
-BLOCK = 5000  # rows a chunk: fewer cost space, more cost memory and what a crash loses
 
 
 def write_recording(
@@ -30,8 +29,8 @@ def write_recording(
 ) -> None:
     """Writes a run as a rerun recording, whole or not at all.
 
-    The timelines are `t` [s] and `step`, the row of the trajectory. What the controller logged is
-    recorded and plotted, whatever the names and widths.
+    The timeline is `t` [s]. What the controller logged is recorded and plotted, whatever the names
+    and widths.
 
     Args:
         path: the `.rrd` file; its folder must exist.

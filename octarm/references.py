@@ -7,7 +7,9 @@ before it. `REFERENCES` names the ones that the command line offers.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +24,9 @@ class SetPoint:
 
     Attributes:
         q: shape (..., 2N) [m], [rad].
+
+    Raises:
+        ValueError: if it is not finite.
     """
 
     q: np.ndarray
@@ -45,6 +50,9 @@ class Sine:
         amplitude: shape (..., 2N) [m], [rad]; zero for the coordinates that rest.
         frequency: broadcasts to (..., 2N) [Hz].
         phase: broadcasts to (..., 2N) [rad].
+
+    Raises:
+        ValueError: if a field is not finite.
     """
 
     center: np.ndarray
@@ -73,6 +81,9 @@ class MultiSine:
 
     Attributes:
         tones: at least one; their centers add up too.
+
+    Raises:
+        ValueError: if there are none.
     """
 
     tones: tuple[Sine, ...]
@@ -100,8 +111,11 @@ class SmoothStep:
     Attributes:
         start: shape (..., 2N) [m], [rad].
         goal: shape (..., 2N) [m], [rad].
-        begin: when the motion begins [s].
-        duration: how long it takes [s], positive.
+        begin: when the motion begins, broadcasts to (..., 2N) [s].
+        duration: how long it takes, positive, broadcasts to (..., 2N) [s].
+
+    Raises:
+        ValueError: if a field is not finite, or the duration not positive.
     """
 
     start: np.ndarray
@@ -124,6 +138,53 @@ class SmoothStep:
             way * (30.0 * x * x * (1.0 - x) * (1.0 - x)) / T,
             way * (60.0 * x * (1.0 - x) * (1.0 - 2.0 * x)) / (T * T),
         )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Spline:
+    """Through given points at given times; at rest before the first and after the last.
+
+    A spline of degree 5, whose velocity and acceleration are smooth: for a motion that is known as
+    samples, such as the inverse kinematics of a path of the tip.
+
+    Attributes:
+        times: rising, at least 6 of them, shape (K,) [s].
+        points: coordinates at these times, shape (K, 2N) [m], [rad].
+
+    Raises:
+        ValueError: if a field has a wrong shape or is not finite, or the times do not rise.
+    """
+
+    times: np.ndarray
+    points: np.ndarray
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+        times, points = self.times, self.points
+        if times.ndim != 1 or len(times) < 6 or not np.all(np.diff(times) > 0.0):
+            raise ValueError(
+                f"times have shape {times.shape}; they must be at least 6, one after another"
+            )
+        if points.ndim != 2 or len(points) != len(times):
+            raise ValueError(
+                f"points have shape {points.shape}; they must be ({len(times)}, 2N) for as many "
+                "times"
+            )
+
+    @functools.cached_property
+    def _motion(self) -> list[Callable[[float], np.ndarray]]:
+        """The coordinates as a function of time, and its first two derivatives."""
+        from scipy.interpolate import make_interp_spline  # which takes half a second
+
+        path: Any = make_interp_spline(self.times, self.points, k=5)
+        return [path.derivative(order) if order else path for order in range(3)]
+
+    def __call__(self, t: float) -> Reference:
+        """Desired motion at time t [s]."""
+        moving = self.times[0] <= t <= self.times[-1]
+        now = min(max(t, float(self.times[0])), float(self.times[-1]))
+        q, v, a = (part(now) for part in self._motion)
+        return Reference(q, v if moving else 0.0 * v, a if moving else 0.0 * a)
 
 
 def _paper_sine(rest: np.ndarray) -> Sine:
@@ -191,7 +252,7 @@ def _first_two(
     return out
 
 
-def _freeze(motion: SetPoint | Sine | SmoothStep) -> None:
+def _freeze(motion: SetPoint | Sine | SmoothStep | Spline) -> None:
     """Makes the fields read-only float arrays; rejects values that are not finite."""
     for field in dataclasses.fields(motion):
         value = read_only(field.name, getattr(motion, field.name))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,23 @@ class Check:
         numbers = {"measured": self.measured, "low": self.low, "high": self.high}
         finite = {k: float(x) if np.isfinite(x) else None for k, x in numbers.items()}
         return {"what": self.what, **finite, "unit": self.unit, "passed": self.passed}
+
+
+def gathered(
+    parts: Mapping[str, Iterable[Check]], progress: Callable[[str], object] | None = None
+) -> tuple[Check, ...]:
+    """The rows of all parts of a report, in order.
+
+    Args:
+        parts: the rows by the name of their part; a generator does its work here.
+        progress: called with the name of each part before it starts.
+    """
+    checks: list[Check] = []
+    for name, part in parts.items():
+        if progress is not None:
+            progress(name)
+        checks += part
+    return tuple(checks)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from octarm.archive import Archive, mapped, read_blocks
 from octarm.arrays import plain
 from octarm.files import write_text
 from octarm.interfaces import Controller
@@ -28,9 +29,37 @@ RECORDING = "run.rrd"
 ARRAYS = "run.npz"
 DESCRIPTION = "run.json"
 PARTIAL = RECORDING + ".part"  # what a killed run leaves of its recording
+BLOCKS = ARRAYS + ".blocks"  # and of its arrays
 RUNNING = "running"
 
 _PACKAGES = ("octarm", "mujoco", "dm-control", "numpy", "rerun-sdk")
+
+
+class Measured:
+    """The metrics of a run, block by block: `add` rows in their order, then `numbers`."""
+
+    def __init__(
+        self,
+        *,
+        control_period: float,
+        input_limit: npt.ArrayLike = np.inf,
+        phi: npt.ArrayLike | None = None,
+    ) -> None:
+        """See `octarm.metrics.Metrics` for what these are."""
+        self._metrics = Metrics(control_period=control_period, input_limit=input_limit, phi=phi)
+
+    def add(self, rows: Trajectory) -> None:
+        """Takes up further rows."""
+        block = Block(rows.t, rows.q, rows.q_d, rows.tau, rows.force, rows.signals)
+        self._metrics.update(block)
+
+    def numbers(self, *, diverged: bool = False) -> dict[str, list[float | None] | float | None]:
+        """The metrics by name, a list in the order of q (of tau, for inputs) or one number.
+
+        None stands for what there is no number for; of a diverged run there is none at all.
+        """
+        results = self._metrics.result(diverged=diverged)
+        return {name: _numbers(values) for name, values in results.items()}
 
 
 def measure(
@@ -40,25 +69,21 @@ def measure(
     input_limit: npt.ArrayLike = np.inf,
     phi: npt.ArrayLike | None = None,
 ) -> dict[str, list[float | None] | float | None]:
-    """The metrics of a run by name, a list in the order of q (of tau, for inputs) or one number.
-
-    None stands for what there is no number for; of a diverged run there is none at all.
+    """The metrics of a whole run, as `Measured.numbers` has them.
 
     Args:
         trajectory: the run.
         control_period: see `octarm.metrics.Metrics` [s]; the step of the trajectory's t when not
             given, of which a single row has none.
-        input_limit: see there [N].
-        phi: see there [m/s], [rad/s].
+        input_limit: see there, broadcasts to (2N,) [N].
+        phi: see there, broadcasts to (2N,) [m/s], [rad/s].
     """
     t, known = trajectory.t, control_period is not None or len(trajectory) > 1
     if control_period is None:
         control_period = float(t[1] - t[0]) if known else 1.0
-    metrics = Metrics(control_period=control_period, input_limit=input_limit, phi=phi)
-    run = trajectory
-    metrics.update(Block(t, run.q, run.q_d, run.tau, run.force, run.signals))
-    results = metrics.result(diverged=run.status == "diverged" or not known)
-    return {name: _numbers(values) for name, values in results.items()}
+    measured = Measured(control_period=control_period, input_limit=input_limit, phi=phi)
+    measured.add(trajectory)
+    return measured.numbers(diverged=trajectory.status == "diverged" or not known)
 
 
 def _numbers(values: np.ndarray) -> Any:
@@ -91,14 +116,14 @@ def versions() -> dict[str, str]:
 def announce(folder: Path, description: Mapping[str, Any]) -> None:
     """Writes `run.json` before the run, with the status `running`.
 
-    That status stays if the process is killed; the recording is then partial.
+    That status stays if the process is killed; the run is then partial.
     """
     write_text(folder / DESCRIPTION, _json({**description, "status": RUNNING}) + "\n")
 
 
-def write_run(folder: Path, trajectory: Trajectory, description: Mapping[str, Any]) -> None:
-    """Writes `run.npz` and `run.json` into a folder."""
-    trajectory.save(folder / ARRAYS)
+def write_run(folder: Path, rows: Trajectory | Archive, description: Mapping[str, Any]) -> None:
+    """Writes `run.npz`, then `run.json`, with which the run is complete, into a folder."""
+    rows.save(folder / ARRAYS)
     write_text(folder / DESCRIPTION, _json(description) + "\n")
 
 
@@ -121,13 +146,32 @@ def read_description(folder: Path) -> dict[str, Any]:
 
 
 def read_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
-    """The trajectory of a run folder and the description of what was run.
+    """The trajectory of a run folder, in memory, and the description of what was run.
 
     Raises:
         ValueError: if the folder holds no run.
     """
     description = read_description(folder)
     return Trajectory.load(folder / ARRAYS), description
+
+
+def map_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
+    """The same, read from disk as far as it is looked at; what there is of a run that was killed.
+
+    Raises:
+        ValueError: if the folder holds no run, or no rows of it.
+    """
+    description = read_description(folder)
+    arrays, blocks = folder / ARRAYS, folder / BLOCKS
+    if arrays.is_file():
+        run = mapped(arrays)
+    elif blocks.is_file():
+        run = read_blocks(blocks)
+    else:
+        raise ValueError(f"{folder} has no {ARRAYS}: it is incomplete")
+    if not len(run) or not np.isfinite(run.t).all():
+        raise ValueError(f"{arrays} holds no rows")
+    return run, description
 
 
 @contextmanager
@@ -192,7 +236,8 @@ def _fresh(folder: Path) -> Iterator[None]:
 
 def _is_run_or_empty(folder: Path) -> bool:
     found = {path.name for path in folder.iterdir()}
-    own = {RECORDING, ARRAYS, DESCRIPTION, PARTIAL, ARRAYS + ".part", DESCRIPTION + ".part"}
+    whole = (RECORDING, ARRAYS, DESCRIPTION)
+    own = {BLOCKS, *whole, *(f"{name}.part" for name in whole)}
     return not found or (DESCRIPTION in found and found <= own)
 
 

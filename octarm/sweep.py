@@ -5,7 +5,7 @@ from __future__ import annotations
 import collections
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Generator
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -17,18 +17,24 @@ from concurrent.futures import (
 from pathlib import Path
 from typing import NamedTuple
 
+import pyarrow as pa
+
 from octarm import runs
 from octarm.environment import whole_periods
 from octarm.model import nominal_parameters
-from octarm.sweeps.folder import SweepFolder, parquet_bytes
+from octarm.sweeps.gain_sets import of_sets
 from octarm.sweeps.plan import Plan
-from octarm.sweeps.shards import Factory, begin, run_arms, run_shard
+from octarm.sweeps.shard_file import shard_bytes
+from octarm.sweeps.shards import Factory, begin, run_arms
 from octarm.sweeps.spec import SweepSpec
+from octarm.sweeps.store import SweepFolder
+from octarm.sweeps.under_way import run_noted_shard, watched
 from octarm.sweeps.workers import WorkerProcesses, cores
 
 _TRIES = 4  # of a shard whose worker dies
-_GLANCE = 5.0  # [s]; after so long it looks whether there are more workers
+_GLANCE = 1.0  # [s]; after so long it looks how far the shards are, and at the number of workers
 _FAILURES = 3  # shards that may fail before no new one is begun
+_MEASURED, _WARM = 60, 10  # control periods that an estimate runs, and those of them not counted
 
 
 def _unheard(_: object) -> None:
@@ -44,6 +50,7 @@ def sweep(
     in_flight: int | Callable[[], int] | None = None,
     resume: bool = False,
     progress: Callable[[int], object] = _unheard,
+    under_way: Callable[[float], object] = _unheard,
     say: Callable[[str], object] = _unheard,
 ) -> Path:
     """Runs the episodes of a sweep that are not there yet; `read_sweep` gives the table.
@@ -53,14 +60,17 @@ def sweep(
 
     Args:
         spec: see `octarm.sweeps.parser.read_spec`.
-        factory: makes a controller from its name, the nominal model and gains, as
-            `controllers.make_controller` does; other processes have to be able to import it.
+        factory: makes a controller from its name, the nominal model and gains, and the gain set if
+            the spec names one, as `controllers.make_controller` does; other processes have to be
+            able to import it.
         out: folder of the sweep.
         executor: that runs the shards; processes on all cores when not given.
         in_flight: number of shards that it is given at a time; one a core when not given.
         resume: whether a sweep that was begun in the folder goes on.
         progress: called with the number of episodes that have just been finished, first with that
             of those that were already there.
+        under_way: called about once a second with how many episodes the finished parts of those
+            under way are worth.
         say: called with sentences on what happens meanwhile.
 
     Returns:
@@ -76,6 +86,7 @@ def sweep(
     plan = Plan(spec)
     folder = SweepFolder(Path(out), plan)
     folder.check(resume=resume)
+    factory = of_sets(factory, spec)
     gains = rehearse(plan, factory)
     with folder.locked():
         for change in folder.begin(gains):
@@ -83,17 +94,21 @@ def sweep(
         done = set(folder.finished())
         progress(sum(len(plan.shards[i]) for i in done))
         todo = [i for i in range(len(plan.shards)) if i not in done]
-        with _executor(executor, len(todo)) as pool:
+        with _executor(executor, len(todo)) as pool, folder.notes() as notes:
 
-            def submit(shard: int) -> Future:
-                return pool.submit(run_shard, spec, shard, factory)
+            def submit(shard: int) -> Future[pa.Table]:
+                return pool.submit(run_noted_shard, spec, shard, factory, notes.file(shard))
 
-            def keep(shard: int, table: object) -> None:
-                folder.write(shard, table)  # pyright: ignore[reportArgumentType]
+            def keep(shard: int, table: pa.Table) -> None:
+                folder.write(shard, table)
+                notes.forget(shard)
                 progress(len(plan.shards[shard]))
 
+            def glance(shards: Collection[int]) -> None:
+                under_way(sum(notes.share(i) * len(plan.shards[i]) for i in shards))
+
             limit = in_flight if callable(in_flight) else lambda: in_flight or cores()
-            run = _Run(todo, submit, keep, say)
+            run = _Run(todo, submit, keep, glance, say)
             run.go(limit)
     run.report()
     return folder.path
@@ -108,7 +123,7 @@ def rehearse(plan: Plan, factory: Factory) -> dict[str, object]:
     Raises:
         ValueError: if something cannot be made as the spec has it.
     """
-    gains = {}
+    gains: dict[str, object] = {}
     for name in plan.spec.controllers:
         own = plan.spec.gains.get(name, {})
         gains[name] = runs.gains_of(factory(name, nominal_parameters(), own))
@@ -124,12 +139,14 @@ class Estimate(NamedTuple):
 
     Attributes:
         episodes: their number.
+        periods: number of control periods of an episode.
         shards: their number.
         seconds: that one worker needs [s].
-        size: of the files [byte].
+        size: of the table on disk, at most [byte].
     """
 
     episodes: int
+    periods: int
     shards: int
     seconds: float
     size: int
@@ -142,8 +159,9 @@ def estimate(spec: SweepSpec, factory: Factory) -> Estimate:
         ValueError: for a spec that cannot be run.
     """
     plan = Plan(spec)
+    factory = of_sets(factory, spec)
     rehearse(plan, factory)
-    cost = {}
+    cost: dict[str, _Cost] = {}
     for shard in plan.shards:
         arms = plan.arms(shard)
         if arms.controller not in cost:
@@ -151,32 +169,51 @@ def estimate(spec: SweepSpec, factory: Factory) -> Estimate:
     seconds = size = 0.0
     for shard in plan.shards:
         own = cost[plan.arms(shard[:1]).controller]
-        seconds += own.start + own.run * len(shard)
-        size += own.size * len(shard)
-    return Estimate(plan.episodes, len(plan.shards), seconds, int(size))
+        seconds += own.start + own.period * own.periods * len(shard)
+        size += own.labels + own.row * len(shard)
+    periods = next(iter(cost.values())).periods
+    return Estimate(plan.episodes, periods, len(plan.shards), seconds, int(size))
 
 
 class _Cost(NamedTuple):
-    """What a shard takes: seconds to start, seconds and bytes an episode."""
+    """What a shard takes.
+
+    Attributes:
+        start: before and after the control periods [s].
+        period: each of an arm's control periods [s].
+        periods: their number.
+        labels: the file without rows [byte].
+        row: each of its rows, if every measure had a value [byte].
+    """
 
     start: float
-    run: float
-    size: float
+    period: float
+    periods: int
+    labels: int
+    row: float
 
     @classmethod
     def measured(cls, plan: Plan, shard: range, factory: Factory) -> _Cost:
         arms = plan.arms(shard)
         period = begin(plan.spec, arms, factory)[0].control_timestep()
         periods = whole_periods(plan.spec.duration, period)
-        few, many = min(3, periods), min(30, periods + 3)
-        times = []
-        for count in (few, many):
-            started = time.perf_counter()
-            table = run_arms(plan, arms, factory, count * period)
-            times.append(time.perf_counter() - started)
-        rate = max(0.0, times[1] - times[0]) / (many - few)
-        size = len(parquet_bytes(table)) / len(shard)
-        return cls(max(0.0, times[0] - few * rate), rate * periods / len(shard), size)
+        instants: list[float] = []
+
+        def tell(_: float) -> None:
+            instants.append(time.perf_counter())
+
+        started = time.perf_counter()
+        table = run_arms(plan, arms, watched(factory, tell), min(_MEASURED, periods) * period)
+        elapsed = time.perf_counter() - started
+        few = min(_WARM, len(instants) - 1)
+        rate = (instants[-1] - instants[few]) / max(1, len(instants) - 1 - few)
+        return cls(
+            start=max(0.0, elapsed - len(instants) * rate),
+            period=rate / len(shard),
+            periods=periods,
+            labels=len(shard_bytes(table.slice(0, 0))),
+            row=table.nbytes / len(shard),
+        )
 
 
 class _Run:
@@ -185,13 +222,14 @@ class _Run:
     def __init__(
         self,
         todo: list[int],
-        submit: Callable[[int], Future],
-        keep: Callable[[int, object], None],
+        submit: Callable[[int], Future[pa.Table]],
+        keep: Callable[[int, pa.Table], None],
+        glance: Callable[[Collection[int]], None],
         say: Callable[[str], object],
     ) -> None:
         self._pending = collections.deque(todo)
-        self._submit, self._keep, self._say = submit, keep, say
-        self._under_way: dict[Future, int] = {}
+        self._submit, self._keep, self._glance, self._say = submit, keep, glance, say
+        self._under_way: dict[Future[pa.Table], int] = {}
         self._tries = collections.Counter[int]()
         self._failed: dict[int, BaseException] = {}
         self._interrupted = False
@@ -205,6 +243,7 @@ class _Run:
                     self._take(self._under_way[future], future)
                     del self._under_way[future]
                 future = None  # a cluster keeps the result for as long as anybody might ask for it
+                self._glance(self._under_way.values())
             except KeyboardInterrupt:
                 if self._interrupted:
                     raise KeyboardInterrupt(self._there()) from None
@@ -237,7 +276,7 @@ class _Run:
             self._pending.popleft()
             most -= 1
 
-    def _take(self, shard: int, future: Future) -> None:
+    def _take(self, shard: int, future: Future[pa.Table]) -> None:
         """Keeps a finished shard, or has it run again."""
         try:
             table = future.result()
@@ -255,7 +294,7 @@ class _Run:
 
 
 @contextlib.contextmanager
-def _executor(given: Executor | None, shards: int) -> Iterator[Executor]:
+def _executor(given: Executor | None, shards: int) -> Generator[Executor]:
     """The executor that was given, or processes that live as long as the block."""
     if given is not None:
         yield given

@@ -7,7 +7,7 @@ import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, cast
 
 from octarm.errors import closest
 
@@ -122,10 +122,15 @@ def is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and value == value
 
 
+def items(value: Any) -> list[Any] | None:
+    """Those of a list; None for anything else."""
+    return cast(list[Any], value) if isinstance(value, list) else None
+
+
 def floats(value: Any) -> Any:
     """The value with its numbers as floats, so that 1 and 1.0 are the same."""
-    if isinstance(value, list):
-        return [floats(item) for item in value]
+    if (listed := items(value)) is not None:
+        return [floats(item) for item in listed]
     return float(value) if is_number(value) else value
 
 

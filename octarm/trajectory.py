@@ -14,14 +14,15 @@ import numpy as np
 from octarm.files import whole_file
 
 _ARRAYS = ("t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance")
-_TEXTS = ("status", "message", "digest")
+TEXTS = ("status", "message", "digest")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
     """What happened at each control instant of one run; row k is time t[k].
 
-    All arrays are float64 and read-only. T is the number of control periods that were begun.
+    All arrays are float64 and read-only; those that can be written to are copied. T is the number
+    of control periods that were begun.
 
     Attributes:
         t: time, shape (T,) [s].
@@ -55,7 +56,7 @@ class Trajectory:
     digest: str = ""
 
     def __post_init__(self) -> None:
-        taken = [name for name in self.signals if name in (*_ARRAYS, *_TEXTS)]
+        taken = [name for name in self.signals if name in (*_ARRAYS, *TEXTS)]
         if taken:
             raise ValueError(f"a signal cannot be called {taken[0]!r}: the trajectory has that")
         for name, array in self.arrays():
@@ -76,14 +77,14 @@ class Trajectory:
         return self.q - self.q_d
 
     def arrays(self) -> Iterator[tuple[str, np.ndarray]]:
-        """Name and array of everything that has a row an instant, signals included."""
+        """Name and array, shape (T, ...), of what has a row an instant, signals included."""
         for name in _ARRAYS:
             yield name, getattr(self, name)
         yield from self.signals.items()
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the twin `.npz`, whole or not at all; equal trajectories give equal bytes."""
-        texts = {name: np.array(getattr(self, name)) for name in _TEXTS}
+        texts = {name: np.array(getattr(self, name)) for name in TEXTS}
         with whole_file(path) as part, open(part, "wb") as file:
             np.savez(file, allow_pickle=False, **dict(self.arrays()), **texts)
 
@@ -96,15 +97,31 @@ class Trajectory:
         """
         try:
             with np.load(path, allow_pickle=False) as file:
-                content = dict(file)
-            fixed = {name: content.pop(name) for name in _ARRAYS}
-            texts = {name: str(content.pop(name)) for name in _TEXTS}
+                arrays = dict(file)
+            texts = {name: str(arrays.pop(name)) for name in TEXTS}
+            for array in arrays.values():
+                array.setflags(write=False)
+            return cls.from_arrays(arrays, texts)
         except (KeyError, ValueError, zipfile.BadZipFile) as error:
             raise ValueError(f"{path} is not a trajectory file ({error})") from None
-        return cls(**fixed, **texts, signals=content)  # pyright: ignore[reportArgumentType]
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray], texts: Mapping[str, str]) -> Trajectory:
+        """A trajectory of what `arrays` yields by name, each of shape (T, ...), and its texts.
+
+        Raises:
+            KeyError: if something is missing.
+        """
+        fixed = {name: arrays[name] for name in _ARRAYS}
+        signals = {name: array for name, array in arrays.items() if name not in fixed}
+        ended = {name: texts[name] for name in TEXTS}
+        return cls(**fixed, **ended, signals=signals)  # pyright: ignore[reportArgumentType]
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
+    """A copy, unless it is read-only already: what is mapped from a file is not to be read."""
+    if array.dtype == np.float64 and not array.flags.writeable:
+        return array
     array = np.array(array, dtype=np.float64)
     array.setflags(write=False)
     return array

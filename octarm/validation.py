@@ -1,6 +1,4 @@
 """MuJoCo against Lagrange, as a report."""
-# pyright: reportAttributeAccessIssue=false
-# (mujoco ships no type stubs)
 
 from __future__ import annotations
 
@@ -22,7 +20,7 @@ from octarm.checks.mechanics import (
 )
 from octarm.model import build_model, nominal_parameters, paper_order, template_model
 from octarm.parameters import ArmParameters
-from octarm.report import Check, Report
+from octarm.report import Check, Report, gathered
 
 # What build_model writes into a model, or must find there.
 _PHYSICS = (
@@ -121,17 +119,13 @@ def validate(
         "free motion": _compare_free_motion(model, parameters, in_motion),
         "energy balance": _compare_energy(model, parameters, in_motion),
     }
-    checks: list[Check] = []
-    for name, part in parts.items():
-        if progress:
-            progress(name)
-        checks += part
+    checks = gathered(parts, progress)
     n = parameters.modules
     title = (
         f"MuJoCo {mujoco.__version__} against Lagrange: {n} module{'s' if n > 1 else ''}, "
         f"{np.sum(parameters.mass):.3g} kg, {states} states, seed {seed}"
     )
-    return Report(title, parameters, states, seed, tuple(checks))
+    return Report(title, parameters, states, seed, checks)
 
 
 def _compare_template() -> Iterator[Check]:

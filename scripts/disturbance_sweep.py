@@ -1,6 +1,6 @@
-"""Runs disturbance_sweep.toml, and prints how the error of theta1 grows with the noise.
+"""Runs disturbance_sweep.toml, and prints how the tip's error grows with noise and model error.
 
-Run it: python scripts/disturbance_sweep.py [--episodes 4 --duration 4] [--out DIR]
+Run it: python scripts/disturbance_sweep.py [--quick] [--out DIR]
 Run it again with the same options, and it goes on where it was interrupted.
 """
 
@@ -9,50 +9,56 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-from tqdm import tqdm
 
 import octarm
 from controllers import make_controller
+from octarm.sweeps.bar import ProgressBar
 
 SPEC = Path(__file__).with_suffix(".toml")
+METRIC = "tip_rms_error"
+QUICK = {"episodes": 2, "duration": 2.2, "timestep": 0.001, "control_period": 0.001}
 
 
-def run(out: Path, **changes: float) -> pa.Table:
-    """A row an episode, of the spec with some fields changed."""
+def run(out: Path, **changes: float) -> dict[str, np.ndarray]:
+    """The columns of the sweep's table, of the spec with some fields changed."""
     spec = dataclasses.replace(octarm.read_spec(SPEC), **changes)
-    with tqdm(unit=" episodes", disable=None) as bar:
-        octarm.sweep(spec, make_controller, out, resume=True, progress=bar.update, say=print)
-    return octarm.read_sweep(out, ["controller", "noise", "status", "rms_error_theta1"])
+    with ProgressBar(spec) as bar:
+        octarm.sweep(
+            spec, make_controller, out, resume=True,
+            progress=bar.update, under_way=bar.go_on, say=bar.say,
+        )  # fmt: skip
+    table = octarm.read_sweep(out, ["controller", "noise", "mismatch", "status", METRIC])
+    return {name: np.array(table[name].to_pylist()) for name in table.column_names}
 
 
-def show(table: pa.Table) -> None:
-    """Prints a row a controller, a column a noise: median error [rad], share of diverged runs."""
-    columns = {name: np.array(table[name].to_pylist()) for name in table.column_names}
-    error = columns["rms_error_theta1"].astype(float)  # NaN where there is none
-    diverged = columns["status"] == "diverged"
-    noises = np.unique(columns["noise"])
-    print("rms error of theta1 [rad], median (share diverged)")
-    print(" " * 18, *(f"noise {noise:.0%}".rjust(15) for noise in noises))
+def show(columns: dict[str, np.ndarray], axis: str) -> None:
+    """Prints a row a controller, a column a value: median error [mm], share of diverged runs."""
+    values = np.unique(columns[axis])
+    print(f"\ntip error, rms [mm], median over all seeds; (share diverged) by {axis}")
+    print(f"{'':>18}", *(f"{value:+.0%}".rjust(15) for value in values))
     for name in dict.fromkeys(columns["controller"].tolist()):
-        cells = [(columns["controller"] == name) & (columns["noise"] == noise) for noise in noises]
-        print(f"{name:>18}", *(f"{_median(error[c])} ({diverged[c].mean():4.0%})" for c in cells))
+        own = columns["controller"] == name
+        print(f"{name:>18}", *(cell(columns, own & (columns[axis] == value)) for value in values))
 
 
-def _median(errors: np.ndarray) -> str:
-    known = errors[np.isfinite(errors)]
-    return f"{np.median(known):8.1e}" if known.size else "-".rjust(8)
+def cell(columns: dict[str, np.ndarray], which: np.ndarray) -> str:
+    """Those that diverged count as worse than all others."""
+    diverged = columns["status"][which] == "diverged"
+    error = np.where(diverged, np.inf, columns[METRIC][which].astype(float))
+    share = f"({diverged.mean():.0%})" if diverged.any() else ""
+    return f"{1e3 * np.median(error):8.3g} {share:>6}"
 
 
 def main() -> None:
     """Runs the sweep, or goes on with it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    folder = Path("runs/disturbance-sweep")
-    parser.add_argument("--out", type=Path, default=folder, help="its folder")
-    parser.add_argument("--episodes", type=int, default=64, help="seeds in each cell")
-    parser.add_argument("--duration", type=float, default=10.0, help="length of an episode [s]")
+    parser = argparse.ArgumentParser(description="Runs the sweep, or goes on with it.")
+    parser.add_argument("--out", type=Path, help="folder of the sweep, below runs/ when not given")
+    parser.add_argument("--quick", action="store_true", help="2 seeds and 2.2 s at 1 kHz: a glance")
     options = parser.parse_args()
-    show(run(options.out, episodes=options.episodes, duration=options.duration))
+    folder = Path("runs/disturbance-sweep-quick" if options.quick else "runs/disturbance-sweep")
+    columns = run(options.out or folder, **(QUICK if options.quick else {}))
+    show(columns, "noise")
+    show(columns, "mismatch")
 
 
 if __name__ == "__main__":  # the worker processes import this file, too

@@ -1,7 +1,10 @@
 """Random instants, nominal models and closed loops, for the tests of the controllers."""
 
+import functools
+
 import numpy as np
 
+from controllers import make_controller
 from octarm.interfaces import Controller, Measurement, Motion, Reference
 from octarm.lagrange import equilibrium, forward_dynamics, mass_matrix
 from octarm.model import nominal_parameters
@@ -11,6 +14,9 @@ P = nominal_parameters()
 REST = equilibrium(P)
 UNCERTAIN = ("mass", "inertia", "stiffness", "damping")
 U = 0.3  # uncertainty of the nominal models
+
+# Controllers by name, for what is shown for these gains alone, or was measured with them.
+hand_set = functools.partial(make_controller, gain_set="recommended")
 
 
 def random_instant(n: int, p: ArmParameters = P, seed: int = 0) -> tuple[Measurement, Reference]:

@@ -8,10 +8,9 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 import pytest
-from arm_states import REST, P, random_instant
+from arm_states import REST, P, hand_set, random_instant
 from scipy import stats
 
-from controllers import make_controller
 from controllers.adaptive_gains import premise_rate
 from controllers.estimators import first_type, second_type, strengths
 from controllers.gains import boundary_width
@@ -133,7 +132,7 @@ def random_state(controller: Any, n: int, seed: int = 3) -> Any:
 def test_force_and_adaptation_are_the_printed_laws(normalised: bool, phi: float):
     """Eqs (63), (75)-(79) with matrices and loops, at random states."""
     gains = {"safeguards": False, "normalised": normalised, "phi": phi}
-    c = make_controller("afsmc", WRONG, gains)
+    c = hand_set("afsmc", WRONG, gains)
     (t, q, v), (q_d, v_d, a_d) = instant = layer_instant(30)
     before = random_state(c, 30)
     command, after = c(before, *instant)
@@ -170,8 +169,8 @@ def test_force_and_adaptation_are_the_printed_laws(normalised: bool, phi: float)
 @both_kinds
 def test_consequents_alone_are_the_full_law_without_eta3_and_eta4(normalised: bool):
     gains = {"normalised": normalised}
-    lean = make_controller("afsmc-consequent", WRONG, gains)
-    full = make_controller("afsmc", WRONG, {**gains, "eta3": 0.0, "eta4": 0.0})
+    lean = hand_set("afsmc-consequent", WRONG, gains)
+    full = hand_set("afsmc", WRONG, {**gains, "eta3": 0.0, "eta4": 0.0})
     states = lean.initial_state((8,)), full.initial_state((8,))
     for k in range(20):
         measurement, reference = layer_instant(8, seed=k)
@@ -186,7 +185,7 @@ def test_consequents_alone_are_the_full_law_without_eta3_and_eta4(normalised: bo
 
 @pytest.mark.parametrize("name", ADAPTIVE)
 def test_nothing_adapts_before_time_has_passed(name: str):
-    controller = make_controller(name, WRONG)
+    controller = hand_set(name, WRONG)
     instant = random_instant(4)
     initial = controller.initial_state((4,))
     first = controller(initial, *instant)[1]
@@ -210,8 +209,8 @@ def within_bounds(controller: Any, parts: Any) -> bool:
 
 @pytest.mark.parametrize("name", ADAPTIVE)
 def test_safeguards_project_and_each_can_be_switched_off(name: str):
-    literal = make_controller(name, WRONG, {"safeguards": 0})
-    kept = make_controller(name, WRONG)
+    literal = hand_set(name, WRONG, {"safeguards": 0})
+    kept = hand_set(name, WRONG)
     instant, before = layer_instant(50), random_state(kept, 50)
     printed, bounded = literal(before, *instant)[1], kept(before, *instant)[1]
     assert within_bounds(kept, bounded._asdict()) and not within_bounds(kept, printed._asdict())
@@ -221,7 +220,7 @@ def test_safeguards_project_and_each_can_be_switched_off(name: str):
         off |= {"alpha_max": np.inf, "sigma_min": 0.0, "sigma_max": np.inf}
         switches |= {"alpha": ("alpha_max",), "sigma": ("sigma_min", "sigma_max")}
     for part, gains in switches.items():
-        one_off = make_controller(name, WRONG, {gain: off[gain] for gain in gains})
+        one_off = hand_set(name, WRONG, {gain: off[gain] for gain in gains})
         after = one_off(before, *instant)[1]
         for other in switches:
             expected = printed if other == part else bounded
@@ -229,7 +228,7 @@ def test_safeguards_project_and_each_can_be_switched_off(name: str):
 
 
 def test_E_rests_in_the_dead_zone():
-    controller = make_controller("afsmc", WRONG, {"dead_zone": boundary_width(P), "E_max": np.inf})
+    controller = hand_set("afsmc", WRONG, {"dead_zone": boundary_width(P), "E_max": np.inf})
     instant, before = layer_instant(50), random_state(controller, 50)
     command, after = controller(before, *instant)
     resting = np.abs(command.signals["s"]) < boundary_width(P)
@@ -255,7 +254,7 @@ def test_E_rests_in_the_dead_zone():
 )
 def test_bad_gains_are_refused_in_one_sentence(gain: dict, message: str):
     with pytest.raises(ValueError, match=message):
-        make_controller("afsmc", P, gain)
+        hand_set("afsmc", P, gain)
 
 
 # ----------------------------------------------------------------------------- in closed loop
@@ -264,7 +263,7 @@ def test_bad_gains_are_refused_in_one_sentence(gain: dict, message: str):
 def run(name: str, duration: float, timestep: float = 5e-4, **gains: Any) -> Trajectory:
     """The default sine with the nominal model at -30 %."""
     environment = load(timestep=timestep)
-    return rollout(environment, make_controller(name, WRONG, gains), duration)
+    return rollout(environment, hand_set(name, WRONG, gains), duration)
 
 
 def rms(error: np.ndarray) -> np.ndarray:
@@ -297,7 +296,7 @@ def test_the_printed_law_drifts_under_sampling_and_the_safeguarded_one_does_not(
     assert np.all(growth[1:] > 1.5 * growth[:-1]) and E[-1] > 30.0 * E[0]
     assert activity(printed)[theta1] > 10.0 * activity(kept)[theta1]
     E_kept = kept.signals["E"]
-    assert np.all(E_kept <= make_controller("afsmc", WRONG).E_max)
+    assert np.all(E_kept <= hand_set("afsmc", WRONG).E_max)
     np.testing.assert_array_equal(E_kept[2000:], E_kept[[2000]] + 0.0 * E_kept[2000:])
 
 
@@ -372,14 +371,14 @@ LONG = pytest.mark.skipif(
 
 @pytest.mark.parametrize("seconds", [12, pytest.param(120, marks=LONG)])
 def test_a_disturbed_arm_stays_within_bounds_and_gets_no_worse(seconds: int):
-    controller = make_controller("afsmc", WRONG)
+    controller = hand_set("afsmc", WRONG)
     run = disturbed(controller, seconds)
     assert np.all(np.isfinite(run.error))
     for state in run.learnt:
         assert within_bounds(controller, state._asdict())
         assert np.all(np.diff(state.alpha, axis=-1) >= 0.0)  # no centre overtakes another
     assert np.all(least_trend(run.error[seconds // 2 :]) <= 0.0)
-    layer = disturbed(make_controller("smc-boundary", WRONG), 6)
+    layer = disturbed(hand_set("smc-boundary", WRONG), 6)
     assert np.all(rms(run.error[2:]) < 0.8 * rms(layer.error[2:]))
 
 
@@ -387,9 +386,7 @@ def test_unbounded_centres_gather_about_zero_and_chatter():
     """30 times faster than recommended, to see in 12 s what else takes minutes."""
     gains = {"eta3": 30.0 * premise_rate(WRONG), "eta4": 30.0 * premise_rate(WRONG)}
     loose = {"alpha_max": np.inf, "sigma_min": 0.0, "sigma_max": np.inf}
-    kept, free = (
-        disturbed(make_controller("afsmc", WRONG, gains | bounds), 12) for bounds in ({}, loose)
-    )
+    kept, free = (disturbed(hand_set("afsmc", WRONG, gains | bounds), 12) for bounds in ({}, loose))
     theta1 = 3
     assert np.max(np.abs(free.learnt[-1].alpha[theta1])) < 0.6  # of 1 at the start
     assert np.mean(free.activity[-4:, theta1]) > 4.0 * np.mean(kept.activity[-4:, theta1])

@@ -130,6 +130,21 @@ def test_arrays_are_contiguous_along_the_arms():
         assert array.T.flags.c_contiguous
 
 
+def test_states_are_copies_of_what_was_set_and_stepped():
+    physics = load(batch=2).physics
+    q = physics.hanging() + 0.001 * np.arange(12.0).reshape(2, 6)
+    physics.set_motion(q, np.ones((2, 6)))
+    for read, value in ((physics.q, q), (physics.v, np.ones((2, 6))), (physics.tau, 0.0 * q)):
+        copy = read()
+        np.testing.assert_array_equal(copy, value)
+        copy[:] = 7.0
+        np.testing.assert_array_equal(read(), value)
+    physics.step()
+    assert np.all(physics.q() != q)
+    physics.reset()
+    np.testing.assert_array_equal(physics.v(), 0.0)
+
+
 def test_observations_and_rewards_carry_the_arms():
     environment = load(batch=5)
     environment.reset()

@@ -15,12 +15,14 @@ from octarm.checks.verify import check_run
 from octarm.checks.verify_episode import FinishedSweep
 from octarm.cli import main
 from octarm.sweeps import chosen
-from octarm.sweeps.chosen import METRIC, RECORDED, choose, experiment_of, record_chosen
+from octarm.sweeps.chosen import METRIC, choose, experiment_of, record_chosen
+from octarm.sweeps.folder import RECORDED
 from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.shards import begin
 
 SPEC = """\
 seed = 4
+gain_set = "recommended"
 episodes = 2
 duration = 2.02
 timestep = 0.001
@@ -30,6 +32,9 @@ batch = 4
 controller = ["pd", "smc-boundary"]
 [grid.disturbance]
 noise = [0.2, 0.4]
+[disturbance]
+noise-2.ratio = 0.1
+noise-2.time = 0.05
 [record]
 episodes = ["worst", "median", 6]
 """
@@ -223,7 +228,7 @@ def test_the_command_records_after_the_sweep_and_when_it_goes_on(tmp_path, capsy
     spec.write_text(text.replace('["worst", "median", 6]', "[3, 8]"))
     assert main([*command, "--resume"]) == 2
     err = capsys.readouterr().err
-    assert err == f"octarm: {spec}, line 12: there is no episode 8; they are numbered 0 .. 7\n"
+    assert err == f"octarm: {spec}, line 16: there is no episode 8; they are numbered 0 .. 7\n"
     spec.write_text(text.replace('["worst", "median", 6]', "[3]"))
 
     def interrupted(*_args, **_options):

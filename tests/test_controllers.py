@@ -4,8 +4,8 @@
 
 import numpy as np
 import pytest
+from arm_states import hand_set
 
-from controllers import make_controller
 from controllers.shapes import elapsed
 from octarm.environment import load
 from octarm.interfaces import Measurement, Reference
@@ -35,7 +35,7 @@ def random_instant(n: int) -> tuple[Measurement, Reference]:
 
 def test_computed_torque_makes_the_error_linear():
     """With an exact model, e'' + K_d e' + K_p e = 0 at every state."""
-    controller = make_controller("computed-torque", P)
+    controller = hand_set("computed-torque", P)
     measurement, reference = random_instant(200)
     command, _ = controller(None, measurement, reference)
     a = forward_dynamics(P, measurement.q, measurement.v, command.force)
@@ -52,13 +52,13 @@ def test_computed_torque_falls_over_when_it_cancels_springs_that_are_not_there()
     least = 0.15 * np.max(modes.real) / 1.3
     for K_p, status in ((0.5 * least, "diverged"), (2.0 * least, "ok")):
         gains = {"K_p": K_p, "K_d": 2.0 * np.sqrt(K_p)}
-        controller = make_controller("computed-torque", P.mismatched(0.3), gains)
+        controller = hand_set("computed-torque", P.mismatched(0.3), gains)
         assert rollout(load(), controller, 2.0).status == status
-    assert make_controller("computed-torque", P).K_p > 1.5 * least
+    assert hand_set("computed-torque", P).K_p > 1.5 * least
 
 
 def test_pd_holds_the_arm_where_it_shall_be():
-    controller = make_controller("pd", P)
+    controller = hand_set("pd", P)
     measurement, reference = random_instant(200)
     there = Measurement(0.0, reference.q, reference.v)
     force = controller(None, there, reference)[0].force
@@ -78,7 +78,7 @@ def test_pd_bears_a_model_that_is_far_too_stiff():
     """G^(q_d) pushes but does not cancel; G^(q) would leave a negative stiffness behind."""
     too_stiff = P.scaled(stiffness=3.0)
     weak = {"K_p": 0.5 * np.diag(stiffness_matrix(P))}
-    run = rollout(load(), make_controller("pd", too_stiff, weak), 2.0)
+    run = rollout(load(), hand_set("pd", too_stiff, weak), 2.0)
     assert run.status == "ok"
     left = potential_hessian(P, REST) + np.diag(weak["K_p"])
     assert np.min(np.linalg.eigvalsh(left)) > 0.0
@@ -87,7 +87,7 @@ def test_pd_bears_a_model_that_is_far_too_stiff():
 
 def test_pd_pushes_back_as_hard_as_the_boundary_layer():
     """Its gains are those inside the recommended layer, so that the two can be compared."""
-    pd, layer = make_controller("pd", P), make_controller("smc-boundary", P)
+    pd, layer = hand_set("pd", P), hand_set("smc-boundary", P)
     np.testing.assert_allclose(pd.K_d, layer.K_v + layer.K / layer.phi)
     np.testing.assert_allclose(pd.K_p, layer.lambda_ * pd.K_d)
 
@@ -105,14 +105,14 @@ def test_pd_pushes_back_as_hard_as_the_boundary_layer():
 )
 def test_bad_gains_are_refused_in_one_sentence(gain: dict, message: str):
     with pytest.raises(ValueError, match=message):
-        make_controller("smc-boundary", P, gain)
+        hand_set("smc-boundary", P, gain)
 
 
 def test_unknown_controllers_list_the_known_ones():
     with pytest.raises(
         ValueError, match=r"unknown controller 'smk', did you mean 'smc'.*smc-boundary"
     ):
-        make_controller("smk", P)
+        hand_set("smk", P)
 
 
 def test_time_that_goes_back_is_refused():

@@ -5,16 +5,16 @@
 import subprocess
 import sys
 
-import mujoco
 import numpy as np
 import pytest
 from scipy import stats
 
 from octarm.effects.episode import Episode
-from octarm.effects.forces import BandLimitedNoise, PulseForce, SineForce, StepForce, tip_force
+from octarm.effects.forces import BandLimitedNoise, PulseForce, SineForce, StepForce
 from octarm.effects.streams import HeldNoise, stream
-from octarm.lagrange import equilibrium, inverse_dynamics, positions, potential_force
-from octarm.model import build_model, nominal_parameters, paper_order, world_position
+from octarm.kinematics import tip_force
+from octarm.lagrange import equilibrium, inverse_dynamics
+from octarm.model import nominal_parameters
 from octarm.parameters import ArmParameters
 from octarm.references import SetPoint, Sine, named_reference
 
@@ -46,51 +46,6 @@ def random_q(shape: tuple[int, ...] = (), seed: int = 0, modules: int = 3) -> np
     draw = np.random.default_rng(seed)
     s = draw.uniform(0.05, 0.25, (*shape, modules))
     return np.concatenate([s, draw.uniform(-1.5, 1.5, (*shape, modules))], axis=-1)
-
-
-# The tip
-
-
-@pytest.mark.parametrize("modules", [1, 3, 6])
-def test_a_tip_force_does_the_work_of_a_force_on_the_tip(modules: int):
-    """Q . dq = f . dp, by complex steps on the tip's position."""
-    q, f = random_q((50,), modules=modules), np.array([0.7, -1.9])
-    moved = np.repeat(q[:, None].astype(complex), 2 * modules, axis=1)
-    j = np.arange(2 * modules)
-    moved[:, j, j] += 1e-30j
-    dp = positions(moved)[..., -1, :].imag / 1e-30
-    np.testing.assert_allclose(tip_force(q, *f), dp @ f, atol=1e-14)
-
-
-def test_a_tip_force_is_what_mujoco_makes_of_a_force_at_the_tip():
-    model = build_model()
-    data = mujoco.MjData(model)
-    qpos, qvel = paper_order(model)
-    body, site = model.body("module_3").id, model.site("tip").id
-    for q in random_q((20,)):
-        data.qpos[qpos] = q
-        mujoco.mj_forward(model, data)
-        for f in ([1.0, 0.0], [0.0, 1.0], [-2.0, 3.0]):
-            force, out = world_position(np.array(f)), np.zeros(model.nv)
-            point = data.site_xpos[site]
-            mujoco.mj_applyFT(model, data, force, np.zeros(3), point, body, out)
-            np.testing.assert_allclose(tip_force(q, *f), out[qvel], atol=1e-13)
-
-
-def test_the_weight_of_a_load_is_a_force_on_the_tip():
-    q, load = random_q((30,)), 0.4
-    mass = P.mass + np.array([0.0, 0.0, load])
-    loaded = ArmParameters(**{**P.to_dict(), "mass": mass})
-    weight = potential_force(P, q) - potential_force(loaded, q)
-    np.testing.assert_allclose(weight, tip_force(q, load * P.gravity, 0.0), atol=1e-13)
-
-
-def test_a_tip_force_has_the_same_bits_in_a_batch():
-    q = random_q((9,))
-    fx, fy = np.random.default_rng(1).normal(size=(2, 9))
-    batch = tip_force(np.asfortranarray(q), fx, fy)
-    for i in range(9):
-        np.testing.assert_array_equal(tip_force(q[i], float(fx[i]), float(fy[i])), batch[i])
 
 
 # Sines
@@ -202,7 +157,6 @@ def test_the_input_amplitude_is_that_of_the_force_that_the_motion_needs():
         w = 2.0 * np.pi * frequency
         expected = 0.02 * abs(1000.0 - 0.3 * w * w + 12.0j * w)
         np.testing.assert_allclose(start.input_amplitude, [expected, 0.0], rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(start.coordinate_amplitude, [0.02, 0.0], rtol=1e-12)
 
 
 def test_the_input_amplitude_of_an_arm_is_its_row_in_a_batch():

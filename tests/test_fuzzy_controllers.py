@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from arm_states import hand_set
 
-from controllers import make_controller
 from controllers.fuzzy import LEVELS, RULES, FuzzyController, error_scale
 from controllers.fuzzy_sliding_mode import SWITCHING
 from controllers.gains import apparent_mass
@@ -63,7 +63,7 @@ def test_the_surface_is_called_with_the_error_then_its_rate(first: bool):
     class One(FuzzyController):
         surface: ClassVar = staticmethod(lambda e, rate: e if first else rate)
 
-    plain, (m, r) = make_controller("fuzzy", P), random_instant(5)
+    plain, (m, r) = hand_set("fuzzy", P), random_instant(5)
     controller = One(**{f.name: getattr(plain, f.name) for f in dataclasses.fields(plain)})
     scaled = (m.q - r.q) / plain.e_scale if first else (m.v - r.v) / plain.rate_scale
     np.testing.assert_allclose(controller(None, m, r)[0].force, -plain.force_scale * scaled)
@@ -72,12 +72,12 @@ def test_the_surface_is_called_with_the_error_then_its_rate(first: bool):
 def test_fuzzy_knows_no_model():
     """Another nominal model gives the same force."""
     instant = random_instant(20)
-    one, two = (make_controller("fuzzy", p)(None, *instant)[0] for p in (P, P.mismatched(-0.3)))
+    one, two = (hand_set("fuzzy", p)(None, *instant)[0] for p in (P, P.mismatched(-0.3)))
     np.testing.assert_array_equal(one.force, two.force)
 
 
 def test_fuzzy_is_a_pd_law_for_small_errors_and_bounded_for_large_ones():
-    controller = make_controller("fuzzy", P)
+    controller = hand_set("fuzzy", P)
     m, r = random_instant(500, size=0.04)
     e, e_dot = m.q - r.q, m.v - r.v
     pd = -controller.force_scale * (e / controller.e_scale + e_dot / controller.rate_scale)
@@ -92,7 +92,7 @@ def test_fuzzy_is_a_pd_law_for_small_errors_and_bounded_for_large_ones():
 
 def test_fuzzy_does_not_push_on_the_diagonal_of_its_table():
     """Where s = e' + (rate_scale / e_scale) e is zero, so is the force; else it opposes s."""
-    controller = make_controller("fuzzy", P)
+    controller = hand_set("fuzzy", P)
     m, r = random_instant(500)
     ratio = controller.rate_scale / controller.e_scale
     sliding = Measurement(0.0, m.q, r.v - ratio * (m.q - r.q))
@@ -105,7 +105,7 @@ def test_fuzzy_does_not_push_on_the_diagonal_of_its_table():
 
 def test_fuzzy_holds_a_pose_with_the_error_that_the_springs_ask_for():
     """At rest -force_scale e / e_scale = G(q), about (dG/dq) (q_d - q_0) for a small step."""
-    controller = make_controller("fuzzy", P)
+    controller = hand_set("fuzzy", P)
     rest = equilibrium(P)
     step = np.array([0.002, 0.002, 0.002, 0.02, 0.02, 0.02])
     still = np.zeros(6)
@@ -120,7 +120,7 @@ def test_fuzzy_holds_a_pose_with_the_error_that_the_springs_ask_for():
 def test_fuzzy_tracks_the_default_reference_with_any_arm(mismatch: float, duration: float):
     """Gains hand-set for the nominal arm: 0.8 % and 3 % of the amplitudes there."""
     arm = P.mismatched(mismatch)
-    run = rollout(load(parameters=arm), make_controller("fuzzy", P), duration)
+    run = rollout(load(parameters=arm), hand_set("fuzzy", P), duration)
     assert run.status == "ok"
     rms = settled_rms(run, after=0.5 * duration)
     assert np.all(rms[3:5] < np.array([0.012, 0.04]) * AMPLITUDE)
@@ -128,7 +128,7 @@ def test_fuzzy_tracks_the_default_reference_with_any_arm(mismatch: float, durati
 
 
 def test_mamdani_rules_serve_the_same_controller():
-    plain = make_controller("fuzzy", P)
+    plain = hand_set("fuzzy", P)
     gains = {f.name: getattr(plain, f.name) for f in dataclasses.fields(plain)}
     run = rollout(load(), MamdaniFuzzy(**gains), 0.75)
     assert run.status == "ok"
@@ -136,15 +136,15 @@ def test_mamdani_rules_serve_the_same_controller():
 
 
 def test_the_hand_set_forces_follow_the_rule_for_other_arms():
-    hand_set = make_controller("fuzzy", P).force_scale
+    force = hand_set("fuzzy", P).force_scale
     scaled = 300.0**2 * apparent_mass(P) * error_scale(P)
-    np.testing.assert_allclose(hand_set, scaled, rtol=0.1)
+    np.testing.assert_allclose(force, scaled, rtol=0.1)
     two = dataclasses.replace(
         P,
         **{f: getattr(P, f)[..., :2] for f in ("mass", "inertia", "rest_length")},
         **{f: getattr(P, f)[..., :2] for f in ("stiffness", "damping")},
     )
-    assert make_controller("fuzzy", two).force_scale.shape == (4,)
+    assert hand_set("fuzzy", two).force_scale.shape == (4,)
 
 
 # Fuzzy sliding mode
@@ -163,7 +163,7 @@ def test_the_switching_function_is_odd_rises_and_saturates():
 
 
 def test_outside_the_layer_fsmc_is_the_sign_law():
-    sign, fuzzy = make_controller("smc", P), make_controller("fsmc", P)
+    sign, fuzzy = hand_set("smc", P), hand_set("fsmc", P)
     instant = random_instant(500)
     one, two = sign(None, *instant)[0], fuzzy(None, *instant)[0]
     outside = np.abs(one.signals["s"]) >= fuzzy.phi
@@ -175,7 +175,7 @@ def test_outside_the_layer_fsmc_is_the_sign_law():
 
 def test_the_lyapunov_function_of_fsmc_falls_as_claimed():
     """V = 1/2 s'Ds: V' = s'(switching) - s'Bs for the exact model, never positive."""
-    controller = make_controller("fsmc", P)
+    controller = hand_set("fsmc", P)
     measurement, reference = random_instant(3000)
     command, _ = controller(None, measurement, reference)
     q, v, s = measurement.q, measurement.v, command.signals["s"]
@@ -199,7 +199,7 @@ def test_the_lyapunov_function_of_fsmc_falls_as_claimed():
 
 
 def test_fsmc_tracks_below_one_percent_with_the_exact_model():
-    rms = settled_rms(rollout(load(), make_controller("fsmc", P), 4.0))
+    rms = settled_rms(rollout(load(), hand_set("fsmc", P), 4.0))
     assert np.all(rms[3:5] < 0.01 * AMPLITUDE)
     assert np.all(rms[:3] < 1e-5) and rms[5] < 1e-3
 
@@ -207,7 +207,7 @@ def test_fsmc_tracks_below_one_percent_with_the_exact_model():
 @pytest.mark.parametrize("mismatch", [-0.3, 0.3])
 def test_fsmc_is_more_accurate_than_the_boundary_layer_and_as_smooth(mismatch: float):
     fuzzy, layer, sign = (
-        rollout(load(), make_controller(name, P.mismatched(mismatch)), 1.5)
+        rollout(load(), hand_set(name, P.mismatched(mismatch)), 1.5)
         for name in ("fsmc", "smc-boundary", "smc")
     )
     assert np.all(settled_rms(fuzzy, 0.5)[3:5] < 0.8 * settled_rms(layer, 0.5)[3:5])
@@ -231,7 +231,7 @@ def test_signals_have_the_declared_shapes_for_any_number_of_modules(name: str, n
         rest_length=np.repeat(P.rest_length[:1], n),
     )
     draw = np.random.default_rng(0).normal(size=(5, 4, 3, 2 * n))
-    command, state = make_controller(name, arm)(
+    command, state = hand_set(name, arm)(
         None, Measurement(0.0, draw[0], draw[1]), Reference(*draw[2:])
     )
     assert state is None and command.force.shape == (4, 3, 2 * n)
@@ -254,11 +254,11 @@ def test_signals_have_the_declared_shapes_for_any_number_of_modules(name: str, n
 )
 def test_bad_gains_are_refused_in_one_sentence(name: str, gain: dict, message: str):
     with pytest.raises(ValueError, match=message):
-        make_controller(name, P, gain)
+        hand_set(name, P, gain)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_wrong_shape_is_refused(name: str):
     m, r = random_instant(4)
     with pytest.raises(ValueError, match=r"q has shape \(4, 4\)"):
-        make_controller(name, P)(None, Measurement(0.0, m.q[:, :4], m.v), r)
+        hand_set(name, P)(None, Measurement(0.0, m.q[:, :4], m.v), r)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import inspect
-import subprocess
-import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -354,16 +351,3 @@ def test_a_wrong_last_axis_is_refused_with_its_name_and_shape(name, shape):
             function(p, *motion)
         message = str(caught.value)
         assert message.startswith(f"{others[wrong]} has shape {shape}; its last axis must hold 6")
-
-
-def test_the_module_needs_numpy_and_the_parameters_only():
-    imported = set()
-    for node in ast.walk(ast.parse(inspect.getsource(lagrange))):
-        if isinstance(node, ast.Import):
-            imported |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            imported.add(node.module)
-    beyond = {name for name in imported if name.split(".")[0] not in sys.stdlib_module_names}
-    assert beyond == {"numpy", "octarm.arrays", "octarm.parameters"}
-    code = "import sys, octarm.lagrange; sys.exit('mujoco' in sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True)

@@ -4,10 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from arm_states import hand_set
 
-from controllers import make_controller
-from octarm import ledger
 from octarm.disturbances import parse_disturbance
+from octarm.effects import delivered
 from octarm.environment import load
 from octarm.ledger import Ledger, asked, in_words
 from octarm.model import nominal_parameters
@@ -22,7 +22,7 @@ def watched(*texts: str, duration: float = 2.0, period: float = 0.001) -> tuple[
     environment = load(disturbances=disturbances, control_period=period, seed=1)
     watching = Ledger(disturbances, environment.physics)
     environment.physics.watch = watching.step
-    run = rollout(environment, make_controller("smc-boundary", P), duration)
+    run = rollout(environment, hand_set("smc-boundary", P), duration)
     return run, watching.rows()
 
 
@@ -78,7 +78,7 @@ def test_a_pulse_is_there_from_its_beginning_to_its_end():
 
 
 def test_times_and_sizes_are_of_the_whole_run(monkeypatch):
-    monkeypatch.setattr(ledger, "_WINDOW", 100)
+    monkeypatch.setattr(delivered, "_WINDOW", 100)
     _, [row] = watched("pulse:1,at=0.3,length=0.2,on=s1", duration=1.0)
     assert row["delivered"]["until"] == pytest.approx(0.5)
     assert row["delivered"]["rms"][0] == pytest.approx(np.sqrt(0.2))
@@ -97,7 +97,7 @@ def test_long_delays_are_found_and_unseen_ones_are_not(delay: float, achieved: f
     environment = load(disturbances=listed, timestep=2e-3)
     watching = Ledger(environment.task.disturbances, environment.physics)
     environment.physics.watch = watching.step
-    still = make_controller("pd", P, {"K_p": 1e-9, "K_d": 1e-9})
+    still = hand_set("pd", P, {"K_p": 1e-9, "K_d": 1e-9})
     assert rollout(environment, still, 3.0).status == "ok"
     assert watching.rows()[0]["delivered"]["delay"] == achieved
 
@@ -156,12 +156,12 @@ def test_every_episode_is_told_from_its_beginning():
     environment.physics.watch = watching.step
     told = []
     for duration in (0.1, 0.03, 0.1):
-        rollout(environment, make_controller("pd", P), duration)
+        rollout(environment, hand_set("pd", P), duration)
         told.append(watching.rows())
     assert told[0] == told[2] != told[1]
     late = Ledger(disturbances, environment.physics)  # the arm still holds its load
     environment.physics.watch = late.step
-    rollout(environment, make_controller("pd", P), 0.1)
+    rollout(environment, hand_set("pd", P), 0.1)
     assert late.rows() == told[0]
 
 

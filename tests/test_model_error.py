@@ -6,9 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from arm_states import REST, UNCERTAIN, P, U, random_box, random_instant, simulated
+from arm_states import REST, UNCERTAIN, P, U, hand_set, random_box, random_instant, simulated
 
-from controllers import make_controller
 from controllers.model_error import largest_model_error, reaching_time_bound
 from controllers.sliding_mode import sliding_surface
 from octarm.environment import load
@@ -84,7 +83,7 @@ def test_the_uncertainty_is_what_a_mismatch_does(mismatch: float):
 
 def printed_gain(nominal: ArmParameters, v: np.ndarray, q: np.ndarray, s: np.ndarray) -> np.ndarray:
     """(40) as printed, without eta: |D~ s| + |C s| + |G| + |K_v s|."""
-    K_v = make_controller("smc", nominal).K_v
+    K_v = hand_set("smc", nominal).K_v
     D_tilde = mass_matrix(nominal, q) - mass_matrix(P, q)
     C = coriolis_matrix(P, q, v) + damping_matrix(P)
     parts = (D_tilde @ s[..., None], C @ s[..., None])
@@ -114,9 +113,9 @@ def test_the_gain_as_printed_is_too_small(mismatch: float):
 
 
 def test_a_gain_is_either_given_or_derived():
-    given = make_controller("smc", P)
+    given = hand_set("smc", P)
     assert given.uncertainty is None and given.eta is None
-    derived = make_controller("smc", P, {"uncertainty": U})
+    derived = hand_set("smc", P, {"uncertainty": U})
     assert derived.K is None and np.all(derived.eta > 0.0)
     own = {f.name: getattr(given, f.name) for f in dataclasses.fields(given)}
     for wrong, message in (
@@ -151,7 +150,7 @@ def test_the_reaching_bound_of_one_coordinate_is_the_time_that_it_takes():
     rest, eta = equilibrium(arm), np.array([10.0, 0.01])
     gains = {"uncertainty": 0.0, "eta": eta, "K_v": 0.0}
     off = rest + np.array([0.0, 0.2])
-    controller = make_controller("smc", arm, gains)
+    controller = hand_set("smc", arm, gains)
     run = simulated(controller, SetPoint(q=rest), 0.2, arm=arm, start=off, dt=2.5e-4)
     bound, s = run[2][0]["reaching_bound"], np.array([signals["s"] for signals in run[2]])
     np.testing.assert_allclose(bound, 5e-4 * 15.0 * 0.2 / 0.01)
@@ -162,7 +161,7 @@ def test_the_reaching_bound_of_one_coordinate_is_the_time_that_it_takes():
 @pytest.mark.parametrize("mismatch", [-U, 0.0, U])
 def test_the_surface_is_reached_within_the_bound(mismatch: float):
     """The arm starts at rest, the default sine does not: s(0) = -q_d'(0)."""
-    controller = make_controller("smc", P.mismatched(mismatch), {"uncertainty": U})
+    controller = hand_set("smc", P.mismatched(mismatch), {"uncertainty": U})
     run = rollout(load(timestep=1e-4), controller, 0.2)
     V = kinetic_energy(P, run.q, run.signals["s"])
     left = V > 1e-3 * V[0]  # what remains below that is chattering
@@ -179,7 +178,7 @@ def test_the_reaching_bound_holds_for_every_arm_of_the_box_and_every_bend():
     n, draw = 3000, np.random.default_rng(3)
     nominal = P.scaled(**random_box(P, draw, n))
     q, s = random_instant(n)[0].q, random_instant(n, seed=1)[0].v
-    eta, u = make_controller("smc", P, {"uncertainty": U}).eta, np.array(U)
+    eta, u = hand_set("smc", P, {"uncertainty": U}).eta, np.array(U)
     V = kinetic_energy(nominal, q, s)[..., None]
     bound = reaching_time_bound(nominal, u, eta, q, V)[:, 0]
     bent = q.copy()

@@ -7,15 +7,9 @@ import pytest
 from scipy import stats
 
 from octarm.disturbances import Acting
+from octarm.effects.drift import CyclicDrift, Drift
 from octarm.effects.episode import Episode, Plant, PlantChange
-from octarm.effects.plant_changes import (
-    CyclicDrift,
-    Drift,
-    GravityTilt,
-    Mismatch,
-    Payload,
-    RandomMismatch,
-)
+from octarm.effects.plant_changes import GravityTilt, Mismatch, Payload, RandomMismatch
 from octarm.lagrange import equilibrium, potential_force
 from octarm.model import nominal_parameters
 from octarm.parameters import ArmParameters

@@ -40,14 +40,16 @@ def verified(path):
 def test_every_signal_comes_back_bit_for_bit(tmp_path, modules):
     run = swinging(modules, rows=7000, gain=np.random.default_rng(1).normal(size=(7000, 30)))
     found = fields(record(tmp_path, run), "/signals")
-    for name, values in (("q", run.q), ("q_d", run.q_d), ("s", run.signals["s"])):
+    for name, values in (
+        ("q", run.q), ("q_d", run.q_d), ("s", np.float32(run.signals["s"])),
+        ("switching", np.float32(run.signals["switching"])), ("error", np.float32(run.error)),
+    ):  # fmt: skip
         both = np.concatenate([found[f"{name}_slides"], found[f"{name}_bends"]], axis=1)
         np.testing.assert_array_equal(both, values)
+        assert both.dtype == values.dtype
     for name in ("V", "gain"):
         np.testing.assert_array_equal(found[name], run.signals[name])
     np.testing.assert_array_equal(found["tau"], run.tau)
-    error = np.concatenate([found["error_slides"], found["error_bends"]], axis=1)
-    np.testing.assert_array_equal(error, run.error.astype(np.float32))
 
 
 def test_the_rate_of_V_and_its_claim_are_those_of_the_signals(tmp_path):
@@ -59,18 +61,30 @@ def test_the_rate_of_V_and_its_claim_are_those_of_the_signals(tmp_path):
     np.testing.assert_allclose(found["V_claim"][:, 0], claim, rtol=1e-6)
 
 
-def test_numbers_of_rules_are_recorded_60_times_a_second_and_drawn(tmp_path):
-    theta = np.random.default_rng(1).normal(size=(2500, 6, 5))
-    path = record(tmp_path, swinging(theta=theta))
-    rows = column(path, "/rules", "step")
-    np.testing.assert_array_equal(np.diff(rows), 17)
-    np.testing.assert_array_equal(fields(path, "/rules")["theta"], theta.reshape(-1, 30)[rows])
-    assert "/heat/theta/picture" in entities(path)
+def test_what_adapts_is_recorded_60_times_a_second_and_numbers_of_rules_are_drawn(tmp_path):
+    draw = np.random.default_rng(1)
+    run = swinging(theta=draw.normal(size=(2500, 6, 5)), E=draw.normal(size=(2500, 6)))
+    path = record(tmp_path, run)
+    found = fields(path, "/adaptation")
+    E = np.concatenate([found["E_slides"], found["E_bends"]], axis=1)
+    np.testing.assert_array_equal(E, run.signals["E"][::17].astype(np.float32))
+    assert {"/heat/theta/picture", "/heat/now"} <= entities(path)
+    assert not {"theta", "E_bends"} & fields(path, "/signals").keys()
 
 
-def test_the_timelines_are_the_rows_and_the_rounded_time(tmp_path):
+def test_ten_seconds_at_1_kHz_have_less_than_4_MB_even_of_noise(tmp_path):
+    """Every bit of every number is new, but of the slides that are to stay."""
+    run = swinging(rows=10_000)
+    rules = np.sin(run.t)[:, None, None] * np.linspace(0.1, 1.0, 5) * np.ones((6, 5))
+    signals = {**run.signals, **dict.fromkeys(("theta", "alpha", "sigma"), rules)}
+    signals |= dict.fromkeys(("equivalent", "f_hat", "E"), run.v) | {"s": 1e-3 * run.v}
+    q_d = np.concatenate([np.full((10_000, 3), 0.12), run.q_d[:, 3:]], axis=1)
+    adaptive = dataclasses.replace(run, q_d=q_d, signals=signals)
+    assert record(tmp_path, adaptive).stat().st_size < 4e6
+
+
+def test_the_time_is_rounded_to_nanoseconds(tmp_path):
     path = record(tmp_path, swinging(rate=2000.0))
-    np.testing.assert_array_equal(column(path, "/signals", "step"), np.arange(2500))
     t = column(path, "/signals", "t").astype("timedelta64[ns]").astype(np.int64)
     np.testing.assert_array_equal(t, 500_000 * np.arange(2500))
     assert last_instant(path) == pytest.approx(1.2495)
@@ -91,8 +105,8 @@ def test_the_trail_is_the_way_of_the_tip(tmp_path):
     for entity, q in (("/world/trail", run.q), ("/world/desired_path", run.q_d)):
         ends = world_position(positions(q[::17])[:, -1])
         pieces = column(path, entity, "LineStrips3D:strips").reshape(-1, 2, 3)
-        np.testing.assert_allclose(pieces[:, 1], ends, atol=1e-6)
-        np.testing.assert_allclose(pieces[1:, 0], ends[:-1], atol=1e-6)
+        np.testing.assert_allclose(pieces[:, 1], ends, atol=7e-5)  # half of the grid
+        np.testing.assert_allclose(pieces[1:, 0], ends[:-1], atol=7e-5)
 
 
 def test_columns_show_push_and_pull(tmp_path):
@@ -114,7 +128,9 @@ def test_a_disturbance_has_arrows_and_a_payload_its_ball(tmp_path):
     path = record(tmp_path, run, disturbances=asked)
     assert {"/world/disturbance", "/ledger", "/states/payload"} <= entities(path)
     balls = column(path, "/world/payload", "InstancePoses3D:translations").reshape(-1, 3)
-    assert np.all(balls[:58, 2] > 0.0)  # in the base until it is there
+    sizes = column(path, "/world/payload", "Ellipsoids3D:half_sizes").reshape(-1, 3)
+    assert np.all(sizes[:58] == 0.0)  # until it is there
+    np.testing.assert_allclose(sizes[59:], 0.0183, atol=1e-4)
     ends = world_position(positions(run.q[::17])[:, -1])
     np.testing.assert_allclose(np.linalg.norm(balls[60:] - ends[60:], axis=1), 0.0211, atol=2e-3)
     assert "/world/disturbance" not in entities(record(tmp_path, swinging()))

@@ -5,7 +5,15 @@ import pytest
 
 from octarm.lagrange import equilibrium
 from octarm.model import nominal_parameters
-from octarm.references import REFERENCES, MultiSine, SetPoint, Sine, SmoothStep, named_reference
+from octarm.references import (
+    REFERENCES,
+    MultiSine,
+    SetPoint,
+    Sine,
+    SmoothStep,
+    Spline,
+    named_reference,
+)
 
 REST = equilibrium(nominal_parameters())
 
@@ -44,6 +52,19 @@ def test_a_smooth_step_rests_before_and_after_and_passes_half_way():
         np.testing.assert_array_equal(motion(t).a, 0.0)
 
 
+def test_a_spline_is_exact_for_a_quintic_and_rests_outside():
+    t = np.array([-1.0, -0.3, 0.2, 0.5, 0.9, 1.6, 2.0])
+    quintic = np.polynomial.Polynomial([0.3, -1.0, 0.5, 2.0, -0.7, 0.2])
+    motion = Spline(times=t, points=np.stack([quintic(t), -2.0 * quintic(t)], axis=1))
+    for now in (-1.0, 0.0, 0.7, 2.0):
+        for part, order in zip(motion(now), range(3), strict=True):
+            exact = quintic.deriv(order)(now) if order else quintic(now)
+            np.testing.assert_allclose(part, [exact, -2.0 * exact], rtol=1e-9)
+    for now, end in ((-5.0, -1.0), (2.1, 2.0)):
+        np.testing.assert_array_equal(motion(now).q, motion(end).q)
+        assert not motion(now).v.any() and not motion(now).a.any()
+
+
 def test_a_multi_sine_is_the_sum_of_its_tones():
     one = Sine(center=REST, amplitude=np.ones(6), frequency=1.0)
     two = Sine(center=np.zeros(6), amplitude=2 * np.ones(6), frequency=0.3, phase=0.4)
@@ -64,5 +85,11 @@ def test_bad_values_are_refused_in_one_sentence():
         Sine(center=REST, amplitude=np.full(6, np.nan), frequency=1.0)
     with pytest.raises(ValueError, match="positive time"):
         SmoothStep(start=REST, goal=REST, duration=0.0)
+    with pytest.raises(ValueError, match=r"times have shape \(5,\); they must be at least 6"):
+        Spline(times=np.arange(5.0), points=np.zeros((5, 6)))
+    with pytest.raises(ValueError, match="one after another"):
+        Spline(times=np.array([0.0, 1.0, 2.0, 2.0, 3.0, 4.0]), points=np.zeros((6, 6)))
+    with pytest.raises(ValueError, match=r"points have shape \(7, 6\); they must be \(6, 2N\)"):
+        Spline(times=np.arange(6.0), points=np.zeros((7, 6)))
     with pytest.raises(ValueError, match="at least one"):
         MultiSine(tones=())

@@ -9,13 +9,13 @@ from arm_states import (
     P,
     U,
     energy_rate,
+    hand_set,
     quadratic,
     random_box,
     random_instant,
     simulated,
 )
 
-from controllers import make_controller
 from controllers.sliding_mode import saturation, sliding_surface
 from octarm.environment import load
 from octarm.lagrange import damping_matrix, inverse_dynamics
@@ -44,14 +44,14 @@ def test_saturation_is_a_clipped_line_and_the_sign_without_a_layer():
 
 def test_outside_the_layer_and_without_one_the_boundary_layer_is_the_sign_law():
     instant = random_instant(500)
-    one = make_controller("smc", P)(None, *instant)[0]
-    layer = make_controller("smc-boundary", P)
+    one = hand_set("smc", P)(None, *instant)[0]
+    layer = hand_set("smc-boundary", P)
     two = layer(None, *instant)[0]
     outside = np.abs(one.signals["s"]) >= layer.phi
     assert 0.2 < outside.mean() < 1.0
     np.testing.assert_array_equal(one.force[outside], two.force[outside])
     assert np.all(np.abs(two.signals["switching"]) <= np.abs(one.signals["switching"]))
-    none = make_controller("smc-boundary", P, {"phi": 0.0})(None, *instant)[0]
+    none = hand_set("smc-boundary", P, {"phi": 0.0})(None, *instant)[0]
     np.testing.assert_array_equal(none.force, one.force)
 
 
@@ -61,7 +61,7 @@ def test_outside_the_layer_and_without_one_the_boundary_layer_is_the_sign_law():
 @pytest.mark.parametrize("name", ["smc", "smc-boundary"])
 def test_the_lyapunov_function_falls_as_the_theory_claims(name: str):
     """V' = s^T (robust part) - s^T B s for the exact model, never positive."""
-    controller = make_controller(name, P)
+    controller = hand_set(name, P)
     measurement, reference = random_instant(3000)
     signals = controller(None, measurement, reference)[0].signals
     s, switching = signals["s"], signals["switching"]
@@ -78,7 +78,7 @@ def test_a_derived_gain_satisfies_the_sliding_condition_on_every_arm_of_the_box(
     """(42): V' <= -sum eta |s| - s^T (B + K_v) s, or less by the layer's sum K phi / 4."""
     n = 3000
     nominal = P.scaled(**random_box(P, np.random.default_rng(1), n))
-    controller = make_controller(name, nominal, {"uncertainty": U})
+    controller = hand_set(name, nominal, {"uncertainty": U})
     measurement, reference = random_instant(n)
     command, _ = controller(None, measurement, reference)
     if name == "smc-integral":  # the first call starts at s = 0; kick the arm off it
@@ -105,7 +105,7 @@ def test_a_derived_gain_satisfies_the_sliding_condition_on_every_arm_of_the_box(
 
 def test_a_boundary_layer_trades_chattering_for_accuracy():
     runs = {
-        name: rollout(load(), make_controller(name, P.mismatched(-0.3)), 2.0)
+        name: rollout(load(), hand_set(name, P.mismatched(-0.3)), 2.0)
         for name in ("smc", "smc-boundary")
     }
     rms = {n: np.sqrt(np.mean(r.error[r.t > 1.0, 3:5] ** 2)) for n, r in runs.items()}
@@ -119,11 +119,11 @@ LOAD = np.array([0.5, 0.3, 0.2, 0.1, 0.05, 0.005])  # within K [N], [N m]
 
 def test_under_a_constant_load_the_layer_keeps_an_error_and_the_integral_none():
     """At rest (B^ + K_v + K / phi) lambda e = load in the layer; the integral makes e = 0."""
-    boundary = make_controller("smc-boundary", P)
+    boundary = hand_set("smc-boundary", P)
     _, error, _ = simulated(boundary, SetPoint(q=REST), 1.5, load=LOAD)
     slope = damping_matrix(P) + np.diag(boundary.K_v + boundary.K / boundary.phi)
     np.testing.assert_allclose(error[-1], np.linalg.solve(slope, LOAD) / 15.0, rtol=1e-3)
-    integral = make_controller("smc-integral", P)
+    integral = hand_set("smc-integral", P)
     _, error, signals = simulated(integral, SetPoint(q=REST), 1.5, load=LOAD)
     assert np.all(np.abs(error[-1]) < 1e-6 * np.max(np.abs(error), axis=0))
     np.testing.assert_allclose(15.0**2 * signals[-1]["integral"], signals[-1]["s"], rtol=1e-3)
@@ -135,7 +135,7 @@ def test_under_a_constant_load_the_layer_keeps_an_error_and_the_integral_none():
 def test_on_the_integral_surface_the_error_has_a_double_pole():
     """There from the first call on: e = (e0 + (e0' + lambda e0) t) exp(-lambda t), no reaching."""
     start = REST + np.array([0.01, -0.01, 0.005, 0.2, -0.1, 0.1])
-    controller = make_controller("smc-integral", P)
+    controller = hand_set("smc-integral", P)
     motion = named_reference("sine", REST)
     t, error, signals = simulated(controller, motion, 0.4, start=start, dt=2.5e-4)
     e, e_dot = start - motion(0.0).q, -motion(0.0).v
@@ -156,7 +156,7 @@ def test_the_integral_does_not_wind_up_while_the_actuators_are_at_their_limits()
     limit = np.array([4.0, 3.0, 2.0, 0.6, 0.3, 0.05])
     undershoot = {}
     for name, gains in (("given", {}), ("none", {"s_max": 1e6})):
-        controller = make_controller("smc-integral", P, gains)
+        controller = hand_set("smc-integral", P, gains)
         t, error, signals = simulated(
             controller, SetPoint(q=REST), 2.0, load=20.0 * LOAD, until=1.0, limit=limit
         )
@@ -178,7 +178,7 @@ def test_sampling_leaves_the_sign_law_first_and_super_twisting_second_order_chat
     s, jumps = {}, {}
     for name in ("smc", "super-twisting"):
         for period in (1e-3, 5e-4):
-            run = rollout(load(timestep=period), make_controller(name, P.mismatched(-0.3)), 1.5)
+            run = rollout(load(timestep=period), hand_set(name, P.mismatched(-0.3)), 1.5)
             assert run.status == "ok"
             late = run.t >= 0.75
             s[name, period] = np.sqrt(np.mean(run.signals["s"][late] ** 2, axis=0))
@@ -194,7 +194,7 @@ def test_sampling_leaves_the_sign_law_first_and_super_twisting_second_order_chat
 def test_super_twisting_finds_the_model_error(mismatch: float):
     """On s = 0, s' = 0 the switching part is minus the error of the model."""
     nominal = P.mismatched(mismatch)
-    run = rollout(load(), make_controller("super-twisting", nominal), 1.5)
+    run = rollout(load(), hand_set("super-twisting", nominal), 1.5)
     motion = named_reference("sine", REST)
     late = run.t >= 0.75
     a_d = np.array([motion(t).a for t in run.t[late]])
@@ -213,14 +213,14 @@ def test_recommended_gains_exceed_the_model_error_and_its_rate_on_the_default_re
     times = np.linspace(0.0, 2.0, 2001)
     q, v, a = (np.stack(part) for part in zip(*map(motion, times), strict=True))
     F = inverse_dynamics(P.mismatched(mismatch), q, v, a) - inverse_dynamics(P, q, v, a)
-    assert np.all(np.max(np.abs(F), axis=0) < make_controller("smc", P).K)
+    assert np.all(np.max(np.abs(F), axis=0) < hand_set("smc", P).K)
     rate = np.max(np.abs(np.diff(F, axis=0)), axis=0) / times[1]
-    assert np.all(rate < make_controller("super-twisting", P).k_2)
+    assert np.all(rate < hand_set("super-twisting", P).k_2)
 
 
 def test_super_twisting_integrates_the_sign_of_s():
     """w' = -k_2 sgn(s), and w is in the force as it stands."""
-    controller = make_controller("super-twisting", P, {"K": 1e6})
+    controller = hand_set("super-twisting", P, {"K": 1e6})
     (measurement, reference), dt = random_instant(50), 0.05
     state = controller.initial_state((50,))
     w = np.zeros((50, 6))
@@ -234,7 +234,7 @@ def test_super_twisting_integrates_the_sign_of_s():
 
 
 def test_super_twisting_does_not_wind_up():
-    controller = make_controller("super-twisting", P)
+    controller = hand_set("super-twisting", P)
     _, _, signals = simulated(controller, SetPoint(q=REST), 0.5, load=20.0 * LOAD)
     w = np.abs([one["w"] for one in signals])
     np.testing.assert_array_equal(np.max(w, axis=0), controller.K)

@@ -31,7 +31,7 @@ def test_bounds_are_those_of_the_gains_and_the_saturation():
 
 def states_at(watch, s, tau=None):
     tau = np.zeros((len(s), 2)) if tau is None else tau
-    return watch.changes(tau, {"s": s})
+    return watch.changes(tau, {"s": s, "switching": -s})
 
 
 def test_a_coordinate_slides_inside_its_layer():
@@ -50,6 +50,11 @@ def test_without_a_layer_it_slides_once_s_has_changed_its_sign():
     assert found["each/s1"] == [(0, "reaching"), (2, "sliding")]
     found = states_at(watch, np.array([[5.0, -1.0]]))
     assert found == {"each/theta1": [(0, "sliding")], "surface": [(0, "sliding")]}
+
+
+def test_without_a_robust_part_nothing_slides():
+    watch = States(["s1", "theta1"], None, None)
+    assert watch.changes(np.zeros((3, 2)), {"s": np.ones((3, 2))}) == {}
 
 
 def test_inputs_are_saturated_at_their_limit():

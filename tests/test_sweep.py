@@ -4,31 +4,26 @@ import dataclasses
 import errno
 import os
 import random
-import signal
 import subprocess
 import sys
-import threading
-import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from importlib.metadata import version
-from multiprocessing import active_children
 from pathlib import Path
 
-import dask.config
 import pyarrow as pa
 import pytest
 
 import octarm
 from controllers import make_controller
-from octarm.cli import main
-from octarm.errors import ExitCode
+from octarm.checks.verify_episode import FinishedSweep
 from octarm.sweep import estimate
-from octarm.sweeps.folder import MANIFEST, read_facts, read_manifest, shard_name
+from octarm.sweeps.folder import MANIFEST, read_manifest, read_row, shard_name
 from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.plan import Plan
+from octarm.sweeps.shard_file import labels_of
 from octarm.sweeps.shards import run_arms
-from octarm.sweeps.workers import WorkerProcesses, dask_cluster
+from octarm.sweeps.workers import WorkerProcesses
 
 SPEC = """\
 seed = 1
@@ -117,39 +112,6 @@ def test_the_table_is_the_same_in_a_process(tmp_path, undisturbed):
         assert run(tmp_path / "s", executor=process, in_flight=2).equals(undisturbed)
 
 
-def test_the_table_is_the_same_on_a_dask_cluster_that_loses_a_worker(tmp_path, undisturbed):
-    with dask_cluster("local", 2) as (executor, useful):
-        assert useful() == 2
-
-        def kill_one(done: int) -> None:
-            if done and not killed:
-                killed.append(executor.submit(os.getpid).result())
-                os.kill(killed[0], signal.SIGKILL)
-
-        killed: list[int] = []
-        table = run(tmp_path / "s", executor=executor, in_flight=useful, progress=kill_one)
-    assert killed
-    assert table.equals(undisturbed)
-
-
-def test_one_of_two_workers_that_is_killed_costs_its_shard_a_second_run(tmp_path, undisturbed):
-    said = []
-
-    def kill_one() -> None:
-        time.sleep(random.uniform(0.0, 2.0))
-        while not (children := active_children()):
-            time.sleep(0.01)
-        os.kill(random.choice(children).pid, signal.SIGKILL)  # pyright: ignore
-
-    killer = threading.Thread(target=kill_one)
-    with WorkerProcesses(2) as processes:
-        killer.start()
-        table = run(tmp_path / "s", executor=processes, in_flight=2, say=said.append)
-        killer.join()
-    assert table.equals(undisturbed)
-    assert len(said) <= 1
-
-
 def test_a_shard_that_kills_its_workers_fails_alone(tmp_path, undisturbed):
     class Deadly(Inline):
         def submit(self, fn, /, *args, **kwargs):
@@ -194,7 +156,7 @@ def test_resume_runs_what_is_missing_or_damaged_and_nothing_else(tmp_path, undis
     files[0].unlink()
     files[1].write_bytes(files[1].read_bytes()[:-100])
     content = bytearray(files[2].read_bytes())
-    content[len(content) // 3] ^= 1
+    content[random.randrange(len(content))] ^= 1  # tests/test_sweep_files.py tries them all
     files[2].write_bytes(content)
     files[3].write_bytes(files[4].read_bytes())
     before = {file: file.stat().st_mtime_ns for file in files[4:]}
@@ -238,6 +200,24 @@ def test_other_gains_are_refused(tmp_path):
             executor=Inline(),
             resume=True,
         )
+
+
+def test_the_gain_set_of_a_spec_is_used_and_written_down(tmp_path):
+    asked = []
+
+    def factory(name, nominal, gains, *, gain_set=None):
+        asked.append((name, gain_set))
+        return make_controller(name, nominal, gains, gain_set=gain_set)
+
+    text = 'duration = 0.002\n[grid]\ncontroller = ["pd", "smc"]\n[gain_set]\npd = "recommended"'
+    folder = octarm.sweep(parse_spec(text), factory, tmp_path / "s", executor=Inline())
+    assert set(asked) == {("pd", "recommended"), ("smc", None)}
+    assert read_manifest(folder)["spec"]["gain_set.pd"] == "recommended"
+    asked.clear()
+    assert FinishedSweep(folder).check(0, factory).identical
+    assert set(asked) == {("pd", "recommended")}
+    with pytest.raises(ValueError, match=r"gain_set.pd is \"recommended\" there and is not given"):
+        run(folder, text[: text.index("[gain_set]")], resume=True)
 
 
 def test_a_spec_that_cannot_run_leaves_no_folder(tmp_path):
@@ -309,11 +289,11 @@ def test_the_manifest_says_what_was_run(tmp_path, undisturbed):
 
 def test_a_shard_says_where_it_was_run(tmp_path):
     run(tmp_path / "s")
-    facts = read_facts(tmp_path / "s", 23)
+    facts = labels_of(read_row(tmp_path / "s", 23))
     assert facts["versions"]["octarm"] == version("octarm")
     assert facts["host"]["cores"] == os.cpu_count()
-    with pytest.raises(ValueError, match="episode 24 is not in"):
-        read_facts(tmp_path / "s", 24)
+    with pytest.raises(ValueError, match=r"episode 24 of .* is not finished"):
+        read_row(tmp_path / "s", 24)
 
 
 def test_a_spec_that_was_changed_after_reading_is_kept_as_it_was_run(tmp_path):
@@ -335,115 +315,6 @@ def test_an_estimate_counts_episodes_and_writes_nothing(tmp_path, monkeypatch):
     assert (expected.episodes, expected.shards) == (24, SHARDS)
     assert expected.seconds > 0.0 and expected.size > 0
     assert not list(tmp_path.iterdir())
-
-
-# --- the command -----------------------------------------------------------------------------
-
-
-@pytest.fixture
-def spec_file(tmp_path) -> Path:
-    file = tmp_path / "my.toml"
-    file.write_text(SPEC)
-    return file
-
-
-def test_the_command_writes_a_sweep_and_prints_a_row_a_controller(tmp_path, spec_file, capsys):
-    arguments = ["sweep", str(spec_file), "--out", str(tmp_path / "s"), "--workers", "1"]
-    assert main(arguments) == ExitCode.FINE
-    out = capsys.readouterr().out
-    assert "smc-boundary                12         0" in out
-    assert "pd                          12         0" in out
-    assert str(tmp_path / "s") in out
-    assert main(arguments) == ExitCode.BAD_INPUT
-    assert "--resume" in capsys.readouterr().err
-
-
-def test_a_dry_run_says_what_it_will_take(spec_file, capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    assert main(["sweep", str(spec_file), "--dry-run", "--workers", "2"]) == ExitCode.FINE
-    out = capsys.readouterr().out
-    assert "24 episodes of 0.02 s in 6 shards" in out
-    assert "mismatch: -0.3, 0.3" in out
-    assert "on 2 workers" in out
-    assert [file.name for file in tmp_path.iterdir()] == ["my.toml"]
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "options", "told"),
-    [
-        ("", "", [], "there is no folder to write to; give --out DIR, or --dry-run"),
-        ("", "", ["--out", "s", "--workers", "0"], "workers is 0"),
-        ("pd", "dp", ["--out", "s"], "my.toml, line 6: unknown controller 'dp'; known are pd,"),
-        ("[grid]", "[gains.pd]\nK_q=9\n[grid]", ["--dry-run"], "my.toml, line 5: pd has no gain"),
-        ("seed", "sede", ["--out", "s"], "my.toml, line 1: unknown key 'sede'"),
-        ("", "", ["--out", "s", "--cluster", "tcp://127.0.0.1:1"], "no dask scheduler answers"),
-        ("", "", ["--out", "my.toml"], "my.toml is not a folder"),
-    ],
-)
-def test_bad_input_is_one_sentence(spec_file, capsys, monkeypatch, old, new, options, told):
-    monkeypatch.chdir(spec_file.parent)
-    spec_file.write_text(SPEC.replace(old, new) if old else SPEC)
-    with dask.config.set({"distributed.comm.timeouts.connect": "0.2s"}):
-        assert main(["sweep", "my.toml", *options]) == ExitCode.BAD_INPUT
-    error = capsys.readouterr().err
-    assert told in error
-    assert error.count("\n") == 1
-    assert not (spec_file.parent / "s").exists()
-
-
-LONGER = SPEC.replace("episodes = 3", "episodes = 12")
-
-
-@pytest.fixture(scope="module")
-def longer(tmp_path_factory) -> pa.Table:
-    return run(tmp_path_factory.mktemp("longer") / "sweep", LONGER)
-
-
-def start_command(spec_file: Path, folder: Path, *options: str) -> subprocess.Popen:
-    spec_file.write_text(LONGER)
-    return subprocess.Popen(
-        [sys.executable, "-m", "octarm.cli", "sweep", spec_file, "--out", folder, *options],
-        stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True,
-        cwd=Path(__file__).parent.parent,
-    )  # fmt: skip
-
-
-def wait_for(condition) -> None:
-    limit = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < limit
-        time.sleep(0.01)
-
-
-def is_gone(group: int) -> bool:
-    try:
-        os.killpg(group, 0)
-    except ProcessLookupError:
-        return True
-    return False
-
-
-@pytest.mark.parametrize("kind", [signal.SIGKILL, signal.SIGINT])
-def test_an_interrupted_command_leaves_whole_shards_and_goes_on(tmp_path, spec_file, longer, kind):
-    folder = tmp_path / "s"
-    process = start_command(spec_file, folder, "--workers", "2")
-    wait_for(lambda: (folder / "episodes").is_dir() and len(os.listdir(folder / "episodes")) > 1)
-    time.sleep(random.uniform(0.0, 0.2))
-    if kind == signal.SIGINT:  # as a terminal does, to the workers as well
-        os.killpg(process.pid, kind)
-    else:
-        process.kill()
-    error = process.communicate(timeout=60)[1]
-    wait_for(lambda: is_gone(process.pid))  # no worker goes on alone
-    if kind == signal.SIGINT:
-        assert process.returncode == ExitCode.INTERRUPTED
-        assert "Traceback" not in error
-        assert f"octarm sweep {spec_file} --out {folder} --workers 2 --resume" in error
-    finished = len(octarm.read_sweep(folder, ["episode"]))
-    assert 0 < finished < len(longer)
-    done = []
-    assert run(folder, LONGER, resume=True, progress=done.append).equals(longer)
-    assert done[0] == finished
 
 
 # --- memory ----------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,7 +28,9 @@ from octarm.reports.findings import make_report, partners
 from octarm.reports.page import inline_svg
 from octarm.reports.panels import COLORS
 from octarm.reports.tables import number
+from octarm.sweeps.folder import labels
 from octarm.sweeps.parser import parse_spec
+from octarm.sweeps.shard_file import write_shard
 
 HOSTILE = '<script>alert("&")</script>'
 NOISES, MISMATCHES, SEEDS = (0.0, 0.2, 0.4), (-0.3, 0.3), 6
@@ -118,7 +119,8 @@ def write_sweep(folder: Path, table: dict[str, np.ndarray], **changes) -> Path:
         fields.append(pa.field(name, arrays[-1].type, metadata=unit if name in metrics else None))
     whole = pa.table(arrays, pa.schema(fields))
     for shard in shards:
-        pq.write_table(whole.slice(shard["first"], shard["episodes"]), folder / shard["file"])
+        rows = whole.slice(shard["first"], shard["episodes"])
+        write_shard(folder / shard["file"], rows, labels("abc", shard["first"]))
     return folder
 
 
@@ -473,6 +475,7 @@ def test_a_sweep_without_numbers_is_one_sentence(tmp_path, capsys):
 
 
 SPEC = """\
+gain_set = "recommended"
 episodes = 2
 duration = 2.02
 timestep = 0.001

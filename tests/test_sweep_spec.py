@@ -1,11 +1,15 @@
 """A sweep's TOML file: what it means, and what is said when it is wrong."""
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 
 from octarm.disturbances import DISTURBANCES
-from octarm.sweeps.parser import as_toml, parse_spec, read_spec
+from octarm.effects.forces import BandLimitedNoise, PulseForce
+from octarm.sweeps.parser import parse_spec, read_spec
+from octarm.sweeps.plan import Plan
+from octarm.sweeps.spelling import as_toml
 
 SPEC = """\
 seed = 3
@@ -191,3 +195,108 @@ def test_a_file_that_is_no_text_is_refused(tmp_path):
         read_spec(file)
     with pytest.raises(FileNotFoundError):
         read_spec(tmp_path / "other.toml")
+
+
+SEVERAL = """\
+controller = "pd"
+[grid.disturbance]
+pulse-2.at = [1.0, 2.0]
+noise = [0.0, 0.4]
+pulse = [0.1]
+[random.disturbance]
+noise-2 = { low = 0.0, high = 0.2 }
+[disturbance]
+noise-2.time = 0.5
+pulse-2.amplitude = 0.2
+"""
+
+
+def test_a_second_disturbance_of_a_class_has_its_number():
+    spec = parse_spec(SEVERAL)
+    assert [axis.name for axis in spec.axes[2:]] == ["mismatch", "noise", "pulse", "pulse-2.at"]
+    assert [(axis.name, axis.disturbance) for axis in spec.random] == [("noise-2", "noise-2")]
+    assert spec.fixed == {"noise-2": {"correlation_time": 0.5}, "pulse-2": {"amplitude": 0.2}}
+    assert dataclasses.replace(parse_spec(as_toml(spec)), text=spec.text) == spec
+    plan = Plan(spec)
+    (noise, second), (pulse, late) = (
+        [d for d in plan.episode(1).disturbances if d.name == name] for name in ("noise", "pulse")
+    )
+    assert isinstance(noise, BandLimitedNoise) and isinstance(second, BandLimitedNoise)
+    assert (noise.ratio, noise.correlation_time) == (0.0, 0.01)
+    assert isinstance(second.ratio, float)
+    assert 0.0 < second.ratio < 0.2 and second.correlation_time == 0.5
+    assert isinstance(pulse, PulseForce) and isinstance(late, PulseForce)
+    assert (pulse.amplitude, pulse.at, late.amplitude, late.at) == (0.1, 0.0, 0.2, 2.0)
+
+
+GAINS = """\
+controller = "pd"
+modules = 3
+[gains]
+K_p = [1, 2, 3, 4, 5, 6]
+K_d = 10
+"""
+
+
+@pytest.fixture
+def gain_file(tmp_path) -> Path:
+    (tmp_path / "pd.toml").write_text(GAINS)
+    return tmp_path / "spec.toml"
+
+
+def test_a_gain_set_is_for_all_controllers_or_for_each():
+    base = '[grid]\ncontroller = ["pd", "smc"]\n'
+    assert parse_spec(base).gain_sets == {}
+    spec = parse_spec('gain_set = "recommended"\n' + base)
+    assert spec.gain_sets == {"pd": "recommended", "smc": "recommended"}
+    assert spec.hash() != parse_spec(base).hash()
+    each = parse_spec(base + '[gain_set]\nsmc = "tuned"')
+    assert each.gain_sets == {"smc": "tuned"}
+    for one in (spec, each):
+        again = parse_spec(as_toml(one))
+        assert again.gain_sets == one.gain_sets and again.hash() == one.hash()
+
+
+def test_gains_of_a_file_become_part_of_the_spec(gain_file):
+    text = 'controller = "pd"\ngain_set = "pd.toml"\n[gains.pd]\nK_d = 20'
+    spec = parse_spec(text, str(gain_file))
+    assert spec.gain_sets == {"pd": "recommended"}
+    assert spec.gains == {"pd": {"K_p": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "K_d": 20.0}}
+    assert not spec.alone
+    assert parse_spec(as_toml(spec)).hash() == spec.hash()  # without the file
+
+
+@pytest.mark.parametrize(
+    ("line", "text", "expected"),
+    [
+        (1, 'gain_set = "tund"', 'unknown gain_set "tund"; known are tuned, recommended, or NAME'),
+        (2, '[gain_set]\npd = "tund"', 'unknown pd "tund"; known are'),
+        (2, '[gain_set]\nsmc = "tuned"', "gains of 'smc', which is no controller of this sweep"),
+        (2, '[gain_set]\npd = "other.toml"', "other.toml cannot be read: No such file"),
+        (2, "[disturbance]\nnoise-2 = 0.1", "there is a noise-2, but no noise"),
+        (2, "[disturbance]\nnoise-1 = 0.1", "unknown disturbance 'noise-1', did you mean 'noise'"),
+        (3, "[disturbance]\npulse = 1\npulse-2.at = 1", "pulse-2 needs a value of amplitude"),
+    ],
+)
+def test_what_is_wrong_with_sets_and_second_ones_is_said(line: int, text: str, expected: str):
+    with pytest.raises(ValueError) as caught:
+        parse_spec('controller = "pd"\n' + text, "my.toml")
+    assert str(caught.value).startswith(f"my.toml, line {line + 1}: ")
+    assert expected in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ('"pd"', '"smc"', 'pd.toml, line 1: holds gains of "smc", not of pd'),
+        ("modules = 3", "modules = 5", "pd.toml, line 2: is for an arm of 5 modules"),
+        ("K_d = 10", 'K_d = "a"', 'pd.toml, line 5: K_d is "a"; a gain is one number'),
+        ("[gains]", "gains", "pd.toml: "),
+    ],
+)
+def test_what_is_wrong_with_a_file_of_gains_is_said(gain_file, old, new, expected):
+    file = gain_file.with_name("pd.toml")
+    file.write_text(GAINS.replace(old, new))
+    with pytest.raises(ValueError) as caught:
+        parse_spec('controller = "pd"\ngain_set = "pd.toml"', str(gain_file))
+    assert expected in str(caught.value)

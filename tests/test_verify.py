@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from test_disturbances import SPELLINGS
 
@@ -26,7 +25,9 @@ from octarm.disturbances import parse_disturbance
 from octarm.experiment import Experiment, perform
 from octarm.model import nominal_parameters
 from octarm.parameters import ArmParameters
+from octarm.sweeps.folder import RECORDED
 from octarm.sweeps.parser import parse_spec
+from octarm.sweeps.shard_file import labels_of, read_shard, write_shard
 from octarm.trajectory import Trajectory
 
 P = nominal_parameters()
@@ -153,7 +154,7 @@ def test_a_run_that_was_interrupted_comes_out_again(tmp_path):
             raise KeyboardInterrupt
 
     what = experiment(disturbances=(parse_disturbance("noise:0.4"),), duration=60.0)
-    trajectory = write(tmp_path / "run", what, progress=progress, keep=lambda rows: None)
+    trajectory = write(tmp_path / "run", what, progress=progress)
     assert (trajectory.status, len(trajectory)) == ("interrupted", 41)
     assert check(tmp_path / "run").identical
     flip(tmp_path / "run", "q", (40, 0))
@@ -372,13 +373,13 @@ def sweep(finished, tmp_path) -> Path:
 def doctor(folder: Path, episode: int, column: str, value) -> None:
     """Changes a number in the table."""
     file = folder / f"episodes/{episode // 8:05d}.parquet"
-    table = pq.read_table(file)
+    table = read_shard(file)
     values = table[column].to_pylist()
     values[episode % 8] = value(values[episode % 8])
     at = table.schema.get_field_index(column)
     field = table.schema.field(column)
     table = table.set_column(at, field, pa.array(values, field.type))
-    pq.write_table(table, file, write_page_checksum=True)
+    write_shard(file, table, labels_of(table))
 
 
 def test_every_episode_of_a_batch_comes_out_again_alone(finished):
@@ -401,6 +402,10 @@ def test_the_first_checkpoint_that_differs_is_found(sweep):
     found = FinishedSweep(sweep).check(10, make_controller)
     assert not found.identical
     assert found.between == pytest.approx((0.013, 0.014))  # 20 of them in 0.02 s
+    assert found.recorded is None
+    (sweep / RECORDED / "10-worst").mkdir(parents=True)
+    lines = FinishedSweep(sweep).check(10, make_controller).lines()
+    assert f"octarm verify {sweep / RECORDED / '10-worst'} says from which one on" in lines[1]
     assert FinishedSweep(sweep).check(11, make_controller).identical
 
 

@@ -3,8 +3,6 @@
 Also what follows from motion alone: the energy balance, and the frequencies of small oscillations.
 Time is a count of steps, so that every run ends at the same instant whatever its timestep.
 """
-# pyright: reportAttributeAccessIssue=false
-# (mujoco ships no type stubs)
 
 from __future__ import annotations
 
@@ -118,7 +116,9 @@ def observed_order(
     reference: np.ndarray,
     integrator: mujoco.mjtIntegrator,
 ) -> float:
-    """Order of convergence of an integrator [1]; arguments as in `integrator_error`.
+    """Order of convergence of an integrator [1].
+
+    Arguments, and the shapes of the arrays, are those of `integrator_error`.
 
     The least-squares slope of error against timestep, both in logarithms, over four timesteps,
     each half the one before. The first is a tenth of the arm's shortest time constant, which lets

@@ -4,8 +4,6 @@
 from eqs (1)-(5), all states at once. Neither borrows a number from the other, the map from tau to
 tendon forces excepted, which belongs to the plant.
 """
-# pyright: reportAttributeAccessIssue=false
-# (mujoco ships no type stubs)
 
 from __future__ import annotations
 
@@ -139,7 +137,7 @@ def lagrange_mechanics(p: ArmParameters, states: States) -> Mechanics:
 def relative_error(measured: np.ndarray, expected: np.ndarray) -> float:
     """Largest error relative to the largest entry at the same state [1].
 
-    Both arrays have the states on the first axis, and entries of one unit on the others.
+    Both arrays have shape (n, ...): the states first, then axes of entries of one unit.
     """
     axes = tuple(range(1, measured.ndim))
     error = np.max(np.abs(measured - expected), axis=axes)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from octarm import runs
 from octarm.checks.differences import Difference, beside, compare, despite, flat, told
@@ -16,9 +15,11 @@ from octarm.digest import CHECKPOINTS
 from octarm.experiment import Factory
 from octarm.facts import host, versions
 from octarm.model import nominal_parameters
-from octarm.sweeps.folder import SPEC, read_facts, read_manifest
+from octarm.sweeps.folder import RECORDED, SPEC, read_manifest, read_row
+from octarm.sweeps.gain_sets import of_sets
 from octarm.sweeps.parser import read_spec
 from octarm.sweeps.plan import Plan
+from octarm.sweeps.shard_file import labels_of
 from octarm.sweeps.shards import run_arms
 
 
@@ -33,6 +34,7 @@ class EpisodeCheck:
             not.
         differences: of the columns, the checkpoints aside.
         gains: of the controller for the nominal arm, where they are not what they were.
+        recorded: run folder of the episode, if there is one.
         then: versions and machine that the row comes from.
         now: those of the re-run.
     """
@@ -42,6 +44,7 @@ class EpisodeCheck:
     between: tuple[float, float] | None
     differences: tuple[Difference, ...]
     gains: tuple[Difference, ...]
+    recorded: Path | None
     then: Mapping[str, str]
     now: Mapping[str, str]
 
@@ -61,6 +64,8 @@ class EpisodeCheck:
         else:
             begin, end = self.between
             found = [f"{head}: different from an instant between t = {begin:g} s and {end:g} s on"]
+            if self.recorded is not None:
+                found.append(f"  octarm verify {self.recorded} says from which one on")
         found += told(self.differences, "column") if self.differences else []
         found += told(self.gains, "gain") if self.gains else []
         return [*found, *beside(self.then, self.now)]
@@ -84,12 +89,12 @@ class FinishedSweep:
         self.path = path
         self._manifest = read_manifest(path)
         self.plan = Plan(read_spec(path / SPEC))
-        if self.plan.spec.hash() != self._manifest.get("spec_hash"):
+        if self.plan.spec.hash() != self._manifest["spec_hash"]:
             raise ValueError(f"{path / SPEC} was changed: it is not what the sweep was run with")
 
     def finished(self) -> np.ndarray:
         """The numbers of the episodes that are there, shape (n,)."""
-        ranges = [
+        ranges: list[np.ndarray] = [
             np.arange(shard["first"], shard["first"] + shard["episodes"])
             for shard in self._manifest["shards"]
             if (self.path / shard["file"]).is_file()
@@ -103,15 +108,7 @@ class FinishedSweep:
             ValueError: if there is none, or it is damaged.
         """
         self.plan.episode(episode)  # raises when there is no such episode
-        for shard in self._manifest["shards"]:
-            file, place = self.path / shard["file"], episode - shard["first"]
-            if 0 <= place < shard["episodes"] and file.is_file():
-                try:
-                    table = pq.read_table(file, page_checksum_verification=True)
-                except (OSError, ValueError) as error:
-                    raise ValueError(f"{file} is damaged ({error})") from None
-                return table.slice(place, 1)
-        raise ValueError(f"episode {episode} of {self.path} is not finished; --resume runs it")
+        return read_row(self.path, episode)
 
     def check(self, episode: int, factory: Factory) -> EpisodeCheck:
         """Runs an episode alone, and compares.
@@ -123,8 +120,10 @@ class FinishedSweep:
         Raises:
             ValueError: if the episode is not there, or cannot be made again.
         """
-        stored = self.row(episode).to_pylist()[0]
+        row = self.row(episode)
+        (stored,) = row.to_pylist()
         arms = self.plan.episode(episode)
+        factory = of_sets(factory, self.plan.spec)
         again = run_arms(self.plan, arms, factory).to_pylist()[0]
         was, now = (row.pop("checkpoints") for row in (stored, again))
         del stored["wall_time"]
@@ -136,7 +135,8 @@ class FinishedSweep:
             between=first_difference(was, now, self.plan.spec.duration),
             differences=tuple(compare(stored, again)),
             gains=tuple(compare(self._manifest["gains"].get(arms.controller, {}), gains)),
-            then=flat(read_facts(self.path, episode)),
+            recorded=next(iter((self.path / RECORDED).glob(f"{episode}-*")), None),
+            then=flat(labels_of(row)),
             now=flat({"versions": versions(), "host": host()}),
         )
 

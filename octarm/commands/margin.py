@@ -24,8 +24,8 @@ from octarm.sweeps.margin_trial import NOMINAL, Trial, Varied, is_varied, parse_
 from octarm.sweeps.workers import cores
 
 if TYPE_CHECKING:
-    from octarm.cli import Margin
     from octarm.interfaces import Controller
+    from octarm.options.sweeps import Margin
     from octarm.parameters import ArmParameters
 
 _NUMBERS = ("margin", "interval_low", "interval_high", "least", "median", "most")

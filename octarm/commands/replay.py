@@ -9,14 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from octarm import runs
 from octarm.errors import ExitCode
 from octarm.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from octarm.cli import Plot, Record, Replay, Video
+    from octarm.options.recordings import Plot, Record, Replay, Video
 
 _SWEEP = "manifest.json"  # a folder with it is a sweep
 _MOST = 32  # recordings of a sweep that are opened at once
@@ -44,7 +42,7 @@ def record(options: Record) -> int:
     """`octarm record`: the recording of a run again, from its arrays and its description."""
     from octarm.recording import write_recording
 
-    trajectory, description = _whole_run(options.run)
+    trajectory, description = _rows_of(options.run)
     target = options.run / runs.RECORDING if options.out is None else options.out
     write_recording(target, trajectory, description)
     print(f"wrote {target}")
@@ -55,7 +53,7 @@ def plot(options: Plot) -> int:
     """`octarm plot`: the standard figures of a run."""
     from octarm.recordings.plots import write_figures
 
-    trajectory, description = _whole_run(options.run)
+    trajectory, description = _rows_of(options.run)
     folder = _beside(options.run, "-figures") if options.out is None else options.out
     for path in write_figures(folder, trajectory, description):
         print(f"wrote {path}")
@@ -66,7 +64,7 @@ def video(options: Video) -> int:
     """`octarm video`: MuJoCo's picture of a run as a film."""
     from octarm.recordings.video import write_video
 
-    trajectory, description = _whole_run(options.run)
+    trajectory, description = _rows_of(options.run)
     target = _beside(options.run, ".mp4") if options.out is None else options.out
     write_video(
         target, trajectory, description, size=(options.width, options.height),
@@ -85,13 +83,11 @@ def _picture(options: Replay, files: list[Path]) -> int:
     from octarm.recordings import viewer
 
     assert options.screenshot is not None
-    if len(files) != 1:
-        raise ValueError(f"a picture shows one recording; {len(files)} were found")
     end = viewer.end_of(files[0])
     shown = 0.5 * end if options.time is None else options.time
     if not 0.0 <= shown <= end:
         raise ValueError(f"time is {shown:g} s; the run goes from 0 to {end:g} s")
-    viewer.screenshot(files[0], options.screenshot, time=shown)
+    viewer.screenshot(files[0], options.screenshot, others=files[1:], time=shown)
     print(f"wrote {options.screenshot}")
     return ExitCode.FINE
 
@@ -110,22 +106,30 @@ def _recordings(folders: tuple[Path, ...]) -> Iterator[list[Path]]:
             from octarm.recordings.comparison import Run, write_comparison
 
             both = Path(scratch) / "comparison.rrd"
-            write_comparison(both, *(Run(*_whole_run(folder)) for folder in folders))
+            write_comparison(both, *(Run(*_rows_of(folder)) for folder in folders))
             yield [both]
         elif (folders[0] / _SWEEP).is_file():
-            yield _of_sweep(folders[0])
+            yield _of_sweep(folders[0], Path(scratch))
         else:
             yield [_of_run(folders[0], Path(scratch))]
 
 
-def _of_sweep(folder: Path) -> list[Path]:
-    """The recordings of the episodes that were chosen."""
+def _of_sweep(folder: Path, scratch: Path) -> list[Path]:
+    """The recordings of the episodes that were chosen, the viewer's list of them open."""
+    from octarm.recordings import viewer
+
     files = sorted(folder.rglob("*.rrd"))
     if not files:
         raise ValueError(f"{folder} is a sweep without recorded episodes; see [record] in its spec")
     if len(files) > _MOST:
         print(f"octarm: the first {_MOST} of {len(files)} recordings are shown", file=sys.stderr)
-    return files[:_MOST]
+    if len(files) == 1:
+        return files
+    shown = []
+    for file in files[:_MOST]:
+        shown.append(scratch / f"{len(shown)}-{file.parent.name}.rrd")
+        viewer.listed(file, shown[-1])
+    return shown
 
 
 def _of_run(folder: Path, scratch: Path) -> Path:
@@ -139,30 +143,34 @@ def _of_run(folder: Path, scratch: Path) -> Path:
     if recording.is_file():
         if description["status"] == "interrupted":
             print(f"octarm: the run is partial: it was {description['message']}", file=sys.stderr)
+        elif description["status"] == runs.RUNNING:
+            _say_partial(viewer.end_of(recording))
         return recording
     if not partial.is_file():
         raise ValueError(f"{folder} has no recording {runs.RECORDING}; octarm record writes one")
     rescued = scratch / runs.RECORDING
     viewer.rescue(partial, rescued)
-    print(
-        f"octarm: the run is partial: it is still going on or was killed, and reaches to "
-        f"t = {viewer.end_of(rescued):.6g} s",
-        file=sys.stderr,
-    )
+    _say_partial(viewer.end_of(rescued))
     return rescued
 
 
-def _whole_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
-    """The arrays of a run and its description.
+def _rows_of(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
+    """The arrays of a run, as far as there are any, and its description.
 
     Raises:
-        ValueError: if there are none, or no rows in them.
+        ValueError: if there are none.
     """
-    description = runs.read_description(folder)
-    if not (folder / runs.ARRAYS).is_file():
-        why = "it is partial" if description["status"] == runs.RUNNING else "it is incomplete"
-        raise ValueError(f"{folder} has no {runs.ARRAYS}: {why}")
-    trajectory, description = runs.read_run(folder)
-    if not len(trajectory) or not np.isfinite(trajectory.t).all():
-        raise ValueError(f"{folder / runs.ARRAYS} holds no rows")
+    trajectory, description = runs.map_run(folder)
+    if description["status"] == runs.RUNNING:
+        _say_partial(float(trajectory.t[-1]))
+        ended = {"status": trajectory.status, "message": trajectory.message}
+        return trajectory, {**description, **ended}
     return trajectory, description
+
+
+def _say_partial(end: float) -> None:
+    print(
+        "octarm: the run is partial: it is still going on or was killed, and reaches to "
+        f"t = {end:.6g} s",
+        file=sys.stderr,
+    )

@@ -17,13 +17,13 @@ from octarm.reports.page import Source, page
 from octarm.sweeps.folder import SPEC
 
 if TYPE_CHECKING:
-    from octarm import cli
+    from octarm.options import sweeps
 
 PAGE = "report.html"
 FIGURES = "figures"
 
 
-def report(options: cli.Report) -> int:
+def report(options: sweeps.Report) -> int:
     """`octarm report`: a page, tables and figures on a sweep."""
     out = options.sweep / "report" if options.out is None else options.out
     _check_place(out, options.sweep)
@@ -75,7 +75,7 @@ def _write(out: Path, text: str, files: dict[str, str], drawn: list[Picture]) ->
     write_text(out / PAGE, text)
 
 
-def _commands(options: cli.Report) -> list[str]:
+def _commands(options: sweeps.Report) -> list[str]:
     """That make the sweep and the report again."""
     words = ["octarm", "report", str(options.sweep)]
     words += ["--baseline", options.baseline] if options.baseline is not None else []

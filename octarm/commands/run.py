@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from controllers import make_controller
 from octarm import runs
-from octarm.commands.summary import summary
+from octarm.commands.summary import Swing, summary
 from octarm.disturbances import parse_disturbance
 from octarm.environment import whole_periods
 from octarm.errors import ExitCode, closest
@@ -30,7 +30,8 @@ from octarm.model import nominal_parameters
 from octarm.parameters import ArmParameters
 
 if TYPE_CHECKING:
-    from octarm.cli import Run, Validate
+    from octarm.options.checks import Validate
+    from octarm.options.run import Run
 
 
 def run(options: Run) -> int:
@@ -55,13 +56,13 @@ def run(options: Run) -> int:
     announced = experiment.announcement(environment, controller)
     periods = whole_periods(options.duration, environment.control_timestep())
     out = options.out or _dated_folder(options.controller)
-    started = time.perf_counter()
+    started, swing = time.perf_counter(), Swing()
     with tqdm(total=periods, unit=" periods", disable=None, leave=False) as bar:
         trajectory, description = run_into(
-            out, environment, controller, announced, progress=bar.update
+            out, environment, controller, announced, progress=bar.update, keep=swing.add
         )
     elapsed = time.perf_counter() - started
-    print(summary(trajectory, description, elapsed))
+    print(summary(len(trajectory), swing.amplitude(), description, elapsed))
     print(f"wrote {out}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt(f"{out} holds the run up to t = {trajectory.t[-1]:.6g} s")
@@ -105,7 +106,9 @@ def validate(options: Validate) -> int:
 
 
 def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
-    """Parses NAME:VALUES items; values are separated by `,`, rows by `;`.
+    """Parses NAME:VALUES items to numbers or arrays of shape (k,) or (rows, k).
+
+    Values are separated by `,`, rows by `;`.
 
     Raises:
         ValueError: if an item has no name, or its values are not numbers.

@@ -15,16 +15,37 @@ from octarm.trajectory import Trajectory
 _HEADINGS = ("rms", "peak", "rms/amplitude", "overshoot", "chattering", "reached s=0")
 
 
-def summary(trajectory: Trajectory, description: Mapping[str, Any], elapsed: float) -> str:
+class Swing:
+    """How far the desired coordinates go, of a run that is seen block by block."""
+
+    def __init__(self) -> None:
+        """Of a run without rows yet."""
+        self._low: np.ndarray | float = np.inf
+        self._high: np.ndarray | float = -np.inf
+
+    def add(self, rows: Trajectory) -> None:
+        """Takes up further rows."""
+        self._low = np.minimum(self._low, rows.q_d.min(axis=0))
+        self._high = np.maximum(self._high, rows.q_d.max(axis=0))
+
+    def amplitude(self) -> np.ndarray:
+        """Half of the way from the smallest to the largest, shape (2N,) [m], [rad]."""
+        return 0.5 * np.subtract(self._high, self._low)
+
+
+def summary(
+    rows: int, amplitude: np.ndarray, description: Mapping[str, Any], elapsed: float
+) -> str:
     """What was run, what the disturbances delivered, and a table with a row a coordinate.
 
     Args:
-        trajectory: the run.
+        rows: number of control periods.
+        amplitude: of the desired motion, shape (2N,) [m], [rad].
         description: the content of run.json.
         elapsed: what it took [s].
     """
     rate = 1.0 / description["control_period"]
-    simulated = len(trajectory) * description["control_period"]
+    simulated = rows * description["control_period"]
     lines = [
         f"{description['controller']['name']} on {description['reference']['name']}: "
         f"{simulated:g} s at {rate:g} Hz, done in {elapsed:.1f} s"
@@ -33,13 +54,12 @@ def summary(trajectory: Trajectory, description: Mapping[str, Any], elapsed: flo
         lines += ["disturbances, as delivered", *in_words(description["disturbances"])]
     metrics = description["metrics"]
     if None not in metrics["rms_error"]:
-        lines += _table(trajectory, metrics)
+        lines += _table(amplitude, metrics)
     return "\n".join(lines)
 
 
-def _table(trajectory: Trajectory, metrics: Mapping[str, Any]) -> list[str]:
-    names = coordinate_names(trajectory.q.shape[-1] // 2)
-    amplitude = 0.5 * np.ptp(trajectory.q_d, axis=0)
+def _table(amplitude: np.ndarray, metrics: Mapping[str, Any]) -> list[str]:
+    names = coordinate_names(len(amplitude) // 2)
     unit = [("m", "N")] * (len(names) // 2) + [("rad", "N m")] * (len(names) // 2)
     width = [10, 11, 15, 11, 14, 13]
     head = "".join(f"{h:>{w}}" for h, w in zip(_HEADINGS, width, strict=True))

@@ -5,14 +5,12 @@ from __future__ import annotations
 import contextlib
 import shlex
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow.compute as pc
 from tqdm import tqdm
 
 from controllers import make_controller
@@ -21,16 +19,21 @@ from octarm.errors import ExitCode
 from octarm.model import nominal_parameters
 from octarm.sweep import estimate
 from octarm.sweep import sweep as run_sweep
-from octarm.sweeps.chosen import COLUMNS, RECORDED, choose, record_chosen
-from octarm.sweeps.folder import SweepFolder, read_sweep
+from octarm.sweeps.bar import ProgressBar, digits
+from octarm.sweeps.chosen import COLUMNS, choose, record_chosen
+from octarm.sweeps.folder import RECORDED, read_sweep
 from octarm.sweeps.parser import read_spec
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spec import SweepSpec
+from octarm.sweeps.store import SweepFolder
 from octarm.sweeps.workers import WorkerProcesses, cores, dask_cluster
 from octarm.toml_table import Source
 
+_SHOWN = "tip_rms_error"  # by it episodes are worst and median ones, too
+_RECORDED = 2000  # [byte] a control period; from 1000 without signals to 4000 with rules
+
 if TYPE_CHECKING:
-    from octarm.cli import Sweep
+    from octarm.options.sweeps import Sweep
 
 
 def sweep(options: Sweep) -> int:
@@ -85,8 +88,7 @@ def _record(spec: SweepSpec, options: Sweep, out: Path) -> bool:
 def _run(spec: SweepSpec, options: Sweep, out: Path) -> None:
     """The sweep, with a bar on its progress."""
     plan = Plan(spec)
-    bar = _Bar(plan.episodes, spec.duration)
-    with _pool(options, plan) as (executor, in_flight), bar:
+    with _pool(options, plan) as (executor, in_flight), ProgressBar(spec) as bar:
         try:
             run_sweep(
                 spec,
@@ -96,6 +98,7 @@ def _run(spec: SweepSpec, options: Sweep, out: Path) -> None:
                 in_flight=in_flight,
                 resume=options.resume,
                 progress=bar.update,
+                under_way=bar.go_on,
                 say=bar.say,
             )
         except KeyboardInterrupt as interrupt:
@@ -107,7 +110,7 @@ def _run(spec: SweepSpec, options: Sweep, out: Path) -> None:
 
 
 @contextlib.contextmanager
-def _pool(options: Sweep, plan: Plan) -> Iterator[tuple[Executor, int | Callable[[], int]]]:
+def _pool(options: Sweep, plan: Plan) -> Generator[tuple[Executor, int | Callable[[], int]]]:
     """The executor that was asked for, and how many shards it should be given at a time."""
     workers = options.workers or cores()
     if options.cluster is not None:
@@ -119,48 +122,16 @@ def _pool(options: Sweep, plan: Plan) -> Iterator[tuple[Executor, int | Callable
         yield processes, workers
 
 
-class _Bar:
-    """Episodes, how many a second, simulated seconds a second, and the time left."""
-
-    def __init__(self, episodes: int, duration: float) -> None:
-        self._duration = duration
-        self._bar = tqdm(
-            total=episodes, unit=" episodes", disable=None, leave=False, smoothing=0.05
-        )
-        self._started: float | None = None
-        self._done = 0
-
-    def __enter__(self) -> _Bar:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()
-
-    def update(self, episodes: int) -> None:
-        if self._started is None:  # those that were there already take no time
-            self._started = time.perf_counter()
-            self._bar.initial = self._bar.n = episodes
-            self._bar.refresh()
-            return
-        self._done += episodes
-        speed = self._done * self._duration / (time.perf_counter() - self._started)
-        self._bar.set_postfix_str(f"{speed:.0f} simulated s/s", refresh=False)
-        self._bar.update(episodes)
-
-    def say(self, sentence: str) -> None:
-        self._bar.clear()
-        print(f"octarm: {sentence}", file=sys.stderr)
-
-
 def _check_controllers(spec: SweepSpec, file: Path) -> None:
     """Raises ValueError, with the line, unless every controller can be made."""
     source = Source(spec.text, str(file))
     for name in spec.controllers:
-        gains = spec.gains.get(name, {})
+        gains, gain_set = spec.gains.get(name, {}), spec.gain_sets.get(name)
         try:
-            make_controller(name, nominal_parameters(), gains)
+            make_controller(name, nominal_parameters(), gains, gain_set=gain_set)
         except ValueError as error:
-            keys = ("gains", name) if gains else ("grid", "controller")
+            keys = ("gain_set", name) if gain_set else ("grid", "controller")
+            keys = ("gains", name) if gains else keys
             raise ValueError(f"{source.where(*keys)}: {error}") from None
 
 
@@ -189,23 +160,30 @@ def _dry_run(spec: SweepSpec, workers: int) -> int:
     simulated = expected.episodes * spec.duration / expected.seconds * busy
     print(
         f"about {_span(expected.seconds / busy)} on {busy} workers "
-        f"({simulated:.0f} simulated s/s), {_size(expected.size)} on disk"
+        f"({digits(simulated)} simulated s/s), at most {_size(expected.size)} on disk"
     )
+    if spec.record:
+        words = sum(isinstance(which, str) for which in spec.record)
+        count = words * len(spec.controllers) + len(spec.record) - words
+        size = _size(_RECORDED * expected.periods)
+        print(f"then up to {count} recorded episodes, each about {size} and run alone")
     if expected.shards < workers:
         print(f"a batch below {spec.batch} would make more shards, for all {workers} workers")
     return ExitCode.FINE
 
 
 def _print_summary(folder: Path) -> None:
-    """A row a controller."""
-    table = read_sweep(folder, ["controller", "status", "rms_error_theta1"])
-    print("controller            episodes  diverged  median rms error of theta1")
-    for name in pc.unique(table["controller"]).to_pylist():  # pyright: ignore
-        own = table.filter(pc.equal(table["controller"], name))  # pyright: ignore
-        diverged = sum(status == "diverged" for status in own["status"].to_pylist())
-        errors = own["rms_error_theta1"].drop_null().to_numpy()
-        median = f"{np.median(errors):.3e} rad" if errors.size else "-"
-        print(f"{name:<20} {own.num_rows:>9} {diverged:>9}  {median}")
+    """A row a controller; who diverged is worse than all others."""
+    names, status, errors = (
+        column.to_numpy() for column in read_sweep(folder, ["controller", "status", _SHOWN])
+    )
+    print(f"controller            episodes  diverged  median {_SHOWN} [mm]")
+    for name in dict.fromkeys(names.tolist()):
+        diverged = status[names == name] == "diverged"
+        own = np.where(diverged, np.inf, errors[names == name])
+        known = own[~np.isnan(own)]  # a short episode has none
+        median = f"{1e3 * np.median(known):.3g}" if known.size else "-"
+        print(f"{name:<20} {own.size:>9} {diverged.sum():>9}  {median}")
 
 
 def _resume(options: Sweep) -> str:
@@ -223,7 +201,7 @@ def _reason(error: OSError) -> str:
 
 def _span(seconds: float) -> str:
     if seconds < 90.0:
-        return f"{seconds:.0f} s"
+        return f"{seconds:.0f} s" if seconds >= 0.95 else "a second"
     minutes = round(seconds / 60.0)
     return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
 

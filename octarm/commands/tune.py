@@ -13,7 +13,7 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import make_controller
-from controllers.gain_sets import GainSet, plain, read_gain_set
+from controllers.gain_sets import GainSet, read_gain_set, shortest
 from octarm.errors import ExitCode
 from octarm.files import write_text
 from octarm.model import nominal_parameters
@@ -23,7 +23,7 @@ from octarm.tuning.search import tune as tune_gains
 from octarm.tuning.space import Space
 
 if TYPE_CHECKING:
-    from octarm.cli import Tune
+    from octarm.options.tune import Tune
 
 
 def tune(options: Tune) -> int:
@@ -115,7 +115,7 @@ def gain_set(options: Tune, effort: Effort, tuned: Tuned) -> GainSet:
     return GainSet(
         controller=options.controller,
         modules=nominal_parameters().modules,
-        gains={name: plain(gain) for name, gain in tuned.gains.items()},
+        gains={name: shortest(gain) for name, gain in tuned.gains.items()},
         origin={
             "tuning": tuning,
             "versions": versions(),

@@ -17,7 +17,7 @@ from octarm.errors import ExitCode
 from octarm.sweeps.folder import MANIFEST
 
 if TYPE_CHECKING:
-    from octarm.cli import Verify
+    from octarm.options.checks import Verify
 
 
 def verify(options: Verify) -> int:

@@ -8,30 +8,14 @@ a physics step, so that nothing depends on the control period.
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
-from octarm.arrays import entry
+from octarm.effects.delays import DelayLine
 from octarm.effects.episode import ActuatorFault, Episode
 from octarm.effects.fields import Amount, Quantity
-from octarm.effects.streams import first_step, in_steps
-
-
-@dataclasses.dataclass(frozen=True)
-class _Bound(Quantity):
-    """A quantity that may also be infinite: no bound at all."""
-
-    def check(self, name: str, value: Any) -> Amount:
-        try:
-            array = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError):
-            return super().check(name, value)  # which says what is wrong
-        unbounded = np.isposinf(array)
-        finite = super().check(name, np.where(unbounded, np.finfo(np.float64).max, array))
-        bound = np.where(unbounded, np.inf, finite)
-        bound.setflags(write=False)
-        return entry(bound)
+from octarm.effects.streams import first_step
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,7 +88,7 @@ class Saturation(ActuatorFault):
     """
 
     name: ClassVar[str] = "saturation"
-    limit: Annotated[Amount, _Bound("N", at_least=0.0, each=True)]
+    limit: Annotated[Amount, Quantity("N", at_least=0.0, each=True, unbounded=True)]
 
     def start(self, episode: Episode) -> _Saturation:
         """The saturation in one episode.
@@ -170,7 +154,7 @@ class SlewLimit(ActuatorFault):
     """
 
     name: ClassVar[str] = "slew"
-    rate: Annotated[Amount, _Bound("N/s", above=0.0, each=True)]
+    rate: Annotated[Amount, Quantity("N/s", above=0.0, each=True, unbounded=True)]
 
     def start(self, episode: Episode) -> _SlewLimit:
         """The slew limit in one episode.
@@ -211,30 +195,23 @@ class ActuationDelay(ActuatorFault):
         Raises:
             ValueError: if the delay does not suit the batch.
         """
-        delay = episode.per_arm("delay of actuation-delay", self.delay)
-        steps = np.rint(in_steps(delay, episode.timestep)).astype(np.int64)
-        return _ActuationDelay(np.broadcast_to(steps, episode.batch_shape), episode.timestep)
+        return _ActuationDelay(DelayLine("delay of actuation-delay", self.delay, episode))
 
 
 class _ActuationDelay:
-    """A ring of the last inputs, as long as the longest delay.
+    """The inputs of a while ago.
 
     Attributes:
         delay: of each arm, whole physics steps, shape (...) [s].
     """
 
-    def __init__(self, steps: np.ndarray, timestep: float) -> None:
-        self.delay = entry(steps * timestep)
-        self._steps, self._length = steps, int(np.max(steps)) + 1
-        self._ring, self._place = np.empty(0), np.empty(0, dtype=np.int64)
+    def __init__(self, line: DelayLine) -> None:
+        self.delay, self._line = line.delay, line
 
     def __call__(self, step: int, tau: np.ndarray) -> np.ndarray:
-        if not self._ring.size:  # the arms' axis is last, so that it is contiguous
-            self._ring = np.zeros_like(tau, shape=(self._length, *tau.T.shape))
-            self._place = np.arange(tau.size).reshape(tau.T.shape)
-        self._ring[step % self._length] = tau.T
-        past = (step - self._steps) % self._length
-        return self._ring.take(self._place + past * tau.size).T
+        self._line.put(step, tau)
+        (late,) = self._line.take(step - self._line.steps)
+        return late
 
 
 def _columns(name: str, value: Amount, episode: Episode) -> np.ndarray:

@@ -18,20 +18,16 @@ import abc
 import copy
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple, Protocol, get_type_hints
 
 import numpy as np
 
+from octarm.effects.amplitude import input_amplitude
 from octarm.effects.fields import Amount, Quantity, Words
 from octarm.effects.streams import stream
 from octarm.interfaces import Motion
-from octarm.lagrange import inverse_dynamics
 from octarm.parameters import ArmParameters
-
-# The amplitude of a signal is measured on this grid, whatever the physics step.
-_WINDOW = 10.0  # [s]
-_SAMPLES = 1000
 
 
 class Plant(NamedTuple):
@@ -128,16 +124,8 @@ class Episode:
         sqrt(2) times the standard deviation over time of each generalised force that the
         undisturbed arm needs to follow the reference exactly, D a_d + (C + B) v_d + G [N], [N m].
         """
-
-        def force(t: float) -> np.ndarray:
-            return inverse_dynamics(self.parameters, *self.reference(t))
-
-        return _amplitude(force)
-
-    @functools.cached_property
-    def coordinate_amplitude(self) -> np.ndarray:
-        """Likewise of the desired coordinates, shape (..., 2N) [m], [rad]."""
-        return _amplitude(lambda t: np.asarray(self.reference(t).q))
+        arms = int(np.prod(self.batch_shape, dtype=int))
+        return input_amplitude(self.parameters, self.reference, arms)
 
     def _fitting(self, name: str, value: Amount, shape: tuple[int, ...], wanted: str) -> Amount:
         try:
@@ -181,6 +169,10 @@ class ActuatorProcess(Protocol):
         """The input forces that the plant receives at a physics step, shape (..., 2N) [N].
 
         Called once at every physics step, in order.
+
+        Args:
+            step: number of the physics step.
+            tau: input forces that are asked for, shape (..., 2N) [N].
         """
         ...
 
@@ -189,11 +181,26 @@ class SensorProcess(Protocol):
     """Something between the true motion and what the controller reads."""
 
     def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
-        """Takes note of the true motion, at step 0 and after every physics step, in order."""
+        """Takes note of the true motion, at step 0 and after every physics step, in order.
+
+        Args:
+            step: number of physics steps that are done.
+            q: true coordinates, shape (..., 2N) [m], [rad].
+            v: true velocities, shape (..., 2N) [m/s], [rad/s].
+        """
         ...
 
     def __call__(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The readings at a control instant, shapes (..., 2N) [m], [rad] and [m/s], [rad/s]."""
+        """The readings at a control instant.
+
+        Args:
+            step: number of the physics step that begins.
+            q: coordinates as read so far, shape (..., 2N) [m], [rad].
+            v: velocities as read so far, shape (..., 2N) [m/s], [rad/s].
+
+        Returns:
+            q and v as the controller gets them, of the same shapes and units.
+        """
         ...
 
 
@@ -263,20 +270,3 @@ def field_kinds(cls: type[Disturbance]) -> dict[str, Quantity | Words]:
     """What the fields of a disturbance may be, by name, in their order."""
     hints = get_type_hints(cls, include_extras=True)
     return {f.name: hints[f.name].__metadata__[0] for f in dataclasses.fields(cls)}  # pyright: ignore
-
-
-def _amplitude(signal: Callable[[float], np.ndarray]) -> np.ndarray:
-    """sqrt(2) times the standard deviation over time of a function of time.
-
-    Sums of differences from the first value, one instant after another: no cancellation, and the
-    same bits for an arm and its row of a batch.
-    """
-    first = signal(0.0)
-    total, square = np.zeros_like(first), np.zeros_like(first)
-    for i in range(1, _SAMPLES):
-        change = signal(i * (_WINDOW / _SAMPLES)) - first
-        total += change
-        square += change * change
-    mean = total / _SAMPLES
-    variance = square / _SAMPLES - mean * mean
-    return np.sqrt(2.0 * np.maximum(variance, 0.0))

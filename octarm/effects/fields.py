@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import re
 from typing import Any, ClassVar
@@ -41,12 +40,12 @@ class Quantity:
     key: str = ""
 
     def check(self, name: str, value: Any) -> Amount:
-        """A float, or a read-only array.
+        """A float, or a read-only array of the shape of the value.
 
         Raises:
             ValueError: if it is not made of finite numbers in the range; `name` says whose it is.
         """
-        array = self._numbers(name, value)
+        array = read_only(name, value, unbounded=self.unbounded)
         for bound, words, good in (
             (self.at_least, "at least", array >= self.at_least),
             (self.above, "above", array > self.above),
@@ -58,16 +57,6 @@ class Quantity:
                 worst = array[~good].flat[0]
                 raise ValueError(f"{name} is {worst:g}{unit}; it must be {words} {bound:g}{unit}")
         return entry(array)
-
-    def _numbers(self, name: str, value: Any) -> np.ndarray:
-        with contextlib.suppress(TypeError, ValueError):
-            array = np.array(value, dtype=np.float64)
-            infinite = np.isposinf(array)
-            if self.unbounded and np.any(infinite):
-                array = np.where(infinite, np.inf, read_only(name, np.where(infinite, 0.0, array)))
-                array.setflags(write=False)
-                return array
-        return read_only(name, value)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,15 +90,3 @@ class Words:
             if words.count(word) > 1:
                 raise ValueError(f"{name} is {value!r}; it must name {word} once")
         return str(value)
-
-
-def coordinate_index(name: str, modules: int) -> int:
-    """The place of a coordinate, s1 .. sN, theta1 .. thetaN, in q.
-
-    Raises:
-        ValueError: for an unknown name; it lists the known ones.
-    """
-    known = [f"{kind}{i}" for kind in ("s", "theta") for i in range(1, modules + 1)]
-    if name not in known:
-        raise ValueError(f"unknown coordinate {name!r}{closest(name, known)}")
-    return known.index(name)

@@ -7,10 +7,13 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from octarm.arrays import cos_sin, entry, join, split
+from octarm.arrays import coordinate_names
 from octarm.effects.episode import Episode, Force
-from octarm.effects.fields import Amount, Quantity, Words, coordinate_index
-from octarm.effects.streams import NEVER, HeldNoise, in_steps
+from octarm.effects.fields import Amount, Quantity, Words
+from octarm.effects.streams import HeldNoise, in_steps
+from octarm.effects.waves import Box, Sine
+from octarm.errors import closest
+from octarm.kinematics import tip_force
 
 _TIP = {"tip-x": (1.0, 0.0), "tip-y": (0.0, 1.0)}  # directions in the base frame
 
@@ -149,7 +152,7 @@ class SineForce(Force):
             episode.per_arm(f"{name} of sine", getattr(self, name))
             for name in ("frequency", "phase", "at")
         )
-        wave = _Sine(box, 2.0 * np.pi * frequency, phase, at, episode.timestep)
+        wave = Sine(box, 2.0 * np.pi * frequency, phase, at, episode.timestep)
         return _Push(wave, self.on, episode)
 
 
@@ -212,37 +215,10 @@ class StepForce(Force):
         return _Push(_box(self, np.inf, episode), self.on, episode)
 
 
-def tip_force(q: np.ndarray, fx: Amount, fy: Amount) -> np.ndarray:
-    """The generalised force J(q)^T f of a force on the tip, by recursion from the tip.
-
-    Args:
-        q: coordinates, shape (..., 2N) [m], [rad].
-        fx: along the x axis of the base frame, down the hanging arm, shape (...) [N].
-        fy: along its y axis, shape (...) [N].
-
-    Returns:
-        Generalised force, shape (..., 2N) [N], [N m].
-    """
-    n = q.shape[-1] // 2
-    x = split(q)
-    phi, axes = 0.0, []
-    for i in range(n):
-        axes.append(cos_sin(phi))
-        phi = phi + x[n + i]
-    pushes, couples, moment = [], [], 0.0
-    for i in reversed(range(n)):
-        cos, sin = axes[i]
-        pushes.append(fx * cos + fy * sin)
-        couples.append(moment)
-        moment = moment + x[i] * (fy * cos - fx * sin)
-    batch = np.broadcast_shapes(np.shape(fx), np.shape(fy))
-    return join(pushes[::-1] + couples[::-1], q, (*batch, 2 * n))
-
-
 class _Push:
     """A force of changing size on coordinates or on the tip."""
 
-    def __init__(self, size: _Box | _Sine, on: str, episode: Episode) -> None:
+    def __init__(self, size: Box | Sine, on: str, episode: Episode) -> None:
         self._size = size
         self._tip = _TIP.get(on)
         self._mask = None if on in _TIP else np.flatnonzero(_mask(on, episode)).tolist()
@@ -261,65 +237,24 @@ class _Push:
         return self._force
 
 
-class _Box:
-    """A height during a span of time, and 0 outside; constant between a few steps.
-
-    A step that lies in the span in part has that part of the height.
-    """
-
-    def __init__(self, height: Amount, begin: np.ndarray, end: np.ndarray) -> None:
-        """A height of shape () or (n,), from `begin` to `end`, shapes () or (n,) [steps]."""
-        self._height, self._begin, self._end = height, begin, end
-        ends = np.minimum(np.concatenate([np.zeros(1), np.ravel(begin), np.ravel(end)]), NEVER)
-        self._edges = np.unique(np.concatenate([np.floor(ends), np.ceil(ends)]).astype(np.int64))
-        self._from, self._until, self._size = 0, 0, 0.0
-
-    def __call__(self, step: int) -> Amount:
-        """The size at a step, one object as long as it does not change."""
-        if not self._from <= step < self._until:
-            place = int(np.searchsorted(self._edges, step, side="right"))
-            self._from = int(self._edges[place - 1])
-            self._until = int(self._edges[place]) if place < len(self._edges) else NEVER
-            ended, begun = (np.clip(x - step, 0.0, 1.0) for x in (self._end, self._begin))
-            self._size = entry((ended - begun) * self._height + 0.0)  # 0.0 rather than -0.0
-        return self._size
-
-
-@dataclasses.dataclass(frozen=True)
-class _Sine:
-    """A box times sin(omega (t - at) + phase) with t the time at which a step begins."""
-
-    box: _Box
-    omega: Amount
-    phase: Amount
-    at: Amount
-    timestep: float
-
-    def __call__(self, step: int) -> Amount:
-        amplitude = self.box(step)
-        if isinstance(amplitude, float) and amplitude == 0.0:
-            return amplitude
-        angle = self.omega * (step * self.timestep - self.at) + self.phase
-        return entry(amplitude * np.sin(angle) + 0.0)
-
-
-def _box(force: SineForce | PulseForce | StepForce, length: Amount, episode: Episode) -> _Box:
+def _box(force: SineForce | PulseForce | StepForce, length: Amount, episode: Episode) -> Box:
     """The force's amplitude from its beginning on, for a while."""
     amplitude, at, length = (
         episode.per_arm(f"{name} of {force.name}", value)
         for name, value in (("amplitude", force.amplitude), ("at", force.at), ("length", length))
     )
     begin, end = in_steps(at, episode.timestep), in_steps(at + length, episode.timestep)
-    return _Box(amplitude, begin, end)
+    return Box(amplitude, begin, end)
 
 
 def _mask(on: str, episode: Episode) -> np.ndarray:
     """Which coordinates a force acts on, shape (2N,)."""
-    mask = np.full(episode.coordinates, on == "all")
-    if on != "all":
-        modules = episode.parameters.modules
-        mask[[coordinate_index(name, modules) for name in on.split("+")]] = True
-    return mask
+    known = coordinate_names(episode.parameters.modules)
+    wanted = known if on == "all" else on.split("+")
+    for name in wanted:
+        if name not in known:
+            raise ValueError(f"unknown coordinate {name!r}{closest(name, known)}")
+    return np.array([name in wanted for name in known])
 
 
 def _kept(force: np.ndarray) -> np.ndarray:

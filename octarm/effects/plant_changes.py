@@ -1,4 +1,4 @@
-"""Changes of the true arm that the controller does not know: loads, wrong parameters, drift.
+"""Changes of the true arm that the controller does not know: loads, wrong parameters, a tilt.
 
 They act one after another on the undisturbed plant, each time that one of them changes, so that
 nothing accumulates.
@@ -13,17 +13,14 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from octarm.effects.episode import Episode, Plant, PlantChange
-from octarm.effects.fields import Amount, Quantity, Words
-from octarm.effects.streams import first_step, periods_begun
+from octarm.effects.fields import Amount, Quantity
+from octarm.effects.streams import first_step
 
-_GRID = 0.01  # [s]; drifting parameters stay as they are for so long, whatever the physics step
-
-# Axes after the batch axes, and how many numbers there are for N modules.
-_SCALABLE = {"mass": 1, "inertia": 1, "stiffness": 2, "damping": 2, "rest_length": 1}
+# The parameters that have factors, and how many axes each has after the batch axes.
+SCALABLE = {"mass": 1, "inertia": 1, "stiffness": 2, "damping": 2, "rest_length": 1}
 
 Factor = Annotated[Amount, Quantity("1", above=0.0, at_most=1e6)]
 Share = Annotated[Amount, Quantity("1", at_least=0.0, below=1.0)]
-Of = Annotated[str, Words(tuple(_SCALABLE))]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,7 +60,7 @@ class Mismatch(PlantChange):
         value = {n: episode.per_arm(f"{n} of mismatch", getattr(self, n)) for n in fields}
         full, half = 1.0 + value["mismatch"], 1.0 + value["mismatch"] / 2.0
         common = {"mass": full, "inertia": full, "stiffness": half, "damping": full}
-        factors = {n: _spread(n, common.get(n, 1.0) * value[n]) for n in _SCALABLE}
+        factors = {n: spread(n, common.get(n, 1.0) * value[n]) for n in SCALABLE}
         return _Fixed(factors, value["tilt"])
 
 
@@ -99,84 +96,17 @@ class RandomMismatch(PlantChange):
             for n in ("share", "rest_length", "tilt")
         )
         n, batch = episode.parameters.modules, episode.batch_shape
-        shapes = {name: (2, n)[2 - axes :] for name, axes in _SCALABLE.items()}
+        shapes = {name: (2, n)[2 - axes :] for name, axes in SCALABLE.items()}
         drawn: dict[str, list[np.ndarray]] = {name: [] for name in (*shapes, "tilt")}
         for generator in episode.streams(self.name):
             for name, shape in (*shapes.items(), ("tilt", ())):
                 drawn[name].append(2.0 * np.asarray(generator.random(shape)) - 1.0)
         u = {name: np.stack(rows).reshape((*batch, *rows[0].shape)) for name, rows in drawn.items()}
         factors = {
-            name: 1.0 + _spread(name, rest_length if name == "rest_length" else share) * u[name]
+            name: 1.0 + spread(name, rest_length if name == "rest_length" else share) * u[name]
             for name in shapes
         }
         return _Fixed(factors, tilt * u["tilt"])
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Drift(PlantChange):
-    """Parameters that change steadily until they have changed by a limit.
-
-    They are multiplied by 1 + rate t, which stays within 1 - limit and 1 + limit. They change
-    every 10 ms.
-
-    Attributes:
-        rate: shape (...) [1/s].
-        of: what drifts, such as `stiffness` or `stiffness+damping`.
-        limit: shape (...) [1].
-
-    Raises:
-        ValueError: if a value is out of range, or `of` is unknown.
-    """
-
-    name: ClassVar[str] = "drift"
-    rate: Annotated[Amount, Quantity("1/s")]
-    of: Of = "stiffness"
-    limit: Share = 0.5
-
-    def start(self, episode: Episode) -> _Drift:
-        """The drift of one episode.
-
-        Raises:
-            ValueError: if a field does not suit the batch.
-        """
-        rate = episode.per_arm("rate of drift", self.rate)
-        limit = episode.per_arm("limit of drift", self.limit)
-        return _Drift(_Ramp(rate, limit), self.of, episode.timestep)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class CyclicDrift(PlantChange):
-    """Parameters that swing about their values.
-
-    They are multiplied by 1 + share sin(2 pi t / period + phase). They change every 10 ms.
-
-    Attributes:
-        share: shape (...) [1].
-        period: shape (...) [s].
-        phase: shape (...) [rad].
-        of: what drifts, such as `stiffness` or `stiffness+damping`.
-
-    Raises:
-        ValueError: if a value is out of range, or `of` is unknown.
-    """
-
-    name: ClassVar[str] = "cyclic-drift"
-    share: Share
-    period: Annotated[Amount, Quantity("s", at_least=10.0 * _GRID)] = 10.0
-    phase: Annotated[Amount, Quantity("rad")] = 0.0
-    of: Of = "stiffness"
-
-    def start(self, episode: Episode) -> _Drift:
-        """The drift of one episode.
-
-        Raises:
-            ValueError: if a field does not suit the batch.
-        """
-        share, period, phase = (
-            episode.per_arm(f"{n} of cyclic-drift", getattr(self, n))
-            for n in ("share", "period", "phase")
-        )
-        return _Drift(_Swing(share, 2.0 * np.pi / period, phase), self.of, episode.timestep)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -268,49 +198,6 @@ class _Payload:
         return plant._replace(parameters=dataclasses.replace(p, mass=mass))
 
 
-@dataclasses.dataclass(frozen=True)
-class _Ramp:
-    """1 + rate t, within 1 +- limit."""
-
-    rate: Amount
-    limit: Amount
-
-    def __call__(self, t: float) -> np.ndarray:
-        return 1.0 + np.clip(self.rate * t, -np.asarray(self.limit), self.limit)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Swing:
-    """1 + share sin(omega t + phase)."""
-
-    share: Amount
-    omega: Amount
-    phase: Amount
-
-    def __call__(self, t: float) -> np.ndarray:
-        return 1.0 + self.share * np.sin(self.omega * t + self.phase)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Drift:
-    """A factor on some parameters that follows time on a grid of its own."""
-
-    factor: _Ramp | _Swing
-    of: str
-    timestep: float
-
-    def changes_at(self, step: int) -> bool:
-        return step == 0 or self._grid(step) != self._grid(step - 1)
-
-    def apply(self, step: int, plant: Plant) -> Plant:
-        factor = self.factor(self._grid(step) * _GRID)
-        factors = {name: _spread(name, factor) for name in self.of.split("+")}
-        return plant._replace(parameters=plant.parameters.scaled(**factors))
-
-    def _grid(self, step: int) -> int:
-        return int(periods_begun(step, self.timestep, _GRID))
-
-
-def _spread(name: str, factor: Amount) -> Amount:
-    """A factor for each arm with the further axes of a parameter."""
-    return np.asarray(factor)[(..., *(None,) * _SCALABLE[name])]
+def spread(name: str, factor: Amount) -> Amount:
+    """A factor for each arm, shape (...), with the further axes of the parameter of this name."""
+    return np.asarray(factor)[(..., *(None,) * SCALABLE[name])]

@@ -13,10 +13,10 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from octarm.arrays import entry
+from octarm.effects.delays import DelayLine
 from octarm.effects.episode import Episode, SensorFault
 from octarm.effects.fields import Amount, Quantity
-from octarm.effects.streams import HeldNoise, in_steps
+from octarm.effects.streams import HeldNoise
 
 Rate = Annotated[Amount, Quantity("1/s", at_least=0.0)]
 
@@ -43,35 +43,26 @@ class MeasurementDelay(SensorFault):
         Raises:
             ValueError: if the delay does not suit the batch.
         """
-        delay = episode.per_arm("delay of measurement-delay", self.delay)
-        steps = np.rint(in_steps(delay, episode.timestep)).astype(np.int64)
-        return _MeasurementDelay(np.broadcast_to(steps, episode.batch_shape), episode.timestep)
+        return _MeasurementDelay(DelayLine("delay of measurement-delay", self.delay, episode))
 
 
 class _MeasurementDelay:
-    """A ring of the last states, as long as the longest delay.
+    """The motion of a while ago.
 
     Attributes:
         delay: of each arm, whole physics steps, shape (...) [s].
     """
 
-    def __init__(self, steps: np.ndarray, timestep: float) -> None:
-        self.delay = entry(steps * timestep)
-        self._steps, self._length = steps, int(np.max(steps)) + 1
-        self._ring, self._place = np.empty(0), np.empty(0, dtype=np.int64)
+    def __init__(self, line: DelayLine) -> None:
+        self.delay, self._line = line.delay, line
 
     def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
-        if not self._ring.size:  # the arms' axis is last, so that it is contiguous
-            self._ring = np.zeros_like(q, shape=(self._length, 2, *q.T.shape))
-            self._place = np.arange(2 * q.size).reshape((2, *q.T.shape))
-        now = self._ring[step % self._length]
-        now[0], now[1] = q.T, v.T
+        self._line.put(step, q, v)
 
     def __call__(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         del q, v
-        past = np.maximum(step - self._steps, 0) % self._length
-        then = self._ring.take(self._place + past * self._place.size)
-        return then[0].T, then[1].T
+        then_q, then_v = self._line.take(np.maximum(step - self._line.steps, 0))
+        return then_q, then_v
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

@@ -72,7 +72,7 @@ class Chattering:
         return ys, zs
 
     def result(self) -> dict[str, np.ndarray]:
-        """The measures so far."""
+        """The measures so far, each of shape (..., 2N)."""
         rows = self._rows or math.nan
         yy, yz, zz = self._weights
         square = (yy * self._yy + yz * self._yz + zz * self._zz) / rows

@@ -37,7 +37,7 @@ class InputUse:
             self._saturated.update(size >= self._limit)
 
     def result(self) -> dict[str, np.ndarray]:
-        """The measures so far."""
+        """The measures so far, each of shape (..., 2N)."""
         rows = self._rows or math.nan
         return {
             "effort": np.sqrt(self._squares / rows),
@@ -75,7 +75,7 @@ class ForceUse:
         add_rows(self._absolute, np.abs(work, out=work))
 
     def result(self) -> dict[str, np.ndarray]:
-        """The measures so far."""
+        """The measures so far, each of shape (..., 2N)."""
         return {
             "force_effort": np.sqrt(self._squares / (self._rows or math.nan)),
             "energy": self._absolute.copy(),

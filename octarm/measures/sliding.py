@@ -57,7 +57,7 @@ class Sliding:
             self._waiting &= ~found
 
     def result(self) -> dict[str, np.ndarray]:
-        """The measures so far."""
+        """The measures so far, each of shape (..., 2N)."""
         early, late = self._early.result(), self._late.result()
         # Nothing is known about the end of the period that begins at the last instant.
         begun = early + late - self._outside_before.last

@@ -39,7 +39,7 @@ class TrackingError:
         keep_largest(self._largest, squares)
 
     def result(self) -> dict[str, np.ndarray]:
-        """The measures so far."""
+        """The measures so far, each of shape (..., 2N)."""
         rows = self._rows or math.nan
         return {
             "rms_error": np.sqrt(self._squares / rows),
@@ -82,7 +82,7 @@ class Settling:
         self._rows += len(squares)
 
     def result(self) -> dict[str, np.ndarray]:
-        """The measures so far."""
+        """The measures so far, each of shape (..., 2N)."""
         inside = self._rows - 1.0 - self._last_outside  # rows at the end of the run
         settled = inside * self._period >= DWELL * (1.0 - 1e-9)
         time = (self._last_outside + 1.0) * self._period
@@ -129,7 +129,7 @@ class Overshoot:
         )
 
     def result(self) -> dict[str, np.ndarray]:
-        """The measures so far."""
+        """The measures so far, each of shape (..., 2N)."""
         top, bottom = self._desired.largest, self._desired.smallest
         centre, amplitude = 0.5 * (top + bottom), 0.5 * (top - bottom)
         moves = amplitude > 0.0
@@ -176,7 +176,7 @@ class TipError:
         keep_largest(self._largest, squares)
 
     def result(self) -> dict[str, np.ndarray]:
-        """The measures so far."""
+        """The measures so far, each of shape (...) [m]."""
         rows = self._rows or math.nan
         return {
             "tip_rms_error": np.sqrt(self._squares / rows),

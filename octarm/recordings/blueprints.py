@@ -20,6 +20,7 @@ from octarm.recordings.recorded_scene import Scene, module_colors
 
 _BOUND = [150, 156, 166]
 _LEGEND = 8  # series at most that a legend can name
+_LANE = 0.045  # height of a lane of the state timeline [of the window]
 _SIGNAL_FIRST = ("equivalent", "switching")
 
 
@@ -48,25 +49,29 @@ def blueprint(
     channels: Mapping[str, Channel],
     bounds: Mapping[str, np.ndarray],
     description: Mapping[str, Any],
-    lanes: bool,
+    lanes: int,
 ) -> rrb.Blueprint:
     """The layout for one run.
 
     Args:
         scene: the arm.
         channels: what the run holds.
-        bounds: of channels on both sides, see `octarm.recordings.channels.bounds_of`.
+        bounds: of channels on both sides, arrays of shape (...) of their own, see
+            `octarm.recordings.channels.bounds_of`.
         description: of the run; its duration is the range of the plots.
-        lanes: whether there is more on the state timeline than the run itself.
+        lanes: of the state timeline, that of the run itself not counted.
     """
     plots = _Plots(channels, bounds, float(description.get("duration", 1.0)))
     tabs = _tabs(plots, channels, description)
-    opened = next(name for name in ("adaptation", "disturbances", "s", "input") if name in tabs)
+    first = ("adaptation", "disturbances", "s" if "switching" in channels else "input", "input")
+    opened = next(name for name in first if name in tabs)
     arm: Any = scene.view("arm   pale sheath: desired")
     left = arm
-    if lanes or description.get("disturbances"):
+    if lanes:
         states = state_view(plots.axis, "state", ["states/**", "- states/each/**"])
-        left = rrb.Vertical(arm, states, row_shares=[4, 1])
+        left = rrb.Vertical(
+            arm, states, row_shares=[1.0 - _LANE * (lanes + 2), _LANE * (lanes + 2)]
+        )
     tracking = [rrb.Horizontal(*plots.pair(part), name=part) for part in ("bends", "slides")]
     right = rrb.Vertical(
         *tracking,
@@ -76,9 +81,17 @@ def blueprint(
     return wrapped(rrb.Horizontal(left, right, column_shares=[2, 3]))
 
 
+class _Layout(rrb.Blueprint):
+    """A blueprint that does not note when each of its parts was made: it is smaller by a tenth."""
+
+    def _log_to_stream(self, stream: rr.RecordingStream) -> None:
+        stream.set_log_time_enabled(False)
+        super()._log_to_stream(stream)
+
+
 def wrapped(layout: Any) -> rrb.Blueprint:
     """A layout with nothing around it but the time."""
-    return rrb.Blueprint(
+    return _Layout(
         layout,
         rrb.TimePanel(timeline="t", play_state="paused", state="collapsed"),
         rrb.SelectionPanel(state="hidden"),
@@ -93,7 +106,9 @@ def _tabs(
     tabs: dict[str, Any] = {}
 
     def row(name: str, *views: Any) -> None:
-        if views:
+        if len(views) == 1:
+            tabs[name] = views[0]
+        elif views:
             tabs[name] = rrb.Horizontal(*views, name=name)
 
     row("s", *plots.halves("s"))
@@ -102,8 +117,8 @@ def _tabs(
         row({"switching": "robust part"}.get(name, name), *plots.halves(name))
     if "V" in channels:
         row("V", *plots.whole("V"), plots.rate())
-    if "s" in channels:
-        row("states", state_view(plots.axis, "each coordinate", ["states/each/**"]))
+    if "switching" in channels:
+        row("states", state_view(plots.axis, "states", ["states/each/**"]))
     coordinates = len(channels["q"].names)
     rules = [c for c in channels.values() if c.kind == "rules"]
     if rules:
@@ -114,8 +129,10 @@ def _tabs(
             heat_view(rules[0], coordinates), *columns, column_shares=shares, name="adaptation"
         )
     row("f^", *plots.halves("f_hat"))
-    for rule in rules[1:]:
-        row(rule.name, heat_view(rule, coordinates), plots.rules(rule))
+    row(
+        ", ".join(rule.name for rule in rules[1:]),
+        *[heat_view(rule, coordinates) for rule in rules[1:]],
+    )
     if description.get("disturbances") or "disturbance" in channels:
         pages = [rrb.TextDocumentView(origin="ledger", name="asked and delivered")]
         row(
@@ -141,7 +158,8 @@ def heat_view(channel: Channel, coordinates: int, root: str = "heat") -> rrb.Spa
     """The heat map of numbers of rules."""
     return rrb.Spatial2DView(
         origin=f"{root}/{channel.name}",
-        name=f"change of {channel.name}, a row a rule   blue: fallen, orange: risen",
+        contents=["$origin/**", f"{root}/now"],
+        name=f"change of {channel.name}, a row a rule   orange: up, blue: down; largest at left",
         background=[13, 15, 19],
         visual_bounds=rrb.VisualBounds2D(
             x_range=[-heat_map.LEFT, heat_map.WIDTH + 12],
@@ -183,7 +201,8 @@ class _Plots:
         return [
             self._view(
                 f"{channel.title}, {part}{channel.unit(part)}{self._bounded(name)}",
-                self._half(name, part), *self._limits(name, part), legend=part == "bends",
+                self._half(name, part), *self._limits(name, part),
+                legend=part == "bends" and name != "E",
             )
             for part in ("bends", "slides")
         ]  # fmt: skip
@@ -198,30 +217,24 @@ class _Plots:
             n = len(channel.names) // 2
             colors = np.repeat(module_colors(n), 2, axis=0) * np.tile([[1.0], [0.6]], (n, 1))
         title = f"{channel.title}{channel.unit()}{self._bounded(name)}"
-        curves = Curves("signals", "signals", f".{name}[]", channel.names, colors)
+        curves = Curves(channel.entity, channel.entity, f".{name}[]", channel.names, colors)
         return [self._view(title, curves, *self._limits(name, "all"), legend=legend)]
 
     def rate(self) -> Any:
-        """How V changes, and what the robust part claims of it."""
+        """How V changes, and what it could not exceed if the model were exact."""
         curves = [Curves("signals", "signals", ".V_rate", ["V'"], [[120, 160, 200]])]
         if "switching" in self._channels:
             claim = Curves("signals", "signals", ".V_claim", ["s . robust part"], [[255, 159, 67]])
             curves.append(claim)
-        return self._view("V' [W], and what the robust part claims of it", *curves, legend=True)
-
-    def rules(self, channel: Channel) -> Any:
-        """Numbers of rules as lines."""
-        n, coordinates = len(channel.names), len(self._channels["q"].names)
-        colors = np.repeat(module_colors(coordinates), n // coordinates, axis=0)
-        curves = Curves("rules", "rules", f".{channel.name}[]", channel.names, colors, 1.0)
-        return self._view(f"{channel.title}, every rule", curves)
+        return self._view("V' [W]   orange: its bound were the model exact", *curves, legend=True)
 
     def _half(self, name: str, part: str) -> Curves:
         """The curves of slides or bends."""
         channel = self._channels[name]
         chosen = channel.half(part)
         names = channel.names[chosen]
-        return Curves("signals", "signals", f".{name}_{part}[]", names, module_colors(len(names)))
+        entity, colors = channel.entity, module_colors(len(names))
+        return Curves(entity, entity, f".{name}_{part}[]", names, colors)
 
     def _limits(self, name: str, part: str) -> list[Curves]:
         """Lines at the bounds of slides, of bends or of all."""
@@ -259,7 +272,7 @@ def plot_view(
     lines: dict[Any, list[Any]] = {}
     names: set[str] = set()
     for some in curves:
-        style = rr.SeriesLines(
+        style = rr.SeriesLines.from_fields(
             names=list(some.names),
             colors=np.asarray(some.colors).astype(np.uint8),
             widths=[some.width] * len(some.names),
@@ -272,12 +285,12 @@ def plot_view(
         )
         lines.setdefault(some.entity, []).append(style.visualizer(mappings=[source]))
         names |= set(some.names)
+    legend = legend and 0 < len(names) <= _LEGEND
     return rrb.TimeSeriesView(
         name=title,
-        origin="/",
         contents=list(lines),
         overrides=lines,
-        axis_x=axis,
+        axis_x=axis if legend else None,
         axis_y=None if not largest else rrb.ScalarAxis(range=(-largest, largest)),
-        plot_legend=rrb.PlotLegend("RightTop", visible=legend and 0 < len(names) <= _LEGEND),
+        plot_legend=rrb.PlotLegend("RightTop") if legend else rrb.PlotLegend(visible=False),
     )

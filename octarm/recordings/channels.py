@@ -2,6 +2,11 @@
 
 A channel is what is recorded and plotted together. Its names suit a column of a table: `theta1`,
 `column_2_3`, or `s1_4` for the fourth rule of s1.
+
+q, q_d, tau and V are recorded with all their bits at every control instant, and so is what is not
+known here. What follows from them, s, and the parts that a force is the sum of, are recorded with
+single precision; the gain E, which adapts slowly, so too and 60 times a second. What has a number
+a rule is recorded as a picture.
 """
 
 from __future__ import annotations
@@ -38,12 +43,15 @@ _UNITS: dict[str, tuple[str, ...]] = {  # of slides and bends, or of the one num
 }
 
 _POSITIVE = ("E",)
+_SLOW = ("E",)
+_SINGLE = (*_SLOW, "error", "s", "disturbance", "equivalent", "switching", "feedback", "fuzzy",
+           "f_hat", "q_measured", "v_measured")  # fmt: skip
 
 MEANINGS = {
     "q": "coordinates q",
     "error": "error q - q_d",
     "s": "s",
-    "tau": "input forces tau",
+    "tau": "input tau",
     "equivalent": "equivalent part",
     "switching": "robust part",
     "V": "Lyapunov function V",
@@ -84,8 +92,16 @@ class Channel(NamedTuple):
         """The unit of slides or bends in brackets, after a space; empty when unknown."""
         return f" [{self.units[0 if part == 'slides' else -1]}]" if self.units else ""
 
+    @property
+    def entity(self) -> str:
+        """Of a recording, and its structure of lists in which the numbers stand."""
+        return "adaptation" if self.name in _SLOW else "signals"
+
     def fields(self, values: np.ndarray) -> dict[str, np.ndarray]:
-        """The numbers, shape (T, k), in the parts that are plotted together."""
+        """The numbers, shape (T, k), in the parts that are plotted together, as recorded."""
+        if self.name in _SINGLE:
+            with np.errstate(over="ignore"):  # of a diverged arm
+                values = values.astype(np.float32)
         if self.kind != "coordinates":
             return {self.name: values}
         return {f"{self.name}_{part}": values[:, self.half(part)] for part in ("slides", "bends")}

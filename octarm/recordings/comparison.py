@@ -11,7 +11,8 @@ import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
-from octarm.recording import BLOCK, part_of, recording_errors, rrd_file
+from octarm.archive import BLOCK
+from octarm.recording import part_of, recording_errors, rrd_file
 from octarm.recordings.blueprints import Curves, plot_view, time_axis, wrapped
 from octarm.recordings.notes import title_of
 from octarm.recordings.recorded_run import RecordedRun

@@ -9,7 +9,7 @@ import rerun as rr
 
 from octarm.recordings.channels import Channel
 
-WIDTH, ROW, GAP, LEFT = 720, 7, 6, 64  # of the picture [pixel]
+WIDTH, ROW, GAP, LEFT = 720, 7, 6, 108  # of the picture [pixel]
 _LOW, _ZERO, _HIGH = (64, 156, 255), (18, 21, 27), (255, 159, 67)
 
 
@@ -23,8 +23,8 @@ class HeatMap:
 
     def __init__(self, channel: Channel, coordinates: int) -> None:
         """For numbers of rules, as many for each coordinate."""
-        self._names = [channel.names[k] for k in range(0, len(channel.names),
-                       len(channel.names) // coordinates)]  # fmt: skip
+        self._rules = len(channel.names) // coordinates
+        self._names = channel.names[:: self._rules]
         self._title = channel.title
         self._coordinates = coordinates
         self._every, self._count = 1, 0
@@ -47,12 +47,8 @@ class HeatMap:
         It is the change since the first instant: blue below zero, orange above; the brightest is
         the largest of the coordinate.
         """
-        values = np.nan_to_num(np.stack(self._rows))
-        values = values - values[0]
-        index = np.round(np.linspace(0, len(values) - 1, WIDTH)).astype(int)
-        values = values[index].T.reshape(self._coordinates, -1, WIDTH)
-        largest = np.max(np.abs(values), axis=(1, 2), keepdims=True)
-        shade = values / np.maximum(largest, 1e-300)
+        values = self._changes()
+        shade = values / np.maximum(self._largest()[:, None, None], 1e-300)
         toward = np.where(shade[..., None] > 0.0, _HIGH, _LOW)
         colors = np.array(_ZERO) + np.abs(shade[..., None]) * (toward - np.array(_ZERO))
         bands = np.repeat(colors, ROW, axis=1)
@@ -61,31 +57,49 @@ class HeatMap:
         return whole[:-GAP].astype(np.uint8)
 
     def log(self, stream: rr.RecordingStream, entity: str) -> None:
-        """Records the picture, names of the coordinates, the time axis and a cursor."""
+        """Records the picture, names of the coordinates and the time axis."""
         picture = self.picture()
         low = len(picture)
         band = (low + GAP) / self._coordinates
-        names = [name.rsplit("_", 1)[0] for name in self._names]
-        end = self._t[-1]
-        ticks = _ticks(self._t[0], end)
-        span = max(end - self._t[0], 1e-9)
+        names = [
+            f"{name.rsplit('_', 1)[0]}: {size:.2g}"
+            for name, size in zip(self._names, self._largest(), strict=True)
+        ]
+        ticks = _ticks(self._t[0], self._t[-1])
         places = [[-0.5 * LEFT, band * j + 0.5 * (band - GAP)] for j in range(len(names))]
-        places += [[(t - self._t[0]) / span * WIDTH, low + 12.0] for t in ticks]
+        places += [[x, low + 12.0] for x in self._across(np.array(ticks))]
         labels = [*names, *[f"{t:g} s" for t in ticks]]
         points: Any = rr.Points2D(
             places, labels=labels, radii=0.01, colors=[200, 208, 218], show_labels=True
         )
         stream.log(f"{entity}/picture", rr.Image(picture), static=True)
         stream.log(f"{entity}/names", points, static=True)
-        at = np.linspace(self._t[0], end, min(len(self._t), 10 * WIDTH))
-        x = (at - self._t[0]) / span * WIDTH
+
+    def log_cursor(self, stream: rr.RecordingStream, entity: str) -> None:
+        """Records the line that shows the time; it serves all heat maps of a run."""
+        low = height(len(self._names) * self._rules, self._coordinates)
+        at = np.array(self._t)[:: -(-len(self._t) // WIDTH)]
+        x = self._across(at)
         strips = np.stack([np.stack([x, 0 * x - 4.0], -1), np.stack([x, 0 * x + low + 4.0], -1)], 1)
         stamps = np.round(at * 1e9).astype("timedelta64[ns]")
+        look = rr.LineStrips2D.from_fields(colors=0xFFFFFFFF, radii=0.8)
+        stream.log(entity, look, static=True)
         columns = rr.LineStrips2D.columns(strips=strips.astype(np.float32))
-        stream.log(
-            f"{entity}/now", rr.LineStrips2D.from_fields(colors=0xFFFFFFFF, radii=0.8), static=True
-        )
-        stream.send_columns(f"{entity}/now", [rr.TimeColumn("t", duration=stamps)], columns)
+        stream.send_columns(entity, [rr.TimeColumn("t", duration=stamps)], columns)
+
+    def _changes(self) -> np.ndarray:
+        """Since the first instant, shape (coordinates, rules, WIDTH)."""
+        values = np.nan_to_num(np.stack(self._rows))
+        index = np.round(np.linspace(0, len(values) - 1, WIDTH)).astype(int)
+        return (values[index] - values[0]).T.reshape(self._coordinates, -1, WIDTH)
+
+    def _largest(self) -> np.ndarray:
+        """The largest change of each coordinate, shape (coordinates,)."""
+        return np.max(np.abs(self._changes()), axis=(1, 2))
+
+    def _across(self, t: np.ndarray) -> np.ndarray:
+        """Where instants [s] stand in the picture [pixel]."""
+        return (t - self._t[0]) / max(self._t[-1] - self._t[0], 1e-9) * WIDTH
 
 
 def _ticks(start: float, end: float) -> list[float]:

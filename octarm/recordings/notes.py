@@ -16,8 +16,11 @@ list of entities. A module is the brighter the more it is bent. Columns are red 
 push, white and thick where they pull. The pale sheath is the desired arm, the red line the last
 second of the tip beside its desired path. Violet arrows are the forces of disturbances, on the
 scale on which the arrow of gravity is the weight of the arm; what acts on a bend is a couple at the
-rim of its plate. A payload is a steel ball of its mass. What has a number a rule is recorded 60
-times a second, and the derivative of V and the error with single precision; run.npz has it all."""
+rim of its plate. A payload is a steel ball of its mass. V' is by how much the V that the controller
+reports changes. If the model were exact and nothing disturbed the arm, it would be at most s times
+the robust part; where it is above, model error or a disturbance feeds V. The error, s and the parts
+of the force have single precision here, E 60 rows a second, and of what has a number a rule there
+is a picture; run.npz has every bit of all at every instant."""
 
 
 def title_of(description: Mapping[str, Any]) -> str:
@@ -26,7 +29,9 @@ def title_of(description: Mapping[str, Any]) -> str:
     reference = description.get("reference", {}).get("name", "")
     names = [entry["name"] for entry in description.get("disturbances", [])]
     title = f"{controller} on {reference}" if controller and reference else "a run"
-    return f"{title}, {' + '.join(names)}" if names else title
+    title = f"{title}, {' + '.join(names)}" if names else title
+    episode = description.get("spawn_key")  # of a sweep
+    return f"{title}, seed {'-'.join(map(str, episode))}" if episode else title
 
 
 def notes_of(description: Mapping[str, Any]) -> dict[str, str]:

@@ -2,8 +2,13 @@
 
 What has a row a control instant stands in one entity, `signals`, as one structure of lists: one
 set of times for all of them makes the file half as large as an entity a plot would. Plots pick
-their lists by name, `.q_bends[]`. What has a number a rule, and the scene, are recorded 60 times a
-second.
+their lists by name, `.q_bends[]`. What adapts, in `adaptation`, and the scene are recorded 60 times
+a second; what has a number a rule, as a picture.
+
+An adaptive controller reports 121 numbers at an instant. With q, q_d and tau that is 11 MB for
+10 s at 1 kHz, which do not compress, for every bit is new; without the rules it is 4 MB still. So
+not everything is recorded with all its bits, see `octarm.recordings.channels`, and the scene is
+rounded to what can be seen. `run.npz` has all of it, with every bit, at every instant.
 """
 
 from __future__ import annotations
@@ -28,6 +33,7 @@ from octarm.recordings.scene import drawable
 from octarm.trajectory import Trajectory
 
 _FRAME_RATE = 60.0  # of the 3D scene [Hz]
+_FIRST_PICTURE = 20_000  # rows, after which numbers of rules are drawn although the run goes on
 _KNOWN = ("seed", "duration", "timestep", "control_period", "status", "digest", "command")
 _TABLES = ("controller", "parameters", "nominal", "reference", "disturbances", "metrics")
 
@@ -74,7 +80,7 @@ class RecordedRun:
         )
         self._heat_maps: dict[str, HeatMap] = {}
         self.channels: dict[str, Channel] = {}
-        self._count, self._stride = 0, 1
+        self._count, self._stride, self._next_picture = 0, 1, _FIRST_PICTURE
         self._start = self._end = 0.0
         self._planned = 0.0
         self._last: dict[str, np.ndarray] = {}
@@ -91,21 +97,25 @@ class RecordedRun:
         if not self._count:
             self._begin(rows)
         numbers = np.arange(self._count, self._count + len(rows))
-        self._log_signals(rows, numbers)
-        self._log_scene(rows, numbers)
+        chosen = numbers % self._stride == 0
+        self._log_signals(rows, chosen)
+        self._log_scene(rows, chosen)
         self._log_states(rows)
         self._count += len(rows)
         self._end = float(rows.t[-1])
+        if self._count >= self._next_picture:  # what a killed run leaves has one too
+            self._next_picture = 4 * self._count
+            self._draw_rules()
 
     def finish(self, description: Mapping[str, Any]) -> None:
         """Logs what is known when the run is over; `description` is now complete."""
         self._describe(description)
-        for name, heat_map in self._heat_maps.items():
-            heat_map.log(self._stream, f"{self._root}heat/{name}")
+        self._draw_rules()
         self._log_bounds(self._end)
-        if self._end < 0.9 * self._planned:
+        ended = description.get("status", "ok") != "ok"
+        if ended or self._end < 0.9 * self._planned:
             self._lay_out({**description, "duration": self._end})
-        if description.get("status", "ok") != "ok":
+        if ended:
             ending = (self._end, str(description["status"]))
             self._log_state("run", [(self._start, "running"), ending])
 
@@ -132,28 +142,30 @@ class RecordedRun:
 
     def _lay_out(self, description: Mapping[str, Any]) -> None:
         if not self._root:
-            lanes = "s" in self.channels or "tau" in self.bounds
+            coming = {event.lane for event in states.events(description.get("disturbances", []))}
+            lanes = ("switching" in self.channels) + ("tau" in self.bounds) + len(coming)
+            lanes += description.get("status", "ok") not in ("ok", "running")
             layout = blueprint(self.scene, self.channels, self.bounds, description, lanes)
             self._stream.send_blueprint(layout)
 
-    def _log_signals(self, rows: Trajectory, numbers: np.ndarray) -> None:
-        """Everything with a row an instant; numbers of rules at the rate of the scene."""
+    def _log_signals(self, rows: Trajectory, chosen: np.ndarray) -> None:
+        """Everything with a row an instant; what is slow only at the chosen ones."""
         values = values_of(rows, disturbed=self._disturbed)
-        values["error"] = values["error"].astype(np.float32)  # known from q and q_d exactly
-        full, few = {}, {}
-        chosen = numbers % self._stride == 0
+        full: dict[str, np.ndarray] = {}
+        slow: dict[str, np.ndarray] = {}
         for name, channel in self.channels.items():
             if channel.kind == "rules":
                 self._heat_maps[name].add(rows.t, values[name])
-                few |= channel.fields(values[name][chosen])
+            elif channel.entity == "adaptation":
+                slow |= channel.fields(values[name][chosen])
             else:
                 full |= channel.fields(values[name])
-        self._send("signals", rows.t, numbers, full | self._derived(rows))
-        if few and chosen.any():
-            self._send("rules", rows.t[chosen], numbers[chosen], few)
+        self._send("signals", rows.t, full | self._derived(rows))
+        if slow and chosen.any():
+            self._send("adaptation", rows.t[chosen], slow)
 
     def _derived(self, rows: Trajectory) -> dict[str, np.ndarray]:
-        """The rate of V, and what the robust part claims of it: s^T times that part [W]."""
+        """The rate of V, and its bound by (42) if the model were exact: s^T robust part [W]."""
         if "V" not in self.channels or rows.signals["V"].shape[1:] != (1,):
             return {}
         V, t = rows.signals["V"][:, 0], rows.t
@@ -168,8 +180,8 @@ class RecordedRun:
             found["V_claim"] = np.sum(s * robust, axis=1).astype(np.float32)  # pyright: ignore
         return found
 
-    def _log_scene(self, rows: Trajectory, numbers: np.ndarray) -> None:
-        chosen = (numbers % self._stride == 0) & drawable(rows.q) & drawable(rows.q_d)
+    def _log_scene(self, rows: Trajectory, chosen: np.ndarray) -> None:
+        chosen = chosen & drawable(rows.q) & drawable(rows.q_d)
         if not chosen.any():
             return
         disturbance = rows.disturbance[chosen] if self._disturbed else None
@@ -179,6 +191,13 @@ class RecordedRun:
         times = _times(rows.t[chosen])
         for entity, columns in moving.items():
             self._stream.send_columns(self._root + entity, times, columns)
+
+    def _draw_rules(self) -> None:
+        """The heat maps so far; later ones take the place of earlier ones."""
+        for name, heat_map in self._heat_maps.items():
+            heat_map.log(self._stream, f"{self._root}heat/{name}")
+        for heat_map in list(self._heat_maps.values())[:1]:
+            heat_map.log_cursor(self._stream, f"{self._root}heat/now")
 
     def _log_states(self, rows: Trajectory) -> None:
         for lane, changes in self._states.changes(rows.tau, rows.signals).items():
@@ -206,20 +225,19 @@ class RecordedRun:
             if name in self.channels:
                 parts = ("slides", "bends", "all")
                 table = {part: np.array([bound_lines(name, bound, part)]) for part in parts}
-                self._send(f"bounds/{name}", np.array([at]), None, table, "bounds")
+                self._send(f"bounds/{name}", np.array([at]), table, "bounds")
 
     def _send(
         self,
         entity: str,
         t: np.ndarray,
-        numbers: np.ndarray | None,
         fields: Mapping[str, np.ndarray],
         component: str = "",
     ) -> None:
         """Rows at times t [s] as one structure of lists, each of shape (T, k)."""
         table = pa.StructArray.from_arrays([_list(x) for x in fields.values()], names=list(fields))
         columns = rr.DynamicArchetype.columns("octarm", components={component or entity: table})
-        self._stream.send_columns(self._root + entity, _times(t, numbers), columns)
+        self._stream.send_columns(self._root + entity, _times(t), columns)
 
     def _describe(self, description: Mapping[str, Any]) -> None:
         if not self._root:
@@ -235,13 +253,13 @@ class RecordedRun:
             self._stream.log(self._root + entity, document, static=True)
 
 
-def _times(t: np.ndarray, numbers: np.ndarray | None = None) -> list[rr.TimeColumn]:
+def _times(t: np.ndarray) -> list[rr.TimeColumn]:
     stamps = np.round(t * 1e9).astype("timedelta64[ns]")  # rerun would truncate
-    steps = [] if numbers is None else [rr.TimeColumn("step", sequence=numbers)]
-    return [rr.TimeColumn("t", duration=stamps), *steps]
+    return [rr.TimeColumn("t", duration=stamps)]
 
 
 def _list(values: np.ndarray) -> pa.Array:
     """Numbers of shape (T,), or lists of numbers of shape (T, k), all of the same length."""
-    flat = pa.array(np.ascontiguousarray(values).ravel())
+    # Arrow takes the memory as it is; arrays in a file may begin at any byte of it.
+    flat = pa.array(np.require(values, requirements=["C", "ALIGNED"]).ravel())
     return flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])

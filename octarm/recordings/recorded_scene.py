@@ -1,7 +1,9 @@
 """The 3D scene as rerun's entities: what stays, and what moves.
 
 Almost everything is an instanced solid of which only places and turns change. All turns are about
-the world's y axis, so that an angle is all that is new in each frame.
+the world's y axis, so that an angle is all that is new in each frame. Places and angles are rounded
+to an eighth of a millimetre and a thousandth of a radian, which nobody sees: what comes again
+compresses.
 """
 
 from __future__ import annotations
@@ -41,7 +43,6 @@ class Scene:
         self.width = float(parameters.width)
         self.length = float(np.sum(parameters.rest_length))
         self.weight = float(np.sum(parameters.mass) * parameters.gravity)
-        self._piece = 1.5 * float(np.max(parameters.rest_length))
         self._tilt = _tilt(disturbances)
         self.payloads = [
             (float(entry["asked"]["mass"]), float(entry["asked"].get("at", 0.0)))
@@ -54,8 +55,6 @@ class Scene:
         """What of the scene stays the same, by entity."""
         n, w = self.modules, self.width
         solid: dict[str, Any] = {"fill_mode": "solid"}
-        sheath = self._piece / 1.5 / scene.RIBS
-        tube, column = self._piece / scene.PIECES, self._piece / scene.COLUMN_PIECES
         down = [self.weight_length() * math.sin(self._tilt), 0.0, 0.0]
         down[2] = -self.weight_length() * math.cos(self._tilt)
         lines = rr.LineStrips3D.from_fields
@@ -65,16 +64,13 @@ class Scene:
                 lengths=0.15 * w, radii=0.75 * w, centers=[0, 0, 0.075 * w], colors=_BASE, **solid
             ),
             "world/plates": rr.Cylinders3D(lengths=0.07 * w, radii=0.7 * w, colors=_PLATE, **solid),
-            "world/tube": rr.Cylinders3D(
-                lengths=[tube] * (n * scene.PIECES), radii=[0.27 * w] * (n * scene.PIECES), **solid
+            "world/tube": rr.Cylinders3D.from_fields(
+                radii=[0.27 * w] * (n * scene.PIECES), **solid
             ),
-            "world/columns": rr.Cylinders3D.from_fields(
-                lengths=[column] * (2 * n * scene.COLUMN_PIECES), **solid
-            ),
-            "world/desired": rr.Cylinders3D(
-                lengths=[sheath] * (n * scene.RIBS),
+            "world/columns": rr.Cylinders3D.from_fields(**solid),
+            "world/desired": rr.Cylinders3D.from_fields(
                 radii=[0.37 * w] * (n * scene.RIBS),
-                colors=[_GHOST] * (n * scene.RIBS),
+                colors=np.full(n * scene.RIBS, _GHOST, dtype=np.uint32),
                 **solid,
             ),
             "world/trail": lines(colors=_TRAIL, radii=0.025 * w),
@@ -89,9 +85,7 @@ class Scene:
             ),
         }
         if self.payloads:
-            masses = np.array([mass for mass, _ in self.payloads])
-            radii = np.cbrt(0.75 * masses / (math.pi * _STEEL))
-            out["world/payload"] = rr.Ellipsoids3D(radii=radii, colors=_PAYLOAD, **solid)
+            out["world/payload"] = rr.Ellipsoids3D.from_fields(colors=_PAYLOAD, **solid)
         return out
 
     def weight_length(self) -> float:
@@ -106,7 +100,15 @@ class Scene:
         tau: np.ndarray,
         disturbance: np.ndarray | None,
     ) -> dict[str, list[Any]]:
-        """What moves, by entity, each as columns for the T frames at times t [s]."""
+        """What moves, by entity, each as columns for T frames.
+
+        Args:
+            t: times, shape (T,) [s].
+            q: coordinates, shape (T, 2N) [m], [rad].
+            q_d: desired coordinates, shape (T, 2N) [m], [rad].
+            tau: input forces, shape (T, 2N) [N].
+            disturbance: generalised force that was added, shape (T, 2N) [N], [N m].
+        """
         count, w = len(t), self.width
         tip, wanted = scene.tip(q), scene.tip(q_d)
         before = (tip[0], wanted[0]) if self._before is None else self._before
@@ -116,25 +118,16 @@ class Scene:
         )
         self._before = tip[-1], wanted[-1]
         out: dict[str, list[Any]] = {
-            "world/tube": [*_poses(scene.tube(q)), *self._tube_colors(q)],
+            "world/tube": [*_solids(scene.tube(q)), *self._tube_colors(q)],
             "world/plates": _poses(scene.plates(q)),
-            "world/columns": [*_poses(scene.columns(q, w)), *self._column_looks(tau)],
-            "world/desired": _poses(scene.ribs(q_d)),
+            "world/columns": [*_solids(scene.columns(q, w)), *self._column_looks(tau)],
+            "world/desired": _solids(scene.ribs(q_d)),
             "world/trail": _strips(trail[:, None]),
             "world/desired_path": _strips(path[:, None]),
             "world/skeleton": _strips(scene.skeleton(q)[:, None]),
         }
         if self.payloads:
-            balls = len(self.payloads)
-            masses = np.array([mass for mass, _ in self.payloads])
-            begun = t[:, None] >= [at for _, at in self.payloads]
-            hang = np.cbrt(0.75 * masses / (math.pi * _STEEL)) + 0.035 * w
-            along = -np.sum(q[:, self.modules :], axis=1)[:, None]
-            places = np.stack([-np.sin(along), np.zeros_like(along), -np.cos(along)], axis=-1)
-            places = tip[:, None] + places * hang[:, None]
-            places = np.where(begun[..., None], places, [0.0, 0.0, 0.08 * w])  # inside the base
-            poses = rr.InstancePoses3D.columns(translations=places.reshape(-1, 3))
-            out["world/payload"] = [*poses.partition([balls] * count)]
+            out["world/payload"] = self._payloads(t, q, tip)
         if disturbance is not None:
             origins, forces = scene.force_arrows(q, disturbance, 0.95 * w)
             vectors = forces * (self.weight_length() / self.weight)
@@ -152,7 +145,7 @@ class Scene:
         """A camera in front of the arm, a little to the side, the same for every run of it."""
         reach = 1.12 * self.length + self.width
         middle = np.array([0.0, 0.0, 0.5 * self.width - 0.5 * reach])
-        position = middle + 1.05 * reach * np.array([0.33, -0.92, 0.16])
+        position = middle + 1.05 * reach * np.array([0.33, -0.94, -0.03])
         cursor = rr.TimeRangeBoundary.cursor_relative
 
         def around(before: float, after: float) -> rrb.VisibleTimeRanges:
@@ -173,6 +166,20 @@ class Scene:
             },
         )
 
+    def _payloads(self, t: np.ndarray, q: np.ndarray, tip: np.ndarray) -> list[Any]:
+        """Balls of steel below the last plate, of no size until they are there."""
+        masses = np.array([mass for mass, _ in self.payloads])
+        radii = np.cbrt(0.75 * masses / (math.pi * _STEEL))
+        along = -np.sum(q[:, self.modules :], axis=1)[:, None]
+        below = np.stack([-np.sin(along), np.zeros_like(along), -np.cos(along)], axis=-1)
+        places = tip[:, None] + below * (radii + 0.035 * self.width)[:, None]
+        begun = t[:, None] >= [at for _, at in self.payloads]
+        sizes = np.repeat((begun * radii)[..., None], 3, axis=-1)
+        balls = rr.Ellipsoids3D.columns(half_sizes=_rounded(sizes.reshape(-1, 3), 8192.0))
+        poses = rr.InstancePoses3D.columns(translations=_rounded(places.reshape(-1, 3), 8192.0))
+        counts = [len(masses)] * len(t)
+        return [*poses.partition(counts), *balls.partition(counts)]
+
     def _tube_colors(self, q: np.ndarray) -> list[Any]:
         """The colour of the module, the brighter the more it is bent."""
         n = self.modules
@@ -185,8 +192,8 @@ class Scene:
         size = np.tanh(tau / (0.8 * self.weight))[..., None]
         toward = np.where(size > 0.0, _PUSH, _PULL)
         colors = np.array(_RELAXED) + np.abs(size) ** 0.6 * (toward - np.array(_RELAXED))
-        radii = self.width * (0.055 + 0.075 * np.abs(size[..., 0]))
-        radii = np.repeat(radii, scene.COLUMN_PIECES, axis=1).astype(np.float32)
+        radii = _rounded(self.width * (0.055 + 0.075 * np.abs(size[..., 0])), 8192.0)
+        radii = np.repeat(radii, scene.COLUMN_PIECES, axis=1)
         sizes = rr.Cylinders3D.columns(radii=radii.reshape(-1))
         return [
             *sizes.partition([radii.shape[1]] * len(radii)),
@@ -196,22 +203,36 @@ class Scene:
 
 def _poses(pieces: scene.Pieces) -> list[Any]:
     frames, count = pieces.angles.shape
+    angles = _rounded(pieces.angles.ravel(), 1024.0)
     kind: Any = rr.components.RotationAxisAngleBatch._ARROW_DATATYPE
-    angles = pa.array(pieces.angles.ravel().astype(np.float32))
     axes = pa.array(np.tile(np.array([0.0, 1.0, 0.0], dtype=np.float32), len(angles)))
     turns = pa.StructArray.from_arrays(
-        [pa.FixedSizeListArray.from_arrays(axes, type=kind.field("axis").type), angles],
+        [pa.FixedSizeListArray.from_arrays(axes, type=kind.field("axis").type), pa.array(angles)],
         fields=[kind.field("axis"), kind.field("angle")],
     )
     poses = rr.InstancePoses3D.columns(
-        translations=pieces.centers.reshape(-1, 3), rotation_axis_angles=cast(Any, turns)
+        translations=_rounded(pieces.centers.reshape(-1, 3), 8192.0),
+        rotation_axis_angles=cast(Any, turns),
     )
     return [*poses.partition([count] * frames)]
 
 
+def _solids(pieces: scene.Pieces) -> list[Any]:
+    """Cylinders that overlap a little, so that there is no gap where they bend."""
+    frames, count = pieces.lengths.shape
+    lengths = _rounded(1.08 * pieces.lengths.ravel(), 1024.0)
+    columns = rr.Cylinders3D.columns(lengths=lengths)
+    return [*_poses(pieces), *columns.partition([count] * frames)]
+
+
+def _rounded(values: np.ndarray, parts: float) -> np.ndarray:
+    """Single precision, to that part of one."""
+    return (np.round(values * parts) / parts).astype(np.float32)
+
+
 def _strips(curves: np.ndarray) -> list[Any]:
     frames, count, *shape = curves.shape
-    strips = curves.reshape(-1, *shape).astype(np.float32)
+    strips = _rounded(curves.reshape(-1, *shape), 8192.0)
     return [*rr.LineStrips3D.columns(strips=strips).partition([count] * frames)]
 
 

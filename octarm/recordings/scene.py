@@ -21,7 +21,7 @@ from octarm.model import world_position
 
 PIECES = 6  # of the tube, a module
 COLUMN_PIECES = 4
-RIBS = 5  # of the desired arm, a module
+RIBS = 4  # of the desired arm, a module
 _LONGEST = 100.0  # [m], [rad]; beyond it a coordinate cannot be drawn
 
 
@@ -32,10 +32,12 @@ class Pieces(NamedTuple):
         centers: in the world frame, shape (..., pieces, 3) [m].
         angles: by which a turn about the world's y axis takes z along the piece, shape
             (..., pieces) [rad].
+        lengths: shape (..., pieces) [m].
     """
 
     centers: np.ndarray
     angles: np.ndarray
+    lengths: np.ndarray
 
 
 def drawable(q: np.ndarray) -> np.ndarray:
@@ -68,25 +70,28 @@ def smooth_arm(q: np.ndarray, offset: float = 0.0, points: int = 12) -> np.ndarr
 
 
 def tube(q: np.ndarray) -> Pieces:
-    """The backbone in `PIECES` pieces a module, from the base to the tip."""
+    """The backbone for q of shape (..., 2N), in `PIECES` pieces a module, from base to tip."""
     return _pieces(smooth_arm(q, points=PIECES + 1), q)
 
 
 def columns(q: np.ndarray, width: float) -> Pieces:
-    """Columns 1 and 2 of each module, in the order of tau, in `COLUMN_PIECES` pieces each."""
+    """Columns 1 and 2 of each module for q of shape (..., 2N), in `COLUMN_PIECES` pieces each.
+
+    They are in the order of tau.
+    """
     sides = [smooth_arm(q, side * width, COLUMN_PIECES + 1) for side in (-0.5, 0.5)]
     return _pieces(np.stack(sides, axis=-3), q)
 
 
 def ribs(q: np.ndarray) -> Pieces:
-    """The backbone in `RIBS` pieces a module."""
+    """The backbone for q of shape (..., 2N), in `RIBS` pieces a module."""
     return _pieces(smooth_arm(q, points=RIBS + 1), q)
 
 
 def plates(q: np.ndarray) -> Pieces:
-    """The plates at the ends of the modules, which face along the arm."""
+    """The plates at the ends of the modules for q of shape (..., 2N); they face along the arm."""
     angles = np.pi - np.cumsum(q[..., q.shape[-1] // 2 :], axis=-1)
-    return Pieces(world_position(positions(q)), angles)
+    return Pieces(world_position(positions(q)), angles, np.zeros_like(angles))
 
 
 def tip(q: np.ndarray) -> np.ndarray:
@@ -131,4 +136,6 @@ def _pieces(curve: np.ndarray, q: np.ndarray) -> Pieces:
     step = np.diff(curve, axis=-2)
     centers = 0.5 * (curve[..., 1:, :] + curve[..., :-1, :])
     angles = np.arctan2(step[..., 0], step[..., 2])
-    return Pieces(centers.reshape(*q.shape[:-1], -1, 3), angles.reshape(*q.shape[:-1], -1))
+    lengths = np.linalg.norm(step, axis=-1)
+    flat = (*q.shape[:-1], -1)
+    return Pieces(centers.reshape(*flat, 3), angles.reshape(flat), lengths.reshape(flat))

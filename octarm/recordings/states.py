@@ -30,9 +30,9 @@ class Event(NamedTuple):
 class States:
     """Watches a run block by block and reports the changes of state, for each lane of a timeline.
 
-    A coordinate is `sliding` while |s| <= phi; without a boundary layer it is from the instant at
-    which s first has another sign than at the start. The inputs are `saturated` while one of them
-    is at its limit.
+    Of a controller with a robust part, `switching`, a coordinate is `sliding` while |s| <= phi;
+    without a boundary layer it is from the instant at which s first has another sign than at the
+    start. The inputs are `saturated` while one of them is at its limit.
     """
 
     def __init__(self, names: list[str], phi: np.ndarray | None, limit: np.ndarray | None) -> None:
@@ -46,9 +46,14 @@ class States:
     def changes(
         self, tau: np.ndarray, signals: Mapping[str, np.ndarray]
     ) -> dict[str, list[tuple[int, str]]]:
-        """Rows of this block at which a lane changes, and its new state."""
+        """Rows of this block at which a lane changes, and its new state.
+
+        Args:
+            tau: input forces, shape (k, 2N) [N].
+            signals: the controller's, each of shape (k, ...).
+        """
         flags: dict[str, tuple[np.ndarray, str, str]] = {}
-        s = signals.get("s")
+        s = signals.get("s") if "switching" in signals else None  # else s is but a filtered error
         if s is not None and s.shape[1:] == (len(self._names),):
             inside = self._sliding(s)
             flags["surface"] = np.asarray(inside.all(axis=1)), "reaching", "sliding"

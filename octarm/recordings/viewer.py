@@ -87,18 +87,30 @@ def rescue(partial: str | os.PathLike[str], path: str | os.PathLike[str]) -> Non
     """
     from octarm.recording import time_axes  # imports rerun, which takes half a second
 
-    def rrd(*arguments: str) -> None:
-        command = [str(_executable()), "rrd", *arguments]
-        done = subprocess.run(command, capture_output=True, env=_environment(), check=False)
-        if done.returncode:
-            raise RuntimeError(f"nothing can be read of {partial}")
-
     with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
         whole = os.path.join(scratch, "whole.rrd")
-        rrd("merge", "--continue-on-error", str(partial), "-o", whole)
+        _rrd(partial, "merge", "--continue-on-error", str(partial), "-o", whole)
         dropped = [item for axis in time_axes(whole) for item in ("--drop-entity", axis)]
-        rrd("filter", *dropped, whole, "-o", str(path))
+        _rrd(partial, "filter", *dropped, whole, "-o", str(path))
     end_of(path)
+
+
+def listed(recording: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
+    """Writes a recording as one of several, for which the viewer keeps its list of them open.
+
+    Raises:
+        RuntimeError: if it cannot be read.
+    """
+    arguments = ("--drop-entity", "/blueprint_panel", str(recording), "-o", str(path))
+    _rrd(recording, "filter", *arguments)
+
+
+def _rrd(recording: str | os.PathLike[str], *arguments: str) -> None:
+    """A command of rerun on a recording."""
+    command = [str(_executable()), "rrd", *arguments]
+    done = subprocess.run(command, capture_output=True, env=_environment(), check=False)
+    if done.returncode:
+        raise RuntimeError(f"nothing can be read of {recording}")
 
 
 def end_of(path: str | os.PathLike[str]) -> float:
@@ -116,6 +128,7 @@ def screenshot(
     recording: str | os.PathLike[str],
     png: str | os.PathLike[str],
     *,
+    others: Iterable[str | os.PathLike[str]] = (),
     time: float | None = None,
     size: tuple[int, int] = (1600, 900),
     timeout: float = 60.0,
@@ -127,6 +140,7 @@ def screenshot(
     Args:
         recording: an `.rrd` file.
         png: the picture; its folder must exist.
+        others: further recordings that are open; see `listed`.
         time: instant to show [s]; the first one if None.
         size: width and height [pixel].
         timeout: how long to wait for the viewer [s].
@@ -135,9 +149,9 @@ def screenshot(
         OSError: if the recording does not exist, or the picture cannot be written.
         RuntimeError: if there is no Vulkan driver, or the viewer fails.
     """
-    file = _existing(recording)
+    files = [_existing(path) for path in (*others, recording)]
     window = ["--headless", "--window-size", f"{size[0]}x{size[1]}"]
-    with whole_file(png) as part, _viewer([*window, file]) as (process, url, errors):
+    with whole_file(png) as part, _viewer([*window, *files]) as (process, url, errors):
         try:
             picture = _capture(process, url, time, timeout)
         except (OSError, RuntimeError) as error:

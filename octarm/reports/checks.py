@@ -98,7 +98,7 @@ def _implausible(episodes: Episodes) -> Iterator[Finding]:
 
 def _counts(episodes: Episodes, which: np.ndarray) -> str:
     """How many episodes of each controller there are in words, those with none left out."""
-    told = []
+    told: list[str] = []
     for i, name in enumerate(episodes.controllers):
         own = episodes.controller == i
         if count := int(np.sum(own & which)):

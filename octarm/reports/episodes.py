@@ -24,6 +24,7 @@ from octarm.reports.measures import (
     read_values,
 )
 from octarm.sweeps.folder import read_manifest, read_sweep
+from octarm.sweeps.spec import which
 
 _FEWEST, _MOST_RANGES = 4, 6  # values in a range of a drawn axis, and ranges
 
@@ -120,10 +121,12 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
     names = [key.partition(".")[2] for key in spec if key.startswith(("grid.", "random."))]
     names.remove("controller")
     base = read_sweep(folder, ["controller", "seed", "status", "digest", *names])
-    units = metric_units(folder, manifest)
+    units = metric_units(folder)
     controller = _codes(as_array(base["controller"]), controllers)
     diverged = as_array(base["status"]) == "diverged"
-    measures, columns, absent = [], [], []
+    measures: list[Measure] = []
+    columns: list[np.ndarray] = []
+    absent: list[str] = []
     for name in dict.fromkeys(metrics or DEFAULT):
         found = measures_of(name, units, spec)
         absent += [] if found else [name]
@@ -156,7 +159,7 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
 
 def _axes(table: pa.Table, spec: Mapping[str, Any], names: Sequence[str]) -> list[Axis]:
     """The axes that take more than one value."""
-    found = []
+    found: list[Axis] = []
     for name in names:
         column, unit = as_array(table[name]), _unit(name)
         if f"random.{name}" in spec:
@@ -199,9 +202,10 @@ def _drawn(name: str, unit: str, column: np.ndarray) -> list[Axis]:
 def _unit(axis: str) -> str:
     """The unit of a disturbance's field; empty for ratios and words."""
     name, _, key = axis.removeprefix("disturbance.").partition(".")
-    if axis == "mismatch" or name not in DISTURBANCES:
+    kind = which(name).kind
+    if axis == "mismatch" or kind not in DISTURBANCES:
         return ""
-    kinds = field_kinds(DISTURBANCES[name])
+    kinds = field_kinds(DISTURBANCES[kind])
     spoken = {kind.key or field: kind for field, kind in kinds.items()}
     unit = spoken[key or next(iter(spoken))].unit if not key or key in spoken else ""
     return "" if unit == "1" else unit

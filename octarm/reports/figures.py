@@ -251,10 +251,11 @@ def _failures(report: Report) -> Figure:
     for axis, ax in zip(axes or (None,), panels, strict=True):
         places = np.zeros(1) if axis is None else axis.places
         step = 1.0 if len(places) < 2 else float(np.min(np.diff(places)))
+        step *= 0.6 * min(1.0, len(names) / 6.0)
         for c, name in enumerate(names):
             own = [entry for entry in report.of(axis) if entry.controller == name]
             value, low, high = 100.0 * np.array([entry.failures for entry in own]).T
-            x = places + 0.6 * step * _shift(c, len(names))
+            x = places + step * _shift(c, len(names))
             color, marker = COLORS[c % len(COLORS)], MARKERS[c % len(MARKERS)]
             ax.vlines(x, low, high, color=color, linewidth=1.0, alpha=0.7)
             if axis is not None and axis.scaled:

@@ -66,7 +66,14 @@ class Entry(NamedTuple):
 
 
 class Cells(NamedTuple):
-    """Medians over a grid of two axes, shape (C, M, K1, K2); NaN where there is no episode."""
+    """Medians over a grid of two axes.
+
+    Attributes:
+        first: the axis of K1 values.
+        second: the axis of K2 values.
+        medians: of C controllers and M metrics, shape (C, M, K1, K2); NaN where there is no
+            episode.
+    """
 
     first: Axis
     second: Axis
@@ -108,7 +115,7 @@ def make_report(episodes: Episodes, baseline: str | None = None) -> Report:
         raise ValueError(f"the sweep has no controller {baseline!r}{closest(baseline, names)}")
     chosen = baseline or (names[0] if len(names) > 1 else "")
     partner = partners(episodes, chosen) if chosen else None
-    entries = []
+    entries: list[Entry] = []
     for axis in (None, *episodes.axes):
         for place in range(1 if axis is None else len(axis.labels)):
             here = np.ones_like(episodes.seed, bool) if axis is None else axis.code == place
@@ -226,7 +233,7 @@ def _where(entry: Entry) -> tuple[str, str, str]:
     return ("all" if entry.axis is None else entry.axis.name), entry.label, entry.controller
 
 
-def _median_rows(report: Report) -> Iterator[tuple]:
+def _median_rows(report: Report) -> Iterator[tuple[Any, ...]]:
     for entry in report.entries:
         for j, measure in enumerate(report.episodes.measures):
             interval = (x[j] for x in entry.medians)
@@ -234,12 +241,12 @@ def _median_rows(report: Report) -> Iterator[tuple]:
             yield (*_where(entry), measure.name, measure.unit, *counts, *interval)
 
 
-def _failure_rows(report: Report) -> Iterator[tuple]:
+def _failure_rows(report: Report) -> Iterator[tuple[Any, ...]]:
     for entry in report.entries:
         yield (*_where(entry), entry.episodes, entry.failed, *entry.failures)
 
 
-def _difference_rows(report: Report) -> Iterator[tuple]:
+def _difference_rows(report: Report) -> Iterator[tuple[Any, ...]]:
     for entry in report.entries:
         if (c := entry.comparison) is None:
             continue
@@ -259,18 +266,19 @@ def outcomes(measure: Measure, comparison: Comparison, j: int) -> tuple[Any, Any
     return int(comparison.measured.won[j]), int(comparison.measured.lost[j])
 
 
-def _cell_rows(report: Report) -> Iterator[tuple]:
+def _cell_rows(report: Report) -> Iterator[tuple[Any, ...]]:
     names, measures = report.episodes.controllers, report.episodes.measures
     for cells in report.cells:
-        for c, m, i, k in np.ndindex(*cells.medians.shape):
+        for place in np.ndindex(*cells.medians.shape):
+            c, m, i, k = map(int, place)
             places = (cells.first.name, cells.first.labels[i], cells.second.name)
-            value = cells.medians[c, m, i, k]
+            value = cells.medians[place]
             yield (
                 *places, cells.second.labels[k], names[c], measures[m].name, measures[m].unit, value
             )  # fmt: skip
 
 
-def _csv(header: tuple[str, ...], rows: Iterable[tuple]) -> str:
+def _csv(header: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from octarm.errors import closest
 from octarm.metrics import METRICS, SETTLED_AFTER
 from octarm.references import REFERENCES, named_reference
-from octarm.sweeps.folder import read_sweep
+from octarm.sweeps.folder import read_schema, read_sweep
+from octarm.sweeps.shard_file import metadata_of
 
 DEFAULT = ("rms_error", "tip_rms_error", "chattering", "effort", "overshoot")
 
@@ -106,13 +106,11 @@ def offset(reference: str, rest: np.ndarray, duration: float, begin: float = 0.0
     return np.sqrt(np.mean(np.broadcast_to(squares, (1000, *rest.shape)), axis=0))
 
 
-def metric_units(folder: Path, manifest: Mapping[str, Any]) -> dict[str, str]:
+def metric_units(folder: Path) -> dict[str, str]:
     """The columns of metrics in the table, with their units."""
-    files = [folder / shard["file"] for shard in manifest["shards"]]
-    schema = pq.read_schema(next(file for file in files if file.is_file()))
     return {
-        field.name: (field.metadata or {}).get(b"unit", b"").decode()
-        for field in schema
+        field.name: metadata_of(field).get(b"unit", b"").decode()
+        for field in read_schema(folder)
         if _metric(field.name)
     }
 
@@ -167,7 +165,7 @@ def read_suspects(
 
 
 def as_array(column: pa.ChunkedArray) -> np.ndarray:
-    """A column as an array; words as Python strings, what there is not as NaN."""
+    """A column as an array of shape (rows,); words as strings, what there is not as NaN."""
     if pa.types.is_string(column.type):
         return np.asarray(column.to_pylist(), dtype=np.str_)
     return column.to_numpy()

@@ -141,5 +141,5 @@ def _reproduce(report: Report, source: Source) -> str:
         "The first command makes the table again; with the same versions on the same kind of "
         "machine bit for bit. The second makes this page and what lies beside it."
     )
-    identity = f"The spec's hash is {report.episodes.manifest.get('spec_hash', 'unknown')}."
+    identity = f"The spec's hash is {report.episodes.manifest['spec_hash']}."
     return f"<pre>{escaped(commands)}</pre>\n<p>{escaped(text)} {escaped(identity)}</p>"

@@ -126,7 +126,7 @@ def value_axis(ax: Axes, measure: Measure, scale: Scale) -> None:
 
 
 def choose_scale(ax: Axes, which: str, values: np.ndarray, *, signed: bool) -> None:
-    """Logarithmic when values are positive and of very different size; else from zero on."""
+    """Logarithmic when values, of any shape, are positive and very different; else from zero on."""
     known = values[np.isfinite(values)]
     direction = getattr(ax, f"{which}axis")
     if not known.size:
@@ -145,7 +145,11 @@ def logarithmic_ticks(direction: XAxis | YAxis, low: float, high: float) -> None
     """Ticks without powers: at 1, 2 and 5 when there are few decades."""
     few = high <= 100.0 * low
     direction.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
-    direction.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+    def told(value: float, _: int | None = None) -> str:
+        return f"{value:g}"
+
+    direction.set_major_formatter(FuncFormatter(told))
     direction.set_minor_locator(NullLocator())
 
 

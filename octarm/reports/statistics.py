@@ -193,7 +193,7 @@ def _percentiles(drawn: np.ndarray, confidence: float) -> tuple[np.ndarray, np.n
     known = np.sum(~np.isnan(drawn), axis=0)
     tail = 0.5 * (1.0 - confidence)
     last = np.maximum(known - 1, 0)
-    columns = np.arange(drawn.shape[1])
+    columns = np.arange(int(drawn.shape[1]))
     low = ordered[np.floor(tail * last + 1e-9).astype(int), columns]
     high = ordered[np.ceil((1.0 - tail) * last - 1e-9).astype(int), columns]
     return low, high

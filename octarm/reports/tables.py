@@ -73,7 +73,8 @@ class Tables:
     def _medians(self, axis: Axis | None, entries: Sequence[Entry]) -> str:
         head = _axis_heading(axis) + '<th class="left">controller</th><th>episodes</th>'
         head += "<th>diverged<small>95 % interval</small></th>" + self._headings()
-        rows, names = [], self._report.episodes.controllers
+        rows: list[str] = []
+        names = self._report.episodes.controllers
         for entry in entries:
             cells = [self._where(axis, entry), f"<td>{entry.episodes}</td>", _failed(entry)]
             best = self._best([e for e in entries if e.place == entry.place])
@@ -87,9 +88,9 @@ class Tables:
 
     def _differences(self, axis: Axis | None, entries: Sequence[Entry]) -> str:
         head = _axis_heading(axis) + '<th class="left">controller</th>'
-        head += "<th>pairs<small>diverged: this, other, both</small></th>"
+        head += "<th>pairs<small>diverged: this,<br/>other, both</small></th>"
         head += self._headings()
-        rows = []
+        rows: list[str] = []
         names = [n for n in self._report.episodes.controllers if n != self._report.baseline]
         for entry in entries:
             if (c := entry.comparison) is None:
@@ -112,7 +113,7 @@ class Tables:
         return _table(head, rows, caption)
 
     def _headings(self) -> str:
-        cells = []
+        cells: list[str] = []
         for measure, scale in zip(self._measures, self._scales, strict=True):
             words, _, subject = label_of(measure).partition(", ")
             unit = f" [{scale.unit}]" if scale.unit else ""
@@ -128,7 +129,7 @@ class Tables:
 
     def _best(self, entries: Sequence[Entry]) -> list[float]:
         """The best median of each measure; NaN where there is nothing to be best at."""
-        best = []
+        best: list[float] = []
         for j, measure in enumerate(self._measures):
             known = [float(e.medians.value[j]) for e in entries if np.isfinite(e.medians.value[j])]
             if not known or not measure.sign or len(entries) < 2:

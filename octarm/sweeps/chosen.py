@@ -17,12 +17,13 @@ from octarm.digest import StateDigest
 from octarm.environment import whole_periods
 from octarm.experiment import Experiment, Factory, run_into
 from octarm.model import nominal_parameters
+from octarm.sweeps.folder import RECORDED
+from octarm.sweeps.gain_sets import of_sets
 from octarm.sweeps.plan import Plan
 from octarm.trajectory import Trajectory
 
 METRIC = "tip_rms_error"  # one number an arm: by it episodes are the worst or the median ones
 COLUMNS = ("episode", "controller", "status", "diverged_at", METRIC)
-RECORDED = "recorded"  # folder in that of the sweep
 
 
 class Choice(NamedTuple):
@@ -56,7 +57,8 @@ def choose(table: pa.Table, record: Sequence[int | str]) -> Choice:
     episodes, controllers, status, lost, size = (
         table[name].to_numpy(zero_copy_only=False) for name in COLUMNS
     )
-    found, notes = [], []
+    found: list[tuple[int, str]] = []
+    notes: list[str] = []
     for word in record:
         if isinstance(word, int):
             if word not in episodes:
@@ -117,13 +119,13 @@ def record_chosen(
         OSError: if a folder cannot be written.
         KeyboardInterrupt: if interrupted; finished folders stay.
     """
-    different = {}
+    different: dict[int, str] = {}
     for episode, words in reasons.items():
         folder = sweep.path / RECORDED / f"{episode}-{'-'.join(words)}"
         if _is_there(folder, episode):
             continue
         experiment = experiment_of(sweep.plan, episode)
-        environment, controller = experiment.begin(factory)
+        environment, controller = experiment.begin(of_sets(factory, sweep.plan.spec))
         announced = experiment.announcement(environment, controller)
         periods = whole_periods(experiment.duration, environment.control_timestep())
         begin(periods, f"recording episode {episode} ({', '.join(words)})")

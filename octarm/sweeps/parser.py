@@ -1,10 +1,30 @@
-"""A sweep's TOML file, checked word by word before anything happens."""
+"""A sweep's TOML file, checked word by word before anything happens.
+
+At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep`, `control_period`
+[s], `actuation`, `batch` and `gain_set`, and `controller`, `reference` and `mismatch` where they
+have one value. The tables are:
+
+- `[grid]`: `controller`, `reference` and `mismatch` as lists;
+- `[grid.disturbance]`: lists of values of disturbances, spelt as on the command line: `noise` for
+  the value that goes without a key there, `noise.time` for one with a key;
+- `[random]` with `mismatch`, and `[random.disturbance]`: what is drawn for each seed,
+  `payload = { low = 0.0, high = 0.2, method = "sobol" }`; `uniform` is the usual method;
+- `[disturbance]`: what is the same in all episodes, `noise.time = 0.01`;
+- `[gains.NAME]`: gains of a controller;
+- `[record]`: `episodes`, a list of numbers, `"worst"`, `"median"` and `"diverged"`.
+
+A further disturbance of the same class has its number behind its name, from 2 on: `pulse-2`,
+`noise-2.time`. It has columns and random numbers of its own.
+
+The gain set is `"tuned"`, `"recommended"` or a file of `octarm tune`, beside the spec, for all
+controllers; or there is a table `[gain_set]` with one of these for each. Gains of a file become
+part of the spec that the sweep keeps.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,8 +36,10 @@ from octarm.effects.episode import field_kinds
 from octarm.effects.fields import Words
 from octarm.errors import closest
 from octarm.references import REFERENCES
-from octarm.sweeps.spec import Axis, RandomAxis, SweepSpec, Value
-from octarm.toml_table import Source, Table, floats, is_number, shown
+from octarm.sweeps.gain_sets import parse_gains
+from octarm.sweeps.spec import Axis, RandomAxis, SweepSpec, Value, which
+from octarm.sweeps.spelling import spoken
+from octarm.toml_table import Source, Table, floats, is_number, items, shown
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
 METHODS = ("uniform", "sobol")
@@ -52,6 +74,8 @@ def parse_spec(text: str, file: str = "spec.toml") -> SweepSpec:
     source = Source(text, file)
     top = source.table()
     axes = _axes(top, top.table("grid"), top.table("random"))
+    names = [str(v) for a in axes if a.name == "controller" for v in a.probes]
+    chosen = parse_gains(top, names, Path(file).parent)
     spec = SweepSpec(
         axes=tuple(axis for axis in axes if isinstance(axis, Axis)),
         random=tuple(axis for axis in axes if isinstance(axis, RandomAxis)),
@@ -63,52 +87,16 @@ def parse_spec(text: str, file: str = "spec.toml") -> SweepSpec:
         actuation=top.word("actuation", ACTUATIONS, "f-coeff"),
         batch=top.whole("batch", 1024, at_least=1),
         fixed=_fixed(top.table("disturbance"), axes),
-        gains=_gains(top.table("gains")),
+        gain_sets=chosen.sets,
+        gains=chosen.gains,
         record=_record(top.table("record")),
         text=text,
+        alone=chosen.alone,
     )
     top.done()
-    for name in spec.gains:
-        if name not in spec.controllers:
-            raise top.error(
-                f"gains of {name!r}, which is no controller of this sweep"
-                f"{closest(name, spec.controllers)}",
-                "gains",
-                name,
-            )
     for name in spec.disturbances:
         _try(spec, name, source)
     return spec
-
-
-def as_toml(spec: SweepSpec) -> str:
-    """A file that `parse_spec` makes this spec of."""
-
-    def rows(kind: type) -> dict[str, list[str]]:
-        """The lines of the axes of one kind: controller and such, and disturbances."""
-        out: dict[str, list[str]] = {"": [], ".disturbance": []}
-        for axis in (*spec.axes, *spec.random):
-            if isinstance(axis, kind):
-                key = _spelt(axis.disturbance, axis.field) if axis.disturbance else axis.name
-                value = _toml_axis(axis)
-                out[".disturbance" if axis.disturbance else ""].append(f"{key} = {value}")
-        return out
-
-    plain = ("seed", "episodes", "duration", "timestep", "control_period", "actuation", "batch")
-    given = {name: getattr(spec, name) for name in plain}
-    sections = {"": [f"{name} = {_toml(v)}" for name, v in given.items() if v is not None]}
-    for heading, kind in (("grid", Axis), ("random", RandomAxis)):
-        sections |= {f"{heading}{place}": lines for place, lines in rows(kind).items()}
-    sections["disturbance"] = [
-        f"{_spelt(name, field)} = {_toml(value)}"
-        for name, fields in spec.fixed.items()
-        for field, value in fields.items()
-    ]
-    for name, gains in spec.gains.items():
-        sections[f"gains.{name}"] = [f"{gain} = {_toml(value)}" for gain, value in gains.items()]
-    sections["record"] = [f"episodes = {_toml(list(spec.record))}"]
-    blocks = ["\n".join([f"[{k}]"] * bool(k) + lines) for k, lines in sections.items() if lines]
-    return "\n\n".join(blocks) + "\n"
 
 
 def _axes(top: Table, grid: Table, drawn: Table) -> list[Axis | RandomAxis]:
@@ -120,7 +108,7 @@ def _axes(top: Table, grid: Table, drawn: Table) -> list[Axis | RandomAxis]:
             Axis(name=entry.column, values=values, disturbance=entry.name, field=entry.field)
         )
     for entry in _entries(drawn.table("disturbance")):
-        if isinstance(field_kinds(DISTURBANCES[entry.name])[entry.field], Words):
+        if isinstance(field_kinds(DISTURBANCES[which(entry.name).kind])[entry.field], Words):
             raise entry.table.error(f"{entry.column} is made of words: it cannot be drawn")
         if entry.column in [axis.name for axis in found]:
             raise entry.table.error(f"{entry.column} is an axis of the grid, too", *entry.keys)
@@ -130,10 +118,12 @@ def _axes(top: Table, grid: Table, drawn: Table) -> list[Axis | RandomAxis]:
     drawn.done()
     order = list(DISTURBANCES)
 
-    def rank(axis: Axis | RandomAxis) -> tuple[bool, int, str]:
+    def rank(axis: Axis | RandomAxis) -> tuple[bool, int, int, str]:
         shared = not (isinstance(axis, Axis) and axis.words)
-        own = _OWN.index(axis.name) - len(_OWN) if axis.name in _OWN else 0
-        return shared, own or order.index(axis.disturbance), axis.field
+        if axis.name in _OWN:
+            return shared, _OWN.index(axis.name) - len(_OWN), 0, ""
+        kind, place = which(axis.disturbance)
+        return shared, order.index(kind), place, axis.field
 
     return sorted(found, key=rank)
 
@@ -187,13 +177,14 @@ class _Entry(NamedTuple):
 def _entries(table: Table) -> Iterator[_Entry]:
     """The fields of disturbances in a table."""
     for name, value in table.data.items():
-        if name not in DISTURBANCES:
+        if which(name).kind not in DISTURBANCES:
             raise table.error(f"unknown disturbance {name!r}{closest(name, DISTURBANCES)}", name)
-        fields = _spoken(name)
+        fields = spoken(name)
         first = next(iter(fields))
-        by_key = isinstance(value, dict) and not (value and set(value) <= _BOUNDS)
+        keys: set[str] = set(table.table(name).data) if isinstance(value, dict) else _BOUNDS
+        by_key = not keys or not keys <= _BOUNDS
         inner = table.table(name) if by_key else table
-        for key, own in value.items() if by_key else [(first, value)]:
+        for key, own in dict[str, Any](inner.data if by_key else {first: value}).items():
             if key not in fields:
                 raise inner.error(f"{name} has no key {key!r}{closest(key, fields)}", key)
             column = name if key == first else f"{name}.{key}"
@@ -201,25 +192,20 @@ def _entries(table: Table) -> Iterator[_Entry]:
             yield _Entry(name, fields[key], column, own, inner, (key if by_key else name,))
 
 
-def _spoken(disturbance: str) -> dict[str, str]:
-    """The fields of a disturbance as the code spells them, by how files do."""
-    kinds = field_kinds(DISTURBANCES[disturbance])
-    return {kind.key or field: field for field, kind in kinds.items()}
-
-
 def _values(table: Table, keys: tuple[str, ...], values: Any) -> tuple[Value, ...]:
     """The values of an axis of the grid."""
     name = keys[-1]
-    if not isinstance(values, list) or not values:
+    listed = items(values)
+    if not listed:
         raise table.error(f"{name} is {shown(values)}; it must be a list with a value", *keys)
-    for value in values:
+    for value in listed:
         if not is_number(value) and not isinstance(value, str):
             raise table.error(f"{name} holds {shown(value)}; it must hold numbers or words", *keys)
-    if len({isinstance(value, str) for value in values}) > 1:
+    if len({isinstance(value, str) for value in listed}) > 1:
         raise table.error(f"{name} holds both numbers and words", *keys)
-    if len(set(values)) < len(values):
+    if len(set(listed)) < len(listed):
         raise table.error(f"{name} holds the same value twice", *keys)
-    return tuple(floats(values))
+    return tuple(floats(listed))
 
 
 def _random_axis(table: Table, keys: tuple[str, ...], column: str) -> RandomAxis:
@@ -249,25 +235,14 @@ def _fixed(table: Table, axes: list[Axis | RandomAxis]) -> dict[str, dict[str, A
     return found
 
 
-def _gains(table: Table) -> dict[str, dict[str, Any]]:
-    for name in table.data:
-        own = table.table(name)
-        for gain, value in own.data.items():
-            numbers = value if isinstance(value, list) else [value]
-            if not numbers or not all(map(is_number, numbers)):
-                raise own.error(
-                    f"{gain} is {shown(value)}; a gain is one number, or one a coordinate", gain
-                )
-    return {name: {k: floats(v) for k, v in own.items()} for name, own in table.data.items()}
-
-
 def _record(table: Table) -> tuple[int | str, ...]:
-    episodes = table.take("episodes")
+    given = table.take("episodes")
     table.done()
-    if episodes is None:
+    if given is None:
         return ()
-    if not isinstance(episodes, list):
-        raise table.error(f"episodes is {shown(episodes)}; it must be a list", "episodes")
+    episodes = items(given)
+    if episodes is None:
+        raise table.error(f"episodes is {shown(given)}; it must be a list", "episodes")
     for value in episodes:
         number = isinstance(value, int) and not isinstance(value, bool) and value >= 0
         if not number and value not in RECORDED:
@@ -288,12 +263,16 @@ def _try(spec: SweepSpec, name: str, source: Source) -> None:
     fixed = dict(spec.fixed.get(name, {}))
     places = [("grid" if isinstance(axis, Axis) else "random", "disturbance") for axis in axes]
     place = source.where(*(places[0] if places else ("disturbance",)), name)
-    cls = DISTURBANCES[name]
+    kind, number = which(name)
+    before = kind if number == 2 else f"{kind}-{number - 1}"
+    if number > 1 and before not in spec.disturbances:
+        raise ValueError(f"{place}: there is a {name}, but no {before}")
+    cls = DISTURBANCES[kind]
     given = {*fixed, *(axis.field for axis in axes)}
-    for spoken, field in _spoken(name).items():
+    for key, field in spoken(name).items():
         defaults = {f.name: f.default for f in dataclasses.fields(cls)}  # pyright: ignore
         if defaults[field] is dataclasses.MISSING and field not in given:
-            raise ValueError(f"{place}: {name} needs a value of {spoken}")
+            raise ValueError(f"{place}: {name} needs a value of {key}")
     # Beside one another suffices: what a value may be does not depend on the other fields' values.
     for values in itertools.zip_longest(*(axis.probes for axis in axes)) if axes else [()]:
         chosen = {
@@ -304,23 +283,3 @@ def _try(spec: SweepSpec, name: str, source: Source) -> None:
             cls(**fixed, **chosen)
         except ValueError as error:
             raise ValueError(f"{place}: {error}") from None
-
-
-def _spelt(disturbance: str, field: str) -> str:
-    """A field as files spell it, such as `noise.time`."""
-    spoken = {own: key for key, own in _spoken(disturbance).items()}
-    return f"{disturbance}.{spoken[field]}"
-
-
-def _toml_axis(axis: Axis | RandomAxis) -> str:
-    if isinstance(axis, Axis):
-        return _toml(list(axis.values))
-    bounds = f"low = {_toml(axis.low)}, high = {_toml(axis.high)}"
-    return f"{{ {bounds}, method = {_toml(axis.method)} }}"
-
-
-def _toml(value: Any) -> str:
-    """A number, a word or a list of them."""
-    if isinstance(value, list):
-        return f"[{', '.join(map(_toml, value))}]"
-    return str(value) if isinstance(value, float) else json.dumps(value)

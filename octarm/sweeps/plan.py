@@ -15,7 +15,7 @@ from octarm.disturbances import DISTURBANCES
 from octarm.effects.episode import Disturbance, field_kinds
 from octarm.effects.fields import Amount, Quantity
 from octarm.effects.streams import stream
-from octarm.sweeps.spec import RandomAxis, SweepSpec
+from octarm.sweeps.spec import RandomAxis, SweepSpec, which
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,7 +87,7 @@ class Plan:
         return chosen | {name: drawn[seeds] for name, drawn in self._drawn.items()}
 
     def arms(self, episodes: npt.ArrayLike) -> Arms:
-        """Episodes of one shard."""
+        """Episodes of one shard, given by their numbers, shape (n,)."""
         numbers = np.asarray(episodes)
         values = {name: _common(column) for name, column in self.values(numbers).items()}
         return Arms(
@@ -116,7 +116,7 @@ class Plan:
         return dataclasses.replace(self.arms([number]), batch=None)
 
     def probes(self) -> list[np.ndarray]:
-        """Episodes in which every value of every axis occurs, in groups that share a batch.
+        """Episodes in which every value of every axis occurs, shape (n,) for each shared batch.
 
         Of seeds and drawn values it is a few.
         """
@@ -134,11 +134,11 @@ class Plan:
         fields = {name: dict(self.spec.fixed.get(name, {})) for name in self.spec.disturbances}
         for axis in (*self.spec.axes, *self.spec.random):
             if axis.disturbance:
-                kind = field_kinds(DISTURBANCES[axis.disturbance])[axis.field]
+                kind = field_kinds(DISTURBANCES[which(axis.disturbance).kind])[axis.field]
                 value = values[axis.name]
                 spread = isinstance(kind, Quantity) and kind.each and np.ndim(value) > 0
                 fields[axis.disturbance][axis.field] = value[:, None] if spread else value
-        return tuple(DISTURBANCES[name](**own) for name, own in fields.items())
+        return tuple(DISTURBANCES[which(name).kind](**own) for name, own in fields.items())
 
     @functools.cached_property
     def _drawn(self) -> dict[str, np.ndarray]:
@@ -149,7 +149,7 @@ class Plan:
         spec = self.spec
         sobol = [axis for axis in spec.random if axis.method == "sobol"]
         spread = _sobol(len(sobol), spec.episodes) if sobol else np.empty((spec.episodes, 0))
-        drawn = {}
+        drawn: dict[str, np.ndarray] = {}
         for axis in spec.random:
             draw = stream(np.random.SeedSequence(spec.seed), f"axis {axis.name}")
             if axis.method == "sobol":  # turned as a whole: every seed of the sweep has its own

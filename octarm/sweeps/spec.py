@@ -6,10 +6,24 @@ import dataclasses
 import hashlib
 import json
 import math
+import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 Value = float | str
+
+
+class Which(NamedTuple):
+    """A disturbance of a spec: the name of its class, and which one of that class it is."""
+
+    kind: str
+    place: int
+
+
+def which(disturbance: str) -> Which:
+    """What a name in a spec means: `noise-2` is the second noise, as in `run.json`."""
+    found = re.fullmatch(r"(.+)-([2-9]|[1-9]\d+)", disturbance)
+    return Which(found[1], int(found[2])) if found else Which(disturbance, 1)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -20,7 +34,7 @@ class Axis:
         name: of its column: controller, reference, mismatch, or a disturbance such as `noise`,
             with the key, `noise.time`, when it is not the disturbance's first one.
         values: numbers, or words.
-        disturbance: whose field it is; empty for controller, reference and mismatch.
+        disturbance: whose field it is, see `which`; empty for controller, reference and mismatch.
         field: of the disturbance, as the code spells it.
     """
 
@@ -81,9 +95,12 @@ class SweepSpec:
         actuation: see `octarm.actuation`.
         batch: largest number of arms that are stepped together.
         fixed: fields of disturbances that are the same in all episodes, by disturbance.
-        gains: where they are not the recommended ones, by controller.
+        gain_sets: `tuned` or `recommended`, by controller; tuned gains where there are any, else
+            recommended ones, for the others.
+        gains: where they are not those of the set, by controller.
         record: episodes to record, by number or by a word.
         text: the file it came from.
+        alone: whether the text says it all: it names no other file.
     """
 
     axes: tuple[Axis, ...]
@@ -95,10 +112,12 @@ class SweepSpec:
     control_period: float | None = None
     actuation: str = "f-coeff"
     batch: int = 1024
-    fixed: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
-    gains: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
+    fixed: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
+    gain_sets: Mapping[str, str] = dataclasses.field(default_factory=dict[str, str])
+    gains: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
     record: tuple[int | str, ...] = ()
     text: str = ""
+    alone: bool = True
 
     @property
     def controllers(self) -> tuple[str, ...]:
@@ -107,9 +126,9 @@ class SweepSpec:
 
     @property
     def disturbances(self) -> tuple[str, ...]:
-        """Names of the disturbances that act in all episodes, if only with a neutral value."""
+        """Those that act in all episodes, if only with a neutral value; first ones come first."""
         varied = (axis.disturbance for axis in (*self.axes, *self.random) if axis.disturbance)
-        return tuple(dict.fromkeys((*varied, *self.fixed)))
+        return tuple(sorted(dict.fromkeys((*varied, *self.fixed)), key=lambda n: which(n).place))
 
     def content(self) -> dict[str, Any]:
         """All that the rows depend on, by dotted key, ready for JSON."""
@@ -117,6 +136,7 @@ class SweepSpec:
         content: dict[str, Any] = {name: getattr(self, name) for name in plain}
         content |= {f"grid.{axis.name}": list(axis.values) for axis in self.axes}
         content |= {f"random.{a.name}": [a.low, a.high, a.method] for a in self.random}
+        content |= {f"gain_set.{name}": choice for name, choice in self.gain_sets.items()}
         for heading, tables in (("disturbance", self.fixed), ("gains", self.gains)):
             content |= {f"{heading}.{n}.{k}": v for n, t in tables.items() for k, v in t.items()}
         return {key: _plain(value) for key, value in content.items()}
@@ -129,5 +149,5 @@ class SweepSpec:
 def _plain(value: Any) -> Any:
     """Infinity as a word: JSON has no number for it."""
     if isinstance(value, list):
-        return [_plain(item) for item in value]
+        return [_plain(item) for item in cast(list[Any], value)]
     return str(value) if isinstance(value, float) and math.isinf(value) else value

@@ -11,7 +11,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
@@ -104,7 +104,7 @@ def _prepare(lifeline: Connection) -> None:
 
 
 @contextlib.contextmanager
-def _without_interrupts() -> Iterator[None]:
+def _without_interrupts() -> Generator[None]:
     """Processes that are started here do not see Ctrl-C, not even while they begin."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -117,7 +117,7 @@ def _without_interrupts() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def dask_cluster(address: str, workers: int) -> Iterator[tuple[Executor, Callable[[], int]]]:
+def dask_cluster(address: str, workers: int) -> Generator[tuple[Executor, Callable[[], int]]]:
     """An executor on a dask cluster, and how many calls it has use for at a time.
 
     dask itself repeats what a worker was at when it died.
@@ -138,18 +138,20 @@ def dask_cluster(address: str, workers: int) -> Iterator[tuple[Executor, Callabl
             "--cluster needs the package distributed: pip install 'octarm[cluster]'"
         ) from None
     with contextlib.ExitStack() as stack:
-        logger = logging.getLogger("distributed")
-        stack.callback(logger.setLevel, logger.level)
-        logger.setLevel(logging.WARNING)  # what it does when all is well is of no interest here
+        # What it does when all is well is of no interest here, and what its client has to say of a
+        # scheduler that is gone is said below in one sentence.
+        for name, level in (("", logging.WARNING), (".client", logging.CRITICAL)):
+            logger = logging.getLogger(f"distributed{name}")
+            stack.callback(logger.setLevel, logger.level)
+            logger.setLevel(level)
         if address == "local":
-            target: Any = stack.enter_context(
-                distributed.LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0",  # a port that is free
-                )
+            local: Any = distributed.LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",  # a port that is free
             )
+            target: Any = stack.enter_context(local)
         else:
             target = address
         try:
@@ -162,7 +164,10 @@ def dask_cluster(address: str, workers: int) -> Iterator[tuple[Executor, Callabl
             if address == "local":
                 target.scale(workers)  # dask gives up on a worker that dies while it starts
                 return workers
-            # More than there are threads, for a cluster that grows with the demand.
-            return max(8, 2 * sum(client.nthreads().values()))
+            try:
+                threads = sum(client.nthreads().values())
+            except OSError:
+                raise OSError(f"the dask scheduler at {address} does not answer any more") from None
+            return max(8, 2 * threads)  # for a cluster that grows with the demand
 
         yield executor, useful

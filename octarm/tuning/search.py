@@ -101,9 +101,9 @@ class Tuned:
     """What came of it.
 
     Attributes:
-        gains: all gains of the controller that are numbers, by name.
-        short: cost in each scenario of the search.
-        long: cost in each scenario of the longer trial.
+        gains: all gains of the controller that are numbers, by name, shape () or (2N,).
+        short: cost in each scenario of the search, shape (scenarios,) [1].
+        long: cost in each scenario of the longer trial, shape (scenarios,) [1].
         short_by_hand: likewise with the hand-set gains.
         long_by_hand: likewise.
         at_bounds: the unknowns that are as small or large as they were allowed to be.

@@ -111,12 +111,16 @@ class Space:
         return {name: rounded(columns).T for name, columns in table.items()}
 
     def fixed(self) -> dict[str, np.ndarray]:
-        """The gains that stay as they are."""
+        """The gains that stay as they are, each of the shape of its value in `gains`."""
         tuned = {name for unknown in self.unknowns for name in unknown.knob.gains}
         return {name: gain for name, gain in self.gains.items() if name not in tuned}
 
     def at_bounds(self, candidate: np.ndarray) -> list[str]:
-        """The unknowns that are as small or as large as they may be, within 1 % of the range."""
+        """The unknowns that are as small or as large as they may be, within 1 % of the range.
+
+        Args:
+            candidate: shape (d,).
+        """
         low, high = self.bounds.T
         ends = np.minimum(candidate - low, high - candidate) < 0.01 * (high - low)
         return [u.name for u, at_end in zip(self.unknowns, ends, strict=True) if at_end]
@@ -126,7 +130,10 @@ class Space:
 
 
 def gains_of(controller: Controller) -> dict[str, np.ndarray]:
-    """The gains of a controller that are numbers, by the names under which they are given."""
+    """The gains of a controller that are numbers, by the names under which they are given.
+
+    Arrays have shape (), or that in which the controller holds them, mostly (2N,).
+    """
     fields = {f.name: getattr(controller, f.name) for f in dataclasses.fields(controller)}  # pyright: ignore
     return {
         name.rstrip("_"): np.asarray(value)
@@ -136,5 +143,5 @@ def gains_of(controller: Controller) -> dict[str, np.ndarray]:
 
 
 def rounded(gains: np.ndarray) -> np.ndarray:
-    """To four digits, which is more than anybody can tell apart, and good to read."""
-    return np.vectorize(lambda x: float(f"{x:.4g}"), otypes=[float])(gains)
+    """Numbers of any shape to four digits: more than anybody can tell apart, and good to read."""
+    return np.reshape([float(f"{x:.4g}") for x in gains.ravel().tolist()], gains.shape)

@@ -1,0 +1,71 @@
+"""What a step of a controller costs, against a step of the physics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco.batch
+import numpy as np
+
+import octarm
+from benchmarks.figures import Row, Settings, fastest
+from controllers import make_controller
+from octarm.interfaces import Controller, Measurement, Reference
+from octarm.lagrange import equilibrium
+
+COMPARED = ("afsmc", "afsmc-consequent", "smc-boundary")
+LIMITS = {"afsmc": (1.0, 250.0)}  # an arm of a batch, one arm alone [us]
+PERIOD = 5e-4  # of control [s]
+
+
+def controller_step(settings: Settings) -> list[Row]:
+    """A controller's step, against one physics step of as many arms; the best of many."""
+    arms, seconds = settings.arms, settings.seconds
+    calls = [controller_call(name, (arms,)) for name in COMPARED]
+    many = fastest(calls, seconds)
+    alone = fastest([controller_call(name, ()) for name in COMPARED], seconds)
+    physics, after_physics = fastest([physics_step(arms), calls[0]], seconds)
+    rows: list[Row] = []
+    for name, batch, single in zip(COMPARED, many, alone, strict=True):
+        an_arm, one_arm = LIMITS.get(name, (None, None))
+        rows.append(Row(f"{name}, an arm of {arms}", 1e6 * batch / arms, "us", an_arm))
+        rows.append(Row(f"{name}, one arm alone", 1e6 * single, "us", one_arm))
+    return [
+        *rows,
+        Row(f"RK4 step, an arm of {arms}", 1e6 * physics / arms, "us"),
+        Row(f"{COMPARED[0]} after it, caches cold", 1e6 * after_physics / arms, "us"),
+        Row("the ratio of these two", after_physics / physics, "1", at_most=0.25),
+    ]
+
+
+def physics_step(arms: int) -> Callable[[], None]:
+    """One physics step of a batch in motion, on one thread."""
+    model, draw = octarm.build_model(), np.random.default_rng(0)
+    batch = mujoco.batch.Batch(model, arms, 1)
+    moved = np.tile([0.005, 0.2], model.nq // 2) * draw.normal(size=(arms, model.nq))
+    batch.bind("qpos")[:] = model.key("hanging").qpos + moved
+    batch.bind("ctrl")[:] = draw.normal(size=(arms, model.nu))
+    return batch.step
+
+
+def controller_call(name: str, batch: tuple[int, ...]) -> Callable[[], None]:
+    """The next step of a controller whose arms are near what is wanted, within the layer."""
+    arm = octarm.nominal_parameters()
+    controller: Controller = make_controller(name, arm.mismatched(-0.3))
+    draw, size = np.random.default_rng(0), np.repeat([0.01, 0.3], arm.modules)
+
+    def near(center: np.ndarray, scale: float) -> np.ndarray:
+        # As in a sweep: the batch contiguous in memory.
+        return np.asfortranarray(center + scale * size * draw.normal(size=(*batch, len(size))))
+
+    q = near(equilibrium(arm), 1.0)
+    v = near(np.zeros_like(q), 3.0)
+    reference = Reference(near(q, 0.02), near(v, 0.5), near(np.zeros_like(q), 10.0))
+    state, periods = controller.initial_state(batch), 0
+
+    def step() -> None:
+        nonlocal state, periods
+        _, state = controller(state, Measurement(periods * PERIOD, q, v), reference)
+        periods += 1
+
+    return step

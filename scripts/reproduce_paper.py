@@ -1,0 +1,69 @@
+"""The paper's results section on this arm: figures, tables, and a verdict for each claim.
+
+Run it: python scripts/reproduce_paper.py [--quick] [--out DIR]
+About 10 minutes on two cores, or one with --quick. Run it again with --resume, and it goes on
+where it was interrupted. `--publish` also renews .readme/paper.* and the claims in README.md.
+"""
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+
+from controllers import make_controller
+from controllers.gain_sets import SHIPPED
+from octarm.errors import ExitCode
+from octarm.paper import output
+from octarm.paper.effort import FULL, QUICK
+from octarm.paper.evidence import gather
+from octarm.paper.jobs import run_all
+from octarm.paper.load import costs
+from octarm.paper.variants import cast
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def main() -> int:
+    """Runs what is not there yet, and writes what came out."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("runs/paper"), help="folder")
+    parser.add_argument("--quick", action="store_true", help="fewer seeds, cells and controllers")
+    parser.add_argument("--resume", action="store_true", help="go on with what is in the folder")
+    parser.add_argument("--workers", type=int, default=0, help="processes; one a core by default")
+    parser.add_argument("--gains", type=Path, help="folder of gain sets instead of those shipped")
+    parser.add_argument("--publish", action="store_true", help="renew what the repository shows")
+    options = parser.parse_args()
+    try:
+        reproduce(options)
+    except (ValueError, OSError, RuntimeError) as error:
+        print(f"reproduce_paper: {error}", file=sys.stderr)
+        return ExitCode.BAD_INPUT
+    except KeyboardInterrupt:
+        words = ["python", "scripts/reproduce_paper.py", *sys.argv[1:]]
+        again = shlex.join(words if options.resume else [*words, "--resume"])
+        print(f"interrupted; what was finished is kept, go on by: {again}", file=sys.stderr)
+        return ExitCode.INTERRUPTED
+    return ExitCode.FINE
+
+
+def reproduce(options: argparse.Namespace) -> None:
+    """All of it."""
+    out, effort = options.out, QUICK if options.quick else FULL
+    if options.publish and options.quick:
+        raise ValueError("--publish needs all numbers; leave out --quick")
+    if out.exists() and any(out.iterdir()) and not options.resume:
+        raise ValueError(f"{out} is not empty; go on with it by --resume, or choose another --out")
+    everybody = cast(make_controller, options.gains)
+    run_all(everybody, effort, make_controller, out, options.workers)
+    evidence = gather(everybody, effort, out, costs(everybody, make_controller))
+    gains = options.gains or SHIPPED
+    for claim in output.write(evidence, out, gains):
+        print(f"({claim.letter}) {claim.title}: {claim.told}")
+    print(f"wrote {out / output.PAGE}")
+    if options.publish:
+        output.publish(evidence, out, gains, ROOT)
+        print(f"renewed {ROOT / 'README.md'} and .readme/paper.*")
+
+
+if __name__ == "__main__":  # the worker processes import this file, too
+    sys.exit(main())

@@ -1,0 +1,167 @@
+"""Runs of any length: blocks of rows on disk, and the loop that holds none of them."""
+
+import contextlib
+import dataclasses
+import errno
+import os
+import shutil
+import signal
+import sys
+import tracemalloc
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from recordings import swinging
+
+from controllers import make_controller
+from octarm.archive import Archive, Ending, mapped, read_blocks
+from octarm.environment import load
+from octarm.model import nominal_parameters
+from octarm.recording import part_of
+from octarm.rollout import rollout as rollout_in_memory
+from octarm.streaming import joined, rollout
+from octarm.trajectory import Trajectory
+
+ODD = {
+    "a name/with: +é": np.ones((230, 2)),
+    "none": np.ones((230, 0)),
+    "rules": np.ones((230, 6, 5)),
+}
+
+
+@contextlib.contextmanager
+def archived(path, run, *, block=100, expected=None):
+    """An archive of a run, filled block by block."""
+    with Archive(path, rows=expected or len(run), block=block) as archive:
+        for k in range(0, len(run), block):
+            archive.add(part_of(run, k, k + block))
+        yield archive
+
+
+def same(one: Trajectory, other: Trajectory) -> None:
+    for (name, array), (its_name, its) in zip(one.arrays(), other.arrays(), strict=True):
+        assert name == its_name
+        np.testing.assert_array_equal(array, its)
+        assert array.dtype == np.float64 and not array.flags.writeable
+
+
+@pytest.mark.parametrize("rows", [1, 100, 230])
+def test_the_arrays_are_the_bytes_that_a_trajectory_saves(tmp_path, rows):
+    run = part_of(swinging(rows=230, **ODD), 0, rows)
+    run = dataclasses.replace(run, status="diverged", message="too far")
+    with archived(tmp_path / "blocks", run) as archive:
+        archive.ending = Ending(run.status, run.message, run.digest)
+        archive.save(tmp_path / "a.npz")
+    run.save(tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    assert not (tmp_path / "blocks").exists()
+
+
+def test_a_mapped_run_is_the_run(tmp_path):
+    run = swinging(rows=230, **ODD)
+    run.save(tmp_path / "a.npz")
+    again = mapped(tmp_path / "a.npz")
+    same(run, again)
+    assert (again.status, again.digest) == (run.status, run.digest)
+    arrays = dict(np.load(tmp_path / "a.npz", allow_pickle=False))
+    np.savez_compressed(tmp_path / "b.npz", **arrays)
+    same(run, mapped(tmp_path / "b.npz"))
+
+
+@pytest.mark.parametrize("damage", ["nonsense", "flipped", "short", "other"])
+def test_a_damaged_file_is_no_trajectory(tmp_path, damage):
+    path = tmp_path / "a.npz"
+    swinging(rows=230).save(path)
+    content = bytearray(path.read_bytes())
+    if damage == "flipped":
+        content[5000] ^= 1
+    path.write_bytes({"nonsense": b"x", "short": content[:9000]}.get(damage, content))
+    if damage == "other":
+        np.savez(path, x=np.ones(3))
+    with pytest.raises(ValueError, match=r"a\.npz is not a trajectory file"):
+        mapped(path)
+
+
+def test_blocks_can_be_read_when_nobody_closed_them(tmp_path):
+    run = swinging(rows=230, **ODD)
+    path = tmp_path / "left"
+    with archived(tmp_path / "blocks", run):
+        shutil.copy(tmp_path / "blocks", path)
+    left = read_blocks(path)
+    same(run, left)
+    assert (left.status, left.message) == ("interrupted", "killed after t = 0.229 s")
+    del left
+    os.truncate(path, os.path.getsize(path) - 1)  # amid a block
+    same(part_of(run, 0, 200), read_blocks(path))
+    for content in (b"", b"{}\n", path.read_bytes()[:3000]):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match="left holds no rows"):
+            read_blocks(path)
+
+
+def test_rows_that_find_no_room_are_refused_at_the_first_block(tmp_path, monkeypatch):
+    class Usage(NamedTuple):
+        free: int
+
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10_000_000))
+    sentence = r"blocks cannot be written: so many rows take .* GB on disk, of which 0\.01 GB are"
+    blocks = archived(tmp_path / "blocks", swinging(rows=230), expected=10**9)
+    with pytest.raises(OSError, match=sentence), blocks:
+        pass
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/dev/full is a Linux device")
+def test_a_full_disk_and_an_unwritable_place_are_one_sentence(tmp_path):
+    (tmp_path / "blocks").symlink_to("/dev/full")
+    for place, reason in ("blocks", errno.ENOSPC), ("folder/blocks", errno.ENOENT):
+        sentence = rf"blocks cannot be written: {os.strerror(reason)}$"
+        blocks = archived(tmp_path / place, swinging(rows=230))
+        with pytest.raises(OSError, match=sentence), blocks:
+            pass
+
+
+def begun(duration=1.0):
+    arm = nominal_parameters()
+    return load(duration=duration), make_controller("smc-boundary", arm.mismatched(-0.3))
+
+
+@pytest.mark.parametrize("block", [7, 20, 1000])
+def test_a_run_in_blocks_is_the_run_in_memory(block):
+    environment, controller = begun()
+    blocks: list[Trajectory] = []
+    ending = rollout(environment, controller, 0.02, keep=blocks.append, block=block)
+    whole = rollout_in_memory(environment, controller, 0.02)
+    same(whole, joined(blocks, ending))
+    assert ending == (whole.status, whole.message, whole.digest)
+    assert [len(rows) for rows in blocks] == [block] * (40 // block) + [40 % block] * bool(
+        40 % block
+    )
+
+
+def test_the_memory_a_run_takes_does_not_grow_with_it():
+    environment, controller = begun()
+    peaks = []
+    for duration in (0.02, 0.02, 0.4):  # the first one fills caches
+        tracemalloc.start()
+        rollout(environment, controller, duration, keep=len, block=20)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[2] < peaks[1] + 20_000  # 760 rows more are 300 kB
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as on POSIX")
+def test_an_interrupted_run_has_whole_blocks():
+    environment, controller = begun()
+    blocks: list[Trajectory] = []
+
+    def keep(rows: Trajectory) -> None:
+        if len(blocks) == 1:
+            signal.raise_signal(signal.SIGINT)
+        blocks.append(rows)
+
+    ending = rollout(environment, controller, 0.5, keep=keep, block=10)
+    assert ending.status == "interrupted" and "interrupted at t = 0.01 s" in ending.message
+    whole = rollout_in_memory(environment, controller, 0.01)
+    same(whole, joined(blocks, ending))
+    assert ending.digest == whole.digest

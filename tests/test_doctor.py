@@ -1,0 +1,147 @@
+"""What `octarm doctor` finds, on machines that lack something."""
+
+import re
+import socket
+import subprocess
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+from octarm import cli
+from octarm.checks import machine
+from octarm.checks.machine import State
+
+VERSIONS = [
+    ("2.4.6", ">=2", True),
+    ("1.26", ">=2", False),
+    ("3.17.0", "<4,>=3.17", True),
+    ("3.9.1", "<4,>=3.17", False),
+    ("4.0.0", "<4,>=3.17", False),
+    ("0.41.3", "==0.41.*", True),
+    ("0.4", "==0.41.*", False),
+    ("3.13.0", "<3.13,>=3.11", False),
+    ("3.13.0rc1", "<3.13,>=3.11", False),
+    ("3.12.9", "<3.13,>=3.11", True),
+]
+
+
+def answers(*failing: str):
+    """Stands for the processes that are tried: those with a word in their command fail."""
+
+    def run(command: list[str], **environment: str) -> subprocess.CompletedProcess[str]:
+        words = [*command, *environment.values()]
+        for word in failing:
+            if word in words:
+                return subprocess.CompletedProcess(command, 2, "", f"octarm: no {word} here\n")
+        for option in ("--out", "--screenshot"):
+            if option in command:
+                Path(command[command.index(option) + 1]).touch()
+        host = '{"cpu": "a CPU", "machine": "x86_64", "kernels": "X86_V3"}'
+        return subprocess.CompletedProcess(command, 0, host, "")
+
+    return run
+
+
+@pytest.fixture(autouse=True)
+def _headless(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(machine.sys, "platform", "linux")
+    monkeypatch.chdir(tmp_path)
+
+
+def doctor(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *failing: str):
+    monkeypatch.setattr(machine, "_run", answers(*failing))
+    code = cli.main(["doctor"])
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert max(len(line) for line in out.partition("\nto do:")[0].splitlines()) <= 80
+    return code, re.sub(r"\s+", " ", out)
+
+
+def test_a_good_machine_is_fine(monkeypatch, capsys):
+    code, out = doctor(monkeypatch, capsys)
+    assert code == 0
+    assert "octarm run works here" in out
+    assert "ok films by EGL, OSMesa" in out.replace("films films", "films")
+    assert "X86_V3 (AVX2)" in out
+    assert f"ok numpy {metadata.version('numpy')}" in out
+
+
+def test_without_runs_it_fails_and_says_why(monkeypatch, capsys):
+    code, out = doctor(monkeypatch, capsys, "run")
+    assert code == 1
+    assert "BROKEN octarm run no run here" in out
+    assert "octarm run does not work here" in out
+
+
+@pytest.mark.parametrize(
+    ("failing", "told", "remedy"),
+    [
+        (["egl", "osmesa"], "no OpenGL library works: no osmesa here", "libosmesa6"),
+        (["--screenshot"], "screenshots no --screenshot here", "mesa-vulkan-drivers"),
+        ([], "viewer there is no display", "--web"),
+    ],
+)
+def test_what_is_missing_is_told_with_what_to_install(failing, told, remedy, monkeypatch, capsys):
+    code, out = doctor(monkeypatch, capsys, *failing)
+    assert code == 0
+    assert f"missing {told}" in out.replace("films no", "no")
+    assert remedy in out.partition("to do:")[2]
+
+
+def test_an_egl_that_does_not_work_is_stepped_around(monkeypatch, capsys):
+    monkeypatch.setattr(machine, "_is_library", lambda name: True)
+    _, out = doctor(monkeypatch, capsys, "egl")
+    assert "films: export MUJOCO_GL=osmesa" in out
+
+
+def test_a_display_is_asked_whether_it_answers(monkeypatch, capsys, tmp_path):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-9")
+    _, out = doctor(monkeypatch, capsys)
+    assert "missing viewer the display wayland-9 does not answer" in out
+    with socket.socket(socket.AF_UNIX) as display:
+        display.bind(str(tmp_path / "wayland-9"))
+        display.listen()
+        _, out = doctor(monkeypatch, capsys)
+    assert "ok viewer a display answers" in out
+
+
+def test_a_folder_that_cannot_be_written_is_told(monkeypatch):
+    monkeypatch.chdir("/proc")
+    runs, _ = machine.folders()
+    assert runs.state is State.MISSING
+    assert runs.text.startswith("/proc cannot be written: ")
+
+
+@pytest.mark.parametrize(("version", "asked", "good"), VERSIONS)
+def test_versions_are_compared_as_numbers(version, asked, good):
+    (finding,) = [machine._version("x", version, asked, "remedy")]
+    assert finding.state is (State.FINE if good else State.OUTSIDE)
+
+
+def test_a_package_that_is_missing_is_told(monkeypatch):
+    found = metadata.version
+
+    def version(name: str) -> str:
+        if name == "matplotlib":
+            raise metadata.PackageNotFoundError(name)
+        return "1.0" if name == "numpy" else found(name)
+
+    monkeypatch.setattr(metadata, "version", version)
+    told = {finding.name: finding for finding in machine.versions()}
+    assert told["matplotlib"].state is State.MISSING
+    assert told["matplotlib"].remedy.startswith("pip install 'matplotlib>=")
+    assert told["numpy"].state is State.OUTSIDE
+    assert told["python"].state is State.FINE
+
+
+def test_a_process_that_crashes_or_hangs_is_a_finding(monkeypatch):
+    crash = ["bash", "-c", "kill -SEGV $$"]
+    assert machine._last_line(machine._run(crash)) == "it was ended by signal 11"
+    monkeypatch.setattr(machine, "_PATIENCE", 0.05)
+    done = machine._run(["sleep", "5"])
+    assert done.returncode == 1
+    assert machine._last_line(done) == "no answer within 0.05 s"

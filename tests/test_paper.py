@@ -1,0 +1,193 @@
+"""The quick variant of the paper's results, and what the repository shows of the full one."""
+
+import dataclasses
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controllers import make_controller
+from controllers.gain_sets import SHIPPED
+from octarm import sweep
+from octarm.paper import output, results, series, shown, stability, writeup
+from octarm.paper.claims import Claim
+from octarm.paper.effort import FULL, QUICK
+from octarm.paper.evidence import Evidence, gather
+from octarm.paper.jobs import run_all
+from octarm.paper.load import costs
+from octarm.paper.measured import Cell, Measured, measure
+from octarm.paper.rankings import tuning
+from octarm.paper.studies import BENDS, NOISE, parts
+from octarm.paper.tables import as_csv
+from octarm.paper.variants import PROPOSED, SIGN, SMC, by_hand, cast
+from octarm.paper.verdicts import claims
+from octarm.runs import read_run
+
+ROOT = Path(__file__).resolve().parent.parent
+SCRIPT = ROOT / "scripts" / "reproduce_paper.py"
+EVERYBODY = cast(make_controller)
+
+
+@pytest.fixture(scope="module")
+def published() -> dict[str, Any]:
+    return json.loads((ROOT / ".readme" / "paper.json").read_text(encoding="utf-8"))
+
+
+@dataclasses.dataclass(frozen=True)
+class Quick:
+    """What came of the quick variant."""
+
+    evidence: Evidence
+    claims: list[Claim]
+    out: Path
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Quick]:
+    out = tmp_path_factory.mktemp("paper")
+    run_all(EVERYBODY, QUICK, make_controller, out)
+    evidence = gather(EVERYBODY, QUICK, out, costs(EVERYBODY, make_controller))
+    yield Quick(evidence, output.write(evidence, out, SHIPPED), out)
+
+
+def test_the_quick_variant_comes_to_the_published_verdicts(quick: Quick, published: dict[str, Any]):
+    here = {claim.letter: str(claim.verdict) for claim in quick.claims}
+    assert here == {claim["letter"]: claim["verdict"] for claim in published["claims"]}
+    assert list(here) == list("abcdefg")
+
+
+def test_the_report_needs_nothing_beside_itself(quick: Quick):
+    page = (quick.out / output.PAGE).read_text(encoding="utf-8")
+    assert not re.search(r"""(src|href)=["'](?!#)""", page)
+    assert "nan" not in re.sub(r"<svg.*?</svg>", "", page, flags=re.DOTALL).lower().split()
+    for claim in quick.claims:
+        assert f"({claim.letter}) {claim.title}" in page
+    for folder, ending in (
+        (output.FIGURES, "png"),
+        (output.FIGURES, "svg"),
+        (output.TABLES, "csv"),
+    ):
+        assert len(list((quick.out / folder).glob(f"*.{ending}"))) >= 5
+
+
+def test_what_varies_from_run_to_run_stands_apart(quick: Quick):
+    written = (quick.out / output.CLAIMS).read_text(encoding="utf-8")
+    table = (quick.out / output.TABLES / "claims.csv").read_text(encoding="utf-8")
+    assert " us" not in written and ",us" not in table
+    assert "[us]" in (quick.out / "timings.csv").read_text(encoding="utf-8")
+
+
+def test_the_same_runs_give_the_same_tables(quick: Quick):
+    again = gather(EVERYBODY, QUICK, quick.out, list(quick.evidence.costs.values()))
+    for table in results.tables(again, SHIPPED):
+        written = quick.out / output.TABLES / f"{table.name}.csv"
+        assert as_csv(table) == written.read_text(encoding="utf-8")
+    content = writeup.content(again, claims(again), results.tables(again, SHIPPED))
+    assert writeup.as_json(content) == (quick.out / output.CLAIMS).read_text(encoding="utf-8")
+
+
+def test_the_readme_shows_the_published_claims(published: dict[str, Any]):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert writeup.with_claims(readme, published) == readme
+    assert published["effort"] == FULL.name and published["seeds"] == FULL.seeds == 64
+    for name in ("paper.png", "paper.md"):
+        assert f"](.readme/{name})" in readme and (ROOT / ".readme" / name).is_file()
+
+
+def test_every_tuned_controller_beats_its_hand_set_gains_on_the_objective():
+
+    evidence = Evidence(
+        cast=EVERYBODY, effort=QUICK, measured=Measured({}, {}), series={}, outcomes=[], costs={}
+    )
+    rows = tuning(evidence, SHIPPED).rows
+    assert len(rows) == len(EVERYBODY.tuned)
+    for name, short, short_by_hand, long, long_by_hand, *_ in rows:
+        costs = np.array([short, short_by_hand, long, long_by_hand], dtype=float)
+        assert costs[0] < costs[1] and costs[2] < costs[3], name
+
+
+def test_a_sweep_of_the_study_twice_gives_the_same_cells(tmp_path: Path):
+    part = next(p for p in parts(EVERYBODY, QUICK) if p.name == "tracking-premises")
+    part = part._replace(spec=dataclasses.replace(part.spec, duration=2.05, episodes=1))
+    cells = []
+    for name in ("first", "second"):
+        sweep(part.spec, make_controller, tmp_path / name / part.name)
+        cells.append(measure([part], tmp_path / name))
+    first, second = cells
+    for cell in first.cells():
+        for quantity in ("error", "chattering", "overshoot_theta1"):
+            assert np.array_equal(first.values(cell, quantity), second.values(cell, quantity))
+
+
+def test_what_figure_1_shows_is_what_is_recorded(tmp_path: Path):
+    request = next(r for r in series.requests(EVERYBODY, QUICK) if r.name == "sine-smc-boundary")
+    run = series.run(request._replace(duration=0.2, seeds=1), make_controller)
+    single = shown.Shown("run", EVERYBODY[SMC], BENDS, -0.3, 0.2)
+    shown.record(single, make_controller, tmp_path / "run")
+    trajectory, description = read_run(tmp_path / "run")
+    assert description["controller"]["name"] == SMC
+    assert (tmp_path / "run" / "run.rrd").is_file()
+    assert np.array_equal(run.of(-0.3, 0.0)[:, 0], trajectory.q[::20])
+    assert not np.array_equal(run.of(-0.3, NOISE)[:, 0], trajectory.q[::20])
+
+
+def test_the_lyapunov_function_of_the_printed_law_falls_when_control_is_fast():
+    """With sgn(s) and without safeguards V' <= 0 holds everywhere; sampling alone can break it."""
+    printed = EVERYBODY[by_hand(PROPOSED)].changed("printed", phi=0.0, safeguards=0.0)
+    grown = {}
+    for rate in (10_000.0, 40_000.0):
+        outcomes = stability.run(stability.Request(printed, rate, 0.05), make_controller)
+        assert all(o.inside == 0 and o.outside == round(0.05 * rate) - 1 for o in outcomes)
+        grown[rate] = max(o.grown_outside / o.outside for o in outcomes)
+    assert grown[40_000.0] <= grown[10_000.0] < 0.1
+
+
+def test_the_layer_tells_where_v_falls():
+    outcomes = stability.run(
+        stability.Request(EVERYBODY[by_hand(SMC)], 2000.0, 0.1), make_controller
+    )
+    assert all(o.outside > 5 and o.grown_outside == 0 and o.covered for o in outcomes)
+    sign = stability.run(stability.Request(EVERYBODY[by_hand(SIGN)], 2000.0, 0.1), make_controller)
+    assert all(o.inside == 0 and o.grown_outside > 0 for o in sign)
+
+
+def test_cells_are_found_by_what_acts(quick: Quick):
+    measured = quick.evidence.measured
+    assert measured.has(Cell(PROPOSED, mismatch=-0.3, noise=NOISE))
+    assert measured.has(Cell(PROPOSED, "beyond", mismatch=-0.3, payload=0.1))
+    assert not measured.has(Cell(PROPOSED, mismatch=-0.25))
+    assert len(measured.values(Cell(SMC, mismatch=0.3, noise=NOISE), "error")) == QUICK.seeds
+
+
+def test_an_interrupted_run_says_how_to_go_on(tmp_path: Path):
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [sys.executable, SCRIPT, "--quick", "--out", out],
+        cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    while not (out / "sweeps").is_dir() and process.poll() is None:
+        time.sleep(0.05)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "--resume" in error.splitlines()[-1]
+    assert "Traceback" not in error
+
+
+def test_bad_input_is_one_sentence(tmp_path: Path):
+    (tmp_path / "file").write_text("x", encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, SCRIPT, "--quick", "--out", tmp_path],
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "is not empty" in done.stderr and len(done.stderr.splitlines()) == 1
