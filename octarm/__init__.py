@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from octarm.model import nominal_parameters as nominal_parameters
     from octarm.parameters import ArmParameters as ArmParameters
     from octarm.rollout import rollout as rollout
+    from octarm.runs import read_run as read_run
     from octarm.sweep import sweep as sweep
     from octarm.sweeps.folder import read_sweep as read_sweep
     from octarm.sweeps.parser import read_spec as read_spec
@@ -34,6 +35,7 @@ _HOMES = {
     "ArmParameters": "parameters",
     "rollout": "rollout",
     "sweep": "sweep",
+    "read_run": "runs",
     "read_sweep": "sweeps.folder",
     "read_spec": "sweeps.parser",
     "Trajectory": "trajectory",

@@ -14,9 +14,9 @@ import os
 import shutil
 import struct
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import IO, NamedTuple, cast
+from typing import IO, NamedTuple
 
 import numpy as np
 
@@ -138,7 +138,7 @@ class Archive:
             for name, shape in self._layout.shapes.items():
                 with file.open(f"{name}.npy", "w", force_zip64=True) as member:
                     header = {"descr": "<f8", "fortran_order": False, "shape": (len(self), *shape)}
-                    np.lib.format.write_array_header_1_0(cast(IO[bytes], member), header)
+                    np.lib.format.write_array_header_1_0(member, header)
                     for numbers in self._numbers(name):
                         member.write(numbers)
             for name in TEXTS:
@@ -174,7 +174,7 @@ class Archive:
             left -= layout.rows
 
     @contextlib.contextmanager
-    def _failures(self) -> Iterator[None]:
+    def _failures(self) -> Generator[None]:
         try:
             yield
         except OSError as error:

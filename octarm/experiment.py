@@ -9,7 +9,7 @@ import shlex
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,10 +24,11 @@ from octarm.environment import TrackingTask, load, whole_periods
 from octarm.errors import closest
 from octarm.facts import host, versions
 from octarm.interfaces import Controller
+from octarm.interrupts import SIGNALS
 from octarm.ledger import Ledger, asked
 from octarm.parameters import ArmParameters
 from octarm.references import REFERENCES
-from octarm.streaming import SIGNALS, joined, rollout
+from octarm.rollout import joined, stream
 from octarm.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -211,7 +212,7 @@ def _perform(
         measured.add(rows)
 
     duration = announced["duration"]
-    ending = rollout(environment, controller, duration, keep=take_up, progress=progress)
+    ending = stream(environment, controller, duration, keep=take_up, progress=progress)
     return ending, {
         **announced,
         "disturbances": ledger.rows() if ledger is not None else [],
@@ -283,7 +284,7 @@ def _recorder(path: Path, announced: Mapping[str, Any]) -> Recorder:
 
 
 @contextlib.contextmanager
-def _without_interrupts() -> Iterator[None]:
+def _without_interrupts() -> Generator[None]:
     """A run that is over is closed although the user may press Ctrl-C, perhaps again."""
     if threading.current_thread() is not threading.main_thread():
         yield  # signals do not come here

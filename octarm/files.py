@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 
 
 @contextlib.contextmanager
-def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
+def whole_file(path: str | os.PathLike[str]) -> Generator[Path]:
     """A neighbouring name to write to, which becomes `path` when the block ends well.
 
     Raises:
@@ -44,7 +44,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 @contextlib.contextmanager
-def piped(path: Path) -> Iterator[str]:
+def piped(path: Path) -> Generator[str]:
     """A name for a library to write `path` through, if the library hangs on a full disk.
 
     On POSIX the name is that of a pipe, and a thread copies what comes out of it to the file.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from types import TracebackType
 from typing import Any
 
@@ -55,7 +55,7 @@ def write_recording(
 
 
 @contextlib.contextmanager
-def rrd_file(path: str | os.PathLike[str]) -> Iterator[rr.RecordingStream]:
+def rrd_file(path: str | os.PathLike[str]) -> Generator[rr.RecordingStream]:
     """A stream to a `.rrd` file, which appears whole or not at all.
 
     It is `PATH.part` until the block ends well; if the process is killed it stays, readable up to
@@ -85,7 +85,7 @@ def rrd_file(path: str | os.PathLike[str]) -> Iterator[rr.RecordingStream]:
 
 
 @contextlib.contextmanager
-def recording_errors(path: str | os.PathLike[str]) -> Iterator[None]:
+def recording_errors(path: str | os.PathLike[str]) -> Generator[None]:
     """Turns rerun's errors, of many kinds, into RuntimeErrors of one sentence."""
     try:
         yield
@@ -111,7 +111,7 @@ def time_axes(path: str | os.PathLike[str]) -> list[str]:
 
 def last_instant(path: str | os.PathLike[str]) -> float:
     """The last instant of a recording [s]; see `octarm.recordings.viewer.end_of`."""
-    ends = []
+    ends: list[int] = []
     try:
         for chunk in rr.chunk.RrdReader(os.fspath(path)).stream():
             batch = chunk.to_record_batch()
@@ -190,7 +190,7 @@ def part_of(run: Trajectory, start: int, stop: int) -> Trajectory:
 
 
 @contextlib.contextmanager
-def _strict_mode() -> Iterator[None]:
+def _strict_mode() -> Generator[None]:
     """Lets rerun raise errors; it would otherwise warn of bad data, and drop it."""
     before = rr.strict_mode()
     rr.set_strict_mode(True)

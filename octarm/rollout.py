@@ -1,17 +1,24 @@
-"""The only simulation loop: a controller against the arm, as a trajectory."""
+"""The only simulation loop: a controller against the arm.
+
+`drive` serves one arm and a batch, and keeps nothing; `stream` hands on the rows of one arm block
+by block, however long the run is; `rollout` returns them as a trajectory.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from dm_control.rl import control
 
+from octarm.archive import BLOCK, Ending
 from octarm.batch import BatchPhysics
 from octarm.environment import AnyPhysics, TrackingTask, whole_periods
 from octarm.interfaces import Command, Controller, Measurement, Reference
+from octarm.interrupts import held_interrupts
 from octarm.model import coordinate_names
 from octarm.plant import ArmPhysics
 from octarm.trajectory import Trajectory
@@ -99,8 +106,6 @@ def rollout(
     duration: float,
     *,
     progress: Callable[[], object] | None = None,
-    keep: Callable[[Trajectory], object] | None = None,
-    block: int = 5000,
 ) -> Trajectory:
     """Runs one episode of one arm from the start, and records it.
 
@@ -109,9 +114,6 @@ def rollout(
         controller: see `octarm.interfaces`.
         duration: length of the run [s], rounded up to whole control periods.
         progress: called after every control period.
-        keep: called with every `block` of rows while the run goes on, and with the last ones. An
-            interrupt then ends the run: what there is is returned, with the status `interrupted`.
-        block: number of rows.
 
     Returns:
         The trajectory; its status is `diverged` when the arm left its limits, or a force was not
@@ -121,31 +123,78 @@ def rollout(
         ValueError: if the duration is not positive, the controller's force has a wrong shape, or
             the environment holds a batch of arms.
     """
+    blocks: list[Trajectory] = []
+    ending = stream(environment, controller, duration, keep=blocks.append, progress=progress)
+    if ending.status == "interrupted":
+        raise KeyboardInterrupt
+    return joined(blocks, ending)
+
+
+def stream(
+    environment: control.Environment,
+    controller: Controller,
+    duration: float,
+    *,
+    keep: Callable[[Trajectory], object],
+    progress: Callable[[], object] | None = None,
+    block: int = BLOCK,
+) -> Ending:
+    """Runs one episode of one arm from the start, and hands its rows on block by block.
+
+    An interrupt ends the run; a block of rows that is being kept is kept whole before.
+
+    Args:
+        environment: what `octarm.load` returns, possibly wrapped.
+        controller: see `octarm.interfaces`.
+        duration: length of the run [s], rounded up to whole control periods.
+        keep: called with every `block` of rows while the run goes on, and with the last ones.
+        progress: called after every control period.
+        block: number of rows.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        ValueError: if the duration is not positive, the controller's force has a wrong shape, or
+            the environment holds a batch of arms.
+        KeyboardInterrupt: if interrupted before there was a row.
+    """
     physics = environment.physics
     if physics.batch_shape:
         raise ValueError(
             f"a trajectory records one arm; this environment has {physics.batch_shape[0]}"
         )
-    log = _Log(whole_periods(duration, environment.control_timestep()), environment)
+    rows = _Rows(physics, block)
+
+    def hand_on() -> None:
+        with held_interrupts():
+            keep(rows.take())
 
     def observe(instant: Instant) -> None:
-        log.append(instant)
+        rows.append(instant)
         if progress is not None:
             progress()
-        if keep is not None and len(log) - kept[-1] == block:
-            keep(log.rows(kept[-1]))
-            kept.append(len(log))
+        if rows.full:
+            hand_on()
 
-    kept, status, message = [0], "", ""
+    status = ""
     try:
         message = drive(environment, controller, duration, observe)
     except KeyboardInterrupt:
-        if keep is None or not len(log):
+        if not rows.count:
             raise
         status, message = "interrupted", f"interrupted at t = {physics.time():.6g} s"
-    if keep is not None and len(log) > kept[-1]:
-        keep(log.rows(kept[-1]))
-    return log.trajectory(message, status)
+    if not rows.empty:
+        with contextlib.suppress(KeyboardInterrupt):  # the run is over, there is nothing to end
+            hand_on()
+    return Ending(status or ("diverged" if message else "ok"), message, rows.digest())
+
+
+def joined(blocks: Sequence[Trajectory], ending: Ending) -> Trajectory:
+    """Blocks of rows as one trajectory."""
+    tables = [dict(rows.arrays()) for rows in blocks]
+    arrays = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    return Trajectory.from_arrays(arrays, ending._asdict())
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
@@ -179,61 +228,73 @@ def _stop(physics: AnyPhysics, error: control.PhysicsError) -> str:
     return f"diverged at t = {physics.time():.6g} s: {physics.wildest()} most, {error}"
 
 
-class _Log:
-    """Arrays that fill up row by row."""
+class _Rows:
+    """A block of rows that fills up, and the digest of all states so far.
 
-    def __init__(self, rows: int, environment: control.Environment) -> None:
-        self._rows = rows
-        self._physics: ArmPhysics = environment.physics
-        self._used = 0
+    Attributes:
+        count: number of rows so far, those included that were taken.
+    """
+
+    def __init__(self, physics: ArmPhysics, size: int) -> None:
+        self._physics, self._size = physics, size
+        self._used = self.count = 0
         self._columns: dict[str, np.ndarray] = {}
-        self._signals: dict[str, np.ndarray] = {}
+        self._states: list[bytes] = []
         self._hash = hashlib.sha256()
 
+    @property
+    def empty(self) -> bool:
+        """Whether all rows were taken."""
+        return self._used == 0
+
+    @property
+    def full(self) -> bool:
+        """Whether the next row would not fit."""
+        return self._used == self._size
+
     def append(self, instant: Instant) -> None:
-        """One control instant and the period after it."""
-        measurement, reference, command = instant.measurement, instant.reference, instant.command
-        row = {
-            "t": measurement.t,
-            "q": instant.q,
-            "v": instant.v,
-            "q_d": reference.q,
-            "v_d": reference.v,
-            "tau": instant.tau,
-            "force": command.force,
-            "disturbance": instant.disturbance,
-        }
-        signals = dict(command.signals)
-        if self._physics.acting is not None and self._physics.acting.sensors:
-            signals |= {"q_measured": measurement.q, "v_measured": measurement.v}
+        """One control instant and the period after it; not at all if it is interrupted."""
+        row = _row(instant, self._physics)
         if not self._columns:
-            self._columns = {name: self._column(value) for name, value in row.items()}
-            self._signals = {name: self._column(value) for name, value in signals.items()}
-        for name, value in row.items():
-            self._columns[name][self._used] = value
-        for name, column in self._signals.items():
-            column[self._used] = signals[name]
-        self._hash.update(self._physics.integration_state().tobytes())
-        self._used += 1
+            self._columns = {
+                name: np.empty((self._size, *np.shape(value))) for name, value in row.items()
+            }
+        for name, column in self._columns.items():
+            column[self._used] = row[name]
+        del self._states[self._used :]
+        self._states.append(self._physics.integration_state().tobytes())
+        self._used, self.count = self._used + 1, self.count + 1
 
-    def __len__(self) -> int:
-        return self._used
+    def take(self) -> Trajectory:
+        """The rows since the last time."""
+        for state in self._states[: self._used]:
+            self._hash.update(state)
+        arrays = {name: column[: self._used] for name, column in self._columns.items()}
+        self._states, self._used = [], 0
+        return Trajectory.from_arrays(arrays, Ending("ok", "", "")._asdict())
 
-    def rows(self, start: int) -> Trajectory:
-        """The latest rows."""
-        return self.trajectory("", start=start)
+    def digest(self) -> str:
+        """Of the rows that were taken."""
+        return self._hash.hexdigest()
 
-    def trajectory(self, message: str, status: str = "", start: int = 0) -> Trajectory:
-        """What was recorded; `message` says how a run ended before its time."""
-        rows = slice(start, self._used)
-        return Trajectory(
-            **{name: column[rows] for name, column in self._columns.items()},
-            signals={name: column[rows] for name, column in self._signals.items()},
-            status=status or ("diverged" if message else "ok"),  # pyright: ignore
-            message=message,
-            digest=self._hash.hexdigest(),
-        )
 
-    def _column(self, value: np.ndarray | float) -> np.ndarray:
-        """Rows of the shape of this value, NaN until they are written."""
-        return np.full((self._rows, *np.shape(value)), np.nan)
+def _row(instant: Instant, physics: ArmPhysics) -> Mapping[str, Any]:
+    """The numbers of a row by name, as a trajectory has them."""
+    measurement, reference = instant.measurement, instant.reference
+    row: dict[str, Any] = {
+        "t": measurement.t,
+        "q": instant.q,
+        "v": instant.v,
+        "q_d": reference.q,
+        "v_d": reference.v,
+        "tau": instant.tau,
+        "force": instant.command.force,
+        "disturbance": instant.disturbance,
+    }
+    signals = dict(instant.command.signals)
+    if physics.acting is not None and physics.acting.sensors:
+        signals |= {"q_measured": measurement.q, "v_measured": measurement.v}
+    taken = [name for name in signals if name in row]
+    if taken:
+        raise ValueError(f"a signal cannot be called {taken[0]!r}: the trajectory has that")
+    return row | signals

@@ -8,11 +8,11 @@ import os
 import platform
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -135,22 +135,23 @@ def read_description(folder: Path) -> dict[str, Any]:
     """
     path = folder / DESCRIPTION
     try:
-        description = json.loads(path.read_text(encoding="utf-8"))
+        description: Any = json.loads(path.read_text(encoding="utf-8"))
     except (FileNotFoundError, NotADirectoryError):
         raise ValueError(f"{folder} is not a run folder: it has no {DESCRIPTION}") from None
     except ValueError as error:
         raise ValueError(f"{path} is not readable ({error})") from None
     if not isinstance(description, dict) or "controller" not in description:
         raise ValueError(f"{path} does not describe a run: it has no controller")
-    return description
+    return cast(dict[str, Any], description)
 
 
-def read_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
-    """The trajectory of a run folder, in memory, and the description of what was run.
+def read_run(folder: str | Path) -> tuple[Trajectory, dict[str, Any]]:
+    """The trajectory of a run folder, in memory, and what `run.json` says of the run.
 
     Raises:
         ValueError: if the folder holds no run.
     """
+    folder = Path(folder)
     description = read_description(folder)
     return Trajectory.load(folder / ARRAYS), description
 
@@ -175,7 +176,7 @@ def map_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
 
 
 @contextmanager
-def new_folder(folder: Path) -> Iterator[Path]:
+def new_folder(folder: Path) -> Generator[Path]:
     """A folder to fill.
 
     Where nothing stands it has its final name from the start, so that what a killed run leaves is
@@ -216,7 +217,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _fresh(folder: Path) -> Iterator[None]:
+def _fresh(folder: Path) -> Generator[None]:
     """Makes a folder and removes it, and the parents it needed, unless the block ends well."""
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
@@ -251,7 +252,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, ArmParameters):
         return value.to_dict()
     if isinstance(value, tuple):
-        return [_plain(item) for item in value]
+        return [_plain(item) for item in cast(tuple[Any, ...], value)]
     return describe_fields(value) if dataclasses.is_dataclass(value) else plain(value)
 
 
@@ -260,5 +261,6 @@ def _json(value: Any, indent: str = "") -> str:
     if not isinstance(value, dict):
         return json.dumps(value, allow_nan=False)
     inner = indent + "  "
-    rows = [f"{inner}{json.dumps(key)}: {_json(item, inner)}" for key, item in value.items()]
+    table = cast(dict[str, Any], value)
+    rows = [f"{inner}{json.dumps(key)}: {_json(item, inner)}" for key, item in table.items()]
     return "{\n" + ",\n".join(rows) + f"\n{indent}}}"

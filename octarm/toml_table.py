@@ -74,7 +74,7 @@ class Table:
         value = self.take(key)
         if value is not None and not isinstance(value, dict):
             raise self.error(f"{key} is {shown(value)}; it must be a table", key)
-        return Table(value or {}, (*self._path, key), self._source)
+        return Table(cast(dict[str, Any], value or {}), (*self._path, key), self._source)
 
     def whole(self, key: str, default: int, *, at_least: int) -> int:
         """An integer."""

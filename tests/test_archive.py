@@ -19,8 +19,7 @@ from octarm.archive import Archive, Ending, mapped, read_blocks
 from octarm.environment import load
 from octarm.model import nominal_parameters
 from octarm.recording import part_of
-from octarm.rollout import rollout as rollout_in_memory
-from octarm.streaming import joined, rollout
+from octarm.rollout import joined, rollout, stream
 from octarm.trajectory import Trajectory
 
 ODD = {
@@ -130,8 +129,8 @@ def begun(duration=1.0):
 def test_a_run_in_blocks_is_the_run_in_memory(block):
     environment, controller = begun()
     blocks: list[Trajectory] = []
-    ending = rollout(environment, controller, 0.02, keep=blocks.append, block=block)
-    whole = rollout_in_memory(environment, controller, 0.02)
+    ending = stream(environment, controller, 0.02, keep=blocks.append, block=block)
+    whole = rollout(environment, controller, 0.02)
     same(whole, joined(blocks, ending))
     assert ending == (whole.status, whole.message, whole.digest)
     assert [len(rows) for rows in blocks] == [block] * (40 // block) + [40 % block] * bool(
@@ -144,7 +143,7 @@ def test_the_memory_a_run_takes_does_not_grow_with_it():
     peaks = []
     for duration in (0.02, 0.02, 0.4):  # the first one fills caches
         tracemalloc.start()
-        rollout(environment, controller, duration, keep=len, block=20)
+        stream(environment, controller, duration, keep=len, block=20)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[2] < peaks[1] + 20_000  # 760 rows more are 300 kB
@@ -160,8 +159,8 @@ def test_an_interrupted_run_has_whole_blocks():
             signal.raise_signal(signal.SIGINT)
         blocks.append(rows)
 
-    ending = rollout(environment, controller, 0.5, keep=keep, block=10)
+    ending = stream(environment, controller, 0.5, keep=keep, block=10)
     assert ending.status == "interrupted" and "interrupted at t = 0.01 s" in ending.message
-    whole = rollout_in_memory(environment, controller, 0.01)
+    whole = rollout(environment, controller, 0.01)
     same(whole, joined(blocks, ending))
     assert ending.digest == whole.digest

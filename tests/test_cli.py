@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import octarm
 from controllers import CONTROLLERS
 from octarm import cli, experiment, runs
 from octarm.actuation import ACTUATIONS
@@ -63,7 +64,7 @@ def test_a_run_writes_its_folder_and_says_so(capsys):
 
 def test_the_metrics_are_those_of_the_arrays():
     assert cli.main(["run", "--duration", "2.1", "--out", "a", "--controller", "smc"]) == 0
-    run, description = runs.read_run(Path("a"))
+    run, description = octarm.read_run("a")
     settled = run.error[run.t >= 2.0]
     rms = np.sqrt(np.mean(settled**2, axis=0))
     np.testing.assert_allclose(description["metrics"]["rms_error"], rms)
@@ -186,7 +187,7 @@ def test_a_diverging_run_is_kept_and_marked(capsys):
         err,
     )
     assert "replay" not in err and "wrote a/" in out
-    run, description = runs.read_run(Path("a"))
+    run, description = octarm.read_run("a")
     assert run.status == description["status"] == "diverged"
     assert description["message"] == run.message
     assert description["metrics"]["rms_error"] == [None] * 6
@@ -197,7 +198,7 @@ def test_an_interrupt_leaves_nothing_half_written(monkeypatch, capsys):
     def interrupted(*_args, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(experiment, "rollout", interrupted)
+    monkeypatch.setattr(experiment, "stream", interrupted)
     assert short_run() == 130
     assert "interrupted" in capsys.readouterr().err
     assert list(Path().iterdir()) == []
@@ -231,7 +232,7 @@ def test_a_link_to_a_run_is_followed():
     Path("link").symlink_to("a")
     assert cli.main(["run", "--duration", "0.02", "--out", "link"]) == 0
     assert Path("link").is_symlink()
-    assert len(runs.read_run(Path("a"))[0]) == 40
+    assert len(octarm.read_run("a")[0]) == 40
     assert {p.name for p in Path().iterdir()} == {"a", "link"}
 
 

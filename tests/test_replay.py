@@ -12,6 +12,7 @@ import pytest
 import rerun as rr
 from recordings import described, fields, swinging
 
+import octarm
 from octarm import cli, runs
 from octarm.commands import replay as replay_commands
 from octarm.recordings import viewer
@@ -142,7 +143,7 @@ def test_an_interrupted_run_is_kept_and_said_to_be_partial(opened, capsys):
     process.terminate()
     process.send_signal(signal.SIGINT)  # of somebody who is in a hurry
     _, err = process.communicate(timeout=60)
-    run, description = runs.read_run(Path("a"))
+    run, description = octarm.read_run("a")
     assert process.returncode == 130
     assert err == f"octarm: interrupted; a holds the run up to t = {run.t[-1]:.6g} s\n"
     assert run.status == description["status"] == "interrupted"

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
+
+from octarm.toml_table import items
 
 _SHOWN = 12  # differences that are listed
 _IDLE = ("name", "cores")  # facts of a machine that no result depends on
@@ -41,7 +43,7 @@ def told(differences: Sequence[Difference], heading: str) -> list[str]:
 
 def flat(facts: Mapping[str, Any]) -> dict[str, str]:
     """Facts by name; `facts` holds them in the tables `versions` and `host`."""
-    tables = (facts.get(key) or {} for key in ("versions", "host"))
+    tables: list[Mapping[str, Any]] = [facts.get(key) or {} for key in ("versions", "host")]
     return {key: str(value) for table in tables for key, value in table.items()}
 
 
@@ -68,11 +70,18 @@ def beside(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
 
 
 def _compare(key: str, was: Any, now: Any) -> Iterator[Difference]:
-    if isinstance(was, dict) and isinstance(now, dict):
-        for name, value in was.items():
-            yield from _compare(f"{key}.{name}".lstrip("."), value, now.get(name, "absent"))
-    elif isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
-        for i, pair in enumerate(zip(was, now, strict=True)):
+    table, other = _table(was), _table(now)
+    if table is not None and other is not None:
+        for name, value in table.items():
+            yield from _compare(f"{key}.{name}".lstrip("."), value, other.get(name, "absent"))
+        return
+    old, new = items(was), items(now)
+    if old is not None and new is not None and len(old) == len(new):
+        for i, pair in enumerate(zip(old, new, strict=True)):
             yield from _compare(f"{key}[{i}]", *pair)
     elif repr(was) != repr(now):  # tells 0.0 from -0.0
         yield Difference(key, was, now)
+
+
+def _table(value: Any) -> dict[str, Any] | None:
+    return cast(dict[str, Any], value) if isinstance(value, dict) else None

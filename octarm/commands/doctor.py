@@ -34,7 +34,7 @@ def doctor() -> int:
 def _say(title: str, findings: Iterable[Finding]) -> list[Finding]:
     """Prints findings as they come in."""
     print(f"{title}:", flush=True)
-    found = []
+    found: list[Finding] = []
     for finding in findings:
         head = f"  {finding.state.value:<8} {finding.name:<16} "
         text = textwrap.fill(finding.text, _WIDTH, initial_indent=head, subsequent_indent=" " * 28)

@@ -9,7 +9,7 @@ import io
 import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from tqdm import tqdm
@@ -39,7 +39,7 @@ def margin(options: Margin) -> int:
     for trial in trials.values():
         trial.rehearse()
     print("\n".join(_heading(options, varied)), flush=True)
-    rows = []
+    rows: list[Mapping[str, Any]] = []
     for name, trial in trials.items():
         brackets = _search(name, trial, options)
         rows.append(_row(name, brackets, options.share, varied))
@@ -233,9 +233,9 @@ def _report(options: Margin, varied: Varied, rows: Sequence[Mapping[str, Any]]) 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: _plain(item) for key, item in cast(Mapping[str, Any], value).items()}
     if isinstance(value, list):
-        return [_plain(item) for item in value]
+        return [_plain(item) for item in cast(list[Any], value)]
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else str(value)
     return value

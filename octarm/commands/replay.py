@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -93,7 +93,7 @@ def _picture(options: Replay, files: list[Path]) -> int:
 
 
 @contextlib.contextmanager
-def _recordings(folders: tuple[Path, ...]) -> Iterator[list[Path]]:
+def _recordings(folders: tuple[Path, ...]) -> Generator[list[Path]]:
     """The recordings to open: of one run, of two runs together, or of a sweep.
 
     Raises:
@@ -125,7 +125,7 @@ def _of_sweep(folder: Path, scratch: Path) -> list[Path]:
         print(f"octarm: the first {_MOST} of {len(files)} recordings are shown", file=sys.stderr)
     if len(files) == 1:
         return files
-    shown = []
+    shown: list[Path] = []
     for file in files[:_MOST]:
         shown.append(scratch / f"{len(shown)}-{file.parent.name}.rrd")
         viewer.listed(file, shown[-1])

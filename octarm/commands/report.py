@@ -49,7 +49,7 @@ def _check_place(out: Path, sweep: Path) -> None:
         raise ValueError(f"{out} is not a folder; choose another --out")
     if out.resolve() == sweep.resolve():
         raise ValueError(f"{out} is the sweep itself; choose another --out")
-    found = {entry.name for entry in out.iterdir()} if out.is_dir() else set()
+    found = {entry.name for entry in (out.iterdir() if out.is_dir() else ())}
     if PAGE not in found and found - {FIGURES, *TABLES}:
         raise ValueError(f"{out} exists and is not a report; choose another --out")
 

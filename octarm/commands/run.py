@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+from dm_control.rl import control
 from tqdm import tqdm
 
 from controllers import make_controller
@@ -26,12 +27,13 @@ from octarm.environment import whole_periods
 from octarm.errors import ExitCode, closest
 from octarm.experiment import Experiment, run_into
 from octarm.files import write_text
-from octarm.model import nominal_parameters
+from octarm.model import nominal_parameters, template_model
 from octarm.parameters import ArmParameters
 
 if TYPE_CHECKING:
     from octarm.options.checks import Validate
     from octarm.options.run import Run
+    from octarm.report import Report
 
 
 def run(options: Run) -> int:
@@ -67,12 +69,24 @@ def run(options: Run) -> int:
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt(f"{out} holds the run up to t = {trajectory.t[-1]:.6g} s")
     if trajectory.status == "diverged":
-        print(f"octarm: the run {trajectory.message}; it was kept up to there", file=sys.stderr)
+        told = f"the run {trajectory.message}; it was kept up to there"
+        print(f"octarm: {told}{_advice(options, environment)}", file=sys.stderr)
         return ExitCode.DIVERGED
     if options.view:
         return _view(out)
     print(f"see it: octarm replay {shlex.quote(str(out))}")
     return ExitCode.FINE
+
+
+def _advice(options: Run, environment: control.Environment) -> str:
+    """What may help a run that diverged: tuned gains are high for the usual control period."""
+    usual = float(template_model().opt.timestep)
+    if options.gains in (None, "tuned") and environment.control_timestep() > 1.5 * usual:
+        return (
+            f"; the tuned gains are for a control period of {usual:g} s, --gains recommended "
+            "bear longer ones"
+        )
+    return ""
 
 
 def validate(options: Validate) -> int:
@@ -94,7 +108,7 @@ def validate(options: Validate) -> int:
         raise ValueError(f"{options.json} cannot be written: there is no folder for it")
     draw = np.random.default_rng(options.seed)
     arms = [random_arm(draw, options.modules) for _ in range(options.random_parameters)]
-    reports = []
+    reports: list[Report] = []
     for arm in arms or [arm_with(options.modules)]:
         with tqdm(bar_format="checking {desc}", disable=None, leave=False) as line:
             report = compare(arm, states, options.seed, line.set_description_str)
@@ -113,7 +127,7 @@ def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
     Raises:
         ValueError: if an item has no name, or its values are not numbers.
     """
-    values = {}
+    values: dict[str, npt.ArrayLike] = {}
     for item in items:
         name, _, text = item.partition(":")
         if name in values:

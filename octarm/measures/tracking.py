@@ -193,9 +193,10 @@ def tip(q: np.ndarray) -> tuple[Entry, Entry]:
     n = q.shape[-1] // 2
     entries = split(q)
     x = entries[0]
-    y = phi = 0.0
-    for i in range(1, n):
-        phi = phi + entries[n + i - 1]
+    y: Entry = 0.0
+    phi: Entry = 0.0
+    for i, theta in enumerate(entries[n:-1], 1):
+        phi = phi + theta
         half = np.tan(0.5 * phi)
         share = 2.0 / (1.0 + half * half)  # 1 + cos phi
         x = x + entries[i] * (share - 1.0)

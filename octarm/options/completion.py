@@ -56,7 +56,8 @@ def completion(options: Completion) -> int:
 
 
 def _bash(shell: str) -> str:
-    options, values = [], []
+    options: list[str] = []
+    values: list[str] = []
     for name, kind in COMMANDS.items():
         arguments = arguments_of(kind)
         flags = [a.flag for a in arguments if isinstance(a.mark, Option)]

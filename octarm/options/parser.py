@@ -116,7 +116,7 @@ def parse(words: Sequence[str]) -> Command:
 
 def overview() -> str:
     """The page of `octarm --help`."""
-    lines = []
+    lines: list[str] = []
     for title, kinds in GROUPS.items():
         lines += ["", f"{title}:"]
         lines += [f"  {kind.__name__.lower():<11} {summary(kind)}" for kind in kinds]

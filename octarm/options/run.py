@@ -115,8 +115,8 @@ class Run:
         str | None,
         Option(
             "GAINS",
-            "those to start from: tuned, recommended, or a file NAME.toml of octarm tune; tuned "
-            "ones where there are any when not given",
+            "those to start from: tuned (for a control period of 0.0005 s), recommended (set by "
+            "hand, lower), or a file NAME.toml of octarm tune; tuned ones when not given",
             _GAINS,
         ),
     ] = None

@@ -104,7 +104,7 @@ def _all(evidence: Evidence, label: str, noise: float) -> list[Row]:
 
 def _rates(evidence: Evidence) -> Mapping[float, float]:
     """Chattering of the proposed controller without noise, by control rate [%]."""
-    found = {}
+    found: dict[float, float] = {}
     for rate in sorted({*evidence.effort.rates, RATE}):
         cell = Cell(PROPOSED, study_of_rate(rate), mismatch=WRONG)
         if evidence.measured.has(cell):

@@ -98,7 +98,7 @@ class Claim:
             timings: whether what differs from run to run is there, too.
         """
         content = dataclasses.asdict(self)
-        rows = []
+        rows: list[dict[str, Any]] = []
         for row in self.rows:
             if timings or not row.varies:
                 numbers = {key: rounded(getattr(row, key)) for key in ("value", "low", "high")}

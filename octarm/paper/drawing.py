@@ -8,8 +8,7 @@ from typing import Any, NamedTuple, cast
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as NewFigure
 
 from octarm.paper.variants import (
     AS_PRINTED,
@@ -21,7 +20,7 @@ from octarm.paper.variants import (
     SMC,
     UNGUARDED,
 )
-from octarm.reports.panels import COLORS, INK, MARKERS, STYLE, logarithmic_ticks
+from octarm.reports.panels import COLORS, INK, MARKERS, STYLE, Axes, Figure, logarithmic_ticks
 
 _MAIN = (PROPOSED, SMC, SIGN, "smc-integral", "super-twisting", "afsmc-consequent", "fsmc", "pd",
          "computed-torque", "fuzzy")  # fmt: skip
@@ -77,7 +76,7 @@ def title_of(label: str) -> str:
 def draw(name: str, caption: str, make: Callable[[], Figure]) -> Picture:
     """A figure, drawn in the style of all; without anything that differs from run to run."""
     own = {k: v for k, v in matplotlib.rcParamsDefault.items() if not k.startswith("backend")}
-    with matplotlib.rc_context(cast(Any, {**own, **STYLE})):
+    with cast(Any, matplotlib).rc_context({**own, **STYLE}):
         figure = make()
         vector, raster = io.BytesIO(), io.BytesIO()
         figure.savefig(vector, format="svg", metadata={"Date": None, "Creator": None})
@@ -90,7 +89,7 @@ def panels(
     rows: int, columns: int, width: float, height: float, **options: Any
 ) -> tuple[Figure, np.ndarray]:
     """A grid of panels of this size [inch], shape (rows, columns)."""
-    figure = Figure(figsize=(width * columns, height * rows + 0.4), layout="constrained")
+    figure = NewFigure(figsize=(width * columns, height * rows + 0.4), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 

@@ -6,8 +6,6 @@ import warnings
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from octarm.paper.claims import percent
 from octarm.paper.drawing import (
@@ -26,6 +24,7 @@ from octarm.paper.quantities import error_mean, error_of
 from octarm.paper.series import LONG
 from octarm.paper.studies import BENDS, BEYOND, MODELS, NOISE, RATE, SLIDES, WRONG, study_of_rate
 from octarm.paper.variants import CONTROLLERS, PROPOSED, SIGN, SMC, by_hand
+from octarm.reports.panels import Axes, Figure
 from octarm.reports.statistics import Interval
 
 

@@ -98,7 +98,7 @@ def _passed(crossing: float) -> str:
 
 def _overshoots(evidence: Evidence, label: str) -> list[tuple[str, float]]:
     """The overshoots without noise: where, and how much [%]."""
-    found = []
+    found: list[tuple[str, float]] = []
     for reference in (BENDS, SLIDES):
         for model in MODELS:
             cell = Cell(label, reference=reference, mismatch=model)

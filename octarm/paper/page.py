@@ -89,7 +89,7 @@ def _claim(claim: Claim) -> str:
 
 
 def _figures(pictures: Iterable[Picture]) -> str:
-    parts = []
+    parts: list[str] = []
     for picture in pictures:
         svg = inline_svg(picture.svg, picture.name, picture.caption)
         caption = f"<figcaption>{_escaped(picture.caption)}</figcaption>"

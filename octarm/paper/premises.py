@@ -120,7 +120,7 @@ def _row(label: str, cell: Cell, ratio: Interval) -> Row:
 
 def _by_hand(evidence: Evidence) -> list[Row]:
     """Both with hand-set gains."""
-    rows = []
+    rows: list[Row] = []
     for model in MODELS:
         cell = Cell(by_hand(PROPOSED), mismatch=model, noise=NOISE)
         other = cell._replace(label=by_hand(CONSEQUENT))

@@ -48,7 +48,7 @@ def ranking(evidence: Evidence) -> Table:
 
 def joints(evidence: Evidence) -> Table:
     """The numbers of figures 1 and 2."""
-    rows = []
+    rows: list[tuple[Entry, ...]] = []
     for reference in (BENDS, SLIDES):
         for noise in (0.0, NOISE):
             for model in MODELS:
@@ -87,7 +87,7 @@ def _joint_row(evidence: Evidence, cell: Cell) -> tuple[Entry, ...]:
 
 def ablations(evidence: Evidence) -> Table:
     """What is left of `afsmc` without one of its parts, and what others reach."""
-    rows = []
+    rows: list[tuple[Entry, ...]] = []
     labels = [CONSEQUENT, SMC, INTEGRAL, *evidence.cast.ablations]
     for label in labels:
         for reference in (BENDS, SLIDES):
@@ -115,7 +115,7 @@ def ablations(evidence: Evidence) -> Table:
 
 def gain_sets(evidence: Evidence) -> Table:
     """Tuned gains against hand-set ones."""
-    rows = []
+    rows: list[tuple[Entry, ...]] = []
     for name in CONTROLLERS:
         for noise in (NOISE, 0.0):
             own = [Cell(name, mismatch=m, noise=noise) for m in MODELS]

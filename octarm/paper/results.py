@@ -58,7 +58,7 @@ def timings(evidence: Evidence) -> Table:
 
 def rates(evidence: Evidence) -> Table:
     """Other control rates."""
-    rows = []
+    rows: list[tuple[Entry, ...]] = []
     for rate in sorted({*evidence.effort.rates, RATE}):
         for label in _labels(evidence, study_of_rate(rate)) if evidence.effort.rates else ():
             noisy = Cell(label, study_of_rate(rate), mismatch=WRONG, noise=NOISE)
@@ -68,7 +68,7 @@ def rates(evidence: Evidence) -> Table:
 
 def correlation(evidence: Evidence) -> Table:
     """Other correlation times of the noise."""
-    rows = []
+    rows: list[tuple[Entry, ...]] = []
     for time in sorted({*evidence.effort.times, TIME}) if evidence.effort.times else ():
         for label in _labels(evidence, "correlation"):
             study = "tracking" if time == TIME else "correlation"

@@ -144,10 +144,10 @@ def _outcome(
     request: Request, mismatch: float, history: Mapping[str, np.ndarray], diverged: bool
 ) -> Outcome:
     gains, s = request.variant.gains, history["s"]
-    V, covered = history["V"], _covers(gains.get("K", 0.0), history["F"])
+    more, covered = 0.0, _covers(gains.get("K", 0.0), history["F"])
     if "E" in history:
         more, covered = _adapted(gains, history)
-        V = V + more
+    V = history["V"] + more
     grown = V[1:] > V[:-1]
     outside = np.any(np.abs(s[:-1]) > np.asarray(gains["phi"] if "phi" in gains else 0.0), axis=-1)
     steady = round(SETTLED_AFTER * request.rate)

@@ -98,7 +98,7 @@ def parts(cast: Cast, effort: Effort) -> list[Part]:
 
 def _tracking(cast: Cast, effort: Effort) -> list[Part]:
     """The main study: figures 1 and 2, ablations, both gain sets."""
-    found = []
+    found: list[Part] = []
     for name, (labels, reference, noisy) in _groups(effort).items():
         variants = [cast[label] for label in labels]
         long = effort.duration
@@ -152,7 +152,7 @@ def _beyond(cast: Cast, effort: Effort) -> list[Part]:
 def _rates(cast: Cast, effort: Effort) -> list[Part]:
     """Control at other rates, with and without noise."""
     who = [cast[label] for label in (SIGN, SMC, TWISTING, PROPOSED)]
-    found = []
+    found: list[Part] = []
     for rate in effort.rates:
         timing = {"control_period": 1.0 / rate, "timestep": min(1.0 / rate, 1.0 / RATE)}
         for noise, seeds, name in ((0.0, 1, "quiet"), (NOISE, effort.seeds, "")):
@@ -193,7 +193,7 @@ def _sweep(
 
 def _toml(sections: Mapping[str, Mapping[str, Any]]) -> str:
     """The text of a spec; numbers, words and lists of them are spelt as in JSON."""
-    blocks = []
+    blocks: list[str] = []
     for heading, table in sections.items():
         rows = [f"{key} = {json.dumps(value)}" for key, value in table.items()]
         blocks.append("\n".join(([f"[{heading}]"] if heading else []) + rows))

@@ -51,7 +51,7 @@ def as_csv(table: Table) -> str:
 def as_html(table: Table) -> str:
     """A table with its caption."""
     head = "".join(f"<th{_side(table, j)}>{_escaped(c)}</th>" for j, c in enumerate(table.columns))
-    rows = []
+    rows: list[str] = []
     for row in table.rows:
         cells = (f"<td{_side(table, j)}>{_marked(entry)}</td>" for j, entry in enumerate(row))
         rows.append(f"<tr>{''.join(cells)}</tr>")

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from octarm.model import coordinate_names, nominal_parameters
 from octarm.paper.claims import percent
@@ -16,7 +14,7 @@ from octarm.paper.measured import MOVING
 from octarm.paper.series import Series, name_of, readings, shown
 from octarm.paper.studies import BENDS, MODELS, NOISE, SLIDES
 from octarm.paper.variants import PROPOSED, SMC
-from octarm.reports.panels import INK
+from octarm.reports.panels import INK, Axes, Figure
 
 _UNITS = {BENDS: ("rad", "mrad"), SLIDES: ("m", "mm")}
 _READING = {BENDS: "theta1 and theta2", SLIDES: "s1 and s2"}

@@ -57,7 +57,7 @@ _EXPLAINED = (
 
 def cases() -> list[Case]:
     """What is uncertain."""
-    found = []
+    found: list[Case] = []
     for reference, reading in ((BENDS, "bends"), (SLIDES, "slides")):
         for noise in (0.0, NOISE):
             for model in MODELS:

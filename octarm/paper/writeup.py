@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 from octarm.paper.claims import Claim, rounded
 from octarm.paper.evidence import Evidence
@@ -123,5 +123,5 @@ def _folded(title: str, text: str) -> str:
 
 
 def _triple(entry: Any) -> list[float | str]:
-    values = entry if isinstance(entry, tuple) else (entry, entry, entry)
+    values = cast(tuple[Any, ...], entry) if isinstance(entry, tuple) else (entry, entry, entry)
     return [rounded(float(x)) for x in values]

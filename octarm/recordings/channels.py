@@ -158,7 +158,7 @@ def bounds_of(description: Mapping[str, Any], coordinates: int) -> dict[str, np.
     shape (2N,).
     """
     gains = description.get("controller", {}).get("gains", {})
-    found = {}
+    found: dict[str, np.ndarray] = {}
 
     def known(name: str) -> np.ndarray | None:
         try:

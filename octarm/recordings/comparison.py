@@ -52,7 +52,7 @@ def write_comparison(path: str | os.PathLike[str], first: Run, second: Run) -> N
         raise ValueError("there is nothing to compare: a run has no rows")
     titles = [title_of(run.description) for run in (first, second)]
     with rrd_file(path) as stream, recording_errors(path):
-        logged = []
+        logged: list[RecordedRun] = []
         for root, run in (("A/", first), ("B/", second)):
             one = RecordedRun(stream, run.description, root=root)
             for k in range(0, len(run.trajectory), BLOCK):
@@ -74,7 +74,7 @@ def difference(first: Trajectory, second: Trajectory) -> tuple[np.ndarray, np.nd
     """
     shared = first.t <= second.t[-1]
     t = first.t[shared]
-    other = [np.interp(t, second.t, error) for error in np.abs(second.error).T]
+    other: list[np.ndarray] = [np.interp(t, second.t, error) for error in np.abs(second.error).T]
     return t, np.abs(first.error[shared]) - np.stack(other, axis=1)
 
 
@@ -95,7 +95,7 @@ def _largest(first: Run, second: Run) -> dict[str, float]:
     """The largest error of slides and bends in both runs, for equal scales."""
     n = first.trajectory.q.shape[1] // 2
     errors = [np.abs(run.trajectory.error) for run in (first, second)]
-    found = {}
+    found: dict[str, float] = {}
     for part, half in (("slides", slice(n)), ("bends", slice(n, None))):
         largest = max(float(np.nan_to_num(e[:, half]).max()) for e in errors)
         found[part] = 1.05 * largest if largest < 1e3 else 0.0
@@ -128,7 +128,7 @@ def _row(logged: Sequence[RecordedRun], part: str, axis: rrb.TimeAxis, largest: 
     channel = logged[0].channels["error"]
     names = channel.names[channel.half(part)]
     colors = module_colors(len(names))
-    views = []
+    views: list[Any] = []
     for name in "AB":
         curves = Curves(f"{name}/signals", "signals", f".error_{part}[]", names, colors)
         title = f"error of {part} in {name}{channel.unit(part)}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 from octarm.metrics import METRICS
 from octarm.model import coordinate_names
@@ -70,7 +70,8 @@ def _metrics(description: Mapping[str, Any]) -> str:
         unit = "" if meaning is None else meaning.slide_unit
         if meaning is not None and meaning.bend_unit not in ("", meaning.slide_unit):
             unit = f"{unit}, {meaning.bend_unit}"
-        texts = [_text(v) for v in values] if isinstance(values, list) else [_text(values)]
+        listed = cast(list[Any], values) if isinstance(values, list) else [values]
+        texts = [_text(v) for v in listed]
         texts += [""] * (2 * modules - len(texts))
         rows.append([name, *texts[: 2 * modules], unit, "" if meaning is None else meaning.text])
     return "\n".join(
@@ -95,9 +96,10 @@ def _pairs(table: Mapping[str, Any]) -> str:
 
 def _text(value: Any) -> str:
     if isinstance(value, Mapping):
-        return ", ".join(f"{name} {_text(item)}" for name, item in value.items())
+        table = cast(Mapping[str, Any], value)
+        return ", ".join(f"{name} {_text(item)}" for name, item in table.items())
     if isinstance(value, list):
-        return "(" + ", ".join(_text(item) for item in value) + ")"
+        return "(" + ", ".join(_text(item) for item in cast(list[Any], value)) + ")"
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "–"}[value]
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -5,17 +5,20 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as NewFigure
 
 from octarm.files import whole_file
 from octarm.recordings.channels import Channel, bound_lines, bounds_of, channels_of, values_of
 from octarm.recordings.notes import title_of
 from octarm.trajectory import Trajectory
+
+# Stand for Matplotlib's classes, whose methods leave the types of keyword arguments unknown.
+Axes = Any
+Figure = Any
 
 COLORS = ["#d1660a", "#1f6fb5", "#2a9461", "#b8408f", "#a08a10", "#6a55c8", "#1b8f8f", "#c24a3a"]
 _MOST = 4000  # points a curve; of more only the extremes of each stretch are drawn
@@ -61,8 +64,8 @@ def write_figures(
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    with matplotlib.rc_context(_STYLE):
+    written: list[Path] = []
+    with cast(Any, matplotlib).rc_context(_STYLE):
         for name, figure in figures(run, description):
             for kind in ("png", "svg"):
                 path = folder / f"{name}.{kind}"
@@ -149,7 +152,7 @@ class _Drawing:
         return figure
 
     def _figure(self, rows: int, height: float = 1.9) -> tuple[Figure, list[Axes]]:
-        figure = Figure(figsize=(6.3, height * rows + 0.5), layout="constrained")
+        figure = NewFigure(figsize=(6.3, height * rows + 0.5), layout="constrained")
         axes = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
         axes[0].set_title(self._title, loc="left")
         axes[-1].set_xlabel("time [s]")

@@ -9,7 +9,7 @@ compresses.
 from __future__ import annotations
 
 import math
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -58,7 +58,7 @@ class Scene:
         down = [self.weight_length() * math.sin(self._tilt), 0.0, 0.0]
         down[2] = -self.weight_length() * math.cos(self._tilt)
         lines = rr.LineStrips3D.from_fields
-        out = {
+        out: dict[str, Any] = {
             "world": rr.ViewCoordinates.RIGHT_HAND_Z_UP,
             "world/base": rr.Cylinders3D(
                 lengths=0.15 * w, radii=0.75 * w, centers=[0, 0, 0.075 * w], colors=_BASE, **solid
@@ -204,7 +204,7 @@ class Scene:
 def _poses(pieces: scene.Pieces) -> list[Any]:
     frames, count = pieces.angles.shape
     angles = _rounded(pieces.angles.ravel(), 1024.0)
-    kind: Any = rr.components.RotationAxisAngleBatch._ARROW_DATATYPE
+    kind = rr.components.RotationAxisAngle.arrow_type()
     axes = pa.array(np.tile(np.array([0.0, 1.0, 0.0], dtype=np.float32), len(angles)))
     turns = pa.StructArray.from_arrays(
         [pa.FixedSizeListArray.from_arrays(axes, type=kind.field("axis").type), pa.array(angles)],
@@ -212,7 +212,7 @@ def _poses(pieces: scene.Pieces) -> list[Any]:
     )
     poses = rr.InstancePoses3D.columns(
         translations=_rounded(pieces.centers.reshape(-1, 3), 8192.0),
-        rotation_axis_angles=cast(Any, turns),
+        rotation_axis_angles=turns,
     )
     return [*poses.partition([count] * frames)]
 

@@ -16,7 +16,6 @@ COLORS = {  # of the states, as hexadecimal red, green, blue
     "diverged": "E03A3A",
     "interrupted": "8A6FBF",
 }
-OTHER_COLOR = "9B89FF"
 
 
 class Event(NamedTuple):
@@ -68,10 +67,11 @@ class States:
     def _sliding(self, s: np.ndarray) -> np.ndarray:
         if self._phi is not None:
             return np.abs(s) <= self._phi
-        if self._sign is None or self._reached is None:
-            self._sign, self._reached = np.sign(s[0]), np.zeros(s.shape[1], dtype=bool)
-        there = np.logical_or.accumulate(s * self._sign <= 0.0, axis=0) | self._reached
-        self._reached = there[-1]
+        sign, reached = self._sign, self._reached
+        if sign is None or reached is None:
+            sign, reached = np.sign(s[0]), np.zeros(s.shape[1], dtype=bool)
+        there = np.logical_or.accumulate(s * sign <= 0.0, axis=0) | reached
+        self._sign, self._reached = sign, there[-1]
         return there
 
     def _of(self, lane: str, flag: np.ndarray, off: str, on: str) -> list[tuple[int, str]]:
@@ -84,7 +84,7 @@ class States:
 
 def events(disturbances: list[dict[str, Any]]) -> list[Event]:
     """What of the disturbances comes and goes, in the order of time."""
-    found = []
+    found: list[Event] = []
     for entry in disturbances:
         asked = entry["asked"]
         size = next((v for v in asked.values() if isinstance(v, int | float)), None)

@@ -8,7 +8,7 @@ import contextlib
 import ctypes.util
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from fractions import Fraction
 from typing import Any
 
@@ -78,7 +78,7 @@ def write_video(
     if min(size) < 16 or max(size) > 4096 or size[0] % 2 or size[1] % 2:
         raise ValueError(f"the size is {size[0]} x {size[1]}; both must be even, 16 to 4096")
     count = max(1, round((run.t[-1] - run.t[0]) / speed * rate) + 1)
-    rows = np.searchsorted(run.t, run.t[0] + np.arange(count) * speed / rate - 1e-9)
+    rows = np.searchsorted(run.t, float(run.t[0]) + np.arange(count) * speed / rate - 1e-9)
     rows = np.minimum(rows, len(run) - 1)
     rows = rows[np.isfinite(run.q[rows]).all(axis=1)]
     with whole_file(path) as part, _film(part, size, rate) as add:
@@ -124,12 +124,13 @@ def _pictures(
 
 
 @contextlib.contextmanager
-def _film(part: os.PathLike[str], size: tuple[int, int], rate: float) -> Iterator[Any]:
+def _film(part: os.PathLike[str], size: tuple[int, int], rate: float) -> Generator[Any]:
     """A function that adds a picture to an H.264 film."""
     import av
 
+    container: Any  # its types are partly unknown
     with av.open(os.fspath(part), "w", format="mp4") as container:
-        stream: Any = container.add_stream("libx264", rate=Fraction(rate).limit_denominator(1000))
+        stream = container.add_stream("libx264", rate=Fraction(rate).limit_denominator(1000))
         stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
         stream.options = {"crf": "20", "preset": "medium"}
 

@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time as clock
 import urllib.parse
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
@@ -211,7 +211,7 @@ def _connect(url: str, time: float | None) -> ViewerClient | None:
 
 
 @contextlib.contextmanager
-def _viewer(arguments: list[str]) -> Iterator[tuple[subprocess.Popen[bytes], str, IO[bytes]]]:
+def _viewer(arguments: list[str]) -> Generator[tuple[subprocess.Popen[bytes], str, IO[bytes]]]:
     """A running viewer, the address it serves at, and its standard error; ended on leaving."""
     port = _free_port()
     command = [str(_executable()), "--bind", "127.0.0.1", "--port", str(port)]

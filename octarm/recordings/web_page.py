@@ -10,7 +10,7 @@ import contextlib
 import http.client
 import http.server
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator
 
 _PASSED_ON = ("Content-Type", "Content-Encoding", "Content-Length", "Cache-Control", "ETag")
 
@@ -23,7 +23,7 @@ def policy(data_port: int) -> str:
 
 
 @contextlib.contextmanager
-def guarded_page(page_port: int, data_port: int) -> Iterator[int]:
+def guarded_page(page_port: int, data_port: int) -> Generator[int]:
     """Passes on the page that rerun serves at `page_port` of 127.0.0.1; yields the port to open.
 
     Args:

@@ -9,9 +9,7 @@ from typing import Any, NamedTuple, cast
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize, to_rgb
-from matplotlib.figure import Figure
 
 from octarm.reports.episodes import Axis
 from octarm.reports.findings import Cells, Entry, Report
@@ -24,6 +22,8 @@ from octarm.reports.panels import (
     LOGARITHMIC,
     MARKERS,
     STYLE,
+    Axes,
+    Figure,
     add_legend,
     choose_scale,
     label_of,
@@ -63,7 +63,7 @@ class Picture(NamedTuple):
 def pictures(report: Report) -> Iterator[Picture]:
     """All figures of a report."""
     own = {k: v for k, v in matplotlib.rcParamsDefault.items() if not k.startswith("backend")}
-    with matplotlib.rc_context(cast(Any, {**own, **STYLE})):
+    with cast(Any, matplotlib).rc_context({**own, **STYLE}):
         diverged = bool(report.episodes.diverged.any())
         for axis in report.episodes.axes:
             caption = f"Median over all episodes at each {axis.name}, with its 95 % interval."
@@ -232,7 +232,7 @@ def _map(report: Report, cells: Cells) -> Figure:
         bar = figure.colorbar(image, ax=panels, label=label, pad=0.01, aspect=18)
         if isinstance(norm, LogNorm):
             logarithmic_ticks(bar.ax.yaxis, float(norm.vmin or 1.0), float(norm.vmax or 1.0))
-        bar.outline.set_visible(False)  # pyright: ignore
+        bar.outline.set_visible(False)
     return figure
 
 

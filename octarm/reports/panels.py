@@ -5,14 +5,17 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.axis import XAxis, YAxis
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as NewFigure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from octarm.reports.episodes import Axis
 from octarm.reports.findings import Report
 from octarm.reports.measures import Measure
+
+# Stand for Matplotlib's classes, whose methods leave the types of keyword arguments unknown.
+Axes = Any
+Figure = Any
 
 # Told apart by the colour-blind too, and on dark ground as on white; after Okabe and Ito.
 COLORS = (
@@ -91,7 +94,7 @@ def panels_of(
     columns = count if count <= _COLUMNS else -(-count // -(-count // _COLUMNS))
     rows = -(-count // columns)
     size = (max(5.5, 2.75 * columns) + margin, height * rows + 0.25)
-    figure = Figure(figsize=size, layout="constrained")
+    figure = NewFigure(figsize=size, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.06, h_pad=0.06)  # pyright: ignore
     grid = figure.subplots(rows, columns, squeeze=False, **options)
     for ax in grid.flat[count:]:
@@ -101,7 +104,7 @@ def panels_of(
 
 def row_length(panels: list[Axes]) -> int:
     """Number of panels side by side."""
-    return panels[0].get_subplotspec().get_gridspec().ncols  # pyright: ignore
+    return panels[0].get_subplotspec().get_gridspec().ncols
 
 
 def name_axis(ax: Axes, axis: Axis, last: bool = True) -> None:
