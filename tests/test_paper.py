@@ -78,20 +78,15 @@ def test_the_report_needs_nothing_beside_itself(quick: Quick):
         assert len(list((quick.out / folder).glob(f"*.{ending}"))) >= 5
 
 
-def test_what_varies_from_run_to_run_stands_apart(quick: Quick):
-    written = (quick.out / output.CLAIMS).read_text(encoding="utf-8")
-    table = (quick.out / output.TABLES / "claims.csv").read_text(encoding="utf-8")
-    assert " us" not in written and ",us" not in table
-    assert "[us]" in (quick.out / "timings.csv").read_text(encoding="utf-8")
-
-
-def test_the_same_runs_give_the_same_tables(quick: Quick):
-    again = gather(EVERYBODY, QUICK, quick.out, list(quick.evidence.costs.values()))
+def test_timings_stand_apart_and_all_else_is_the_same_again(quick: Quick):
+    slower = [cost._replace(many=1.1 * cost.many) for cost in quick.evidence.costs.values()]
+    again = gather(EVERYBODY, QUICK, quick.out, slower)
     for table in results.tables(again, SHIPPED):
         written = quick.out / output.TABLES / f"{table.name}.csv"
         assert as_csv(table) == written.read_text(encoding="utf-8")
     content = writeup.content(again, claims(again), results.tables(again, SHIPPED))
     assert writeup.as_json(content) == (quick.out / output.CLAIMS).read_text(encoding="utf-8")
+    assert "[us]" in (quick.out / "timings.csv").read_text(encoding="utf-8")
 
 
 def test_the_readme_shows_the_published_claims(published: dict[str, Any]):
