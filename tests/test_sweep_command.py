@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import dask.config
+import distributed  # noqa: F401  its defaults must be there before one of them is changed
 import pytest
 from test_sweep import SPEC
 
