@@ -20,6 +20,7 @@ from octarm.paper.variants import (
     SMC,
     UNGUARDED,
 )
+from octarm.reports.figures import Picture as Picture
 from octarm.reports.panels import COLORS, INK, MARKERS, STYLE, Axes, Figure, logarithmic_ticks
 
 _MAIN = (PROPOSED, SMC, SIGN, "smc-integral", "super-twisting", "afsmc-consequent", "fsmc", "pd",
@@ -39,22 +40,6 @@ class Look(NamedTuple):
     color: str
     line: str
     marker: str
-
-
-class Picture(NamedTuple):
-    """A figure in both formats.
-
-    Attributes:
-        name: of the file, without its ending.
-        caption: what it shows.
-        svg: text.
-        png: bytes.
-    """
-
-    name: str
-    caption: str
-    svg: str
-    png: bytes
 
 
 def look(label: str) -> Look:
