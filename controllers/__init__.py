@@ -25,18 +25,18 @@ import numpy.typing as npt
 from controllers.adaptive_fuzzy import AdaptiveConsequents as AdaptiveConsequents
 from controllers.adaptive_fuzzy import AdaptiveFuzzy as AdaptiveFuzzy
 from controllers.computed_torque import ComputedTorque as ComputedTorque
-from controllers.fuzzy import FuzzyController as FuzzyController
 from controllers.fuzzy_sliding_mode import FuzzySlidingMode as FuzzySlidingMode
 from controllers.gain_sets import starting_gains
 from controllers.gains import RECOMMENDED
 from controllers.integral_sliding_mode import IntegralSlidingMode as IntegralSlidingMode
+from controllers.model_free_fuzzy import FuzzyController as FuzzyController
 from controllers.pd import ProportionalDerivative as ProportionalDerivative
 from controllers.sliding_mode import BoundaryLayer as BoundaryLayer
 from controllers.sliding_mode import SlidingMode as SlidingMode
 from controllers.super_twisting import SuperTwisting as SuperTwisting
-from octarm.errors import closest
+from octarm.arm.parameters import ArmParameters
+from octarm.errors import OctarmError, closest
 from octarm.interfaces import Controller
-from octarm.parameters import ArmParameters
 
 CONTROLLERS: dict[str, type] = {
     "pd": ProportionalDerivative,
@@ -75,7 +75,7 @@ def make_controller(
         ValueError: for an unknown name or gain set, or a gain that is unknown or invalid.
     """
     if name not in CONTROLLERS:
-        raise ValueError(f"unknown controller {name!r}{closest(name, CONTROLLERS)}")
+        raise OctarmError(f"unknown controller {name!r}{closest(name, CONTROLLERS)}")
     kind = CONTROLLERS[name]
     fields = [field.name for field in dataclasses.fields(kind) if field.name != "nominal"]
     spoken = {field.rstrip("_"): field for field in fields}
@@ -87,6 +87,6 @@ def make_controller(
     tuned = starting_gains(name, nominal.modules, gain_set)
     for gain, value in [*((k, x) for k, x in tuned.items() if k not in replaced), *given.items()]:
         if gain not in spoken:
-            raise ValueError(f"{name} has no gain {gain!r}{closest(gain, spoken)}")
+            raise OctarmError(f"{name} has no gain {gain!r}{closest(gain, spoken)}")
         chosen[spoken[gain]] = value
     return kind(nominal=nominal, **chosen)

@@ -37,12 +37,13 @@ from typing import NamedTuple
 import numpy as np
 
 from controllers.adaptive_gains import AdaptiveGains
-from controllers.estimators import first_type, second_type, strengths
+from controllers.fuzzy.estimators import first_type, second_type, strengths
 from controllers.gains import Gain
 from controllers.shapes import elapsed
 from controllers.sliding_mode import equivalent_force, saturation
+from octarm.arm.lagrange import kinetic_energy
+from octarm.errors import OctarmError
 from octarm.interfaces import Command, Measurement, Reference
-from octarm.lagrange import kinetic_energy
 
 
 class ConsequentState(NamedTuple):
@@ -141,7 +142,7 @@ class AdaptiveFuzzy(AdaptiveGains):
     def __post_init__(self) -> None:
         super().__post_init__()
         if np.any(self.sigma_min > self.sigma_max):
-            raise ValueError(
+            raise OctarmError(
                 f"sigma_min holds {np.max(self.sigma_min):g}; it must not exceed sigma_max, which "
                 f"holds {np.min(self.sigma_max):g}"
             )

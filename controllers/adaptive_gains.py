@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from controllers.gains import Gain, as_gain, boundary_width, switching_gain
+from octarm.arm.parameters import ArmParameters
 from octarm.arrays import read_only
-from octarm.parameters import ArmParameters
+from octarm.errors import OctarmError
 
 
 def force_scale(nominal: ArmParameters) -> np.ndarray:
@@ -124,7 +125,7 @@ class AdaptiveGains:
                 object.__setattr__(self, field.name, value)
         rules = self.sigma0.shape[-1], self.alpha0.shape[-1]
         if rules[0] not in (1, rules[1]) and rules[1] != 1:
-            raise ValueError(
+            raise OctarmError(
                 "sigma0 is for {} rules and alpha0 for {}; they must fit".format(*rules)
             )
 
@@ -149,19 +150,19 @@ def _as_premise(name: str, value: npt.ArrayLike, nominal: ArmParameters) -> np.n
     """Values of shape (M,) or (..., 2N, M)."""
     premise = np.atleast_1d(read_only(name, value))
     if premise.ndim > 1 and premise.shape[-2] not in (1, nominal.coordinates):
-        raise ValueError(
+        raise OctarmError(
             f"{name} has shape {premise.shape}; it must be (M,) or (..., {nominal.coordinates}, M) "
             "for M rules"
         )
     if name == "sigma0" and not np.all(premise > 0.0):
-        raise ValueError(f"sigma0 holds {premise[premise <= 0.0].flat[0]:g}; it must be above 0")
+        raise OctarmError(f"sigma0 holds {premise[premise <= 0.0].flat[0]:g}; it must be above 0")
     return premise
 
 
 def _as_switch(name: str, value: npt.ArrayLike, nominal: ArmParameters) -> bool:
     del nominal
     if np.ndim(value) > 0 or value not in (0, 1):
-        raise ValueError(f"{name} is {value!r}; it must be True or False, or 1 or 0")
+        raise OctarmError(f"{name} is {value!r}; it must be True or False, or 1 or 0")
     return bool(value)
 
 

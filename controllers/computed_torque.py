@@ -6,8 +6,8 @@ import dataclasses
 
 from controllers.pd import ErrorFeedback
 from controllers.shapes import check_shapes
+from octarm.arm.lagrange import inverse_dynamics
 from octarm.interfaces import Command, Measurement, Reference
-from octarm.lagrange import inverse_dynamics
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,13 +8,13 @@ from typing import ClassVar
 
 import numpy as np
 
+from controllers.fuzzy.inference import Sugeno, Variable
+from controllers.fuzzy.rule_base import RuleBase
 from controllers.gains import Gain, as_gain
-from controllers.inference import Sugeno, Variable
-from controllers.rule_base import RuleBase
 from controllers.sliding_mode import equivalent_force
+from octarm.arm.lagrange import kinetic_energy
+from octarm.arm.parameters import ArmParameters
 from octarm.interfaces import Command, Measurement, Reference
-from octarm.lagrange import kinetic_energy
-from octarm.parameters import ArmParameters
 
 RULES = RuleBase.from_sentences("""
     if s is NB then NB

@@ -17,6 +17,8 @@ from typing import Any, cast
 
 import numpy as np
 
+from octarm.errors import OctarmError
+
 SHIPPED = Path(__file__).resolve().parent / "gains"
 
 
@@ -57,14 +59,14 @@ class GainSet:
         try:
             content = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
-            raise ValueError(f"{file}: {error}") from None
+            raise OctarmError(f"{file}: {error}") from None
         controller, modules, gains = (
             content.pop(key, None) for key in ("controller", "modules", "gains")
         )
         if not (
             isinstance(controller, str) and isinstance(modules, int) and isinstance(gains, dict)
         ):
-            raise ValueError(
+            raise OctarmError(
                 f"{file} holds no gains; it needs the keys controller and modules, and the table "
                 "gains"
             )
@@ -82,7 +84,7 @@ def read_gain_set(path: str | Path) -> GainSet:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not text"
-        raise ValueError(f"{path} holds no gains: {reason}") from None
+        raise OctarmError(f"{path} holds no gains: {reason}") from None
     return GainSet.from_toml(text, str(path))
 
 
@@ -112,17 +114,17 @@ def starting_gains(controller: str, modules: int, choice: str | Path | None) -> 
     elif Path(choice).suffix == ".toml":
         source, found = str(choice), read_gain_set(choice)
     else:
-        raise ValueError(
+        raise OctarmError(
             f"unknown gains {str(choice)!r}; they are tuned, recommended, or a file NAME.toml"
         )
     if choice is None and (found is None or found.modules != modules):
         return {}
     if found is None:
-        raise ValueError(f"{controller} comes without tuned gains; `octarm tune` finds some")
+        raise OctarmError(f"{controller} comes without tuned gains; `octarm tune` finds some")
     if found.controller != controller:
-        raise ValueError(f"{source} holds gains of {found.controller}, not of {controller}")
+        raise OctarmError(f"{source} holds gains of {found.controller}, not of {controller}")
     if found.modules != modules:
-        raise ValueError(
+        raise OctarmError(
             f"{source} is for an arm of {found.modules} modules; this one has {modules}"
         )
     return found.gains

@@ -7,9 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from octarm.arm.lagrange import equilibrium, mass_matrix
+from octarm.arm.parameters import ArmParameters
 from octarm.arrays import read_only
-from octarm.lagrange import equilibrium, mass_matrix
-from octarm.parameters import ArmParameters
+from octarm.errors import OctarmError
 
 Gain = np.ndarray | float
 
@@ -36,14 +37,14 @@ def as_gain(
     """
     gain = read_only(name, value, unbounded=unbounded)
     if gain.ndim and gain.shape[-1] not in (1, nominal.coordinates):
-        raise ValueError(
+        raise OctarmError(
             f"{name} has {gain.shape[-1]} values; it needs 1 or {nominal.coordinates}, one for "
             "each coordinate"
         )
     good = gain >= 0.0 if zero_allowed else gain > 0.0
     if not np.all(good):
         allowed = "at least 0" if zero_allowed else "above 0"
-        raise ValueError(f"{name} holds {gain[~good].flat[0]:g}; it must be {allowed}")
+        raise OctarmError(f"{name} holds {gain[~good].flat[0]:g}; it must be {allowed}")
     return gain
 
 
@@ -55,10 +56,10 @@ def as_share(name: str, value: npt.ArrayLike) -> np.ndarray:
     """
     share = read_only(name, value)
     if share.ndim and share.shape[-1] != 1:
-        raise ValueError(f"{name} has {share.shape[-1]} values; it is one number an arm")
+        raise OctarmError(f"{name} has {share.shape[-1]} values; it is one number an arm")
     good = (share >= 0.0) & (share < 1.0)
     if not np.all(good):
-        raise ValueError(f"{name} holds {share[~good].flat[0]:g}; it must be at least 0, below 1")
+        raise OctarmError(f"{name} holds {share[~good].flat[0]:g}; it must be at least 0, below 1")
     return share
 
 

@@ -20,8 +20,8 @@ import numpy.typing as npt
 from controllers.gains import Gain, as_gain, boundary_width
 from controllers.shapes import check_shapes, elapsed
 from controllers.sliding_mode import SlidingGains, Surface, saturation
+from octarm.arm.parameters import ArmParameters
 from octarm.interfaces import Command, Measurement, Reference
-from octarm.parameters import ArmParameters
 
 
 class IntegralState(NamedTuple):

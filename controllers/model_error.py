@@ -23,8 +23,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Entry, cos_sin, entry, join, split
-from octarm.parameters import ArmParameters
 
 # For each coordinate: sum_p F_ip and sum_p |F_ip| over some of the parameters.
 _Terms = tuple[list[Entry], list[Entry]]

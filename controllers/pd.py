@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from controllers.gains import Gain, as_gain, layer_slope
 from controllers.shapes import check_shapes
+from octarm.arm.lagrange import inverse_dynamics
+from octarm.arm.parameters import ArmParameters
 from octarm.interfaces import Command, Measurement, Reference
-from octarm.lagrange import inverse_dynamics
-from octarm.parameters import ArmParameters
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

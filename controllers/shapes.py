@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from octarm.arm.parameters import ArmParameters
+from octarm.errors import OctarmError
 from octarm.interfaces import Measurement, Reference
-from octarm.parameters import ArmParameters
 
 
 def check_shapes(nominal: ArmParameters, measurement: Measurement, reference: Reference) -> None:
@@ -25,7 +26,7 @@ def check_shapes(nominal: ArmParameters, measurement: Measurement, reference: Re
     arrays = {"q": q, "v": v, "q_d": wanted.q, "v_d": wanted.v, "a_d": wanted.a}
     for name, array in arrays.items():
         if array.shape[-1:] != (nominal.coordinates,):
-            raise ValueError(
+            raise OctarmError(
                 f"{name} has shape {array.shape}; its last axis must hold "
                 f"{nominal.coordinates} coordinates for {nominal.modules} modules"
             )
@@ -33,7 +34,7 @@ def check_shapes(nominal: ArmParameters, measurement: Measurement, reference: Re
         np.broadcast_shapes(*(array.shape for array in arrays.values()))
     except ValueError:
         listed = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
-        raise ValueError(f"the batch axes of one instant do not fit: {listed}") from None
+        raise OctarmError(f"the batch axes of one instant do not fit: {listed}") from None
 
 
 def elapsed(before: float, now: float) -> float:
@@ -43,7 +44,7 @@ def elapsed(before: float, now: float) -> float:
         ValueError: if time went back.
     """
     if now < before:
-        raise ValueError(
+        raise OctarmError(
             f"t is {now:g} s after {before:g} s; time must not go back, start from initial_state"
         )
     return now - before

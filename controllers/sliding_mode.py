@@ -22,9 +22,10 @@ import numpy as np
 from controllers.gains import Gain, as_gain, as_share, reaching_gain
 from controllers.model_error import largest_model_error, reaching_time_bound
 from controllers.shapes import check_shapes
+from octarm.arm.lagrange import inverse_dynamics, kinetic_energy
+from octarm.arm.parameters import ArmParameters
+from octarm.errors import OctarmError
 from octarm.interfaces import Command, Measurement, Reference
-from octarm.lagrange import inverse_dynamics, kinetic_energy
-from octarm.parameters import ArmParameters
 
 
 class Surface(NamedTuple):
@@ -105,12 +106,12 @@ class SlidingGains:
     def __post_init__(self) -> None:
         given = (self.K is not None) + (self.uncertainty is not None)
         if given != 1:
-            raise ValueError(
+            raise OctarmError(
                 f"{('neither', '', 'both')[given]} of K and uncertainty are given; the gain is "
                 "either set, or derived from the uncertainty"
             )
         if self.eta is not None and self.uncertainty is None:
-            raise ValueError("eta is given without uncertainty; only a derived K has that part")
+            raise OctarmError("eta is given without uncertainty; only a derived K has that part")
         gains = {
             "lambda_": as_gain("lambda", self.lambda_, self.nominal),
             "K_v": as_gain("K_v", self.K_v, self.nominal, zero_allowed=True),

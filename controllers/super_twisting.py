@@ -22,9 +22,9 @@ import numpy.typing as npt
 from controllers.gains import Gain, apparent_mass, as_gain, switching_gain
 from controllers.shapes import elapsed
 from controllers.sliding_mode import equivalent_force
+from octarm.arm.lagrange import kinetic_energy
+from octarm.arm.parameters import ArmParameters
 from octarm.interfaces import Command, Measurement, Reference
-from octarm.lagrange import kinetic_energy
-from octarm.parameters import ArmParameters
 
 
 class SuperTwistingState(NamedTuple):

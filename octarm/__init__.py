@@ -3,55 +3,41 @@
 from __future__ import annotations
 
 import importlib
-import sys
-import types
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from octarm.environment import load as load
+    from octarm.arm.mjcf import build_model as build_model
+    from octarm.arm.mjcf import nominal_parameters as nominal_parameters
+    from octarm.arm.parameters import ArmParameters as ArmParameters
     from octarm.interfaces import Command as Command
     from octarm.interfaces import Controller as Controller
     from octarm.interfaces import Measurement as Measurement
     from octarm.interfaces import Reference as Reference
-    from octarm.model import build_model as build_model
-    from octarm.model import nominal_parameters as nominal_parameters
-    from octarm.parameters import ArmParameters as ArmParameters
-    from octarm.rollout import rollout as rollout
-    from octarm.runs import read_run as read_run
-    from octarm.sweep import sweep as sweep
+    from octarm.runs.folder import read_run as read_run
+    from octarm.simulation.environment import load as load
+    from octarm.simulation.rollout import rollout as rollout
+    from octarm.simulation.trajectory import Trajectory as Trajectory
+    from octarm.sweeps.execute import sweep as sweep
     from octarm.sweeps.folder import read_sweep as read_sweep
     from octarm.sweeps.parser import read_spec as read_spec
-    from octarm.trajectory import Trajectory as Trajectory
 
 # Looked up when first used, so that `octarm --help` does not wait for MuJoCo.
 _HOMES = {
-    "load": "environment",
+    "load": "simulation.environment",
     "Command": "interfaces",
     "Controller": "interfaces",
     "Measurement": "interfaces",
     "Reference": "interfaces",
-    "build_model": "model",
-    "nominal_parameters": "model",
-    "ArmParameters": "parameters",
-    "rollout": "rollout",
-    "sweep": "sweep",
-    "read_run": "runs",
+    "build_model": "arm.mjcf",
+    "nominal_parameters": "arm.mjcf",
+    "ArmParameters": "arm.parameters",
+    "rollout": "simulation.rollout",
+    "sweep": "sweeps.execute",
+    "read_run": "runs.folder",
     "read_sweep": "sweeps.folder",
     "read_spec": "sweeps.parser",
-    "Trajectory": "trajectory",
+    "Trajectory": "simulation.trajectory",
 }
-
-
-class _Package(types.ModuleType):
-    """Keeps a function like `octarm.rollout` when Python binds the submodule of that name."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if _HOMES.get(name) == name and isinstance(value, types.ModuleType):
-            value = getattr(value, name)
-        super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> Any:

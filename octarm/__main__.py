@@ -17,7 +17,7 @@ def command_line() -> int:
     """Runs the words that the process was started with; returns the exit code."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _leave)
-    from octarm import cli
+    from octarm.commands import cli
 
     return cli.command_line()
 

@@ -8,6 +8,8 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from octarm.errors import OctarmError
+
 Entry = np.ndarray | float
 
 
@@ -72,10 +74,10 @@ def read_only(name: str, value: npt.ArrayLike, *, unbounded: bool = False) -> np
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"{name} is {value!r}; it must be made of numbers") from None
+        raise OctarmError(f"{name} is {value!r}; it must be made of numbers") from None
     good = np.isfinite(array) | (unbounded & np.isposinf(array))
     if not np.all(good):
-        raise ValueError(f"{name} holds {array[~good].flat[0]:g}; it must be finite")
+        raise OctarmError(f"{name} holds {array[~good].flat[0]:g}; it must be finite")
     array.setflags(write=False)
     return array
 

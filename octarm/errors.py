@@ -17,6 +17,13 @@ class ExitCode(enum.IntEnum):
     INTERRUPTED = 130
 
 
+class OctarmError(ValueError):
+    """What a user can mend: one sentence with the value, what is allowed and the closest match.
+
+    The command line prints it and exits with 2. Any other exception is a bug in the program.
+    """
+
+
 def closest(word: str, known: Iterable[str]) -> str:
     """The end of an error sentence: what a misspelt word may have meant, and all known ones."""
     known = list(known)

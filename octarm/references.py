@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from octarm.arrays import read_only
-from octarm.errors import closest
+from octarm.errors import OctarmError, closest
 from octarm.interfaces import Motion, Reference
 
 
@@ -90,7 +90,7 @@ class MultiSine:
 
     def __post_init__(self) -> None:
         if not self.tones:
-            raise ValueError("a multi-sine has no tones; it needs at least one")
+            raise OctarmError("a multi-sine has no tones; it needs at least one")
 
     def __call__(self, t: float) -> Reference:
         """Desired motion at time t [s]."""
@@ -126,7 +126,7 @@ class SmoothStep:
     def __post_init__(self) -> None:
         _freeze(self)
         if not np.all(np.asarray(self.duration) > 0.0):
-            raise ValueError(f"duration is {self.duration} s; a step takes a positive time")
+            raise OctarmError(f"duration is {self.duration} s; a step takes a positive time")
 
     def __call__(self, t: float) -> Reference:
         """Desired motion at time t [s]."""
@@ -162,11 +162,11 @@ class Spline:
         _freeze(self)
         times, points = self.times, self.points
         if times.ndim != 1 or len(times) < 6 or not np.all(np.diff(times) > 0.0):
-            raise ValueError(
+            raise OctarmError(
                 f"times have shape {times.shape}; they must be at least 6, one after another"
             )
         if points.ndim != 2 or len(points) != len(times):
-            raise ValueError(
+            raise OctarmError(
                 f"points have shape {points.shape}; they must be ({len(times)}, 2N) for as many "
                 "times"
             )
@@ -237,7 +237,7 @@ def named_reference(name: str, rest: np.ndarray) -> Motion:
         ValueError: for an unknown name; it lists the known ones.
     """
     if name not in REFERENCES:
-        raise ValueError(f"unknown reference {name!r}{closest(name, REFERENCES)}")
+        raise OctarmError(f"unknown reference {name!r}{closest(name, REFERENCES)}")
     return REFERENCES[name](rest)
 
 

@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
-from octarm.errors import closest
+from octarm.errors import OctarmError, closest
 
 Key = tuple[str, ...]
 
@@ -41,7 +41,7 @@ class Source:
         try:
             return Table(tomllib.loads(self.text), (), self)
         except tomllib.TOMLDecodeError as error:
-            raise ValueError(f"{self.file}: {error}") from None
+            raise OctarmError(f"{self.file}: {error}") from None
 
     def where(self, *keys: str) -> str:
         """File and line of a key, in words; those of its table when it stands nowhere."""

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 import octarm
 from controllers import CONTROLLERS, make_controller
-from octarm.disturbances import parse_disturbance
-from octarm.effects.episode import Disturbance
-from octarm.rollout import drive
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.spelling import parse_disturbance
+from octarm.simulation.rollout import drive
 
 MISMATCHES = np.array([-0.3, 0.0, 0.3])  # of masses, inertias and damping; half of stiffness
 BEGIN = 1.0  # errors count from here on, when the start from rest is over [s]

@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 
 import octarm
 from controllers import make_controller
+from octarm.arm.kinematics import positions
+from octarm.arm.lagrange import equilibrium
 from octarm.arrays import coordinate_names
 from octarm.checks.free_motion import undamped_modes
-from octarm.kinematics import positions
-from octarm.lagrange import equilibrium
+from octarm.checks.validation import arm_with
 from octarm.references import Sine
-from octarm.validation import arm_with
 
 PERIOD = 2.0  # of the wave [s]
 

@@ -20,10 +20,10 @@ from controllers import make_controller
 from controllers.gains import apparent_mass
 from controllers.shapes import elapsed
 from controllers.sliding_mode import equivalent_force
-from octarm.disturbances import parse_disturbance
+from octarm.arm.kinematics import positions
+from octarm.disturbances.spelling import parse_disturbance
 from octarm.interfaces import Command, Measurement, Reference
-from octarm.kinematics import positions
-from octarm.recording import write_recording
+from octarm.recordings.recording import write_recording
 
 DISTURBANCES = ("payload:0.1,at=0.2", "noise:0.1", "measurement-noise:1e-4")
 State = tuple[float, np.ndarray]  # time of the last call [s], and w, shape (..., 2N) [N], [N m]

@@ -10,15 +10,16 @@ import shlex
 import sys
 from pathlib import Path
 
+from paper import output
+from paper.effort import FULL, QUICK
+from paper.evidence import gather
+from paper.jobs import run_all
+from paper.load import costs
+from paper.variants import cast
+
 from controllers import make_controller
 from controllers.gain_sets import SHIPPED
 from octarm.errors import ExitCode
-from octarm.paper import output
-from octarm.paper.effort import FULL, QUICK
-from octarm.paper.evidence import gather
-from octarm.paper.jobs import run_all
-from octarm.paper.load import costs
-from octarm.paper.variants import cast
 
 ROOT = Path(__file__).resolve().parent.parent
 

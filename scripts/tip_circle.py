@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 
 import octarm
 from controllers import make_controller
-from octarm.kinematics import jacobian, positions
-from octarm.lagrange import equilibrium, stiffness_matrix
+from octarm.arm.kinematics import jacobian, positions
+from octarm.arm.lagrange import equilibrium, stiffness_matrix
 from octarm.references import Spline
 
 PERIOD = 3.0  # of a round [s]

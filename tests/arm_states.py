@@ -5,10 +5,10 @@ import functools
 import numpy as np
 
 from controllers import make_controller
+from octarm.arm.lagrange import equilibrium, forward_dynamics, mass_matrix
+from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.parameters import ArmParameters
 from octarm.interfaces import Controller, Measurement, Motion, Reference
-from octarm.lagrange import equilibrium, forward_dynamics, mass_matrix
-from octarm.model import nominal_parameters
-from octarm.parameters import ArmParameters
 
 P = nominal_parameters()
 REST = equilibrium(P)

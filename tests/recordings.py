@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
-from octarm.parameters import ArmParameters
-from octarm.trajectory import Trajectory
+from octarm.arm.parameters import ArmParameters
+from octarm.simulation.trajectory import Trajectory
 
 
 def arm(modules):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from octarm import ArmParameters, lagrange
-from octarm.actuation import ACTUATIONS, Actuation, GroundedActuation, InternalActuation
+from octarm import ArmParameters
+from octarm.arm import lagrange
+from octarm.arm.actuation import ACTUATIONS, Actuation, GroundedActuation, InternalActuation
 
 MODULES = pytest.mark.parametrize("n", [1, 2, 3, 5])
 KINDS = pytest.mark.parametrize("kind", ACTUATIONS.values(), ids=ACTUATIONS.keys())

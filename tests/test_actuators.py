@@ -12,7 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.random import SeedSequence
 
-from octarm.effects.actuators import (
+from octarm.arm.lagrange import equilibrium
+from octarm.arm.mjcf import nominal_parameters
+from octarm.disturbances.actuators import (
     ActuationDelay,
     DeadZone,
     Lag,
@@ -20,9 +22,7 @@ from octarm.effects.actuators import (
     Saturation,
     SlewLimit,
 )
-from octarm.effects.episode import ActuatorFault, Episode
-from octarm.lagrange import equilibrium
-from octarm.model import nominal_parameters
+from octarm.disturbances.episode import ActuatorFault, Episode
 from octarm.references import named_reference
 
 P = nominal_parameters()

@@ -12,21 +12,21 @@ from arm_states import REST, P, hand_set, random_instant
 from scipy import stats
 
 from controllers.adaptive_gains import premise_rate
-from controllers.estimators import first_type, second_type, strengths
+from controllers.fuzzy.estimators import first_type, second_type, strengths
 from controllers.gains import boundary_width
-from octarm.environment import load
-from octarm.interfaces import Controller, Measurement, Reference
-from octarm.lagrange import (
+from octarm.arm.lagrange import (
     coriolis_matrix,
     damping_matrix,
     inverse_dynamics,
     mass_matrix,
     potential_force,
 )
-from octarm.model import build_model, paper_order
+from octarm.arm.mjcf import build_model, paper_order
+from octarm.interfaces import Controller, Measurement, Reference
 from octarm.references import named_reference
-from octarm.rollout import rollout
-from octarm.trajectory import Trajectory
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import rollout
+from octarm.simulation.trajectory import Trajectory
 
 WRONG = P.mismatched(-0.3)
 ADAPTIVE = ("afsmc", "afsmc-consequent")

@@ -15,12 +15,12 @@ import pytest
 from recordings import swinging
 
 from controllers import make_controller
-from octarm.archive import Archive, Ending, mapped, read_blocks
-from octarm.environment import load
-from octarm.model import nominal_parameters
-from octarm.recording import part_of
-from octarm.rollout import joined, rollout, stream
-from octarm.trajectory import Trajectory
+from octarm.arm.mjcf import nominal_parameters
+from octarm.recordings.recording import part_of
+from octarm.runs.archive import Archive, Ending, mapped, read_blocks
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import joined, rollout, stream
+from octarm.simulation.trajectory import Trajectory
 
 ODD = {
     "a name/with: +é": np.ones((230, 2)),

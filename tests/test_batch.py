@@ -9,12 +9,12 @@ import pytest
 from numpy.random import SeedSequence
 
 from controllers import CONTROLLERS, make_controller
-from octarm.disturbances import parse_disturbance
-from octarm.environment import load
+from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.parameters import ArmParameters
+from octarm.disturbances.spelling import parse_disturbance
 from octarm.interfaces import Command, Controller
-from octarm.model import nominal_parameters
-from octarm.parameters import ArmParameters
-from octarm.rollout import Instant, drive, rollout
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import Instant, drive, rollout
 
 P = nominal_parameters()
 DURATION = 0.03

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg
 
-from octarm.measures.chattering import CORNER, Chattering
+from octarm.metrics.chattering import CORNER, Chattering
 
 
 def measure(force: np.ndarray, period: float, corner: float = CORNER, settle: float = 0.5) -> dict:

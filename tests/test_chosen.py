@@ -10,10 +10,10 @@ from test_verify import Inline
 
 import octarm
 from controllers import make_controller
-from octarm import runs
 from octarm.checks.verify import check_run
 from octarm.checks.verify_episode import FinishedSweep
-from octarm.cli import main
+from octarm.commands.cli import main
+from octarm.runs import folder as runs
 from octarm.sweeps import chosen
 from octarm.sweeps.chosen import METRIC, choose, experiment_of, record_chosen
 from octarm.sweeps.folder import RECORDED

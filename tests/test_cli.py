@@ -17,16 +17,18 @@ import pytest
 
 import octarm
 from controllers import CONTROLLERS
-from octarm import cli, experiment, runs
-from octarm.actuation import ACTUATIONS
+from octarm.arm.actuation import ACTUATIONS
+from octarm.arm.parameters import ArmParameters
+from octarm.commands import cli
 from octarm.errors import ExitCode
 from octarm.options.parser import arguments_of, parse, summary
 from octarm.options.recordings import Plot
 from octarm.options.run import Run
 from octarm.options.sweeps import Margin
 from octarm.options.table import COMMANDS
-from octarm.parameters import ArmParameters
 from octarm.references import REFERENCES
+from octarm.runs import experiment
+from octarm.runs import folder as runs
 
 ROOT = Path(__file__).resolve().parent.parent
 KEYS = {
@@ -366,7 +368,7 @@ def interrupted_while_importing(module: str, *arguments: str) -> subprocess.Comp
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
-@pytest.mark.parametrize("module", ["octarm.cli", "argparse", "numpy", "mujoco"])
+@pytest.mark.parametrize("module", ["octarm.commands.cli", "argparse", "numpy", "mujoco"])
 def test_ctrl_c_at_the_very_beginning_is_one_sentence(module: str):
     done = interrupted_while_importing(module, "run", "--duration", "0.01")
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "octarm: interrupted\n")
@@ -381,9 +383,9 @@ def test_a_package_that_is_missing_is_one_sentence(monkeypatch, capsys):
 
 def test_help_does_not_wait_for_heavy_modules():
     code = (
-        "import sys, octarm.cli\n"
+        "import sys, octarm.commands.cli\n"
         "for words in (['--help'], ['run', '--help']):\n"
-        "    try: octarm.cli.main(words)\n"
+        "    try: octarm.commands.cli.main(words)\n"
         "    except SystemExit: pass\n"
         "    heavy = {'mujoco', 'rerun', 'matplotlib', 'scipy', 'dm_control', 'numpy'}\n"
         "    heavy -= {'numpy'} if 'run' in words else set()\n"

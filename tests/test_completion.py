@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from controllers import CONTROLLERS
-from octarm import cli
+from octarm.commands import cli
 from octarm.options.argument import Option
 from octarm.options.parser import arguments_of
 from octarm.options.table import COMMANDS

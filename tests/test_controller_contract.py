@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from controllers import CONTROLLERS, make_controller
-from octarm.environment import load
+from octarm.arm.lagrange import equilibrium, mass_matrix
+from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.parameters import ArmParameters
 from octarm.interfaces import Controller, Measurement, Reference
-from octarm.lagrange import equilibrium, mass_matrix
-from octarm.model import nominal_parameters
-from octarm.parameters import ArmParameters
-from octarm.rollout import rollout
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import rollout
 
 P = nominal_parameters()
 NOT_MODEL_BASED = {"pd", "fuzzy"}

@@ -7,9 +7,7 @@ import pytest
 from arm_states import hand_set
 
 from controllers.shapes import elapsed
-from octarm.environment import load
-from octarm.interfaces import Measurement, Reference
-from octarm.lagrange import (
+from octarm.arm.lagrange import (
     equilibrium,
     forward_dynamics,
     mass_matrix,
@@ -17,9 +15,11 @@ from octarm.lagrange import (
     potential_hessian,
     stiffness_matrix,
 )
-from octarm.model import nominal_parameters
+from octarm.arm.mjcf import nominal_parameters
+from octarm.interfaces import Measurement, Reference
 from octarm.references import SetPoint
-from octarm.rollout import rollout
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import rollout
 
 P = nominal_parameters()
 REST = equilibrium(P)

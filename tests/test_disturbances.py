@@ -11,7 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from octarm.disturbances import (
+from octarm.arm.lagrange import equilibrium
+from octarm.arm.mjcf import nominal_parameters
+from octarm.disturbances.episode import Disturbance, Episode, field_kinds
+from octarm.disturbances.forces import BandLimitedNoise, SineForce, StepForce
+from octarm.disturbances.plant import Payload, RandomMismatch
+from octarm.disturbances.sensors import MeasurementNoise
+from octarm.disturbances.spelling import (
     DISTURBANCES,
     Acting,
     describe,
@@ -19,13 +25,7 @@ from octarm.disturbances import (
     parse_disturbance,
     to_dict,
 )
-from octarm.effects.episode import Disturbance, Episode, field_kinds
-from octarm.effects.forces import BandLimitedNoise, SineForce, StepForce
-from octarm.effects.plant_changes import Payload, RandomMismatch
-from octarm.effects.sensors import MeasurementNoise
-from octarm.effects.streams import stream
-from octarm.lagrange import equilibrium
-from octarm.model import nominal_parameters
+from octarm.disturbances.streams import stream
 from octarm.references import named_reference
 
 P = nominal_parameters()

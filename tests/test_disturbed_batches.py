@@ -15,14 +15,14 @@ from test_disturbances import SPELLINGS, built, descriptions
 from test_disturbed_runs import ALL, DT, Listener, P
 
 from controllers import make_controller
-from octarm.batch import BatchPhysics
-from octarm.disturbances import DISTURBANCES, parse_disturbance
-from octarm.effects.episode import Disturbance
-from octarm.environment import load
+from octarm.checks.validation import arm_with
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.interfaces import Controller, Measurement, Reference
-from octarm.metrics import Block, Metrics
-from octarm.rollout import Instant, drive, rollout
-from octarm.validation import arm_with
+from octarm.metrics.table import Block, Metrics
+from octarm.simulation.batch import BatchPhysics
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import Instant, drive, rollout
 
 CONTROLLER = make_controller("smc-boundary", P.mismatched(-0.3))
 SEEDS = [SeedSequence(9, spawn_key=(i,)) for i in range(3)]

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from test_disturbances import SPELLINGS
 
-from octarm import cli, runs
-from octarm.disturbances import DISTURBANCES, parse_disturbance, spelling
-from octarm.effects.episode import Disturbance, field_kinds
+from octarm.commands import cli
+from octarm.disturbances.episode import Disturbance, field_kinds
+from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance, spelling
+from octarm.runs import folder as runs
 
 _NAMES = "|".join(sorted(DISTURBANCES, key=len, reverse=True))
 _SPELLING = re.compile(rf"(?<![\w-])({_NAMES}):(\S*[\w.])")

@@ -23,18 +23,18 @@ from numpy.random import SeedSequence
 from test_disturbances import SPELLINGS
 
 from controllers import CONTROLLERS, make_controller
-from octarm.actuation import GroundedActuation, InternalActuation
-from octarm.disturbances import parse_disturbance
-from octarm.effects.episode import Disturbance, Episode, PlantChange
-from octarm.effects.forces import tip_force
-from octarm.environment import load
+from octarm.arm.actuation import GroundedActuation, InternalActuation
+from octarm.arm.lagrange import damping_matrix, energy, equilibrium, forward_dynamics, positions
+from octarm.arm.mjcf import nominal_parameters, paper_order
+from octarm.arm.parameters import ArmParameters
+from octarm.disturbances.episode import Disturbance, Episode, PlantChange
+from octarm.disturbances.forces import tip_force
+from octarm.disturbances.spelling import parse_disturbance
 from octarm.interfaces import Command, Measurement, Reference
-from octarm.lagrange import damping_matrix, energy, equilibrium, forward_dynamics, positions
-from octarm.model import nominal_parameters, paper_order
-from octarm.parameters import ArmParameters
-from octarm.plant import ArmPhysics
 from octarm.references import named_reference
-from octarm.rollout import rollout
+from octarm.simulation.environment import load
+from octarm.simulation.physics import ArmPhysics
+from octarm.simulation.rollout import rollout
 
 P = nominal_parameters()
 DT = 5e-4  # [s], the physics step when nothing else is said
@@ -576,7 +576,7 @@ def test_another_process_gives_the_same_run():
     program = (
         "from octarm import load, rollout\n"
         "from octarm.disturbances import parse_disturbance\n"
-        "from octarm.model import nominal_parameters\n"
+        "from octarm.arm.mjcf import nominal_parameters\n"
         "from controllers import make_controller\n"
         f"listed = [parse_disturbance(text) for text in {texts!r}]\n"
         "controller = make_controller('pd', nominal_parameters())\n"

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from octarm import cli
-from octarm.checks import machine
-from octarm.checks.machine import State
+from octarm.checks import doctor as machine
+from octarm.checks.doctor import State
+from octarm.commands import cli
 
 VERSIONS = [
     ("2.4.6", ">=2", True),

@@ -14,8 +14,8 @@ from dm_control.rl import control
 from dm_control.suite.wrappers import action_noise
 
 import octarm
-from octarm.environment import load, whole_periods
-from octarm.model import build_model, nominal_parameters, paper_order
+from octarm.arm.mjcf import build_model, nominal_parameters, paper_order
+from octarm.simulation.environment import load, whole_periods
 
 
 class EnvironmentContract(dm_env.test_utils.EnvironmentTestMixin, absltest.TestCase):
@@ -94,8 +94,8 @@ def test_a_step_is_mujocos_own_step_under_f_coeff_of_the_true_coordinates():
 
 
 def test_tip_position_is_that_of_the_observed_coordinates():
-    from octarm.lagrange import positions
-    from octarm.model import world_position
+    from octarm.arm.lagrange import positions
+    from octarm.arm.mjcf import world_position
 
     environment = load()
     environment.reset()
@@ -141,8 +141,8 @@ def test_rewards_lie_in_the_unit_interval_and_one_means_no_error():
 
 
 def _rest():
+    from octarm.arm.lagrange import equilibrium
     from octarm.interfaces import Reference
-    from octarm.lagrange import equilibrium
 
     rest = equilibrium(nominal_parameters())
     return Reference(rest, 0.0 * rest, 0.0 * rest)

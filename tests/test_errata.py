@@ -11,7 +11,8 @@ import pytest
 import sympy as sp
 from errata import CORRECTIONS, Matrix, corrected, differing_entries
 
-from octarm import ArmParameters, lagrange
+from octarm import ArmParameters
+from octarm.arm import lagrange
 
 ZERO = sp.zeros(6, 6)
 PAIRS = {

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from octarm.effects.episode import Episode
-from octarm.effects.forces import BandLimitedNoise, PulseForce, SineForce, StepForce
-from octarm.effects.streams import HeldNoise, stream
-from octarm.kinematics import tip_force
-from octarm.lagrange import equilibrium, inverse_dynamics
-from octarm.model import nominal_parameters
-from octarm.parameters import ArmParameters
+from octarm.arm.kinematics import tip_force
+from octarm.arm.lagrange import equilibrium, inverse_dynamics
+from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.parameters import ArmParameters
+from octarm.disturbances.episode import Episode
+from octarm.disturbances.forces import BandLimitedNoise, PulseForce, SineForce, StepForce
+from octarm.disturbances.streams import HeldNoise, stream
 from octarm.references import SetPoint, Sine, named_reference
 
 P = nominal_parameters()
@@ -272,7 +272,7 @@ def test_rms_may_differ_between_coordinates():
 def test_noise_is_the_same_in_another_process():
     code = (
         "import numpy as np;"
-        "from octarm.effects.streams import HeldNoise, stream;"
+        "from octarm.disturbances.streams import HeldNoise, stream;"
         "g = [stream(np.random.SeedSequence(11, spawn_key=(2,)), 'noise')];"
         "noise = HeldNoise(g, 6, 0.01, 1e-3, ());"
         "print(b''.join(noise(k).tobytes() for k in range(2000)).hex())"

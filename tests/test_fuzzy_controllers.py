@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 from arm_states import hand_set
 
-from controllers.fuzzy import LEVELS, RULES, FuzzyController, error_scale
+from controllers.fuzzy.inference import Mamdani, Variable
+from controllers.fuzzy.membership import Triangular
 from controllers.fuzzy_sliding_mode import SWITCHING
 from controllers.gains import apparent_mass
-from controllers.inference import Mamdani, Variable
-from controllers.membership import Triangular
-from octarm.environment import load
-from octarm.interfaces import Measurement, Reference
-from octarm.lagrange import (
+from controllers.model_free_fuzzy import LEVELS, RULES, FuzzyController, error_scale
+from octarm.arm.lagrange import (
     damping_matrix,
     equilibrium,
     forward_dynamics,
     mass_matrix,
     potential_hessian,
 )
-from octarm.model import nominal_parameters
-from octarm.rollout import rollout
-from octarm.trajectory import Trajectory
+from octarm.arm.mjcf import nominal_parameters
+from octarm.interfaces import Measurement, Reference
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import rollout
+from octarm.simulation.trajectory import Trajectory
 
 P = nominal_parameters()
 AMPLITUDE = np.array([0.35, 0.25])  # of theta1 and theta2 on the default sine [rad]

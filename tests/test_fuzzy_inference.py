@@ -11,10 +11,10 @@ import skfuzzy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers.fuzzy import LEVELS, RULES, SURFACE
-from controllers.inference import Linear, Mamdani, Sugeno, Variable, probabilistic_sum
-from controllers.membership import Gaussian, GeneralisedBell, Trapezoidal, Triangular
-from controllers.rule_base import RuleBase
+from controllers.fuzzy.inference import Linear, Mamdani, Sugeno, Variable, probabilistic_sum
+from controllers.fuzzy.membership import Gaussian, GeneralisedBell, Trapezoidal, Triangular
+from controllers.fuzzy.rule_base import RuleBase
+from controllers.model_free_fuzzy import LEVELS, RULES, SURFACE
 
 FAMILIES = [Triangular, Trapezoidal, GeneralisedBell, Gaussian]
 LABELS = tuple(LEVELS)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from octarm.measures.inputs import ForceUse, InputUse
+from octarm.metrics.inputs import ForceUse, InputUse
 
 STEP = 1e-3
 

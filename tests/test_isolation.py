@@ -19,15 +19,15 @@ from mujoco.batch import Batch
 from test_disturbances import SPELLINGS
 
 from controllers import CONTROLLERS, make_controller
-from octarm import cli
-from octarm.disturbances import Acting, parse_disturbance
-from octarm.effects.episode import Disturbance, Episode
-from octarm.environment import TrackingTask, load
+from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.parameters import ArmParameters
+from octarm.commands import cli
+from octarm.disturbances.episode import Disturbance, Episode
+from octarm.disturbances.ledger import Ledger
+from octarm.disturbances.spelling import Acting, parse_disturbance
 from octarm.interfaces import Command, Controller, Measurement, Reference
-from octarm.ledger import Ledger
-from octarm.model import nominal_parameters
-from octarm.parameters import ArmParameters
-from octarm.rollout import drive, rollout
+from octarm.simulation.environment import TrackingTask, load
+from octarm.simulation.rollout import drive, rollout
 
 P = nominal_parameters()
 ALL = [parse_disturbance(text) for text in SPELLINGS.values()]

@@ -5,7 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from octarm.kinematics import (
+from octarm.arm.kinematics import (
     jacobian,
     jacobian_rate,
     plate_axes,
@@ -13,9 +13,9 @@ from octarm.kinematics import (
     positions,
     tip_force,
 )
-from octarm.lagrange import potential_force
-from octarm.model import build_model, nominal_parameters, paper_order, world_position
-from octarm.parameters import ArmParameters
+from octarm.arm.lagrange import potential_force
+from octarm.arm.mjcf import build_model, nominal_parameters, paper_order, world_position
+from octarm.arm.parameters import ArmParameters
 
 P = nominal_parameters()
 H = 1e-30  # f(x + i h d) = f(x) + i h (derivative of f along d) + O(h^2)

@@ -9,7 +9,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from octarm import ArmParameters, lagrange
+from octarm import ArmParameters
+from octarm.arm import lagrange
 
 MODULES = pytest.mark.parametrize("n", [1, 2, 3, 5])
 BATCHES = pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Who may import whom."""
+"""Who may import whom: arrows point down, package by package."""
 
 import ast
 from pathlib import Path
@@ -11,155 +11,23 @@ import octarm
 PACKAGE = Path(octarm.__file__).parent
 CONTROLLERS = Path(controllers.__file__).parent
 
-# From the bottom up: a module imports only from those above it in this list.
-ORDER = [
-    "errors",
-    "options.argument",
-    "options.run",
-    "options.recordings",
-    "options.sweeps",
-    "options.checks",
-    "options.tune",
-    "options.machine",
-    "options.table",
-    "toml_table",
-    "files",
+# From the bottom up: a package imports from itself and from those before it.
+LAYERS = [
+    "errors files",
     "arrays",
-    "kinematics",
-    "parameters",
     "interfaces",
-    "report",
-    "actuation",
-    "lagrange",
-    "effects.streams",
-    "effects.fields",
-    "effects.amplitude",
-    "effects.episode",
-    "effects.waves",
-    "effects.forces",
-    "effects.delays",
-    "effects.actuators",
-    "effects.sensors",
-    "effects.plant_changes",
-    "effects.drift",
-    "effects.catalogue",
-    "effects.acting",
-    "disturbances",
-    "model",
-    "limits",
-    "plant",
-    "batch",
+    "arm lagrange",
     "references",
-    "environment",
-    "measures.blocks",
-    "measures.tracking",
-    "measures.inputs",
-    "measures.chattering",
-    "measures.sliding",
-    "metrics",
-    "trajectory",
-    "archive",
-    "interrupts",
-    "rollout",
-    "tuning.space",
-    "tuning.objective",
-    "tuning.search",
-    "effects.delivered",
-    "ledger",
+    "disturbances metrics",
+    "simulation",
     "runs",
-    "facts",
-    "digest",
-    "sweeps.spec",
-    "sweeps.spelling",
-    "sweeps.gain_sets",
-    "sweeps.parser",
-    "sweeps.plan",
-    "sweeps.bar",
-    "sweeps.shards",
-    "sweeps.shard_file",
-    "sweeps.under_way",
-    "sweeps.folder",
-    "sweeps.store",
-    "sweeps.workers",
-    "sweep",
-    "reports.statistics",
-    "reports.measures",
-    "reports.episodes",
-    "reports.findings",
-    "reports.checks",
-    "reports.panels",
-    "reports.figures",
-    "reports.tables",
-    "reports.page",
-    "checks.mechanics",
-    "checks.free_motion",
-    "validation",
-    "recordings.scene",
-    "recordings.channels",
-    "recordings.states",
-    "recordings.notes",
-    "recordings.heat_map",
-    "recordings.recorded_scene",
-    "recordings.blueprints",
-    "recordings.recorded_run",
-    "recording",
-    "recordings.comparison",
-    "recordings.web_page",
-    "recordings.viewer",
-    "recordings.plots",
-    "recordings.video",
-    "experiment",
-    "checks.machine",
-    "checks.differences",
-    "checks.verify",
-    "checks.verify_episode",
-    "sweeps.chosen",
-    "sweeps.margin",
-    "sweeps.margin_trial",
-    "paper.effort",
-    "paper.variants",
-    "paper.studies",
-    "paper.series",
-    "paper.stability",
-    "paper.load",
-    "paper.shown",
-    "paper.jobs",
-    "paper.measured",
-    "paper.claims",
-    "paper.tables",
-    "paper.evidence",
-    "paper.quantities",
-    "paper.overshoot",
-    "paper.oscillation",
-    "paper.chattering",
-    "paper.premises",
-    "paper.lyapunov",
-    "paper.uncertainty",
-    "paper.computation",
-    "paper.verdicts",
-    "paper.rankings",
-    "paper.results",
-    "paper.drawing",
-    "paper.tracking",
-    "paper.figures",
-    "paper.writeup",
-    "paper.page",
-    "paper.output",
-    "commands.summary",
-    "commands.run",
-    "commands.sweep",
-    "commands.report",
-    "commands.tune",
-    "commands.verify",
-    "commands.margin",
-    "commands.replay",
-    "commands.doctor",
-    "options.words",
-    "options.parser",
-    "options.completion",
-    "cli",
-    "__main__",
+    "recordings",
+    "sweeps",
+    "checks reports",
+    "commands",
+    "__init__ __main__",
 ]
+LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names.split()}
 
 
 def imports(path: Path) -> set[str]:
@@ -175,77 +43,49 @@ def imports(path: Path) -> set[str]:
     return names
 
 
-def modules_of(names: set[str]) -> set[str]:
-    return {name.removeprefix("octarm.") for name in names if name.startswith("octarm.")} & set(
-        ORDER
-    )
+def packages(names: set[str]) -> set[str]:
+    """The parts of octarm among these names, one level below the top."""
+    return {name.split(".")[1] for name in names if name.startswith("octarm.")}
 
 
-def name_of(path: Path) -> str:
-    return ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+def package_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).with_suffix("").parts[0]
 
 
-def path_of(name: str) -> Path:
-    return PACKAGE.joinpath(*name.split(".")).with_suffix(".py")
+MODULES = sorted(PACKAGE.rglob("*.py"))
 
 
-MODULES = [path for path in PACKAGE.rglob("*.py") if path.name != "__init__.py"]
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_imports_point_downwards(path: Path):
+    own = package_of(path)
+    if own == "__init__":
+        return  # hands names on
+    used = packages(imports(path)) & set(LEVEL)
+    assert {name for name in used if name != own and LEVEL[name] >= LEVEL[own]} == set()
 
 
-def test_every_module_has_its_place():
-    assert {name_of(path) for path in MODULES} == set(ORDER)
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_only_commands_know_the_controllers(path: Path):
+    uses = any(name.split(".")[0] == "controllers" for name in imports(path))
+    assert not uses or package_of(path) == "commands"
 
 
-@pytest.mark.parametrize("name", ORDER)
-def test_imports_point_downwards(name: str):
-    allowed = set(ORDER[: ORDER.index(name)])
-    assert modules_of(imports(path_of(name))) <= allowed
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_only_recordings_know_rerun(path: Path):
+    uses = any(name.split(".")[0] == "rerun" for name in imports(path))
+    assert not uses or package_of(path) == "recordings"
 
 
-WITH_CONTROLLERS = (
-    "commands.summary",
-    "commands.run",
-    "commands.sweep",
-    "commands.report",
-    "commands.tune",
-    "commands.verify",
-    "commands.margin",
-    "options.words",
-    "cli",
-)
-
-
-@pytest.mark.parametrize("name", [n for n in ORDER if n not in WITH_CONTROLLERS])
-def test_octarm_does_not_import_controllers(name: str):
-    assert not any(m.split(".")[0] == "controllers" for m in imports(path_of(name)))
-
-
-def test_only_what_makes_recordings_imports_rerun():
-    users = {name_of(p) for p in MODULES if any("rerun" in m for m in imports(p))}
-    parts = {"recorded_run", "recorded_scene", "heat_map", "blueprints", "comparison"}
-    assert users == {"recording", *(f"recordings.{part}" for part in parts)}
+@pytest.mark.parametrize("path", sorted(CONTROLLERS.rglob("*.py")), ids=lambda p: p.stem)
+def test_controllers_cannot_reach_the_plant(path: Path):
+    names = imports(path)
+    assert not {name.split(".")[0] for name in names} & {"mujoco", "dm_control", "dm_env", "rerun"}
+    assert packages(names) <= {"interfaces", "arm", "arrays", "errors", "checks"}
 
 
 def test_the_analytic_model_never_sees_mujoco():
-    top = {name.split(".")[0] for name in imports(PACKAGE / "lagrange.py")}
+    top = {name.split(".")[0] for name in imports(PACKAGE / "arm" / "lagrange.py")}
     assert top <= {"__future__", "collections", "contextlib", "numpy", "octarm"}
-    assert modules_of(imports(PACKAGE / "lagrange.py")) <= {"arrays", "kinematics", "parameters"}
-
-
-@pytest.mark.parametrize("path", sorted(CONTROLLERS.glob("*.py")), ids=lambda p: p.stem)
-def test_controllers_cannot_reach_the_plant(path: Path):
-    names = imports(path)
-    top = {name.split(".")[0] for name in names}
-    assert not top & {"mujoco", "dm_control", "dm_env", "rerun"}
-    assert modules_of(names) <= {
-        "interfaces",
-        "kinematics",
-        "lagrange",
-        "parameters",
-        "arrays",
-        "errors",
-        "report",
-    }
 
 
 def test_the_checkout_is_what_is_tested():

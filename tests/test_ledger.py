@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from arm_states import hand_set
 
-from octarm.disturbances import parse_disturbance
-from octarm.effects import delivered
-from octarm.environment import load
-from octarm.ledger import Ledger, asked, in_words
-from octarm.model import nominal_parameters
-from octarm.rollout import rollout
-from octarm.trajectory import Trajectory
+from octarm.arm.mjcf import nominal_parameters
+from octarm.disturbances import delivered
+from octarm.disturbances.ledger import Ledger, asked, in_words
+from octarm.disturbances.spelling import parse_disturbance
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import rollout
+from octarm.simulation.trajectory import Trajectory
 
 P = nominal_parameters()
 

@@ -24,10 +24,11 @@ from controllers import (
     make_controller,
     misprints,
 )
-from controllers.ledger import ledger
-from octarm import cli, lagrange
-from octarm.model import nominal_parameters
-from octarm.validation import arm_with, random_arm
+from controllers.proofs.ledger import ledger
+from octarm.arm import lagrange
+from octarm.arm.mjcf import nominal_parameters
+from octarm.checks.validation import arm_with, random_arm
+from octarm.commands import cli
 
 P = nominal_parameters()
 BARE = P.scaled(damping=0.0)

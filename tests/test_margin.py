@@ -11,14 +11,14 @@ import pytest
 from arm_states import hand_set
 from scipy.stats import binom
 
-from octarm.cli import main
+from octarm.arm.lagrange import potential_force
+from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.parameters import ArmParameters
 from octarm.commands import margin as margin_commands
-from octarm.disturbances import DISTURBANCES, parse_disturbance
-from octarm.effects.forces import PulseForce
+from octarm.commands.cli import main
+from octarm.disturbances.forces import PulseForce
+from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.interfaces import Command
-from octarm.lagrange import potential_force
-from octarm.model import nominal_parameters
-from octarm.parameters import ArmParameters
 from octarm.sweeps.margin import Brackets, Outcome, estimate, search
 from octarm.sweeps.margin_trial import (
     NOMINAL,

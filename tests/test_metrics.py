@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from octarm import metrics, runs
-from octarm.metrics import METRICS, SETTLED_AFTER, Block, Metrics
-from octarm.trajectory import Trajectory
+from octarm.metrics import table as metrics
+from octarm.metrics.table import METRICS, SETTLED_AFTER, Block, Metrics
+from octarm.runs import folder as runs
+from octarm.simulation.trajectory import Trajectory
 
 PERIOD = 1e-2
 ROWS = 420  # past SETTLED_AFTER, and past 255

@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from octarm import ArmParameters, lagrange
-from octarm.model import (
+from octarm import ArmParameters
+from octarm.arm import lagrange
+from octarm.arm.mjcf import (
     build_model,
     coordinate_names,
     nominal_parameters,

@@ -10,8 +10,7 @@ from arm_states import REST, UNCERTAIN, P, U, hand_set, random_box, random_insta
 
 from controllers.model_error import largest_model_error, reaching_time_bound
 from controllers.sliding_mode import sliding_surface
-from octarm.environment import load
-from octarm.lagrange import (
+from octarm.arm.lagrange import (
     coriolis_matrix,
     damping_matrix,
     equilibrium,
@@ -20,9 +19,10 @@ from octarm.lagrange import (
     mass_matrix,
     potential_force,
 )
-from octarm.parameters import ArmParameters
+from octarm.arm.parameters import ArmParameters
 from octarm.references import SetPoint, named_reference
-from octarm.rollout import rollout
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import rollout
 
 # The gain from a declared uncertainty, eq (40)
 

@@ -13,23 +13,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from paper import output, results, series, shown, stability, writeup
+from paper.claims import Claim
+from paper.effort import FULL, QUICK
+from paper.evidence import Evidence, gather
+from paper.jobs import run_all
+from paper.load import costs
+from paper.measured import Cell, Measured, measure
+from paper.rankings import tuning
+from paper.studies import BENDS, NOISE, parts
+from paper.tables import as_csv
+from paper.variants import PROPOSED, SIGN, SMC, by_hand, cast
+from paper.verdicts import claims
 
 from controllers import make_controller
 from controllers.gain_sets import SHIPPED
 from octarm import sweep
-from octarm.paper import output, results, series, shown, stability, writeup
-from octarm.paper.claims import Claim
-from octarm.paper.effort import FULL, QUICK
-from octarm.paper.evidence import Evidence, gather
-from octarm.paper.jobs import run_all
-from octarm.paper.load import costs
-from octarm.paper.measured import Cell, Measured, measure
-from octarm.paper.rankings import tuning
-from octarm.paper.studies import BENDS, NOISE, parts
-from octarm.paper.tables import as_csv
-from octarm.paper.variants import PROPOSED, SIGN, SMC, by_hand, cast
-from octarm.paper.verdicts import claims
-from octarm.runs import read_run
+from octarm.runs.folder import read_run
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPT = ROOT / "scripts" / "reproduce_paper.py"

@@ -4,12 +4,7 @@ import math
 
 import numpy as np
 import pytest
-
-from controllers import make_controller
-from octarm.interfaces import Measurement, Reference
-from octarm.lagrange import equilibrium
-from octarm.model import nominal_parameters
-from octarm.paper import (
+from paper import (
     chattering,
     computation,
     lyapunov,
@@ -19,11 +14,16 @@ from octarm.paper import (
     uncertainty,
     writeup,
 )
-from octarm.paper.claims import Row, Verdict, number, span
-from octarm.paper.measured import interval
-from octarm.paper.stability import Outcome
-from octarm.paper.tables import Table, as_csv, as_html
-from octarm.paper.variants import PROPOSED, cast, matched_slope
+from paper.claims import Row, Verdict, number, span
+from paper.measured import interval
+from paper.stability import Outcome
+from paper.tables import Table, as_csv, as_html
+from paper.variants import PROPOSED, cast, matched_slope
+
+from controllers import make_controller
+from octarm.arm.lagrange import equilibrium
+from octarm.arm.mjcf import nominal_parameters
+from octarm.interfaces import Measurement, Reference
 from octarm.reports.statistics import Interval
 
 HOLDS, ONLY_IF, FAILS = Verdict.HOLDS, Verdict.ONLY_IF, Verdict.FAILS

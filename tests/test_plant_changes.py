@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from octarm.disturbances import Acting
-from octarm.effects.drift import CyclicDrift, Drift
-from octarm.effects.episode import Episode, Plant, PlantChange
-from octarm.effects.plant_changes import GravityTilt, Mismatch, Payload, RandomMismatch
-from octarm.lagrange import equilibrium, potential_force
-from octarm.model import nominal_parameters
-from octarm.parameters import ArmParameters
+from octarm.arm.lagrange import equilibrium, potential_force
+from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.parameters import ArmParameters
+from octarm.disturbances.drift import CyclicDrift, Drift
+from octarm.disturbances.episode import Episode, Plant, PlantChange
+from octarm.disturbances.plant import GravityTilt, Mismatch, Payload, RandomMismatch
+from octarm.disturbances.spelling import Acting
 from octarm.references import named_reference
 
 P = nominal_parameters()

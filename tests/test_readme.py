@@ -12,7 +12,7 @@ import pytest
 
 import octarm
 from controllers import CONTROLLERS, make_controller
-from octarm.disturbances import DISTURBANCES, parse_disturbance
+from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.options.parser import parse
 from octarm.options.table import COMMANDS
 from octarm.references import REFERENCES

@@ -9,8 +9,8 @@ import pytest
 import test_controller_contract as contract
 
 from controllers import CONTROLLERS, make_controller
-from octarm.environment import load
-from octarm.rollout import rollout
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import rollout
 
 README = Path(__file__).resolve().parent.parent / "README.md"
 

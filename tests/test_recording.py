@@ -19,9 +19,9 @@ from recordings import (
     swinging,
 )
 
-from octarm.lagrange import positions
-from octarm.model import world_position
-from octarm.recording import Recorder, last_instant, part_of, write_recording
+from octarm.arm.lagrange import positions
+from octarm.arm.mjcf import world_position
+from octarm.recordings.recording import Recorder, last_instant, part_of, write_recording
 from octarm.recordings.viewer import rescue
 
 
@@ -210,7 +210,7 @@ def test_what_was_added_survives_a_kill(tmp_path):
     script = (
         "import os, signal, sys; sys.path.insert(0, sys.argv[2])\n"
         "from recordings import described, swinging\n"
-        "from octarm.recording import Recorder, part_of\n"
+        "from octarm.recordings.recording import Recorder, part_of\n"
         "run = swinging()\n"
         "with Recorder(sys.argv[1], described(duration=60.0)) as recorder:\n"
         "    recorder.add(part_of(run, 0, 1000))\n"

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from octarm.lagrange import equilibrium
-from octarm.model import nominal_parameters
+from octarm.arm.lagrange import equilibrium
+from octarm.arm.mjcf import nominal_parameters
 from octarm.references import (
     REFERENCES,
     MultiSine,

@@ -13,9 +13,10 @@ import rerun as rr
 from recordings import described, fields, swinging
 
 import octarm
-from octarm import cli, runs
+from octarm.commands import cli
 from octarm.commands import replay as replay_commands
 from octarm.recordings import viewer
+from octarm.runs import folder as runs
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals as on POSIX")
 
@@ -126,7 +127,16 @@ def test_the_figures_are_written_beside_the_run():
 
 def started(*options):
     """A long run as a process of its own, once it has recorded something."""
-    command = [sys.executable, "-m", "octarm.cli", "run", "--duration", "600", "--out", "a"]
+    command = [
+        sys.executable,
+        "-m",
+        "octarm.commands.cli",
+        "run",
+        "--duration",
+        "600",
+        "--out",
+        "a",
+    ]
     process = subprocess.Popen([*command, *options], stdout=-3, stderr=subprocess.PIPE, text=True)
     part = Path("a") / runs.PARTIAL
     deadline = time.monotonic() + 120.0

@@ -8,12 +8,12 @@ import pytest
 from dm_control.suite.wrappers import action_noise
 
 from controllers import make_controller
-from octarm.environment import load
+from octarm.arm.lagrange import force_coefficients, forward_dynamics
+from octarm.arm.mjcf import nominal_parameters
 from octarm.interfaces import Command
-from octarm.lagrange import force_coefficients, forward_dynamics
-from octarm.model import nominal_parameters
-from octarm.rollout import rollout
-from octarm.trajectory import Trajectory
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import rollout
+from octarm.simulation.trajectory import Trajectory
 
 
 @dataclasses.dataclass(frozen=True)

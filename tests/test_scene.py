@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from recordings import swinging
 
-from octarm.lagrange import positions
-from octarm.model import world_position
+from octarm.arm.lagrange import positions
+from octarm.arm.mjcf import world_position
 from octarm.recordings import scene
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from arm_states import REST, P, energy_rate, random_instant
 
-from octarm.kinematics import jacobian, positions
-from octarm.lagrange import damping_matrix, stiffness_matrix
+from octarm.arm.kinematics import jacobian, positions
+from octarm.arm.lagrange import damping_matrix, stiffness_matrix
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 Script = Callable[..., list[list[str]]]

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from numpy.random import SeedSequence
 from scipy import stats
 
-from octarm.effects.episode import Episode, SensorFault
-from octarm.effects.sensors import MeasurementDelay, MeasurementNoise, Quantisation
-from octarm.lagrange import equilibrium
-from octarm.model import nominal_parameters
+from octarm.arm.lagrange import equilibrium
+from octarm.arm.mjcf import nominal_parameters
+from octarm.disturbances.episode import Episode, SensorFault
+from octarm.disturbances.sensors import MeasurementDelay, MeasurementNoise, Quantisation
 from octarm.references import named_reference
 
 P = nominal_parameters()

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from controllers import CONTROLLERS, make_controller
-from octarm.digest import CHECKPOINTS, StateDigest
-from octarm.metrics import METRICS
-from octarm.rollout import drive
+from octarm.metrics.table import METRICS
+from octarm.runs.digest import CHECKPOINTS, StateDigest
+from octarm.simulation.rollout import drive
 from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.shards import begin, run_arms, run_shard, schema

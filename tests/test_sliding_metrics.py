@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from octarm.measures.sliding import Sliding
+from octarm.metrics.sliding import Sliding
 
 STEP = 1e-3
 

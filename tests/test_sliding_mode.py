@@ -17,10 +17,10 @@ from arm_states import (
 )
 
 from controllers.sliding_mode import saturation, sliding_surface
-from octarm.environment import load
-from octarm.lagrange import damping_matrix, inverse_dynamics
+from octarm.arm.lagrange import damping_matrix, inverse_dynamics
 from octarm.references import SetPoint, named_reference
-from octarm.rollout import rollout
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import rollout
 
 # The surface and the switching function
 

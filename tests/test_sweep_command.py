@@ -7,7 +7,7 @@ import distributed  # noqa: F401  its defaults must be there before one of them 
 import pytest
 from test_sweep import SPEC
 
-from octarm.cli import main
+from octarm.commands.cli import main
 from octarm.errors import ExitCode
 
 

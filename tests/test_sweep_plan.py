@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octarm.effects.forces import BandLimitedNoise
-from octarm.effects.streams import stream
+from octarm.disturbances.forces import BandLimitedNoise
+from octarm.disturbances.streams import stream
 from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.plan import Plan
 

@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 
 import octarm
 from controllers import make_controller
-from octarm.cli import main
+from octarm.commands.cli import main
 from octarm.errors import ExitCode
-from octarm.metrics import METRICS
+from octarm.metrics.table import METRICS
 from octarm.reports.checks import findings
 from octarm.reports.episodes import read_episodes
 from octarm.reports.figures import pictures
@@ -411,7 +411,7 @@ def test_figures_have_room_for_many_controllers_and_show_failures(tmp_path):
 
 def test_the_same_sweep_gives_the_same_files(written, known):
     before = {file: file.read_bytes() for file in written.rglob("*") if file.is_file()}
-    code = "import sys; from octarm.cli import main; sys.exit(main(sys.argv[1:]))"
+    code = "import sys; from octarm.commands.cli import main; sys.exit(main(sys.argv[1:]))"
     subprocess.run(
         [sys.executable, "-c", code, "report", str(known),
          "--metric", "tip_rms_error", "--metric", "effort"],

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from octarm.disturbances import DISTURBANCES
-from octarm.effects.forces import BandLimitedNoise, PulseForce
+from octarm.disturbances.forces import BandLimitedNoise, PulseForce
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.sweeps.parser import parse_spec, read_spec
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spelling import as_toml

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from octarm.lagrange import positions
-from octarm.measures.tracking import (
+from octarm.arm.lagrange import positions
+from octarm.metrics.tracking import (
     DWELL,
     Overshoot,
     Settling,

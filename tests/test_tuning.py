@@ -13,17 +13,17 @@ import pytest
 import controllers.gains
 from controllers import CONTROLLERS, make_controller
 from controllers.gain_sets import SHIPPED, GainSet, read_gain_set
-from octarm import cli
-from octarm.disturbances import parse_disturbance
-from octarm.effects.streams import stream
-from octarm.environment import load
-from octarm.measures.chattering import Chattering
-from octarm.model import nominal_parameters
+from octarm.arm.mjcf import nominal_parameters
+from octarm.commands import cli
+from octarm.disturbances.spelling import parse_disturbance
+from octarm.disturbances.streams import stream
+from octarm.metrics.chattering import Chattering
 from octarm.references import named_reference
-from octarm.rollout import rollout
-from octarm.tuning.objective import LONG, SCENARIOS, SHORT, EachItsOwn, Scenario, Trial, costs
-from octarm.tuning.search import Effort, State, StateFile, initial_population, next_generation, tune
-from octarm.tuning.space import KNOBS, Space, gains_of
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import rollout
+from octarm.sweeps.tune import Effort, State, StateFile, initial_population, next_generation, tune
+from octarm.sweeps.tune_objective import LONG, SCENARIOS, SHORT, EachItsOwn, Scenario, Trial, costs
+from octarm.sweeps.tune_space import KNOBS, Space, gains_of
 
 P = nominal_parameters()
 N = P.modules

@@ -10,12 +10,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from octarm import lagrange, validation
-from octarm.checks import free_motion, mechanics
-from octarm.model import build_model, model_path, nominal_parameters
-from octarm.parameters import ArmParameters
-from octarm.report import Check, Report
-from octarm.validation import arm_with, random_arm, validate
+from octarm.arm import lagrange
+from octarm.arm.mjcf import build_model, model_path, nominal_parameters
+from octarm.arm.parameters import ArmParameters
+from octarm.checks import free_motion, mechanics, validation
+from octarm.checks.report import Check, Report
+from octarm.checks.validation import arm_with, random_arm, validate
 
 STATES = 50
 

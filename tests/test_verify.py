@@ -15,20 +15,20 @@ from test_disturbances import SPELLINGS
 
 import octarm
 from controllers import CONTROLLERS, make_controller
-from octarm import runs
+from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.parameters import ArmParameters
 from octarm.checks.differences import compare
 from octarm.checks.verify import RunCheck, check_run
 from octarm.checks.verify_episode import FinishedSweep, first_difference
-from octarm.cli import main
-from octarm.digest import CHECKPOINTS
-from octarm.disturbances import parse_disturbance
-from octarm.experiment import Experiment, perform
-from octarm.model import nominal_parameters
-from octarm.parameters import ArmParameters
+from octarm.commands.cli import main
+from octarm.disturbances.spelling import parse_disturbance
+from octarm.runs import folder as runs
+from octarm.runs.digest import CHECKPOINTS
+from octarm.runs.experiment import Experiment, perform
+from octarm.simulation.trajectory import Trajectory
 from octarm.sweeps.folder import RECORDED
 from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.shard_file import labels_of, read_shard, write_shard
-from octarm.trajectory import Trajectory
 
 P = nominal_parameters()
 FACTORY = functools.partial(make_controller, gain_set="recommended")
@@ -297,7 +297,7 @@ def test_versions_and_machine_of_both_sides_are_said(run):
 
 
 def test_a_run_comes_out_again_in_another_process(original):
-    command = [sys.executable, "-m", "octarm.cli", "verify", str(original)]
+    command = [sys.executable, "-m", "octarm.commands.cli", "verify", str(original)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert "identical: 200 control instants" in done.stdout

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from recordings import described, swinging
 
-from octarm import runs
-from octarm.model import nominal_parameters
+from octarm.arm.mjcf import nominal_parameters
 from octarm.recordings.video import write_video
+from octarm.runs import folder as runs
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="EGL and OSMesa as on Linux")
 
@@ -27,7 +27,7 @@ def run(tmp_path):
 
 
 def film(run, *options, **environment):
-    command = [sys.executable, "-m", "octarm.cli", "video", str(run), *options]
+    command = [sys.executable, "-m", "octarm.commands.cli", "video", str(run), *options]
     kept = {k: v for k, v in os.environ.items() if k != "MUJOCO_GL"}
     return subprocess.run(
         command, env={**kept, **environment}, capture_output=True, text=True, check=False

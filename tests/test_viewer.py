@@ -15,12 +15,12 @@ import pytest
 from PIL import Image
 from recordings import described, swinging
 
-from octarm.model import nominal_parameters
-from octarm.recording import write_recording
+from octarm.arm.mjcf import nominal_parameters
 from octarm.recordings import viewer
 from octarm.recordings.comparison import Run, write_comparison
+from octarm.recordings.recording import write_recording
 from octarm.recordings.viewer import open_viewer, screenshot
-from octarm.trajectory import Trajectory
+from octarm.simulation.trajectory import Trajectory
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="Vulkan and displays as on Linux")
 posix = pytest.mark.skipif(os.name != "posix", reason="the stand-in for the viewer is a script")
@@ -229,7 +229,7 @@ def shown_views(path):
 @posix
 def test_the_page_is_served_on_this_machine_and_may_fetch_from_it_only(picture, recording):
     process = subprocess.Popen(
-        [sys.executable, "-m", "octarm.cli", "replay", str(recording), "--web"],
+        [sys.executable, "-m", "octarm.commands.cli", "replay", str(recording), "--web"],
         stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:

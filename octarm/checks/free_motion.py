@@ -13,11 +13,11 @@ import numpy as np
 from scipy.integrate import simpson, solve_ivp
 from scipy.linalg import eigh
 
-from octarm import lagrange
-from octarm.actuation import InternalActuation
+from octarm.arm import lagrange
+from octarm.arm.actuation import InternalActuation
+from octarm.arm.mjcf import paper_order
+from octarm.arm.parameters import ArmParameters
 from octarm.checks.mechanics import levers
-from octarm.model import paper_order
-from octarm.parameters import ArmParameters
 
 DURATION = 2.0  # of a free motion [s]
 SAMPLES = 50  # instants at which motions are compared

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from octarm import lagrange
-from octarm.actuation import GroundedActuation, InternalActuation
-from octarm.model import paper_order, world_position
-from octarm.parameters import ArmParameters
+from octarm.arm import lagrange
+from octarm.arm.actuation import GroundedActuation, InternalActuation
+from octarm.arm.mjcf import paper_order, world_position
+from octarm.arm.parameters import ArmParameters
 
 
 class States(NamedTuple):

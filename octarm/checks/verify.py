@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from octarm import runs
+from octarm.arm.mjcf import coordinate_names
 from octarm.checks.differences import Difference, beside, compare, despite, flat, moved, told
-from octarm.experiment import Experiment, Factory, perform
-from octarm.model import coordinate_names
-from octarm.trajectory import Trajectory
+from octarm.errors import OctarmError
+from octarm.runs import folder as runs
+from octarm.runs.experiment import Experiment, Factory, perform
+from octarm.simulation.trajectory import Trajectory
 
 _MOTION = ("q", "v")
 _INPUTS = ("controller", "parameters", "nominal", "reference", "timestep", "control_period")
@@ -144,7 +145,7 @@ def check_run(
             experiment = dataclasses.replace(experiment, duration=length)
         environment, controller = experiment.begin(factory)
     except ValueError as error:
-        raise ValueError(f"{folder} cannot be run again: {error}") from None
+        raise OctarmError(f"{folder} cannot be run again: {error}") from None
     announced = experiment.announcement(environment, controller)
     again, described = perform(environment, controller, announced, progress=progress)
     deviations = sorted(_deviations(stored, again), key=lambda d: d.row)
@@ -173,10 +174,10 @@ def _stored(folder: Path, description: Mapping[str, Any]) -> Trajectory:
     if not file.is_file():
         killed = description.get("status") == runs.RUNNING
         why = "it is still going on or was killed" if killed else "it is incomplete"
-        raise ValueError(f"{folder} has no {runs.ARRAYS} to compare with: {why}")
+        raise OctarmError(f"{folder} has no {runs.ARRAYS} to compare with: {why}")
     stored = Trajectory.load(file)
     if not len(stored):
-        raise ValueError(f"{file} holds no rows")
+        raise OctarmError(f"{file} holds no rows")
     return stored
 
 

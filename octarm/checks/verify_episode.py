@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from octarm import runs
+from octarm.arm.mjcf import nominal_parameters
 from octarm.checks.differences import Difference, beside, compare, despite, flat, told
-from octarm.digest import CHECKPOINTS
-from octarm.experiment import Factory
-from octarm.facts import host, versions
-from octarm.model import nominal_parameters
+from octarm.errors import OctarmError
+from octarm.runs import folder as runs
+from octarm.runs.digest import CHECKPOINTS
+from octarm.runs.experiment import Factory
+from octarm.runs.versions import host, versions
 from octarm.sweeps.folder import RECORDED, SPEC, read_manifest, read_row
 from octarm.sweeps.gain_sets import of_sets
 from octarm.sweeps.parser import read_spec
@@ -90,7 +91,7 @@ class FinishedSweep:
         self._manifest = read_manifest(path)
         self.plan = Plan(read_spec(path / SPEC))
         if self.plan.spec.hash() != self._manifest["spec_hash"]:
-            raise ValueError(f"{path / SPEC} was changed: it is not what the sweep was run with")
+            raise OctarmError(f"{path / SPEC} was changed: it is not what the sweep was run with")
 
     def finished(self) -> np.ndarray:
         """The numbers of the episodes that are there, shape (n,)."""
@@ -155,7 +156,7 @@ def first_difference(was: list[int], now: list[int], duration: float) -> tuple[f
     """Between which instants [s] two motions part; None if they do not.
 
     Args:
-        was: checkpoints of one of them, see `octarm.digest.StateDigest`.
+        was: checkpoints of one of them, see `octarm.runs.digest.StateDigest`.
         now: of the other one.
         duration: of both [s].
     """

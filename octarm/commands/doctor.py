@@ -5,8 +5,8 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable
 
-from octarm.checks import machine
-from octarm.checks.machine import Finding, State
+from octarm.checks import doctor as machine
+from octarm.checks.doctor import Finding, State
 from octarm.errors import ExitCode
 
 _WIDTH = 80

@@ -15,18 +15,18 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import make_controller
-from octarm.disturbances import parse_disturbance, spelling
-from octarm.errors import ExitCode
-from octarm.facts import host, versions
+from octarm.disturbances.spelling import parse_disturbance, spelling
+from octarm.errors import ExitCode, OctarmError
 from octarm.files import write_text
+from octarm.runs.versions import host, versions
 from octarm.sweeps.margin import Brackets, Outcome, estimate, search
 from octarm.sweeps.margin_trial import NOMINAL, Trial, Varied, is_varied, parse_bound, parse_varied
 from octarm.sweeps.workers import cores
 
 if TYPE_CHECKING:
+    from octarm.arm.parameters import ArmParameters
     from octarm.interfaces import Controller
     from octarm.options.sweeps import Margin
-    from octarm.parameters import ArmParameters
 
 _NUMBERS = ("margin", "interval_low", "interval_high", "least", "median", "most")
 
@@ -81,18 +81,18 @@ def _controller(name: str, gain_set: str | None, nominal: ArmParameters) -> Cont
 def _check(options: Margin) -> None:
     """Raises ValueError for options that cannot be meant."""
     if not options.controllers:
-        raise ValueError("no controller is given; octarm run --help names them")
+        raise OctarmError("no controller is given; octarm run --help names them")
     if not options.bound:
-        raise ValueError("no bound is given; --bound METRIC:VALUE, such as tip_rms_error:0.01")
+        raise OctarmError("no bound is given; --bound METRIC:VALUE, such as tip_rms_error:0.01")
     if options.seeds < 1:
-        raise ValueError(f"seeds is {options.seeds}; it must be at least 1")
+        raise OctarmError(f"seeds is {options.seeds}; it must be at least 1")
     if options.seed < 0:
-        raise ValueError(f"seed is {options.seed}; it must be at least 0")
+        raise OctarmError(f"seed is {options.seed}; it must be at least 0")
     if not 0.0 < options.share <= 1.0:
-        raise ValueError(f"share is {options.share:g}; it must be above 0 and at most 1")
+        raise OctarmError(f"share is {options.share:g}; it must be above 0 and at most 1")
     for file in (options.csv, options.json):
         if file is not None and not file.resolve().parent.is_dir():
-            raise ValueError(f"{file} cannot be written: there is no folder for it")
+            raise OctarmError(f"{file} cannot be written: there is no folder for it")
 
 
 def _varied(options: Margin) -> Varied:
@@ -100,13 +100,13 @@ def _varied(options: Margin) -> Varied:
     open_ = [text for text in options.disturbance if is_varied(text)]
     if len(open_) != 1:
         given = " and ".join(open_) or "none"
-        raise ValueError(
+        raise OctarmError(
             "one --disturbance goes without a value, the one whose largest value is sought; "
             f"here it is {given}"
         )
     varied = parse_varied(open_[0], options.low, options.high)
     if varied.name == NOMINAL and options.mismatch:
-        raise ValueError(f"--mismatch is given, but {NOMINAL} is what varies")
+        raise OctarmError(f"--mismatch is given, but {NOMINAL} is what varies")
     return varied
 
 

@@ -9,9 +9,9 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from octarm import runs
-from octarm.errors import ExitCode
-from octarm.trajectory import Trajectory
+from octarm.errors import ExitCode, OctarmError
+from octarm.runs import folder as runs
+from octarm.simulation.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from octarm.options.recordings import Plot, Record, Replay, Video
@@ -25,9 +25,9 @@ def replay(options: Replay) -> int:
     from octarm.recordings import viewer
 
     if options.screenshot is not None and options.web:
-        raise ValueError("--screenshot and --web exclude each other")
+        raise OctarmError("--screenshot and --web exclude each other")
     if options.screenshot is not None and options.screenshot.suffix != ".png":
-        raise ValueError(f"screenshot is {str(options.screenshot)!r}; its name must end in .png")
+        raise OctarmError(f"screenshot is {str(options.screenshot)!r}; its name must end in .png")
     with _recordings(options.runs) as files:
         if options.screenshot is not None:
             return _picture(options, files)
@@ -40,7 +40,7 @@ def replay(options: Replay) -> int:
 
 def record(options: Record) -> int:
     """`octarm record`: the recording of a run again, from its arrays and its description."""
-    from octarm.recording import write_recording
+    from octarm.recordings.recording import write_recording
 
     trajectory, description = _rows_of(options.run)
     target = options.run / runs.RECORDING if options.out is None else options.out
@@ -86,7 +86,7 @@ def _picture(options: Replay, files: list[Path]) -> int:
     end = viewer.end_of(files[0])
     shown = 0.5 * end if options.time is None else options.time
     if not 0.0 <= shown <= end:
-        raise ValueError(f"time is {shown:g} s; the run goes from 0 to {end:g} s")
+        raise OctarmError(f"time is {shown:g} s; the run goes from 0 to {end:g} s")
     viewer.screenshot(files[0], options.screenshot, others=files[1:], time=shown)
     print(f"wrote {options.screenshot}")
     return ExitCode.FINE
@@ -100,7 +100,7 @@ def _recordings(folders: tuple[Path, ...]) -> Generator[list[Path]]:
         ValueError: if there is nothing to replay.
     """
     if not 1 <= len(folders) <= 2:
-        raise ValueError(f"{len(folders)} runs are given; replay shows one, or two side by side")
+        raise OctarmError(f"{len(folders)} runs are given; replay shows one, or two side by side")
     with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
         if len(folders) == 2:
             from octarm.recordings.comparison import Run, write_comparison
@@ -120,7 +120,9 @@ def _of_sweep(folder: Path, scratch: Path) -> list[Path]:
 
     files = sorted(folder.rglob("*.rrd"))
     if not files:
-        raise ValueError(f"{folder} is a sweep without recorded episodes; see [record] in its spec")
+        raise OctarmError(
+            f"{folder} is a sweep without recorded episodes; see [record] in its spec"
+        )
     if len(files) > _MOST:
         print(f"octarm: the first {_MOST} of {len(files)} recordings are shown", file=sys.stderr)
     if len(files) == 1:
@@ -147,7 +149,7 @@ def _of_run(folder: Path, scratch: Path) -> Path:
             _say_partial(viewer.end_of(recording))
         return recording
     if not partial.is_file():
-        raise ValueError(f"{folder} has no recording {runs.RECORDING}; octarm record writes one")
+        raise OctarmError(f"{folder} has no recording {runs.RECORDING}; octarm record writes one")
     rescued = scratch / runs.RECORDING
     viewer.rescue(partial, rescued)
     _say_partial(viewer.end_of(rescued))

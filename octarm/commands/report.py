@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from octarm.errors import ExitCode
+from octarm.errors import ExitCode, OctarmError
 from octarm.files import whole_file, write_text
 from octarm.reports.checks import Finding, findings
 from octarm.reports.episodes import read_episodes
@@ -46,12 +46,12 @@ def report(options: sweeps.Report) -> int:
 def _check_place(out: Path, sweep: Path) -> None:
     """Raises ValueError if the folder holds something else; an earlier report is replaced."""
     if out.exists() and not out.is_dir():
-        raise ValueError(f"{out} is not a folder; choose another --out")
+        raise OctarmError(f"{out} is not a folder; choose another --out")
     if out.resolve() == sweep.resolve():
-        raise ValueError(f"{out} is the sweep itself; choose another --out")
+        raise OctarmError(f"{out} is the sweep itself; choose another --out")
     found = {entry.name for entry in (out.iterdir() if out.is_dir() else ())}
     if PAGE not in found and found - {FIGURES, *TABLES}:
-        raise ValueError(f"{out} exists and is not a report; choose another --out")
+        raise OctarmError(f"{out} exists and is not a report; choose another --out")
 
 
 def _write(out: Path, text: str, files: dict[str, str], drawn: list[Picture]) -> None:

@@ -20,20 +20,20 @@ from dm_control.rl import control
 from tqdm import tqdm
 
 from controllers import make_controller
-from octarm import runs
+from octarm.arm.mjcf import nominal_parameters, template_model
+from octarm.arm.parameters import ArmParameters
 from octarm.commands.summary import Swing, summary
-from octarm.disturbances import parse_disturbance
-from octarm.environment import whole_periods
-from octarm.errors import ExitCode, closest
-from octarm.experiment import Experiment, run_into
+from octarm.disturbances.spelling import parse_disturbance
+from octarm.errors import ExitCode, OctarmError, closest
 from octarm.files import write_text
-from octarm.model import nominal_parameters, template_model
-from octarm.parameters import ArmParameters
+from octarm.runs import folder as runs
+from octarm.runs.experiment import Experiment, run_into
+from octarm.simulation.environment import whole_periods
 
 if TYPE_CHECKING:
+    from octarm.checks.report import Report
     from octarm.options.checks import Validate
     from octarm.options.run import Run
-    from octarm.report import Report
 
 
 def run(options: Run) -> int:
@@ -91,21 +91,21 @@ def _advice(options: Run, environment: control.Environment) -> str:
 
 def validate(options: Validate) -> int:
     """`octarm validate`: MuJoCo against the analytic model, or the controllers' Lyapunov ledger."""
-    from controllers.ledger import ledger
-    from octarm.validation import arm_with, random_arm
-    from octarm.validation import validate as plant
+    from controllers.proofs.ledger import ledger
+    from octarm.checks.validation import arm_with, random_arm
+    from octarm.checks.validation import validate as plant
 
     compare, states = (ledger, 3000) if options.controllers else (plant, 10_000)
     states = states if options.states is None else options.states
     if options.modules < 1 or options.random_parameters < 0 or states < 1:
-        raise ValueError(
+        raise OctarmError(
             f"modules is {options.modules}, states {states}, random parameters "
             f"{options.random_parameters}; they must be at least 1, 1 and 0"
         )
     if options.seed < 0:
-        raise ValueError(f"seed is {options.seed}; it must be at least 0")
+        raise OctarmError(f"seed is {options.seed}; it must be at least 0")
     if options.json is not None and not options.json.parent.is_dir():
-        raise ValueError(f"{options.json} cannot be written: there is no folder for it")
+        raise OctarmError(f"{options.json} cannot be written: there is no folder for it")
     draw = np.random.default_rng(options.seed)
     arms = [random_arm(draw, options.modules) for _ in range(options.random_parameters)]
     reports: list[Report] = []
@@ -131,12 +131,12 @@ def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
     for item in items:
         name, _, text = item.partition(":")
         if name in values:
-            raise ValueError(f"{option} gives {name} twice")
+            raise OctarmError(f"{option} gives {name} twice")
         try:
             rows = [[float(x) for x in row.split(",")] for row in text.split(";")]
             table = np.array(rows)
         except ValueError:
-            raise ValueError(
+            raise OctarmError(
                 f"{option} is {item!r}; it must read NAME:NUMBER, NAME:A,B,C or NAME:A,B;C,D"
             ) from None
         if table.shape[0] == 1:
@@ -149,7 +149,7 @@ def _gains(items: Sequence[str]) -> dict[str, npt.ArrayLike]:
     gains = named_values("--gain", items)
     for item, value in zip(items, gains.values(), strict=True):
         if np.ndim(value) > 1:
-            raise ValueError(f"--gain is {item!r}; a gain is one number, or one a coordinate")
+            raise OctarmError(f"--gain is {item!r}; a gain is one number, or one a coordinate")
     return gains
 
 
@@ -158,7 +158,7 @@ def _true_parameters(options: Run) -> ArmParameters:
     known = [field.name for field in dataclasses.fields(ArmParameters)]
     for name in changes:
         if name not in known:
-            raise ValueError(f"unknown parameter {name!r}{closest(name, known)}")
+            raise OctarmError(f"unknown parameter {name!r}{closest(name, known)}")
     return dataclasses.replace(nominal_parameters(), **changes)
 
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from octarm.ledger import in_words
-from octarm.metrics import SETTLED_AFTER
-from octarm.model import coordinate_names
-from octarm.trajectory import Trajectory
+from octarm.arm.mjcf import coordinate_names
+from octarm.disturbances.ledger import in_words
+from octarm.metrics.table import SETTLED_AFTER
+from octarm.simulation.trajectory import Trajectory
 
 _HEADINGS = ("rms", "peak", "rms/amplitude", "overshoot", "chattering", "reached s=0")
 

@@ -14,13 +14,13 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import make_controller
+from octarm.arm.mjcf import nominal_parameters
 from octarm.checks.verify_episode import FinishedSweep
-from octarm.errors import ExitCode
-from octarm.model import nominal_parameters
-from octarm.sweep import estimate
-from octarm.sweep import sweep as run_sweep
+from octarm.errors import ExitCode, OctarmError
 from octarm.sweeps.bar import ProgressBar, digits
 from octarm.sweeps.chosen import COLUMNS, choose, record_chosen
+from octarm.sweeps.execute import estimate
+from octarm.sweeps.execute import sweep as run_sweep
 from octarm.sweeps.folder import RECORDED, read_sweep
 from octarm.sweeps.parser import read_spec
 from octarm.sweeps.plan import Plan
@@ -39,14 +39,14 @@ if TYPE_CHECKING:
 def sweep(options: Sweep) -> int:
     """`octarm sweep`: runs a spec into a folder, or says what that would take."""
     if options.workers is not None and options.workers < 1:
-        raise ValueError(f"workers is {options.workers}; it must be at least 1")
+        raise OctarmError(f"workers is {options.workers}; it must be at least 1")
     spec = read_spec(options.spec)
     _check_controllers(spec, options.spec)
     _check_recorded(spec, options.spec)
     if options.dry_run:
         return _dry_run(spec, options.workers or cores())
     if options.out is None:
-        raise ValueError("there is no folder to write to; give --out DIR, or --dry-run")
+        raise OctarmError("there is no folder to write to; give --out DIR, or --dry-run")
     _run(spec, options, options.out)
     alike = _record(spec, options, options.out)
     _print_summary(options.out)
@@ -132,7 +132,7 @@ def _check_controllers(spec: SweepSpec, file: Path) -> None:
         except ValueError as error:
             keys = ("gain_set", name) if gain_set else ("grid", "controller")
             keys = ("gains", name) if gains else keys
-            raise ValueError(f"{source.where(*keys)}: {error}") from None
+            raise OctarmError(f"{source.where(*keys)}: {error}") from None
 
 
 def _check_recorded(spec: SweepSpec, file: Path) -> None:
@@ -144,7 +144,7 @@ def _check_recorded(spec: SweepSpec, file: Path) -> None:
                 plan.episode(episode)
             except ValueError as error:
                 where = Source(spec.text, str(file)).where("record", "episodes")
-                raise ValueError(f"{where}: {error}") from None
+                raise OctarmError(f"{where}: {error}") from None
 
 
 def _dry_run(spec: SweepSpec, workers: int) -> int:

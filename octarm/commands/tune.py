@@ -14,13 +14,13 @@ from tqdm import tqdm
 
 from controllers import make_controller
 from controllers.gain_sets import GainSet, read_gain_set, shortest
-from octarm.errors import ExitCode
+from octarm.arm.mjcf import nominal_parameters
+from octarm.errors import ExitCode, OctarmError
 from octarm.files import write_text
-from octarm.model import nominal_parameters
-from octarm.tuning.objective import FORMULA, Trial
-from octarm.tuning.search import Effort, State, StateFile, Tuned, settings, versions
-from octarm.tuning.search import tune as tune_gains
-from octarm.tuning.space import Space
+from octarm.sweeps.tune import Effort, State, StateFile, Tuned, settings, versions
+from octarm.sweeps.tune import tune as tune_gains
+from octarm.sweeps.tune_objective import FORMULA, Trial
+from octarm.sweeps.tune_space import Space
 
 if TYPE_CHECKING:
     from octarm.options.tune import Tune
@@ -30,7 +30,7 @@ def tune(options: Tune) -> int:
     """`octarm tune`: gains for one controller, as a TOML file."""
     effort = Effort.within(options.budget)
     if options.seed < 0:
-        raise ValueError(f"seed is {options.seed}; it must be at least 0")
+        raise OctarmError(f"seed is {options.seed}; it must be at least 0")
     out = options.out or Path(f"{options.controller}.toml")
     tuned = _search(options, effort, out)
     write_text(out, gain_set(options, effort, tuned).to_toml())
@@ -76,18 +76,18 @@ def _check_place(out: Path, file: StateFile, options: Tune) -> None:
     An earlier result is replaced.
     """
     if out.suffix != ".toml":
-        raise ValueError(f"--out is {str(out)!r}; its name must end in .toml")
+        raise OctarmError(f"--out is {str(out)!r}; its name must end in .toml")
     if not out.parent.is_dir():
-        raise ValueError(f"{out} cannot be written: there is no folder for it")
+        raise OctarmError(f"{out} cannot be written: there is no folder for it")
     if out.exists():
         earlier = read_gain_set(out)
         if earlier.controller != options.controller:
-            raise ValueError(
+            raise OctarmError(
                 f"{out} holds gains of {earlier.controller}; choose another --out for those of "
                 f"{options.controller}"
             )
     if file.path.exists() and not options.resume:
-        raise ValueError(
+        raise OctarmError(
             f"{file.path} keeps a search that was interrupted; go on with it by --resume, or "
             "delete it"
         )

@@ -10,10 +10,10 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import make_controller
-from octarm import runs
 from octarm.checks.verify import check_run
 from octarm.checks.verify_episode import FinishedSweep
-from octarm.errors import ExitCode
+from octarm.errors import ExitCode, OctarmError
+from octarm.runs import folder as runs
 from octarm.sweeps.folder import MANIFEST
 
 if TYPE_CHECKING:
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 def verify(options: Verify) -> int:
     """`octarm verify`: runs again what was run, and says whether every bit is the same."""
     if not options.runs:
-        raise ValueError("there is nothing to verify; give a run folder or a sweep folder")
+        raise OctarmError("there is nothing to verify; give a run folder or a sweep folder")
     for episode in options.episode:
         if episode < 0:
-            raise ValueError(f"episode is {episode}; it must be at least 0")
+            raise OctarmError(f"episode is {episode}; it must be at least 0")
     if options.sample is not None and options.sample < 1:
-        raise ValueError(f"sample is {options.sample}; it must be at least 1")
+        raise OctarmError(f"sample is {options.sample}; it must be at least 1")
     checks = [_sweep(f, options) if _is_sweep(f) else _run(f, options) for f in options.runs]
     return ExitCode.FINE if all(checks) else ExitCode.CHECK_FAILED
 
@@ -40,7 +40,7 @@ def _is_sweep(folder: Path) -> bool:
 def _run(folder: Path, options: Verify) -> bool:
     """Whether a run comes out again; says so."""
     if options.episode or options.sample is not None:
-        raise ValueError(f"{folder} is no sweep; --episode and --sample are for sweeps")
+        raise OctarmError(f"{folder} is no sweep; --episode and --sample are for sweeps")
     factory = functools.partial(make_controller, gain_set="recommended")  # none is left open
     known = runs.read_description(folder)
     periods = known.get("duration", 0.0) / known.get("control_period", 1.0)
@@ -72,7 +72,7 @@ def _chosen(sweep: FinishedSweep, options: Verify) -> list[int]:
     named = list(dict.fromkeys(options.episode))
     if options.sample is None:
         if not named:
-            raise ValueError(
+            raise OctarmError(
                 f"{sweep.path} is a sweep; --episode ID says which of its "
                 f"{sweep.plan.episodes} episodes to verify, or --sample N takes some"
             )

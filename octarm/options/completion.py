@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 
-from octarm.errors import ExitCode, closest
+from octarm.errors import ExitCode, OctarmError, closest
 from octarm.options.argument import Operand, Option
 from octarm.options.machine import Completion
 from octarm.options.parser import Argument, arguments_of, summary
@@ -50,7 +50,7 @@ def completion(options: Completion) -> int:
         ValueError: for an unknown shell.
     """
     if options.shell not in SHELLS:
-        raise ValueError(f"unknown shell {options.shell!r}{closest(options.shell, SHELLS)}")
+        raise OctarmError(f"unknown shell {options.shell!r}{closest(options.shell, SHELLS)}")
     print("\n".join(_fish()) if options.shell == "fish" else _bash(options.shell))
     return ExitCode.FINE
 

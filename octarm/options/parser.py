@@ -12,7 +12,7 @@ import types
 from collections.abc import Sequence
 from typing import Any, NoReturn, get_args, get_origin, get_type_hints
 
-from octarm.errors import closest
+from octarm.errors import OctarmError, closest
 from octarm.options.argument import Operand, Option
 from octarm.options.table import COMMANDS, GROUPS, Command
 from octarm.options.words import known_words
@@ -98,18 +98,18 @@ def parse(words: Sequence[str]) -> Command:
         SystemExit: when a help page or the version was asked for, and printed.
     """
     if not words:
-        raise ValueError("no command is given; octarm --help lists them")
+        raise OctarmError("no command is given; octarm --help lists them")
     name, *others = words
     if name in ("-h", "--help", "--version"):
         print(overview() if name != "--version" else _version(), end="")
         raise SystemExit(0)
     if name not in COMMANDS:
-        raise ValueError(f"unknown command {name!r}{closest(name, COMMANDS)}")
+        raise OctarmError(f"unknown command {name!r}{closest(name, COMMANDS)}")
     kind = COMMANDS[name]
     arguments = arguments_of(kind)
     found, unknown = _parser(name).parse_known_intermixed_args(_joined(others, arguments))
     if unknown:
-        raise ValueError(_no_such(name, unknown))
+        raise OctarmError(_no_such(name, unknown))
     given = {a.name: _value(name, a, getattr(found, a.name)) for a in arguments}
     return kind(**given)
 
@@ -143,7 +143,7 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raises ValueError."""
         message = message.removeprefix("argument ")
-        raise ValueError(re.sub(r": expected one argument$", " needs a value after it", message))
+        raise OctarmError(re.sub(r": expected one argument$", " needs a value after it", message))
 
 
 def _parser(name: str) -> _Parser:
@@ -221,12 +221,12 @@ def _value(command: str, argument: Argument, words: list[str] | bool | None) -> 
             return argument.default
         if argument.several:
             return ()
-        raise ValueError(f"octarm {command} needs {argument.flag}, {argument.mark.text}")
+        raise OctarmError(f"octarm {command} needs {argument.flag}, {argument.mark.text}")
     if argument.several:
         return tuple(_one(argument, word) for word in words)
     if len(words) > 1:
         again = f"{argument.flag} is given twice: {words[0]!r} and {words[1]!r}"
-        raise ValueError(again)
+        raise OctarmError(again)
     return _one(argument, words[0])
 
 
@@ -236,7 +236,7 @@ def _one(argument: Argument, word: str) -> Any:
         return kind(word)
     except ValueError:
         needed = "a whole number" if kind is int else "a number"
-        raise ValueError(f"{flag} is {word!r}; it must be {needed}") from None
+        raise OctarmError(f"{flag} is {word!r}; it must be {needed}") from None
 
 
 def _no_such(command: str, unknown: Sequence[str]) -> str:

@@ -17,11 +17,11 @@ def known_words(value: str) -> list[str]:
 
             return list(REFERENCES)
         case "DISTURBANCE":
-            from octarm.disturbances import DISTURBANCES
+            from octarm.disturbances.spelling import DISTURBANCES
 
             return list(DISTURBANCES)
         case "ACTUATION":
-            from octarm.actuation import ACTUATIONS
+            from octarm.arm.actuation import ACTUATIONS
 
             return list(ACTUATIONS)
         case "SHELL":

@@ -17,8 +17,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from octarm.model import coordinate_names
-from octarm.trajectory import Trajectory
+from octarm.arm.mjcf import coordinate_names
+from octarm.simulation.trajectory import Trajectory
 
 Kind = Literal["coordinates", "inputs", "scalar", "list", "rules"]
 

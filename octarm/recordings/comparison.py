@@ -11,13 +11,14 @@ import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
-from octarm.archive import BLOCK
-from octarm.recording import part_of, recording_errors, rrd_file
+from octarm.errors import OctarmError
 from octarm.recordings.blueprints import Curves, plot_view, time_axis, wrapped
 from octarm.recordings.notes import title_of
 from octarm.recordings.recorded_run import RecordedRun
 from octarm.recordings.recorded_scene import module_colors
-from octarm.trajectory import Trajectory
+from octarm.recordings.recording import part_of, recording_errors, rrd_file
+from octarm.runs.archive import BLOCK
+from octarm.simulation.trajectory import Trajectory
 
 
 class Run(NamedTuple):
@@ -45,11 +46,11 @@ def write_comparison(path: str | os.PathLike[str], first: Run, second: Run) -> N
     """
     sizes = [run.trajectory.q.shape[1] // 2 for run in (first, second)]
     if sizes[0] != sizes[1]:
-        raise ValueError(
+        raise OctarmError(
             f"the arms have {sizes[0]} and {sizes[1]} modules; they cannot be compared"
         )
     if not len(first.trajectory) or not len(second.trajectory):
-        raise ValueError("there is nothing to compare: a run has no rows")
+        raise OctarmError("there is nothing to compare: a run has no rows")
     titles = [title_of(run.description) for run in (first, second)]
     with rrd_file(path) as stream, recording_errors(path):
         logged: list[RecordedRun] = []

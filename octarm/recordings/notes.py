@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
-from octarm.metrics import METRICS
-from octarm.model import coordinate_names
+from octarm.arm.mjcf import coordinate_names
+from octarm.metrics.table import METRICS
 
 _REMARK = """The arm is drawn as a picture of the lumped model, whose module i slides along the end
 of the one before and bends at its own end. No arc of length s_i and angle theta_i ends where such a

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure as NewFigure
 from octarm.files import whole_file
 from octarm.recordings.channels import Channel, bound_lines, bounds_of, channels_of, values_of
 from octarm.recordings.notes import title_of
-from octarm.trajectory import Trajectory
+from octarm.simulation.trajectory import Trajectory
 
 # Stand for Matplotlib's classes, whose methods leave the types of keyword arguments unknown.
 Axes = Any

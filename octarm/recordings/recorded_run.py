@@ -21,8 +21,9 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from octarm.model import coordinate_names
-from octarm.parameters import ArmParameters
+from octarm.arm.mjcf import coordinate_names
+from octarm.arm.parameters import ArmParameters
+from octarm.errors import OctarmError
 from octarm.recordings import states
 from octarm.recordings.blueprints import blueprint
 from octarm.recordings.channels import Channel, bound_lines, bounds_of, channels_of, values_of
@@ -30,7 +31,7 @@ from octarm.recordings.heat_map import HeatMap
 from octarm.recordings.notes import notes_of, title_of
 from octarm.recordings.recorded_scene import Scene
 from octarm.recordings.scene import drawable
-from octarm.trajectory import Trajectory
+from octarm.simulation.trajectory import Trajectory
 
 _FRAME_RATE = 60.0  # of the 3D scene [Hz]
 _FIRST_PICTURE = 20_000  # rows, after which numbers of rules are drawn although the run goes on
@@ -69,7 +70,7 @@ class RecordedRun:
         """
         self._parameters = ArmParameters.from_dict(description["parameters"])
         if self._parameters.batch_shape:
-            raise ValueError("the parameters must be those of one arm")
+            raise OctarmError("the parameters must be those of one arm")
         self._stream, self._description, self._root = stream, description, root
         listed = description.get("disturbances", [])
         self._disturbed = bool(listed) if disturbed is None else disturbed
@@ -93,7 +94,7 @@ class RecordedRun:
             ValueError: if the rows are not those of an arm with these parameters.
         """
         if rows.q.shape[1:] != (self._parameters.coordinates,):
-            raise ValueError("the parameters must be those of an arm with the rows' modules")
+            raise OctarmError("the parameters must be those of an arm with the rows' modules")
         if not self._count:
             self._begin(rows)
         numbers = np.arange(self._count, self._count + len(rows))

@@ -16,7 +16,7 @@ import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
-from octarm.parameters import ArmParameters
+from octarm.arm.parameters import ArmParameters
 from octarm.recordings import scene
 
 MODULE_COLORS = ["FF9F43", "40A9FF", "48C987", "E76EBE", "F1D64A", "9B89FF", "4DD0D0", "FF7864"]

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octarm.lagrange import positions
-from octarm.model import world_position
+from octarm.arm.lagrange import positions
+from octarm.arm.mjcf import world_position
 
 PIECES = 6  # of the tube, a module
 COLUMN_PIECES = 4

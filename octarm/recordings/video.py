@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from octarm.arm.parameters import ArmParameters
+from octarm.errors import OctarmError
 from octarm.files import whole_file
-from octarm.parameters import ArmParameters
-from octarm.trajectory import Trajectory
+from octarm.simulation.trajectory import Trajectory
 
 _GHOST = np.array([0.75, 0.82, 0.9, 0.28])  # the desired arm
 _NEEDED = (
@@ -70,13 +71,13 @@ def write_video(
         RuntimeError: if nothing can be drawn on this machine.
     """
     if not str(path).endswith(".mp4"):
-        raise ValueError(f"the film is {os.fspath(path)!r}; its name must end in .mp4")
+        raise OctarmError(f"the film is {os.fspath(path)!r}; its name must end in .mp4")
     if not (1.0 <= rate <= 240.0 and 0.0 < speed <= 1000.0):
-        raise ValueError(
+        raise OctarmError(
             f"rate is {rate:g} and speed {speed:g}; they must be within 1 to 240 and above 0"
         )
     if min(size) < 16 or max(size) > 4096 or size[0] % 2 or size[1] % 2:
-        raise ValueError(f"the size is {size[0]} x {size[1]}; both must be even, 16 to 4096")
+        raise OctarmError(f"the size is {size[0]} x {size[1]}; both must be even, 16 to 4096")
     count = max(1, round((run.t[-1] - run.t[0]) / speed * rate) + 1)
     rows = np.searchsorted(run.t, float(run.t[0]) + np.arange(count) * speed / rate - 1e-9)
     rows = np.minimum(rows, len(run) - 1)
@@ -96,7 +97,7 @@ def _pictures(
     """Red, green and blue of the arm at these rows, each of shape (height, width, 3)."""
     import mujoco
 
-    from octarm.model import build_model, paper_order
+    from octarm.arm.mjcf import build_model, paper_order
 
     model = build_model(ArmParameters.from_dict(description["parameters"]))
     model.vis.global_.offwidth, model.vis.global_.offheight = size

@@ -23,7 +23,7 @@ from octarm.files import whole_file
 from octarm.recordings.web_page import guarded_page
 
 if TYPE_CHECKING:
-    from octarm.recording import ViewerClient
+    from octarm.recordings.recording import ViewerClient
 
 _NOWHERE = "http://127.0.0.1:9"
 
@@ -85,7 +85,7 @@ def rescue(partial: str | os.PathLike[str], path: str | os.PathLike[str]) -> Non
     Raises:
         RuntimeError: if nothing can be read.
     """
-    from octarm.recording import time_axes  # imports rerun, which takes half a second
+    from octarm.recordings.recording import time_axes  # imports rerun, which takes half a second
 
     with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
         whole = os.path.join(scratch, "whole.rrd")
@@ -119,7 +119,7 @@ def end_of(path: str | os.PathLike[str]) -> float:
     Raises:
         RuntimeError: if the file is not a recording, or has no instants.
     """
-    from octarm.recording import last_instant  # imports rerun, which takes half a second
+    from octarm.recordings.recording import last_instant  # imports rerun, which takes half a second
 
     return last_instant(_existing(path))
 
@@ -190,7 +190,7 @@ def _await_page(process: subprocess.Popen[bytes], port: int, errors: IO[bytes]) 
 
 def _connect(url: str, time: float | None) -> ViewerClient | None:
     """A client once the recording is loaded, at the time asked for."""
-    from octarm.recording import ViewerClient  # imports rerun, which takes half a second
+    from octarm.recordings.recording import ViewerClient  # imports rerun, which takes half a second
 
     try:
         client = ViewerClient(url)

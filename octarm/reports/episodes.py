@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from octarm.disturbances import DISTURBANCES
-from octarm.effects.episode import field_kinds
-from octarm.metrics import SETTLED_AFTER
+from octarm.disturbances.episode import field_kinds
+from octarm.disturbances.spelling import DISTURBANCES
+from octarm.errors import OctarmError
+from octarm.metrics.table import SETTLED_AFTER
 from octarm.reports.measures import (
     DEFAULT,
     Measure,
@@ -138,7 +139,7 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
                 measures.append(measure)
                 columns.append(column)
     if not measures:
-        raise ValueError(_nothing(folder, spec, absent, bool(diverged.all())))
+        raise OctarmError(_nothing(folder, spec, absent, bool(diverged.all())))
     reference = as_array(base["reference"])
     lost, exact = read_suspects(folder, reference, units, spec)
     return Episodes(

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from octarm.errors import closest
+from octarm.errors import OctarmError, closest
 from octarm.reports.episodes import Axis, Episodes
 from octarm.reports.measures import Measure
 from octarm.reports.statistics import Interval, Paired, binomial, medians, paired
@@ -112,7 +112,7 @@ def make_report(episodes: Episodes, baseline: str | None = None) -> Report:
     """
     names = episodes.controllers
     if baseline is not None and baseline not in names:
-        raise ValueError(f"the sweep has no controller {baseline!r}{closest(baseline, names)}")
+        raise OctarmError(f"the sweep has no controller {baseline!r}{closest(baseline, names)}")
     chosen = baseline or (names[0] if len(names) > 1 else "")
     partner = partners(episodes, chosen) if chosen else None
     entries: list[Entry] = []

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from octarm.errors import closest
-from octarm.metrics import METRICS, SETTLED_AFTER
+from octarm.errors import OctarmError, closest
+from octarm.metrics.table import METRICS, SETTLED_AFTER
 from octarm.references import REFERENCES, named_reference
 from octarm.sweeps.folder import read_schema, read_sweep
 from octarm.sweeps.shard_file import metadata_of
@@ -79,7 +79,7 @@ def measures_of(name: str, units: Mapping[str, str], spec: Mapping[str, Any]) ->
         return [Measure(name=name, metric=own[name], columns=(name,), unit=units[name])]
     columns = [column for column, metric in own.items() if metric == name]
     if name not in METRICS:
-        raise ValueError(f"unknown metric {name!r}{closest(name, METRICS)}")
+        raise OctarmError(f"unknown metric {name!r}{closest(name, METRICS)}")
     if not columns:  # the sweep is older than the metric
         return []
     if METRICS[name].of == "input":

@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import binomtest
 
+from octarm.errors import OctarmError
+
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 
@@ -45,7 +47,7 @@ def binomial(count: int, total: int, confidence: float = CONFIDENCE) -> Interval
     if total == 0 and count == 0:
         return Interval(np.nan, np.nan, np.nan)
     if not 0 <= count <= total:
-        raise ValueError(f"the count is {count}; it must be between 0 and the total, {total}")
+        raise OctarmError(f"the count is {count}; it must be between 0 and the total, {total}")
     bounds = binomtest(count, total).proportion_ci(confidence, method="wilson")
     return Interval(count / total, float(bounds.low), float(bounds.high))
 

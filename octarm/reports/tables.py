@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from octarm.metrics import SETTLED_AFTER
+from octarm.metrics.table import SETTLED_AFTER
 from octarm.reports.episodes import Axis
 from octarm.reports.findings import Entry, Report, outcomes
 from octarm.reports.measures import Measure

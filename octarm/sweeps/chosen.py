@@ -11,16 +11,17 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from octarm import runs
+from octarm.arm.mjcf import nominal_parameters
 from octarm.checks.verify_episode import FinishedSweep, first_difference
-from octarm.digest import StateDigest
-from octarm.environment import whole_periods
-from octarm.experiment import Experiment, Factory, run_into
-from octarm.model import nominal_parameters
+from octarm.errors import OctarmError
+from octarm.runs import folder as runs
+from octarm.runs.digest import StateDigest
+from octarm.runs.experiment import Experiment, Factory, run_into
+from octarm.simulation.environment import whole_periods
+from octarm.simulation.trajectory import Trajectory
 from octarm.sweeps.folder import RECORDED
 from octarm.sweeps.gain_sets import of_sets
 from octarm.sweeps.plan import Plan
-from octarm.trajectory import Trajectory
 
 METRIC = "tip_rms_error"  # one number an arm: by it episodes are the worst or the median ones
 COLUMNS = ("episode", "controller", "status", "diverged_at", METRIC)
@@ -62,7 +63,7 @@ def choose(table: pa.Table, record: Sequence[int | str]) -> Choice:
     for word in record:
         if isinstance(word, int):
             if word not in episodes:
-                raise ValueError(f"there is no episode {word} in the table")
+                raise OctarmError(f"there is no episode {word} in the table")
             found.append((word, "chosen"))
             continue
         by = lost if word == "diverged" else size

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import pyarrow as pa
 
+from octarm.errors import OctarmError
 from octarm.sweeps.shard_file import labels_of, read_shard
 
 SPEC = "spec.toml"
@@ -32,7 +33,7 @@ def read_sweep(folder: str | Path, columns: Sequence[str] | None = None) -> pa.T
     shards = [_read(folder, manifest, shard, columns) for shard in manifest["shards"]]
     tables = [table.replace_schema_metadata(None) for table in shards if table is not None]
     if not tables:
-        raise ValueError(f"{folder} has no finished episode yet")
+        raise OctarmError(f"{folder} has no finished episode yet")
     return pa.concat_tables(tables)
 
 
@@ -47,7 +48,7 @@ def read_schema(folder: str | Path) -> pa.Schema:
     for shard in manifest["shards"]:
         if (table := _read(folder, manifest, shard)) is not None:
             return table.schema
-    raise ValueError(f"{folder} has no finished episode yet")
+    raise OctarmError(f"{folder} has no finished episode yet")
 
 
 def read_row(folder: str | Path, episode: int) -> pa.Table:
@@ -67,7 +68,7 @@ def read_row(folder: str | Path, episode: int) -> pa.Table:
             table = _read(folder, manifest, shard)
             if table is not None:
                 return table.slice(place, 1)
-    raise ValueError(f"episode {episode} of {folder} is not finished; --resume runs it")
+    raise OctarmError(f"episode {episode} of {folder} is not finished; --resume runs it")
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -80,12 +81,14 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     try:
         manifest: Any = json.loads(file.read_text(encoding="utf-8"))
     except (FileNotFoundError, NotADirectoryError):
-        raise ValueError(f"{folder} is not a sweep: it has no {MANIFEST}") from None
+        raise OctarmError(f"{folder} is not a sweep: it has no {MANIFEST}") from None
     except ValueError as error:
-        raise ValueError(f"{file} is not readable ({error})") from None
+        raise OctarmError(f"{file} is not readable ({error})") from None
     held = cast(dict[str, Any], manifest if isinstance(manifest, dict) else {})
     if missing := {"spec", "spec_hash", "gains", "starts", "shards"} - set(held):
-        raise ValueError(f"{file} does not describe a sweep: it lacks {', '.join(sorted(missing))}")
+        raise OctarmError(
+            f"{file} does not describe a sweep: it lacks {', '.join(sorted(missing))}"
+        )
     return held
 
 
@@ -111,10 +114,10 @@ def _read(
     except FileNotFoundError:
         return None
     except ValueError as error:
-        raise ValueError(f"{error}; --resume runs it again") from None
+        raise OctarmError(f"{error}; --resume runs it again") from None
     episodes = range(shard["first"], shard["first"] + shard["episodes"])
     if not is_shard(table, manifest["spec_hash"], episodes):
-        raise ValueError(f"{file} is not that shard of this sweep; --resume runs it again")
+        raise OctarmError(f"{file} is not that shard of this sweep; --resume runs it again")
     return table
 
 

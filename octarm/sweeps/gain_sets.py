@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.parameters import ArmParameters
 from octarm.errors import closest
 from octarm.interfaces import Controller
-from octarm.model import nominal_parameters
-from octarm.parameters import ArmParameters
 from octarm.sweeps.spec import SweepSpec
 from octarm.toml_table import Source, Table, floats, is_number, items, shown
 

@@ -11,15 +11,15 @@ from typing import NamedTuple
 import numpy as np
 from dm_control.rl import control
 
-from octarm.disturbances import DISTURBANCES, parse_disturbance
-from octarm.effects.episode import Disturbance, field_kinds
-from octarm.effects.fields import Quantity
-from octarm.environment import load
-from octarm.errors import closest
+from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.parameters import ArmParameters
+from octarm.disturbances.episode import Disturbance, field_kinds
+from octarm.disturbances.fields import Quantity
+from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
+from octarm.errors import OctarmError, closest
 from octarm.interfaces import Controller
-from octarm.model import nominal_parameters
-from octarm.parameters import ArmParameters
-from octarm.rollout import Instant, drive
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import Instant, drive
 from octarm.sweeps.margin import Outcome
 from octarm.sweeps.shards import Observer
 
@@ -68,9 +68,9 @@ def parse_bound(text: str) -> Bound:
     try:
         limit = float(value)
     except ValueError:
-        raise ValueError(f"bound is {text!r}; it must read METRIC:VALUE") from None
+        raise OctarmError(f"bound is {text!r}; it must read METRIC:VALUE") from None
     if not 0.0 < limit < math.inf:
-        raise ValueError(f"bound of {metric} is {limit:g}; it must be positive and finite")
+        raise OctarmError(f"bound of {metric} is {limit:g}; it must be positive and finite")
     return Bound(metric, limit)
 
 
@@ -120,19 +120,19 @@ def parse_varied(text: str, low: float | None, high: float | None) -> Varied:
     """
     name, _, rest = text.partition(":")
     if name not in (NOMINAL, *DISTURBANCES):
-        raise ValueError(f"unknown disturbance {name!r}{closest(name, (NOMINAL, *DISTURBANCES))}")
+        raise OctarmError(f"unknown disturbance {name!r}{closest(name, (NOMINAL, *DISTURBANCES))}")
     usual = RANGES.get(name)
     if usual is None and None in (low, high):
-        raise ValueError(f"{name} has no usual range; give --low, a value to bear, and --high")
+        raise OctarmError(f"{name} has no usual range; give --low, a value to bear, and --high")
     low, high = (
         given if given is not None else default
         for given, default in zip((low, high), usual or (math.nan, math.nan), strict=True)
     )
     if not (math.isfinite(low) and math.isfinite(high) and low != high):
-        raise ValueError(f"low is {low:g} and high {high:g}; they must be two finite numbers")
+        raise OctarmError(f"low is {low:g} and high {high:g}; they must be two finite numbers")
     if name == NOMINAL:
         if rest:
-            raise ValueError(f"{NOMINAL} has no keys; {rest!r} is given")
+            raise OctarmError(f"{NOMINAL} has no keys; {rest!r} is given")
         for value in (low, high):
             nominal_parameters().mismatched(value)  # raises
         return Varied(name=name, low=low, high=high)
@@ -204,7 +204,7 @@ class Trial:
                 stem = re.sub(r"_(s|theta|tau)\d+$", "", bound.metric)
                 alike = [name for name in known if name.startswith(stem)]
                 meant = closest(bound.metric, alike or known)
-                raise ValueError(f"there is no measure {bound.metric!r} of such a run{meant}")
+                raise OctarmError(f"there is no measure {bound.metric!r} of such a run{meant}")
 
     def __call__(self, seeds: np.ndarray, shares: np.ndarray) -> Outcome:
         """The runs of these seeds at these shares of the way, both of shape (n,).
@@ -232,7 +232,7 @@ class Trial:
             size = np.abs(measures[bound.metric])
             missing = np.isnan(size)
             if missing.all() and not diverged.all() and not bound.metric.startswith(_NEVER):
-                raise ValueError(f"{bound.metric} has no value in a run of {self.duration:g} s")
+                raise OctarmError(f"{bound.metric} has no value in a run of {self.duration:g} s")
             np.maximum(excess, np.where(missing, np.inf, size / bound.limit), out=excess)
         return Outcome(excess, observer.digest.result()[0])
 

@@ -30,11 +30,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from octarm.actuation import ACTUATIONS
-from octarm.disturbances import DISTURBANCES
-from octarm.effects.episode import field_kinds
-from octarm.effects.fields import Words
-from octarm.errors import closest
+from octarm.arm.actuation import ACTUATIONS
+from octarm.disturbances.episode import field_kinds
+from octarm.disturbances.fields import Words
+from octarm.disturbances.spelling import DISTURBANCES
+from octarm.errors import OctarmError, closest
 from octarm.references import REFERENCES
 from octarm.sweeps.gain_sets import parse_gains
 from octarm.sweeps.spec import Axis, RandomAxis, SweepSpec, Value, which
@@ -59,7 +59,7 @@ def read_spec(path: str | Path) -> SweepSpec:
     try:
         text = Path(path).read_text(encoding="utf-8")
     except UnicodeDecodeError:
-        raise ValueError(f"{path} is not a text file in UTF-8") from None
+        raise OctarmError(f"{path} is not a text file in UTF-8") from None
     return parse_spec(text, str(path))
 
 
@@ -266,13 +266,13 @@ def _try(spec: SweepSpec, name: str, source: Source) -> None:
     kind, number = which(name)
     before = kind if number == 2 else f"{kind}-{number - 1}"
     if number > 1 and before not in spec.disturbances:
-        raise ValueError(f"{place}: there is a {name}, but no {before}")
+        raise OctarmError(f"{place}: there is a {name}, but no {before}")
     cls = DISTURBANCES[kind]
     given = {*fixed, *(axis.field for axis in axes)}
     for key, field in spoken(name).items():
         defaults = {f.name: f.default for f in dataclasses.fields(cls)}  # pyright: ignore
         if defaults[field] is dataclasses.MISSING and field not in given:
-            raise ValueError(f"{place}: {name} needs a value of {key}")
+            raise OctarmError(f"{place}: {name} needs a value of {key}")
     # Beside one another suffices: what a value may be does not depend on the other fields' values.
     for values in itertools.zip_longest(*(axis.probes for axis in axes)) if axes else [()]:
         chosen = {
@@ -282,4 +282,4 @@ def _try(spec: SweepSpec, name: str, source: Source) -> None:
         try:
             cls(**fixed, **chosen)
         except ValueError as error:
-            raise ValueError(f"{place}: {error}") from None
+            raise OctarmError(f"{place}: {error}") from None

@@ -11,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import qmc
 
-from octarm.disturbances import DISTURBANCES
-from octarm.effects.episode import Disturbance, field_kinds
-from octarm.effects.fields import Amount, Quantity
-from octarm.effects.streams import stream
+from octarm.disturbances.episode import Disturbance, field_kinds
+from octarm.disturbances.fields import Amount, Quantity
+from octarm.disturbances.spelling import DISTURBANCES
+from octarm.disturbances.streams import stream
+from octarm.errors import OctarmError
 from octarm.sweeps.spec import RandomAxis, SweepSpec, which
 
 
@@ -110,7 +111,7 @@ class Plan:
             ValueError: if there is no such episode.
         """
         if not 0 <= number < self.episodes:
-            raise ValueError(
+            raise OctarmError(
                 f"there is no episode {number}; they are numbered 0 .. {self.episodes - 1}"
             )
         return dataclasses.replace(self.arms([number]), batch=None)

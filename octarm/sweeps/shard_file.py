@@ -18,7 +18,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from octarm.errors import closest
+from octarm.errors import OctarmError, closest
 from octarm.files import whole_file
 
 _MARK = b"sha256:"
@@ -71,14 +71,14 @@ def read_shard(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
     content = file.read_bytes()
     before, after = _around(content)
     if content[len(before) : len(content) - len(after)] != _digest(before, after):
-        raise ValueError(f"{file} is damaged: it does not have the digest that it states")
+        raise OctarmError(f"{file} is damaged: it does not have the digest that it states")
     # Without threads: one that ends after the interpreter aborts the process when it frees a buffer
     # that is Python's.
     with pq.ParquetFile(pa.BufferReader(content)) as stored:
         known = stored.schema_arrow.names
         for name in columns or ():
             if name not in known:
-                raise ValueError(f"{file} has no column {name!r}{closest(name, known)}")
+                raise OctarmError(f"{file} has no column {name!r}{closest(name, known)}")
         names = None if columns is None else [*columns]
         return stored.read(columns=names, use_threads=False)
 

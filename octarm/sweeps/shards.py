@@ -11,14 +11,14 @@ import numpy as np
 import pyarrow as pa
 from dm_control.rl import control
 
-from octarm.digest import CHECKPOINTS, StateDigest
-from octarm.environment import AnyPhysics, load, whole_periods
-from octarm.facts import host, versions
+from octarm.arm.mjcf import coordinate_names, nominal_parameters
+from octarm.arm.parameters import ArmParameters
 from octarm.interfaces import Controller
-from octarm.metrics import METRICS, Block, Metrics
-from octarm.model import coordinate_names, nominal_parameters
-from octarm.parameters import ArmParameters
-from octarm.rollout import Instant, drive
+from octarm.metrics.table import METRICS, Block, Metrics
+from octarm.runs.digest import CHECKPOINTS, StateDigest
+from octarm.runs.versions import host, versions
+from octarm.simulation.environment import AnyPhysics, load, whole_periods
+from octarm.simulation.rollout import Instant, drive
 from octarm.sweeps.plan import Arms, Plan
 from octarm.sweeps.spec import Axis, SweepSpec
 

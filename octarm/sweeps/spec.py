@@ -92,7 +92,7 @@ class SweepSpec:
         duration: of an episode [s].
         timestep: physics step [s]; that of models/octarm.xml when None.
         control_period: time between control actions [s]; one physics step when None.
-        actuation: see `octarm.actuation`.
+        actuation: see `octarm.arm.actuation`.
         batch: largest number of arms that are stepped together.
         fixed: fields of disturbances that are the same in all episodes, by disturbance.
         gain_sets: `tuned` or `recommended`, by controller; tuned gains where there are any, else

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from octarm.disturbances import DISTURBANCES
-from octarm.effects.episode import field_kinds
+from octarm.disturbances.episode import field_kinds
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.sweeps.spec import Axis, RandomAxis, SweepSpec, which
 from octarm.toml_table import items
 

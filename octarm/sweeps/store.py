@@ -11,8 +11,9 @@ from typing import Any, cast
 
 import pyarrow as pa
 
-from octarm.facts import host, versions
+from octarm.errors import OctarmError
 from octarm.files import write_text
+from octarm.runs.versions import host, versions
 from octarm.sweeps.folder import (
     EPISODES,
     MANIFEST,
@@ -58,15 +59,15 @@ class SweepFolder:
             ValueError: if the folder holds something else, or a sweep that may not go on.
         """
         if self.path.exists() and not self.path.is_dir():
-            raise ValueError(f"{self.path} is not a folder; choose another --out")
+            raise OctarmError(f"{self.path} is not a folder; choose another --out")
         there = self.path.iterdir() if self.path.exists() else ()
         found = {entry.name for entry in there}
         if not found & {MANIFEST} and found - {_LOCK, _UNDER_WAY, SPEC, EPISODES}:
-            raise ValueError(f"{self.path} exists and is not a sweep; choose another --out")
+            raise OctarmError(f"{self.path} exists and is not a sweep; choose another --out")
         if MANIFEST not in found:
             return
         if not resume:
-            raise ValueError(
+            raise OctarmError(
                 f"{self.path} holds a sweep already; go on with it by --resume, or choose another "
                 "--out"
             )
@@ -74,7 +75,7 @@ class SweepFolder:
         for key in (*before, *now):
             if before.get(key) != now.get(key):
                 old, new = (_told(content, key) for content in (before, now))
-                raise ValueError(
+                raise OctarmError(
                     f"{self.path} was begun with another spec: {key} {old} there and {new} here"
                 )
 
@@ -95,7 +96,7 @@ class SweepFolder:
             try:
                 _lock(file.fileno())
             except BlockingIOError:
-                raise ValueError(f"another process is at work on {self.path}") from None
+                raise OctarmError(f"another process is at work on {self.path}") from None
             yield
 
     def begin(self, gains: Mapping[str, Any]) -> list[str]:
@@ -116,7 +117,7 @@ class SweepFolder:
             before = read_manifest(self.path)
             for name, own in gains.items():
                 if before["gains"].get(name) != own:
-                    raise ValueError(
+                    raise OctarmError(
                         f"{self.path} was begun with other gains of {name}: this version "
                         "recommends others"
                     )

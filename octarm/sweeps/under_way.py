@@ -15,8 +15,8 @@ from typing import Any
 
 import pyarrow as pa
 
+from octarm.arm.parameters import ArmParameters
 from octarm.interfaces import Command, Controller, Measurement, Reference
-from octarm.parameters import ArmParameters
 from octarm.sweeps.shards import Factory, run_shard
 from octarm.sweeps.spec import SweepSpec
 

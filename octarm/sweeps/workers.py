@@ -17,6 +17,8 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
 from typing import Any
 
+from octarm.errors import OctarmError
+
 
 def cores() -> int:
     """Number of processor cores that this process may use."""
@@ -134,7 +136,7 @@ def dask_cluster(address: str, workers: int) -> Generator[tuple[Executor, Callab
     try:
         import distributed
     except ImportError:
-        raise ValueError(
+        raise OctarmError(
             "--cluster needs the package distributed: pip install 'octarm[cluster]'"
         ) from None
     with contextlib.ExitStack() as stack:

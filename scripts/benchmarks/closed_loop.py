@@ -22,9 +22,9 @@ import octarm
 from benchmarks.figures import Row, Settings, clocks
 from controllers import make_controller
 from octarm.interfaces import Measurement, Reference
-from octarm.measures.blocks import SETTLED_AFTER, Block
-from octarm.metrics import Metrics
-from octarm.rollout import Instant, drive
+from octarm.metrics.blocks import SETTLED_AFTER, Block
+from octarm.metrics.table import Metrics
+from octarm.simulation.rollout import Instant, drive
 from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.shards import Observer, begin, run_arms

@@ -10,8 +10,8 @@ import numpy as np
 import octarm
 from benchmarks.figures import Row, Settings, fastest
 from controllers import make_controller
+from octarm.arm.lagrange import equilibrium
 from octarm.interfaces import Controller, Measurement, Reference
-from octarm.lagrange import equilibrium
 
 COMPARED = ("afsmc", "afsmc-consequent", "smc-boundary")
 LIMITS = {"afsmc": (1.0, 250.0)}  # an arm of a batch, one arm alone [us]

@@ -15,10 +15,10 @@ import rerun as rr
 import octarm
 from benchmarks.figures import Row, Settings
 from controllers import CONTROLLERS, make_controller
-from octarm.experiment import Experiment, perform
-from octarm.recording import write_recording
 from octarm.recordings.channels import channels_of, values_of
-from octarm.trajectory import Trajectory
+from octarm.recordings.recording import write_recording
+from octarm.runs.experiment import Experiment, perform
+from octarm.simulation.trajectory import Trajectory
 
 PERIOD = 1e-3  # of control [s]
 STEPWISE = "afsmc"  # the controller with the most signals

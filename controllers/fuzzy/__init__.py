@@ -1,0 +1,1 @@
+"""The fuzzy inference engine, equations (43) to (50)."""

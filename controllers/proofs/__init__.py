@@ -1,0 +1,1 @@
+"""The Lyapunov functions of the controllers, and the checks that they fall."""

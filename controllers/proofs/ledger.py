@@ -1,0 +1,255 @@
+"""The Lyapunov ledger: the controllers' proofs of stability, checked at random states, as a report.
+
+Every right law has to give V' as claimed, and never above its bound; every wrong one, made from the
+right one by a misprint of the paper, has to be noticed by the same comparison. The bounds hold
+beside what the dampers and K_v take, which must not make up for what a law lacks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from controllers import make_controller
+from controllers.fuzzy_sliding_mode import FuzzySlidingMode
+from controllers.gains import boundary_width
+from controllers.integral_sliding_mode import IntegralState
+from controllers.proofs.adaptive_ledger import adaptive, along_a_run
+from controllers.proofs.lyapunov import (
+    LAMBDA,
+    Instants,
+    Sliding,
+    as_claimed,
+    below,
+    damped,
+    energy_rate,
+    integral_sliding,
+    linear_gain_of,
+    model_error,
+    noticed,
+    random_instants,
+    random_nominal,
+    rms,
+    sliding,
+)
+from controllers.proofs.misprints import misprints
+from controllers.super_twisting import SuperTwistingState
+from octarm.arm.parameters import ArmParameters
+from octarm.checks.report import Check, Report, gathered
+from octarm.errors import OctarmError
+from octarm.interfaces import Command
+
+FEWEST_STATES = 100
+UNCERTAINTY = 0.3  # share by which a nominal model may be off when K is derived
+
+
+def ledger(
+    parameters: ArmParameters,
+    states: int = 3000,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Report:
+    """Checks the controllers' Lyapunov functions on an arm.
+
+    Args:
+        parameters: the true arm; the controllers are given random nominal models.
+        states: number of random states for each comparison.
+        seed: of the random states, references, nominal models and adapted values.
+        progress: called with the name of each part before it starts.
+
+    Raises:
+        ValueError: if `states` is below 100.
+    """
+    if states < FEWEST_STATES:
+        raise OctarmError(
+            f"the number of states is {states}; the controllers need at least {FEWEST_STATES}"
+        )
+    rng = np.random.default_rng(seed)
+    parts = {
+        "sliding mode": _sliding_mode(parameters, states, rng),
+        "derived gain": _derived_gain(parameters, states, rng),
+        "boundary layer": _boundary_layer(parameters, states, rng),
+        "integral surface": _integral_surface(parameters, states, rng),
+        "fuzzy sliding mode": _fuzzy_switching(parameters, states, rng),
+        "super-twisting": _super_twisting(parameters, states, rng),
+        "adaptive fuzzy": adaptive(parameters, states, rng),
+        "misprints": misprints(parameters, states, rng),
+        "a run": along_a_run(parameters, rng),
+    }
+    checks = gathered(parts, progress)
+    n = parameters.modules
+    title = (
+        f"Controllers against their Lyapunov functions: {n} module{'s' if n > 1 else ''}, "
+        f"{states} states, seed {seed}; V' as a share of its rms"
+    )
+    return Report(title, parameters, states, seed, checks)
+
+
+class Trial(NamedTuple):
+    """Random instants with a switching gain that covers the model error there, eq (40).
+
+    Attributes:
+        at: the instants.
+        surface: s and what follows from it.
+        F: model error, shape (n, 2N) [N], [N m].
+        eta: margin of the gain, shape (2N,) [N], [N m].
+        K: |F| + eta, shape (n, 2N) [N], [N m].
+        K_v: linear gain, shape (2N,).
+    """
+
+    at: Instants
+    surface: Sliding
+    F: np.ndarray
+    eta: np.ndarray
+    K: np.ndarray
+    K_v: np.ndarray
+
+    def answer(self, name: str, state: Any = None, **gains: Any) -> tuple[Command, Any]:
+        """What the shipped controller of this name does at these instants."""
+        given = {"lambda": LAMBDA, "K": self.K, "K_v": self.K_v} | gains
+        controller = make_controller(name, self.at.nominal, given)
+        return controller(state, self.at.measurement, self.at.reference)
+
+    def rate(self, force: np.ndarray) -> np.ndarray:
+        """V' by the chain rule through the true arm, shape (n,) [W]."""
+        return energy_rate(self.at, self.surface, force)
+
+    def claim(self, robust: np.ndarray) -> np.ndarray:
+        """V' = s^T (F + robust part) - s^T (K_v + B) s, eq (38), shape (n,) [W]."""
+        s = self.surface.s
+        return np.sum(s * (self.F + robust), axis=-1) - damped(self.at, s, self.K_v)
+
+    @property
+    def reaching(self) -> np.ndarray:
+        """-sum eta |s| - s^T (K_v + B) s, eq (42), shape (n,) [W]."""
+        s = self.surface.s
+        return -np.sum(self.eta * np.abs(s), axis=-1) - damped(self.at, s, self.K_v)
+
+
+def _trial(at: Instants, surface: Sliding) -> Trial:
+    F = model_error(at, surface)
+    eta = 0.01 * np.sqrt(np.mean(F * F, axis=0))
+    return Trial(at, surface, F, eta, np.abs(F) + eta, linear_gain_of(at.true))
+
+
+def _random_trial(
+    p: ArmParameters,
+    states: int,
+    rng: np.random.Generator,
+    surface_of: Callable[[Instants, float], Sliding] = sliding,
+) -> Trial:
+    at = random_instants(p, random_nominal(p, states, rng), LAMBDA, rng)
+    return _trial(at, surface_of(at, LAMBDA))
+
+
+def _sliding_mode(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
+    """V' = s^T F - sum K |s| - s^T (K_v + B) s <= -sum eta |s| - s^T (K_v + B) s, (38)-(42)."""
+    t = _random_trial(p, states, rng)
+    robust = -t.K * np.sign(t.surface.s)
+    force = t.answer("smc")[0].force
+    rate, claim = t.rate(force), t.claim(robust)
+    yield as_claimed("smc", rate, claim)
+    yield below("smc", rate, t.reaching, rms(claim))
+    yield noticed("+K sgn(s) as in (31)", t.rate(force - 2.0 * robust), claim)
+
+
+def _derived_gain(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
+    """V' <= -sum eta |s| - s^T (K_v + B) s for every model within the uncertainty, eq (40).
+
+    At states with one s_j that is not zero, with the model that drives it outwards most: for such
+    a model K is as large as it must be, and no larger.
+    """
+    at = random_instants(p, random_nominal(p, states, rng), LAMBDA, rng)
+    only = rng.integers(p.coordinates, size=states)[:, None] == np.arange(p.coordinates)
+    s = only * sliding(at, LAMBDA).s
+    e = at.measurement.q - at.reference.q
+    at = at._replace(reference=at.reference._replace(v=at.measurement.v - s + LAMBDA * e))
+    at = at._replace(nominal=_worst_model(at, sliding(at, LAMBDA)))
+    t = _trial(at, sliding(at, LAMBDA))
+    gains = {"lambda": LAMBDA, "K_v": t.K_v, "uncertainty": UNCERTAINTY}
+    controller: Any = make_controller("smc", at.nominal, gains)
+    rate = t.rate(controller(None, at.measurement, at.reference)[0].force)
+    bound = t._replace(eta=controller.eta).reaching
+    yield below(f"smc, K from an uncertainty of {UNCERTAINTY:g}", rate, bound, rms(rate))
+
+
+def _worst_model(at: Instants, surface: Sliding) -> ArmParameters:
+    """The model within the uncertainty that has the largest s^T F, one for each instant.
+
+    F is linear in the parameters, so that each of them can be taken for itself.
+    """
+    factors: dict[str, np.ndarray] = {}
+    for name, share in (("mass", 1.0), ("inertia", 1.0), ("damping", 1.0), ("stiffness", 0.5)):
+        size = getattr(at.true, name).shape
+        factors[name] = np.ones((*surface.s.shape[:-1], *size))
+        for index in np.ndindex(size):
+            twice = np.ones(size)
+            twice[index] = 2.0
+            F = model_error(at._replace(nominal=at.true.scaled(**{name: twice})), surface)
+            power = np.sum(surface.s * F, axis=-1)
+            factors[name][(..., *index)] += share * UNCERTAINTY * np.sign(power)
+    return at.true.scaled(**factors)
+
+
+def _boundary_layer(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
+    """V' = s^T F - sum K s sat(s / phi) - s^T (K_v + B) s, at most (42) + sum K phi / 4."""
+    phi = boundary_width(p)
+    t = _random_trial(p, states, rng)
+    s = t.surface.s
+    rate = t.rate(t.answer("smc-boundary", phi=phi)[0].force)
+    claim = t.claim(-t.K * np.clip(s / phi, -1.0, 1.0))
+    yield as_claimed("smc-boundary", rate, claim)
+    yield below("smc-boundary", rate, t.reaching + np.sum(0.25 * t.K * phi, axis=-1), rms(claim))
+    inside = np.all(np.abs(s) < phi, axis=-1)
+    rising = float(np.mean(rate[inside] > 0.0))
+    yield Check("smc-boundary inside the layer: share of V' > 0", rising, 1.0, 1e-3)
+
+
+def _integral_surface(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
+    """The same theorem on the surface (24), corrected, whose q_r' holds the integral of e."""
+    t = _random_trial(p, states, rng, integral_sliding)
+    state = IntegralState(t.at.measurement.t - 1.0, t.at.integral.copy())
+    command, after = t.answer("smc-integral", state, phi=0.0, s_max=1e3)
+    # The chain rule takes the rate at which the controller integrates, over its step of 1 s.
+    integrated = after.integral - t.at.integral
+    expected = t.at.measurement.q - t.at.reference.q
+    actual = t.surface.a_r - LAMBDA**2 * (integrated - expected)
+    rate = energy_rate(t.at, t.surface._replace(a_r=actual), command.force)
+    claim = t.claim(-t.K * np.sign(t.surface.s))
+    yield as_claimed("smc-integral", rate, claim)
+    yield below("smc-integral", rate, t.reaching, rms(claim))
+
+
+def _fuzzy_switching(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
+    """V' = s^T F - sum K s f(s / phi) - s^T (K_v + B) s, below the bound of the boundary layer.
+
+    A fuzzy f(s / phi) on the far side of sat(s / phi) from zero pushes back at least as hard.
+    """
+    phi = boundary_width(p)
+    t = _random_trial(p, states, rng)
+    rate = t.rate(t.answer("fsmc", phi=phi)[0].force)
+    claim = t.claim(-t.K * FuzzySlidingMode.fuzzy(t.surface.s / phi))
+    yield as_claimed("fsmc", rate, claim)
+    yield below("fsmc", rate, t.reaching + np.sum(0.25 * t.K * phi, axis=-1), rms(claim))
+
+
+def _super_twisting(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
+    """V' + s^T (K_v + B) s = s^T (F + w) - sum k_1 |s|^(3/2) <= sum 4 |F + w|^3 / (27 k_1^2).
+
+    A bounded V is all that follows for this arm: the function that proves convergence in finite
+    time takes one coordinate with a constant mass.
+    """
+    t = _random_trial(p, states, rng)
+    size = np.abs(t.surface.s)
+    w = t.K * rng.uniform(-1.0, 1.0, t.K.shape)
+    # A root gain that balances the model error somewhere among these |s|.
+    k_1 = np.sqrt(np.mean(t.F * t.F, axis=0) / boundary_width(p))
+    state = SuperTwistingState(t.at.measurement.t, w.copy())
+    command, _ = t.answer("super-twisting", state, k_1=k_1)
+    rate = t.rate(command.force)
+    claim = t.claim(w - k_1 * np.sqrt(size) * np.sign(t.surface.s))
+    yield as_claimed("super-twisting", rate, claim)
+    bound = np.sum(4.0 * np.abs(t.F + w) ** 3 / (27.0 * k_1**2), axis=-1)
+    yield below("super-twisting", rate, bound - damped(t.at, t.surface.s, t.K_v), rms(claim))

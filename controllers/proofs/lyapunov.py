@@ -1,0 +1,292 @@
+"""V' of the closed loop, twice: by the chain rule through the true arm, and as the theory claims.
+
+Sliding mode, eqs (32)-(42), with M s' = F - C s - B s - (robust part) on the true arm:
+
+    V = 1/2 s^T D s,    F = (D^ - D) q_r'' + (C^ - C + B^ - B) q_r' + G^ - G
+
+Adaptive fuzzy sliding mode, eqs (80)-(87), with x~ = x* - x for each adapted x:
+
+    V = 1/2 s^T D s + 1/2 sum_j E~_j^2 / eta1 + |theta~_j|^2 / eta2 + |alpha~_j|^2 / eta3
+        + |sigma~_j|^2 / eta4
+
+By the chain rule, V' takes what a controller really does, its force and its rates, and the answer
+of the true arm: q'' from `forward_dynamics`, D' as a derivative along q'. The claims take matrices
+and the theory's own formulas, and nothing from the controller. The two share no code, so a wrong
+sign, gradient or matrix on either side shows as a difference at a random state. A V that falls
+along one run shows little: it does so with wrong gradients as well.
+
+Shapes: (...) for the batch, 2N coordinates, M fuzzy rules a coordinate. Energies in J, rates in W.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from controllers.gains import Gain, boundary_width, linear_gain
+from octarm.arm.lagrange import (
+    coriolis_matrix,
+    damping_matrix,
+    forward_dynamics,
+    mass_matrix,
+    potential_force,
+)
+from octarm.arm.parameters import ArmParameters
+from octarm.checks.report import Check
+from octarm.interfaces import Measurement, Reference
+
+COMPLEX_STEP = 1e-30  # f(x + i h d) = f(x) + i h (derivative of f along d) + O(h^2): no rounding
+EXACT = 1e-10  # what rounding may do to V', as a share of its rms
+NOTICED = 1e-4  # the least that a wrong law must do to V', as a share of its rms
+LAMBDA = 15.0  # [1/s]
+
+
+class Instants(NamedTuple):
+    """States of the arm, what is wanted there, and what a controller believes.
+
+    Attributes:
+        true: the arm that moves.
+        nominal: the model that the controller is given, one for each instant or one for all.
+        measurement: exact q and q', of shape (..., 2N).
+        reference: q_d, q_d', q_d'', of shape (..., 2N).
+        integral: integral of e = q - q_d, for the integral surface, (..., 2N) [m s], [rad s].
+    """
+
+    true: ArmParameters
+    nominal: ArmParameters
+    measurement: Measurement
+    reference: Reference
+    integral: np.ndarray
+
+
+class Sliding(NamedTuple):
+    """A sliding variable s = q' - q_r', each of shape (..., 2N).
+
+    Attributes:
+        s: [m/s], [rad/s].
+        v_r: q_r' [m/s], [rad/s].
+        a_r: q_r'' = q'' - s' [m/s^2], [rad/s^2].
+    """
+
+    s: np.ndarray
+    v_r: np.ndarray
+    a_r: np.ndarray
+
+
+class Fuzzy(NamedTuple):
+    """Values of all that an adaptive controller adapts; or their rates, per s.
+
+    Attributes:
+        theta: consequents, shape (..., 2N, M) [N], [N m].
+        alpha: centres of the membership functions, shape (..., 2N, M), in units of z.
+        sigma: their inverse widths, shape (..., 2N, M), in units of 1/z.
+        E: gain of the compensation, shape (..., 2N) [N], [N m].
+    """
+
+    theta: np.ndarray
+    alpha: np.ndarray
+    sigma: np.ndarray
+    E: np.ndarray
+
+
+class AdaptiveLaw(NamedTuple):
+    """What the theory needs to know of an adaptive controller.
+
+    Attributes:
+        scale: z_j = s_j / scale_j is the input of the membership functions, (..., 2N).
+        eta: rates of adaptation (eta1, .., eta4) of E, theta, alpha, sigma, each (..., 2N).
+        normalised: whether the membership functions are divided by their sum.
+    """
+
+    scale: Gain
+    eta: tuple[Gain, Gain, Gain, Gain]
+    normalised: bool
+
+
+def random_nominal(true: ArmParameters, count: int, rng: np.random.Generator) -> ArmParameters:
+    """Models that are wrong by log-uniform factors, one for each instant.
+
+    0.6 to 1.6 on mass, inertia, stiffness and damping, 0.75 to 1.35 on rest lengths.
+    """
+    n = true.modules
+
+    def factor(*shape: int, low: float = 0.6, high: float = 1.6) -> np.ndarray:
+        return np.exp(rng.uniform(np.log(low), np.log(high), (count, *shape)))
+
+    return true.scaled(
+        mass=factor(n),
+        inertia=factor(n),
+        stiffness=factor(2, n),
+        damping=factor(2, n),
+        rest_length=factor(n, low=0.75, high=1.35),
+    )
+
+
+def random_instants(
+    true: ArmParameters, nominal: ArmParameters, lambda_: Gain, rng: np.random.Generator
+) -> Instants:
+    """Uniform states far beyond what the arm does under control, one for each nominal model.
+
+    Modules are 0.4 to 2 times their rest length and bent by up to 1.5 rad. |s| goes up to 2.5
+    boundary layers, where the fuzzy rules are, and is inside the layer in a third of the states.
+    """
+    n, (count,) = true.modules, nominal.batch_shape
+
+    def within(slide: float, bend: float) -> np.ndarray:
+        return rng.uniform(-1.0, 1.0, (count, 2 * n)) * np.repeat([slide, bend], n)
+
+    q = within(0.0, 1.5)
+    q[:, :n] = true.rest_length * rng.uniform(0.4, 2.0, (count, n))
+    v, e, a_d = within(1.0, 6.0), within(0.05, 0.5), within(20.0, 200.0)
+    layer = boundary_width(true)
+    s = within(2.5, 2.5) * layer * rng.uniform(0.0, 1.0, (count, 1))
+    reference = Reference(q - e, v - (s - lambda_ * e), a_d)
+    # The integral surface then differs from the plain one by less than a layer.
+    integral = (within(1.0, 1.0) * layer - lambda_ * e) / np.square(lambda_)
+    return Instants(true, nominal, Measurement(1.0, q, v), reference, integral)
+
+
+def linear_gain_of(true: ArmParameters) -> np.ndarray:
+    """K_v for a trial, (..., 2N): the recommended one, and none for an arm without dampers."""
+    return linear_gain(true) * np.any(true.damping > 0.0)
+
+
+def sliding(at: Instants, lambda_: Gain) -> Sliding:
+    """s = e' + lambda e and what follows from it, eqs (17), (18)."""
+    e, e_dot = _errors(at)
+    s = e_dot + lambda_ * e
+    return Sliding(s, at.measurement.v - s, at.reference.a - lambda_ * e_dot)
+
+
+def integral_sliding(at: Instants, lambda_: Gain) -> Sliding:
+    """s = e' + 2 lambda e + lambda^2 int e, eq (24) corrected."""
+    e, e_dot = _errors(at)
+    s = e_dot + 2.0 * lambda_ * e + np.square(lambda_) * at.integral
+    a_r = at.reference.a - 2.0 * lambda_ * e_dot - np.square(lambda_) * e
+    return Sliding(s, at.measurement.v - s, a_r)
+
+
+def energy_rate(at: Instants, surface: Sliding, force: np.ndarray) -> np.ndarray:
+    """d/dt (1/2 s^T D s) = s^T D s' + 1/2 s^T D' s of the true arm under `force`, (...) [W]."""
+    _, q, v = at.measurement
+    s, s_dot = surface.s, forward_dynamics(at.true, q, v, force) - surface.a_r
+    D_dot = np.imag(mass_matrix(at.true, q + 1j * COMPLEX_STEP * v)) / COMPLEX_STEP
+    return _product(s, mass_matrix(at.true, q), s_dot) + 0.5 * _product(s, D_dot, s)
+
+
+def model_error(at: Instants, surface: Sliding) -> np.ndarray:
+    """F, what the nominal model gives too much along q_r', shape (..., 2N) [N], [N m]."""
+
+    def force(p: ArmParameters) -> np.ndarray:
+        _, q, v = at.measurement
+        rates = coriolis_matrix(p, q, v) + damping_matrix(p)
+        inertial = np.einsum("...ij,...j->...i", mass_matrix(p, q), surface.a_r)
+        return inertial + np.einsum("...ij,...j->...i", rates, surface.v_r) + potential_force(p, q)
+
+    return force(at.nominal) - force(at.true)
+
+
+def damped(at: Instants, s: np.ndarray, K_v: Gain) -> np.ndarray:
+    """s^T B s + s^T K_v s, what the true arm's dampers and the linear term take, (...) [W]."""
+    return _product(s, damping_matrix(at.true), s) + np.sum(K_v * s * s, axis=-1)
+
+
+def membership(law: AdaptiveLaw, s: np.ndarray, now: Fuzzy) -> np.ndarray:
+    """phi of eqs (66), (88), or of (58) when normalised, shape (..., 2N, M)."""
+    z = (s / law.scale)[..., None]
+    mu = np.exp(-np.square(now.sigma * (z - now.alpha)))
+    return mu / np.sum(mu, axis=-1, keepdims=True) if law.normalised else mu
+
+
+def membership_along(law: AdaptiveLaw, s: np.ndarray, now: Fuzzy, step: Fuzzy) -> np.ndarray:
+    """B alpha + C sigma of eq (71): phi's derivative along step's alpha and sigma, (..., 2N, M)."""
+    moved = now._replace(
+        alpha=now.alpha + 1j * COMPLEX_STEP * step.alpha,
+        sigma=now.sigma + 1j * COMPLEX_STEP * step.sigma,
+    )
+    return np.imag(membership(law, s, moved)) / COMPLEX_STEP
+
+
+def estimate(law: AdaptiveLaw, s: np.ndarray, now: Fuzzy) -> np.ndarray:
+    """The estimated model error f^ = theta^T phi, eq (67), shape (..., 2N) [N], [N m]."""
+    return np.sum(now.theta * membership(law, s, now), axis=-1)
+
+
+def approximation_error(
+    law: AdaptiveLaw, s: np.ndarray, error: np.ndarray, now: Fuzzy, best: Fuzzy
+) -> np.ndarray:
+    """eps of eq (73): what of F - f^ is not linear in the parameters' errors, shape (..., 2N).
+
+    Args:
+        law: the adaptive controller's rates and scales.
+        s: sliding variable, shape (..., 2N).
+        error: the model error F, shape (..., 2N).
+        now: the parameters of the estimator.
+        best: theta*, alpha*, sigma*.
+    """
+    tilde = difference(best, now)
+    phi, phi_best = membership(law, s, now), membership(law, s, best)
+    change = phi_best - phi
+    higher_order = change - membership_along(law, s, now, tilde)
+    beyond_estimator = error - np.sum(best.theta * phi_best, axis=-1)
+    return np.sum(now.theta * higher_order + tilde.theta * change, axis=-1) + beyond_estimator
+
+
+def parameter_energy(law: AdaptiveLaw, now: Fuzzy, best: Fuzzy) -> np.ndarray:
+    """The part of V, eq (80), that lies in the parameters' errors, shape (...) [J]."""
+    tilde = difference(best, now)
+    return 0.5 * _weighted(law, tilde, tilde)
+
+
+def parameter_rate(law: AdaptiveLaw, now: Fuzzy, best: Fuzzy, rates: Fuzzy) -> np.ndarray:
+    """Its time derivative at these rates: x~' = -x', eq (84) corrected, shape (...) [W]."""
+    return -_weighted(law, difference(best, now), rates)
+
+
+def difference(a: Fuzzy, b: Fuzzy) -> Fuzzy:
+    """a - b, part by part."""
+    return Fuzzy(*(x - y for x, y in zip(a, b, strict=True)))
+
+
+def as_claimed(name: str, rate: np.ndarray, claim: np.ndarray) -> Check:
+    """The row for a V' that is to equal its claim."""
+    return Check(f"{name}: V' - claim", _largest(rate - claim) / rms(claim), EXACT)
+
+
+def noticed(name: str, rate: np.ndarray, claim: np.ndarray) -> Check:
+    """The row for the V' of a wrong law, which passes when it differs from the claim."""
+    what = f"wrong, {name}: V' - claim (V' > 0 in {100.0 * np.mean(rate > 0.0):.1f} %)"
+    return Check(what, _largest(rate - claim) / rms(claim), np.inf, NOTICED)
+
+
+def below(name: str, rate: np.ndarray, bound: np.ndarray | float, scale: float) -> Check:
+    """The row for a V' that is never to exceed a bound."""
+    return Check(f"{name}: largest V' - bound", float(np.max(rate - bound)) / scale, EXACT)
+
+
+def rms(x: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(x))))
+
+
+def _largest(x: np.ndarray) -> float:
+    return float(np.max(np.abs(x)))
+
+
+def _weighted(law: AdaptiveLaw, a: Fuzzy, b: Fuzzy) -> np.ndarray:
+    """sum of a b / eta; where eta is 0, nothing adapts and any weight does: 1."""
+    eta1, eta2, eta3, eta4 = (np.where(np.equal(eta, 0.0), 1.0, eta) for eta in law.eta)
+    rules = a.theta * b.theta / eta2[..., None]
+    rules = rules + a.alpha * b.alpha / eta3[..., None] + a.sigma * b.sigma / eta4[..., None]
+    return np.sum(a.E * b.E / eta1 + np.sum(rules, axis=-1), axis=-1)
+
+
+def _errors(at: Instants) -> tuple[np.ndarray, np.ndarray]:
+    """e and e', each of shape (..., 2N)."""
+    return at.measurement.q - at.reference.q, at.measurement.v - at.reference.v
+
+
+def _product(x: np.ndarray, matrix: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """x^T matrix y, shape (...)."""
+    return np.einsum("...i,...ij,...j->...", x, matrix, y)

@@ -1,0 +1,1 @@
+"""The arm: its numbers, its equations of motion, and its MuJoCo model."""

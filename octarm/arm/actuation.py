@@ -1,0 +1,152 @@
+"""From the actuators' input forces tau to the generalised force Q = F(q) tau, and back.
+
+tau has shape (..., 2N) in the column order of eq (2): module 1 columns 1 and 2, module 2 columns
+1 and 2, and so on. Both maps here have determinant +-l^N, so both can always be inverted. They work
+by recursion along the arm, one arithmetic operation an element, so that an arm's result does not
+depend on the batch it is in.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import ClassVar, Protocol
+
+import numpy as np
+
+from octarm.arm.kinematics import plate_entries
+from octarm.arrays import Entry, entry, join, split
+
+
+class Actuation(Protocol):
+    """How input forces act on the arm."""
+
+    name: ClassVar[str]
+
+    def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Q = F(q) tau: shapes (..., 2N) [m], [rad] and [N] to (..., 2N) [N], [N m]."""
+        ...
+
+    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """tau = F(q)^-1 Q: shapes (..., 2N) to (..., 2N) [N]."""
+        ...
+
+    def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """The column forces f with T f = F(q) tau, shape (..., 2N) [N]."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class InternalActuation:
+    """A column pushes neighbouring modules apart: Q = T tau with T constant.
+
+    Column a of module i acts on s_i with its force and on theta_i with +-l/2 times it.
+
+    Attributes:
+        width: distance l between the two columns of a module, shape (...) [m].
+    """
+
+    name: ClassVar[str] = "internal"
+    width: np.ndarray
+
+    def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Q = T tau, shape (..., 2N) [N], [N m]."""
+        inputs, half = split(tau), 0.5 * entry(self.width)
+        pairs = list(zip(inputs[0::2], inputs[1::2], strict=True))
+        out = [left + right for left, right in pairs]
+        out += [half * (left - right) for left, right in pairs]
+        return join(out, tau, q.shape, (*np.shape(self.width), len(out)))
+
+    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """tau = T^-1 Q, shape (..., 2N) [N]."""
+        out = _column_forces(split(force), entry(self.width))
+        return join(out, force, q.shape, (*np.shape(self.width), len(out)))
+
+    def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """The inputs are the column forces: shape (..., 2N) [N]."""
+        del q
+        return tau
+
+
+@dataclasses.dataclass(frozen=True)
+class GroundedActuation:
+    """The paper's F_coeff, eq (2): forces and couples that react on the ground.
+
+    The two inputs of module i push its end along the axis of module i-1's plate, and turn it by
+    +-l/2 times their force.
+
+    Attributes:
+        width: distance l between the two columns of a module, shape (...) [m].
+    """
+
+    name: ClassVar[str] = "f-coeff"
+    width: np.ndarray
+
+    def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Q = F_coeff(q) tau, shape (..., 2N) [N], [N m]."""
+        out = self._forces(q, tau)
+        return join(out, q, tau.shape, (*np.shape(self.width), len(out)))
+
+    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """tau = F_coeff(q)^-1 Q by back-substitution from the tip, shape (..., 2N) [N]."""
+        n: int = q.shape[-1] // 2
+        s, axes = split(q), plate_entries(q)
+        wanted, width = split(force), entry(self.width)
+        out: list[Entry] = [0.0] * (2 * n)
+        fx: Entry = 0.0
+        fy: Entry = 0.0
+        carried: Entry = 0.0  # moment of the modules below
+        for i in reversed(range(n)):
+            if i + 1 < n:
+                carried = _carried(wanted[n + i + 1], s[i + 1], axes[i + 1], fx, fy)
+            cos, sin = axes[i]
+            push = wanted[i] - (cos * fx + sin * fy)
+            couple = (wanted[n + i] - carried) / width
+            fx, fy = fx + push * cos, fy + push * sin
+            out[2 * i], out[2 * i + 1] = 0.5 * push + couple, 0.5 * push - couple
+        return join(out, q, force.shape, (*np.shape(self.width), 2 * n))
+
+    def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """f = T^-1 F_coeff(q) tau, shape (..., 2N) [N]."""
+        out = _column_forces(self._forces(q, tau), entry(self.width))
+        return join(out, q, tau.shape, (*np.shape(self.width), len(out)))
+
+    def _forces(self, q: np.ndarray, tau: np.ndarray) -> list[Entry]:
+        """The entries of F_coeff(q) tau."""
+        n = q.shape[-1] // 2
+        s, axes = split(q), plate_entries(q)
+        inputs, half = split(tau), 0.5 * entry(self.width)
+        out: list[Entry] = [0.0] * (2 * n)
+        fx = fy = moment = 0.0  # that module i carries
+        for i in reversed(range(n)):
+            if i + 1 < n:
+                moment = _carried(moment, s[i + 1], axes[i + 1], fx, fy)
+            cos, sin = axes[i]
+            left, right = inputs[2 * i], inputs[2 * i + 1]
+            push = left + right
+            fx, fy = fx + push * cos, fy + push * sin
+            moment = moment + half * (left - right)
+            out[i], out[n + i] = cos * fx + sin * fy, moment
+        return out
+
+
+def _carried(
+    moment: Entry, length: Entry, axis: tuple[Entry, Entry], fx: Entry, fy: Entry
+) -> Entry:
+    """The moment [N m] at the beginning of a module, of a moment and a force at its end."""
+    cos, sin = axis
+    return moment + length * (cos * fy - sin * fx)
+
+
+def _column_forces(force: Sequence[Entry], width: Entry) -> list[Entry]:
+    """The entries of T^-1 Q."""
+    n = len(force) // 2
+    out: list[Entry] = []
+    for push, couple in zip(force[:n], force[n:], strict=True):
+        out += [0.5 * push + couple / width, 0.5 * push - couple / width]
+    return out
+
+
+ACTUATIONS: dict[str, type[GroundedActuation] | type[InternalActuation]] = {
+    kind.name: kind for kind in (GroundedActuation, InternalActuation)
+}

@@ -1,0 +1,301 @@
+"""The analytic model of the arm, eqs (1)-(5): F_coeff tau = D q'' + C q' + G.
+
+With the ends of the modules p_i and the angles phi_i = theta_1 + .. + theta_i of their plates, see
+`octarm.arm.kinematics`:
+
+    T = 1/2 sum m_i |p_i'|^2 + I_i phi_i'^2
+    V = -g u(0).sum m_i p_i + 1/2 sum k_ai (L_ai - s0_i)^2      gravity along the hanging arm
+    R = 1/2 sum c_ai L_ai'^2,    L_1i, L_2i = s_i +- (l/2) theta_i
+
+Pure functions that never see MuJoCo: they are what it is checked against, and what the controllers
+use as their nominal model. `inverse_dynamics` is the recursion that runs in the control loop; the
+matrices are built from the Jacobians instead, so that each checks the other.
+
+Shapes: coordinates q = [s1..sN, theta1..thetaN] [m], [rad], velocities v, accelerations a and
+generalised forces are arrays of shape (..., 2N). Their batch axes broadcast against those of the
+parameters. An array whose last axis is not 2N long raises ValueError.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+
+import numpy as np
+
+from octarm.arm.kinematics import jacobian, jacobian_rate, plate_axes
+from octarm.arm.kinematics import positions as positions
+from octarm.arm.parameters import ArmParameters
+from octarm.arrays import Entry, cos_sin, entry, join, split
+from octarm.errors import OctarmError
+
+
+def inverse_dynamics(
+    p: ArmParameters,
+    q: np.ndarray,
+    v: np.ndarray,
+    a: np.ndarray,
+    v_r: np.ndarray | None = None,
+) -> np.ndarray:
+    """The generalised force D(q) a + (C(q, v) + B) v_r + G(q), eq (1), in O(N).
+
+    A Newton-Euler recursion with two velocities: C(q, v) v_r is bilinear, and because C is in
+    Christoffel form, it is the inertial force of the acceleration sum_jk d2p/dq_j dq_k v_j v_r_k.
+
+    Args:
+        p: parameters.
+        q: coordinates, shape (..., 2N) [m], [rad].
+        v: velocities, shape (..., 2N) [m/s], [rad/s].
+        a: accelerations, shape (..., 2N) [m/s^2], [rad/s^2].
+        v_r: second velocity, shape (..., 2N) [m/s], [rad/s]; v when not given.
+
+    Returns:
+        Generalised force, shape (..., 2N) [N], [N m].
+
+    Raises:
+        ValueError: if the last axis of an array is not 2N long.
+    """
+    if v_r is None:
+        v_r = v
+    n = _modules(p, q=q, v=v, a=a, v_r=v_r)
+
+    # One entry a coordinate: a number for one arm, an array for a batch.
+    x, x_v, x_a, x_vr = split(q), split(v), split(a), split(v_r)
+    mass, inertia = split(p.mass), split(p.inertia)
+    pushes, couples = _column_forces(p, x, x_vr)
+
+    # Outwards: axes and angular rates of the plates, accelerations and forces of the ends.
+    cos, sin = 1.0, 0.0
+    phi = w = w_r = alpha = 0.0
+    ax, ay = -entry(p.gravity), 0.0  # the ground accelerates against gravity
+    axes: list[tuple[Entry, Entry]] = []
+    forces: list[tuple[Entry, Entry, Entry]] = []
+    for i in range(n):
+        along = x_a[i] - x[i] * (w * w_r)
+        across = x[i] * alpha + (x_v[i] * w_r + x_vr[i] * w)
+        ax = ax + (along * cos - across * sin)
+        ay = ay + (along * sin + across * cos)
+        w = w + x_v[n + i]
+        w_r = w_r + x_vr[n + i]
+        alpha = alpha + x_a[n + i]
+        axes.append((cos, sin))
+        forces.append((mass[i] * ax, mass[i] * ay, inertia[i] * alpha))
+        if i + 1 < n:
+            phi = phi + x[n + i]
+            cos, sin = cos_sin(phi)
+
+    # Inwards: force and moment that each module carries, projected on its own axes.
+    fx: Entry = 0.0
+    fy: Entry = 0.0
+    moment: Entry = 0.0
+    for i in reversed(range(n)):
+        if i + 1 < n:
+            cos, sin = axes[i + 1]
+            moment = moment + x[i + 1] * (fy * cos - fx * sin)
+        cos, sin = axes[i]
+        fx, fy, moment = fx + forces[i][0], fy + forces[i][1], moment + forces[i][2]
+        pushes[i] = fx * cos + fy * sin + pushes[i]
+        couples[i] = moment + couples[i]
+    return join(pushes + couples, q, v.shape, a.shape, v_r.shape, (*p.batch_shape, 2 * n))
+
+
+def mass_matrix(p: ArmParameters, q: np.ndarray) -> np.ndarray:
+    """Inertia matrix D(q), eq (3), symmetric positive definite, shape (..., 2N, 2N)."""
+    n = _modules(p, q=q)
+    J = jacobian(q)
+    rotation = np.tril(np.ones((n, n)))  # d phi_b / d theta_k
+    out = np.einsum("...b,...bxi,...bxj->...ij", p.mass, J, J)
+    out[..., n:, n:] += np.einsum("...b,bi,bj->...ij", p.inertia, rotation, rotation)
+    return out
+
+
+def coriolis_matrix(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """C(q, v) of eq (4) in Christoffel form and without damping, shape (..., 2N, 2N).
+
+    For point masses and constant angular Jacobians the Christoffel symbols are
+    sum m_b dp_b/dq_i . d2p_b/dq_j dq_k, hence C = sum m_b J_b^T J_b'; x^T (D' - 2C) x = 0 for
+    every x. Units: force per velocity, [N s/m] to [N m s].
+    """
+    _modules(p, q=q, v=v)
+    return np.einsum("...b,...bxi,...bxj->...ij", p.mass, jacobian(q), jacobian_rate(q, v))
+
+
+def damping_matrix(p: ArmParameters) -> np.ndarray:
+    """The c terms of eq (4): B = T diag(c) T^T, shape (..., 2N, 2N) [N s/m] to [N m s]."""
+    return _column_matrix(p, p.damping)
+
+
+def stiffness_matrix(p: ArmParameters) -> np.ndarray:
+    """The k terms of eq (5): K = T diag(k) T^T, shape (..., 2N, 2N) [N/m] to [N m]."""
+    return _column_matrix(p, p.stiffness)
+
+
+def potential_force(p: ArmParameters, q: np.ndarray) -> np.ndarray:
+    """G(q), eq (5): what holds the arm against gravity and springs, shape (..., 2N) [N], [N m]."""
+    _modules(p, q=q)
+    gravity = np.asarray(p.gravity)[..., None]
+    out = -gravity * np.einsum("...b,...bi->...i", p.mass, jacobian(q)[..., 0, :])
+    pushes, couples = _column_forces(p, split(q), split(np.zeros_like(q)))
+    return out + np.stack(pushes + couples, axis=-1)
+
+
+def force_coefficients(p: ArmParameters, q: np.ndarray) -> np.ndarray:
+    """F_coeff(q), eq (2), by virtual work, shape (..., 2N, 2N) [1] and [m].
+
+    Column (a, i): a unit force on the end of module i along u(phi_{i-1}) and a couple +-l/2 on its
+    plate, both reacting on the ground.
+    """
+    n = _modules(p, q=q)
+    pushes = np.einsum("...bxi,...bx->...ib", jacobian(q), plate_axes(q))
+    batch = np.broadcast_shapes(q.shape[:-1], p.batch_shape)
+    out = np.array(np.broadcast_to(np.repeat(pushes, 2, axis=-1), (*batch, 2 * n, 2 * n)))
+    turns = np.triu(np.ones((n, n)))  # the couple on plate b turns every theta_k with k <= b
+    half = 0.5 * np.asarray(p.width)[..., None, None]
+    out[..., n:, 0::2] += half * turns
+    out[..., n:, 1::2] -= half * turns
+    return out
+
+
+def forward_dynamics(
+    p: ArmParameters, q: np.ndarray, v: np.ndarray, force: np.ndarray
+) -> np.ndarray:
+    """Generalised accelerations under a generalised force, shape (..., 2N) [m/s^2], [rad/s^2].
+
+    Raises:
+        ValueError: if the last axis of an array is not 2N long.
+    """
+    _modules(p, q=q, v=v, force=force)
+    rest = inverse_dynamics(p, q, v, np.zeros_like(q))
+    return np.linalg.solve(mass_matrix(p, q), (force - rest)[..., None])[..., 0]
+
+
+def energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Kinetic and potential energy, each of shape (...) [J]; no weight potential at the base."""
+    n = _modules(p, q=q, v=v)
+    velocity = np.einsum("...bxi,...i->...bx", jacobian(q), v)
+    rate = np.cumsum(v[..., n:], axis=-1)
+    kinetic = 0.5 * np.sum(
+        p.mass * np.sum(velocity * velocity, axis=-1) + p.inertia * rate * rate, axis=-1
+    )
+    height = np.sum(p.mass * positions(q)[..., 0], axis=-1)
+    stretch = _column_lengths(p, q) - np.asarray(p.rest_length)[..., None, :]
+    springs = 0.5 * np.sum(p.stiffness * stretch * stretch, axis=(-2, -1))
+    return kinetic, springs - p.gravity * height
+
+
+def kinetic_energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """1/2 v^T D(q) v, shape (...) [J], in O(N) by recursion along the arm.
+
+    Args:
+        p: parameters.
+        q: coordinates, shape (..., 2N) [m], [rad].
+        v: velocities, shape (..., 2N) [m/s], [rad/s].
+
+    Raises:
+        ValueError: if the last axis of an array is not 2N long.
+    """
+    n = _modules(p, q=q, v=v)
+    x, rate = split(q), split(v)
+    mass, inertia = split(p.mass), split(p.inertia)
+    cos, sin = 1.0, 0.0
+    phi = w = vx = vy = twice = 0.0
+    for i in range(n):
+        across = x[i] * w
+        vx = vx + (rate[i] * cos - across * sin)
+        vy = vy + (rate[i] * sin + across * cos)
+        w = w + rate[n + i]
+        twice = twice + (mass[i] * (vx * vx + vy * vy) + inertia[i] * (w * w))
+        if i + 1 < n:
+            phi = phi + x[n + i]
+            cos, sin = cos_sin(phi)
+    return np.asarray(0.5 * twice)
+
+
+def equilibrium(p: ArmParameters) -> np.ndarray:
+    """The coordinates at which the arm hangs still, G(q) = 0, shape (..., 2N) [m], [rad].
+
+    Newton's method from the unloaded arm.
+
+    Raises:
+        ValueError: if it does not converge: the springs are too soft for this weight.
+    """
+    n = p.modules
+    q = np.zeros((*p.batch_shape, 2 * n))
+    q[..., :n] = p.rest_length
+    with contextlib.suppress(np.linalg.LinAlgError):
+        for _ in range(50):
+            force, slope = potential_force(p, q), potential_hessian(p, q)
+            step = np.linalg.solve(slope, force[..., None])[..., 0]
+            q = q - step
+            # The next step would be about the square of this one.
+            if np.all(np.abs(step) < 1e-10 * np.maximum(1.0, np.abs(q))):
+                return q
+    raise OctarmError("no static equilibrium was found: stiffness is too low for this weight")
+
+
+def potential_hessian(p: ArmParameters, q: np.ndarray) -> np.ndarray:
+    """dG/dq, the stiffness felt at q, symmetric, shape (..., 2N, 2N) [N/m] to [N m].
+
+    Gravity is linear in d2p/dq_i dq_j, and J' is that tensor contracted with a velocity.
+    """
+    n = _modules(p, q=q)
+    gravity = np.asarray(p.gravity)[..., None]
+    batch = np.broadcast_shapes(q.shape[:-1], p.batch_shape)
+    out = np.array(np.broadcast_to(stiffness_matrix(p), (*batch, 2 * n, 2 * n)))
+    for j in range(2 * n):
+        unit = np.zeros_like(q)
+        unit[..., j] = 1.0
+        rate = jacobian_rate(q, unit)[..., 0, :]
+        out[..., :, j] -= gravity * np.einsum("...b,...bi->...i", p.mass, rate)
+    return out
+
+
+def _modules(p: ArmParameters, **arrays: np.ndarray) -> int:
+    for name, array in arrays.items():
+        if array.shape[-1:] != (2 * p.modules,):
+            raise OctarmError(
+                f"{name} has shape {array.shape}; its last axis must hold "
+                f"{2 * p.modules} coordinates for {p.modules} modules"
+            )
+    return p.modules
+
+
+def _column_forces(
+    p: ArmParameters, q: Sequence[Entry], v: Sequence[Entry]
+) -> tuple[list[Entry], list[Entry]]:
+    """Forces on s_i and couples on theta_i of the springs and dampers, from unstacked q and v."""
+    n = p.modules
+    half = 0.5 * entry(p.width)
+    rest = split(p.rest_length)
+    k1, k2 = (split(p.stiffness[..., a, :]) for a in (0, 1))
+    c1, c2 = (split(p.damping[..., a, :]) for a in (0, 1))
+    pushes: list[Entry] = []
+    couples: list[Entry] = []
+    for i in range(n):
+        stretch, bend = q[i] - rest[i], half * q[n + i]
+        rate, bend_rate = v[i], half * v[n + i]
+        first = k1[i] * (stretch + bend) + c1[i] * (rate + bend_rate)
+        second = k2[i] * (stretch - bend) + c2[i] * (rate - bend_rate)
+        pushes.append(first + second)
+        couples.append(half * (first - second))
+    return pushes, couples
+
+
+def _column_lengths(p: ArmParameters, q: np.ndarray) -> np.ndarray:
+    """L_ai = s_i +- (l/2) theta_i, shape (..., 2, N) [m]."""
+    n = p.modules
+    bend = 0.5 * np.asarray(p.width)[..., None] * q[..., n:]
+    return np.stack([q[..., :n] + bend, q[..., :n] - bend], axis=-2)
+
+
+def _column_matrix(p: ArmParameters, coefficient: np.ndarray) -> np.ndarray:
+    """T diag(coefficient) T^T with T the constant moments of the columns."""
+    n = p.modules
+    half = 0.5 * np.asarray(p.width)[..., None]
+    first, second = coefficient[..., 0, :], coefficient[..., 1, :]
+    out = np.zeros((*p.batch_shape, 2 * n, 2 * n))
+    i = np.arange(n)
+    out[..., i, i] = first + second
+    out[..., i, n + i] = out[..., n + i, i] = half * (first - second)
+    out[..., n + i, n + i] = half * half * (first + second)
+    return out

@@ -1,0 +1,78 @@
+"""The states beyond which the equations no longer describe an arm in one piece."""
+
+from __future__ import annotations
+
+import dataclasses
+from operator import le
+
+import numpy as np
+
+from octarm.arm.parameters import ArmParameters
+from octarm.arrays import Entry, coordinate_names, split
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """Bounds on the state of an arm. A run that leaves them has diverged.
+
+    A bound is a number, or an array of shape (n,) for arms of different size.
+
+    Attributes:
+        low: smallest coordinates, 2N of them [m], [rad].
+        high: largest coordinates, 2N of them [m], [rad].
+        speed: largest absolute velocities, 2N of them [m/s], [rad/s].
+    """
+
+    low: tuple[Entry, ...]
+    high: tuple[Entry, ...]
+    speed: tuple[Entry, ...]
+
+    @classmethod
+    def of(cls, arm: ArmParameters) -> Limits:
+        """Limits that no arm of this size passes in one piece.
+
+        A module is neither crushed to nothing nor stretched fivefold nor bent to a full loop, and
+        moves no faster than 40 rest lengths or 8 turns (50 rad) a second; OctArm's own sections
+        turn 380 degrees in half a second.
+        """
+        rest, n = arm.rest_length, arm.modules
+        return cls(
+            low=(0.0,) * n + (-2.0 * np.pi,) * n,
+            high=(*split(5.0 * rest), *(2.0 * np.pi,) * n),
+            speed=(*split(40.0 * rest), *(50.0,) * n),
+        )
+
+    def hold(self, q: np.ndarray, v: np.ndarray) -> bool:
+        """Whether one arm's state, q and v of shape (2N,), is within the limits; NaN never is."""
+        place, speed = q.tolist(), map(abs, v.tolist())
+        return (
+            all(map(le, self.low, place))
+            and all(map(le, place, self.high))
+            and all(map(le, speed, self.speed))
+        )
+
+    def holding(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Which arms of a batch are within the limits, q and v of shape (n, 2N), shape (n,)."""
+        within = np.ones(len(q), dtype=bool)
+        for j, top in enumerate(self.speed):
+            place, speed = q[:, j], v[:, j]
+            within &= (place >= self.low[j]) & (place <= self.high[j])
+            within &= np.abs(speed) <= top
+        return within
+
+    def violation(self, q: np.ndarray, v: np.ndarray) -> str:
+        """Which coordinate of one arm has left them and how, as words; empty when none has.
+
+        Args:
+            q: coordinates, shape (2N,) [m], [rad].
+            v: velocities, shape (2N,) [m/s], [rad/s].
+        """
+        n = len(q) // 2
+        names, units = coordinate_names(n), ["m"] * n + ["rad"] * n
+        for j, (name, unit) in enumerate(zip(names, units, strict=True)):
+            low, high, top = self.low[j], self.high[j], self.speed[j]
+            if not low <= q[j] <= high:
+                return f"{name} is {q[j]:.4g} {unit}, outside {low:.4g} .. {high:.4g} {unit}"
+            if not abs(v[j]) <= top:
+                return f"{name} moves at {v[j]:.4g} {unit}/s, faster than {top:.4g} {unit}/s"
+        return ""

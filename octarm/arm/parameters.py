@@ -1,0 +1,220 @@
+"""The numbers that describe one arm, or a batch of arms."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from octarm.arrays import read_only
+from octarm.errors import OctarmError, closest
+
+if TYPE_CHECKING:
+    import mujoco
+
+# field: (axes after the batch axes, smallest value allowed, may it equal that value)
+_RULES: dict[str, tuple[str, float, bool]] = {
+    "mass": ("N", 0.0, False),
+    "inertia": ("N", 0.0, False),
+    "width": ("", 0.0, False),
+    "stiffness": ("2N", 0.0, False),
+    "damping": ("2N", 0.0, True),
+    "rest_length": ("N", 0.0, False),
+    "gravity": ("", -np.inf, True),
+}
+
+_AXES = {"N": 1, "2N": 2, "": 0}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class ArmParameters:
+    """Parameters of N serially stacked modules, each a slide followed by a hinge.
+
+    Every field may carry batch axes before the axes named here. Arrays are copied and read-only.
+    Row 0 of the two-row fields is column 1 of each module, the one that lengthens with a positive
+    bending angle.
+
+    Attributes:
+        mass: lumped mass at the end of each module, shape (..., N) [kg].
+        inertia: its moment of inertia about the bending axis, shape (..., N) [kg m^2].
+        width: distance between the two columns of a module, shape (...) [m]; `l` in the paper,
+            whose printed text shows it as 1.
+        stiffness: of each column, shape (..., 2, N) [N/m].
+        damping: of each column, shape (..., 2, N) [N s/m].
+        rest_length: length of each module's columns without force, shape (..., N) [m].
+        gravity: acceleration along the hanging arm, shape (...) [m/s^2].
+
+    Raises:
+        ValueError: if a field has the wrong shape, sign, or a value that is not finite.
+    """
+
+    mass: np.ndarray
+    inertia: np.ndarray
+    width: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    rest_length: np.ndarray
+    gravity: np.ndarray
+
+    if TYPE_CHECKING:  # the constructor takes anything array-like
+
+        def __init__(
+            self,
+            *,
+            mass: npt.ArrayLike,
+            inertia: npt.ArrayLike,
+            width: npt.ArrayLike,
+            stiffness: npt.ArrayLike,
+            damping: npt.ArrayLike,
+            rest_length: npt.ArrayLike,
+            gravity: npt.ArrayLike,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        modules = read_only("mass", self.mass).shape[-1:] or (0,)
+        shapes = {"N": modules, "2N": (2, *modules), "": ()}
+        for name, (axes, smallest, inclusive) in _RULES.items():
+            value = read_only(name, getattr(self, name))
+            _check_shape(name, value, shapes[axes])
+            _check_bound(name, value, smallest, inclusive)
+            object.__setattr__(self, name, value)
+        _ = self.batch_shape  # raises when the batch axes do not fit together
+
+    def __reduce__(
+        self,
+    ) -> tuple[Callable[[], ArmParameters], tuple[()]]:  # copies and pickles stay read-only
+        fields = {name: getattr(self, name) for name in _RULES}
+        return functools.partial(ArmParameters, **fields), ()
+
+    @property
+    def modules(self) -> int:
+        """Number of modules N."""
+        return self.mass.shape[-1]
+
+    @property
+    def coordinates(self) -> int:
+        """Number of generalised coordinates 2N."""
+        return 2 * self.modules
+
+    @functools.cached_property
+    def batch_shape(self) -> tuple[int, ...]:
+        """Batch axes that the fields broadcast to; () for one arm."""
+        shapes = [getattr(self, n).shape for n in _RULES]
+        batch = [s[: len(s) - _AXES[r[0]]] for s, r in zip(shapes, _RULES.values(), strict=True)]
+        try:
+            return np.broadcast_shapes(*batch)
+        except ValueError:
+            listed = ", ".join(f"{n} {b}" for n, b in zip(_RULES, batch, strict=True) if b)
+            raise OctarmError(f"the batch axes of the parameters do not fit: {listed}") from None
+
+    def arm(self, i: int) -> ArmParameters:
+        """The parameters of arm i of a batch with one batch axis."""
+        fields = {name: getattr(self, name) for name in _RULES}
+        own = {n: x[i] if x.ndim > _AXES[_RULES[n][0]] else x for n, x in fields.items()}
+        return ArmParameters(**own)
+
+    def scaled(self, **factors: npt.ArrayLike) -> ArmParameters:
+        """A copy with the named fields multiplied.
+
+        Args:
+            **factors: field name to factor [1], anything that broadcasts against the field.
+
+        Raises:
+            ValueError: for an unknown field, or a factor that makes a field invalid.
+        """
+        changed = {}
+        for name, factor in factors.items():
+            if name not in _RULES:
+                raise OctarmError(f"unknown parameter {name!r}{closest(name, _RULES)}")
+            by, field = read_only(f"factor of {name}", factor), getattr(self, name)
+            _check_bound(f"factor of {name}", by, *_RULES[name][1:])
+            try:
+                changed[name] = field * by
+            except ValueError:
+                raise OctarmError(
+                    f"factor of {name} has shape {by.shape}, which does not fit {field.shape}"
+                ) from None
+        return dataclasses.replace(self, **changed)
+
+    def mismatched(self, mismatch: npt.ArrayLike) -> ArmParameters:
+        """A nominal model that is wrong by `mismatch` [1], shape () or a batch's (...).
+
+        Mass, inertia and damping are multiplied by 1 + mismatch, stiffness by 1 + mismatch/2.
+
+        Raises:
+            ValueError: unless mismatch is above -1 and at most 1e6.
+        """
+        wrong = np.asarray(mismatch, dtype=np.float64)
+        good = (wrong > -1.0) & (wrong <= 1e6)
+        if not np.all(good):
+            raise OctarmError(
+                f"mismatch is {wrong[~good].flat[0]:g}; it must be above -1 and at most 1e+06"
+            )
+        factor = (1.0 + wrong)[..., None]
+        half = (1.0 + wrong / 2.0)[..., None, None]
+        arm = self.scaled(mass=factor, inertia=factor, damping=factor[..., None], stiffness=half)
+        # Contiguous along the arms, as states are.
+        fields = {name: np.array(getattr(arm, name), order="F") for name in _RULES}
+        return dataclasses.replace(arm, **fields)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields as numbers and nested lists, ready for JSON."""
+        return {name: getattr(self, name).tolist() for name in _RULES}
+
+    @classmethod
+    def from_dict(cls, fields: Mapping[str, Any]) -> ArmParameters:
+        """The inverse of `to_dict`.
+
+        Raises:
+            ValueError: if a field is missing, unknown or invalid.
+        """
+        wrong = set(fields) ^ set(_RULES)
+        if wrong:
+            raise OctarmError(
+                f"parameters need exactly the fields {', '.join(_RULES)}; "
+                f"missing or unknown: {', '.join(sorted(wrong))}"
+            )
+        return cls(**fields)
+
+    @classmethod
+    def from_model(cls, model: mujoco.MjModel) -> ArmParameters:  # pyright: ignore
+        """Reads the parameters of a compiled arm, by the names in `models/octarm.xml`.
+
+        The arm hangs along the negative z axis of the world.
+        """
+        modules = range(1, model.nu // 2 + 1)
+        bodies = [model.body(f"module_{i}") for i in modules]
+        columns = [[model.tendon(f"column_{a}_{i}") for i in modules] for a in (1, 2)]
+        theta_of_column_1 = model.tendon_adr[model.tendon("column_1_1").id] + 1
+        return cls(
+            mass=[body.mass[0] for body in bodies],
+            inertia=[body.inertia[2] for body in bodies],
+            width=2.0 * model.wrap_prm[theta_of_column_1],
+            stiffness=[[model.tendon_stiffness[c.id] for c in row] for row in columns],
+            damping=[[model.tendon_damping[c.id] for c in row] for row in columns],
+            rest_length=[model.tendon_lengthspring[c.id, 0] for c in columns[0]],
+            gravity=-model.opt.gravity[2],
+        )
+
+
+def _check_shape(name: str, value: np.ndarray, expected: tuple[int, ...]) -> None:
+    trailing = value.shape[value.ndim - len(expected) :]
+    if 0 in expected:
+        raise OctarmError(f"mass has shape {value.shape}; it must be (..., N) with N at least 1")
+    if value.ndim < len(expected) or trailing != expected:
+        wanted = f"(..., {', '.join(map(str, expected))})"
+        raise OctarmError(
+            f"{name} has shape {value.shape}; it must be {wanted} for the {expected[-1]} modules "
+            "that mass has"
+        )
+
+
+def _check_bound(name: str, value: np.ndarray, smallest: float, inclusive: bool) -> None:
+    good = (value >= smallest) if inclusive else (value > smallest)
+    if not np.all(good):
+        allowed = f"{'at least' if inclusive else 'above'} {smallest:g}"
+        raise OctarmError(f"{name} holds {value[~good].flat[0]:g}; it must be {allowed}")

@@ -1,0 +1,272 @@
+"""What a machine has for octarm: tried out, each in a process of its own, for it may crash.
+
+This module needs only the standard library, so that it can say what is missing of the rest.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import json
+import os
+import platform
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from importlib import metadata
+from pathlib import Path
+
+_PATIENCE = 120.0  # [s]
+_ROOM = 1e9  # [byte]; below, a sweep may fill the disk
+_NAMES = {"X86_V4": "X86_V4 (AVX-512)", "X86_V3": "X86_V3 (AVX2)"}  # NumPy's, of instructions
+_OCTARM = (sys.executable, "-m", "octarm")
+
+
+class State(enum.Enum):
+    """Whether something is as it should be; runs work all the same unless something is `BROKEN`.
+
+    A version is outside when octarm does not ask for such a one.
+    """
+
+    FINE = "ok"
+    TOLD = "-"
+    MISSING = "missing"
+    OUTSIDE = "outside"
+    BROKEN = "BROKEN"
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """One line of the report.
+
+    Attributes:
+        name: what was looked at.
+        state: how it is.
+        text: what was found.
+        remedy: what to do about it; empty when there is nothing to do.
+    """
+
+    name: str
+    state: State
+    text: str
+    remedy: str = ""
+
+
+def versions() -> Iterator[Finding]:
+    """Python, octarm, and what octarm needs, each against what octarm asks for."""
+    try:
+        own = metadata.metadata("octarm")
+        needed = metadata.requires("octarm") or []
+    except metadata.PackageNotFoundError:
+        yield Finding("octarm", State.BROKEN, "is not installed", "pip install -e . in its folder")
+        return
+    yield _version("python", platform.python_version(), own["Requires-Python"], "")
+    yield Finding("octarm", State.FINE, f"{own['Version']}, in {Path(__file__).parents[1]}")
+    for requirement in needed:
+        name, asked, extra = _requirement(requirement)
+        if extra not in ("", "cluster"):
+            continue
+        remedy = f"pip install 'octarm[{extra}]'" if extra else f"pip install '{name}{asked}'"
+        try:
+            yield _version(name, metadata.version(name), asked, remedy)
+        except metadata.PackageNotFoundError:
+            told = f"not installed; {asked} is needed" + (" by --cluster" if extra else "")
+            yield Finding(name, State.MISSING, told, remedy)
+
+
+def _requirement(text: str) -> tuple[str, str, str]:
+    """Name, versions and extra of a line such as `distributed>=2024.8; extra == "cluster"`."""
+    wanted, _, marker = text.partition(";")
+    name = re.match(r"[\w.-]+", wanted)
+    extra = re.search(r"extra == ['\"]([\w-]+)", marker)
+    assert name is not None
+    return name[0], wanted[name.end() :].strip(), extra[1] if extra else ""
+
+
+def _version(name: str, found: str, asked: str, remedy: str) -> Finding:
+    if all(_meets(found, condition) for condition in asked.split(",")):
+        return Finding(name, State.FINE, found)
+    return Finding(name, State.OUTSIDE, f"{found}; {asked} is supported", remedy)
+
+
+def _meets(version: str, condition: str) -> bool:
+    """Whether a version meets one condition: `>=2`, `<4` or `==0.41.*`."""
+    match = re.fullmatch(r"(>=|<|==)([\d.]+?)(\.\*)?", condition.strip())
+    assert match is not None, condition
+    bound = [int(part) for part in match[2].split(".")]
+    own = [int(part) for part in re.findall(r"\d+", version)]
+    if match[1] == "==":
+        return own[: len(bound)] == bound
+    return own >= bound if match[1] == ">=" else own < bound
+
+
+def processor() -> Iterator[Finding]:
+    """Cores, and the instructions on which last bits depend."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    yield Finding("cores", State.TOLD, f"{usable} of {os.cpu_count()}")
+    code = "import json; from octarm.runs.versions import host; print(json.dumps(host()))"
+    done = _run([sys.executable, "-c", code])
+    if done.returncode:
+        yield Finding("instructions", State.MISSING, _last_line(done))
+        return
+    host = json.loads(done.stdout)
+    kernels = host["kernels"]
+    yield Finding("processor", State.TOLD, f"{host['cpu']} ({host['machine']})")
+    yield Finding(
+        "instructions",
+        State.TOLD,
+        f"{_NAMES.get(kernels, kernels or 'unknown')}, for NumPy's sin, cos, exp and tanh. With "
+        "others, AVX2 instead of AVX-512 for one, they round some last bits otherwise: on such a "
+        "machine octarm verify may find other digests for the same run",
+    )
+
+
+def work() -> Iterator[Finding]:
+    """What octarm does with this machine: a run, a film of it, a picture of it, a window."""
+    try:
+        scratch = tempfile.TemporaryDirectory(prefix="octarm-doctor-")
+    except OSError as error:
+        yield Finding("octarm run", State.BROKEN, f"cannot be tried: {error.strerror}")
+        return
+    with scratch:
+        folder = Path(scratch.name) / "run"
+        done = _run([*_OCTARM, "run", "--duration", "0.05", "--out", str(folder)])
+        if done.returncode:
+            yield Finding("octarm run", State.BROKEN, _last_line(done))
+            return
+        yield Finding("octarm run", State.FINE, "ran, and wrote a run folder")
+        with ThreadPoolExecutor() as pool:
+            films = {gl: pool.submit(_film, folder, gl) for gl in ("egl", "osmesa")}
+            picture = pool.submit(_picture, folder)
+            yield _films({gl: film.result() for gl, film in films.items()})
+            yield picture.result()
+    yield _window()
+
+
+def _film(folder: Path, gl: str) -> str:
+    """Films a run by one library; what went wrong, empty when nothing did."""
+    film = folder.with_name(f"{gl}.mp4")
+    size = ["--width", "64", "--height", "48", "--rate", "20"]
+    done = _run([*_OCTARM, "video", str(folder), "--out", str(film), *size], MUJOCO_GL=gl)
+    return "" if done.returncode == 0 and film.is_file() else _last_line(done)
+
+
+def _films(failures: dict[str, str]) -> Finding:
+    working = [gl for gl, failure in failures.items() if not failure]
+    if not working:
+        return Finding(
+            "films", State.MISSING, f"no OpenGL library works: {failures['osmesa']}",
+            "apt-get install libosmesa6 (Debian, in software), or libegl1 and a graphics driver",
+        )  # fmt: skip
+    if sys.platform == "linux" and "egl" not in working and _is_library("EGL"):
+        return Finding(
+            "films", State.MISSING, "EGL is there but does not work; OSMesa does",
+            "export MUJOCO_GL=osmesa",
+        )  # fmt: skip
+    names = {"egl": "EGL", "osmesa": "OSMesa"}
+    return Finding("films", State.FINE, "films by " + ", ".join(map(names.get, working)))  # pyright: ignore
+
+
+def _is_library(name: str) -> bool:
+    import ctypes.util
+
+    return ctypes.util.find_library(name) is not None
+
+
+def _picture(folder: Path) -> Finding:
+    picture = folder.with_name("picture.png")
+    done = _run([*_OCTARM, "replay", str(folder), "--screenshot", str(picture)])
+    if done.returncode == 0 and picture.is_file():
+        return Finding("screenshots", State.FINE, "pictures by Vulkan")
+    return Finding(
+        "screenshots", State.MISSING, _last_line(done),
+        "apt-get install mesa-vulkan-drivers (Debian, in software)",
+    )  # fmt: skip
+
+
+def _window() -> Finding:
+    """Whether a display answers, without opening a window on it."""
+    name = "viewer"
+    if sys.platform != "linux":
+        return Finding(name, State.TOLD, "opens a window of this desktop")
+    if _answers(_wayland()) or _answers(_x11()):
+        return Finding(name, State.FINE, "a display answers")
+    tried = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
+    told = f"the display {tried} does not answer" if tried else "there is no display"
+    remedy = "octarm replay RUN --web, or --screenshot FILE.png, which need none"
+    return Finding(name, State.MISSING, told, remedy)
+
+
+def _wayland() -> str | tuple[str, int] | None:
+    display = os.environ.get("WAYLAND_DISPLAY")
+    folder = os.environ.get("XDG_RUNTIME_DIR", "")
+    return os.path.join(folder, display) if display else None
+
+
+def _x11() -> str | tuple[str, int] | None:
+    match = re.fullmatch(r"([^:]*):(\d+)(\.\d+)?", os.environ.get("DISPLAY", ""))
+    if match is None:
+        return None
+    if match[1] in ("", "unix"):
+        return f"/tmp/.X11-unix/X{match[2]}"
+    return match[1], 6000 + int(match[2])
+
+
+def _answers(address: str | tuple[str, int] | None) -> bool:
+    if address is None:
+        return False
+    family = socket.AF_UNIX if isinstance(address, str) else socket.AF_INET
+    with socket.socket(family) as probe:
+        probe.settimeout(2.0)
+        try:
+            probe.connect(address)
+        except OSError:
+            return False
+    return True
+
+
+def folders() -> Iterator[Finding]:
+    """Whether the folders can be written that octarm writes, and the room in them."""
+    runs = Path("runs") if Path("runs").is_dir() else Path()
+    yield _folder("runs", runs, "work in another folder, or give --out DIR")
+    candidates = [os.environ.get(name, "") for name in ("TMPDIR", "TEMP", "TMP")]
+    temporary = next((Path(c) for c in [*candidates, "/tmp"] if c and Path(c).is_dir()), Path())
+    yield _folder("temporary files", temporary, "export TMPDIR=FOLDER")
+
+
+def _folder(name: str, folder: Path, remedy: str) -> Finding:
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"octarm")
+            file.flush()
+        free = shutil.disk_usage(folder).free
+    except OSError as error:
+        told = f"{folder.resolve()} cannot be written: {error.strerror}"
+        return Finding(name, State.MISSING, told, remedy)
+    told = f"{folder.resolve()} can be written, {free / 1e9:.1f} GB free"
+    return Finding(name, State.FINE if free > _ROOM else State.MISSING, told)
+
+
+def _run(command: list[str], **environment: str) -> subprocess.CompletedProcess[str]:
+    """Runs a command; one that takes too long has failed."""
+    try:
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=_PATIENCE, check=False,
+            stdin=subprocess.DEVNULL, env={**os.environ, **environment},
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return subprocess.CompletedProcess(command, 1, "", f"no answer within {_PATIENCE:g} s")
+
+
+def _last_line(done: subprocess.CompletedProcess[str]) -> str:
+    """The last thing that a command said, or the signal that ended it."""
+    lines = done.stderr.strip().splitlines()
+    if done.returncode < 0:
+        return f"it was ended by signal {-done.returncode}"
+    said = lines[-1].removeprefix("octarm: ") if lines else f"exit code {done.returncode}"
+    return said.partition("; octarm doctor")[0]

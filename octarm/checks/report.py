@@ -1,0 +1,120 @@
+"""Reports: every row says what, measured, allowed, pass or fail."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from octarm.arm.parameters import ArmParameters
+
+
+@dataclasses.dataclass(frozen=True)
+class Check:
+    """One row of a report.
+
+    Attributes:
+        what: what was compared.
+        measured: what came out, in `unit`.
+        high: largest value allowed.
+        low: smallest value allowed; -inf for an error, which has no smallest.
+        unit: of the three numbers; "1" for a ratio.
+    """
+
+    what: str
+    measured: float
+    high: float
+    low: float = -np.inf
+    unit: str = "1"
+
+    @property
+    def passed(self) -> bool:
+        """Whether the measured value is allowed; NaN never is."""
+        return bool(self.low <= self.measured <= self.high)
+
+    @property
+    def allowed(self) -> str:
+        """The allowed range in words, without the unit."""
+        if self.low == -np.inf:
+            return f"<= {self.high:.2g}"
+        return f"{self.low:.3g} .. {self.high:.3g}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The row for JSON; what is not finite becomes None."""
+        numbers = {"measured": self.measured, "low": self.low, "high": self.high}
+        finite = {k: float(x) if np.isfinite(x) else None for k, x in numbers.items()}
+        return {"what": self.what, **finite, "unit": self.unit, "passed": self.passed}
+
+
+def gathered(
+    parts: Mapping[str, Iterable[Check]], progress: Callable[[str], object] | None = None
+) -> tuple[Check, ...]:
+    """The rows of all parts of a report, in order.
+
+    Args:
+        parts: the rows by the name of their part; a generator does its work here.
+        progress: called with the name of each part before it starts.
+    """
+    checks: list[Check] = []
+    for name, part in parts.items():
+        if progress is not None:
+            progress(name)
+        checks += part
+    return tuple(checks)
+
+
+@dataclasses.dataclass(frozen=True)
+class Report:
+    """The outcome of a set of checks.
+
+    Attributes:
+        title: what was checked, in one line.
+        parameters: the arm.
+        states: number of random states.
+        seed: of the random states and motions.
+        checks: the rows.
+    """
+
+    title: str
+    parameters: ArmParameters
+    states: int
+    seed: int
+    checks: tuple[Check, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every row passed."""
+        return all(check.passed for check in self.checks)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report for JSON."""
+        return {
+            "title": self.title,
+            "passed": self.passed,
+            "parameters": self.parameters.to_dict(),
+            "states": self.states,
+            "seed": self.seed,
+            "checks": [check.to_dict() for check in self.checks],
+        }
+
+    def format(self) -> str:
+        """The report for the terminal: title, table, verdict."""
+        rows = [("what", "measured", "allowed", "unit", "")]
+        rows += [
+            (c.what, f"{c.measured:.3g}", c.allowed, c.unit, "pass" if c.passed else "FAIL")
+            for c in self.checks
+        ]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+            for row in rows
+        ]
+        failed = sum(not check.passed for check in self.checks)
+        count = len(self.checks)
+        verdict = f"{failed} of {count} checks FAILED" if failed else f"all {count} checks passed"
+        return "\n".join([self.title, "", *lines, "", verdict])
+
+    def __str__(self) -> str:
+        return self.format()

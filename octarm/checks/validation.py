@@ -1,0 +1,236 @@
+"""MuJoCo against Lagrange, as a report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import mujoco
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from octarm.arm import lagrange
+from octarm.arm.mjcf import build_model, nominal_parameters, paper_order, template_model
+from octarm.arm.parameters import ArmParameters
+from octarm.checks import free_motion
+from octarm.checks.mechanics import (
+    Mechanics,
+    lagrange_mechanics,
+    levers,
+    mujoco_mechanics,
+    random_states,
+    relative_error,
+)
+from octarm.checks.report import Check, Report, gathered
+from octarm.errors import OctarmError
+
+# What build_model writes into a model, or must find there.
+_PHYSICS = (
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "tendon_stiffness",
+    "tendon_damping",
+    "tendon_lengthspring",
+    "wrap_prm",
+    "actuator_gear",
+    "key_qpos",
+)
+
+
+def arm_with(modules: int) -> ArmParameters:
+    """The nominal arm with N modules.
+
+    Fewer modules than nominal: the arm cut off after module N. More: a longer arm with the same
+    base and tip, mass, inertia, stiffness and damping tapering in between as they do in the
+    nominal one.
+
+    Raises:
+        ValueError: if `modules` is below 1.
+    """
+    if modules < 1:
+        raise OctarmError(f"the number of modules is {modules}; it must be at least 1")
+    p = nominal_parameters()
+    last = p.modules - 1
+    place = np.linspace(0, last, modules) if modules > p.modules else np.arange(modules)
+
+    def tapered(values: np.ndarray) -> np.ndarray:
+        return np.interp(place, np.arange(p.modules), values)
+
+    return ArmParameters(
+        mass=tapered(p.mass),
+        inertia=tapered(p.inertia),
+        width=p.width,
+        stiffness=[tapered(column) for column in p.stiffness],
+        damping=[tapered(column) for column in p.damping],
+        rest_length=tapered(p.rest_length),
+        gravity=p.gravity,
+    )
+
+
+def random_arm(rng: np.random.Generator, modules: int) -> ArmParameters:
+    """An arm of N modules that differ from `arm_with(N)`, and whose two columns differ as well.
+
+    Factors are log-uniform: 0.6 to 1.6 on mass, inertia and stiffness, 0.5 to 1.6 on damping, 0.75
+    to 1.35 on lengths and 0.3 to 1.2 on gravity. Such arms hang stably, and RK4 is stable at 1 ms.
+    """
+
+    def factor(low: float, high: float, *shape: int) -> np.ndarray:
+        return np.exp(rng.uniform(np.log(low), np.log(high), shape))
+
+    return arm_with(modules).scaled(
+        mass=factor(0.6, 1.6, modules),
+        inertia=factor(0.6, 1.6, modules),
+        width=factor(0.75, 1.35),
+        stiffness=factor(0.6, 1.6, 2, modules),
+        damping=factor(0.5, 1.6, 2, modules),
+        rest_length=factor(0.75, 1.35, modules),
+        gravity=factor(0.3, 1.2),
+    )
+
+
+def validate(
+    parameters: ArmParameters,
+    states: int = 10_000,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Report:
+    """Compares MuJoCo's arm with the analytic one, point by point and in motion.
+
+    The timesteps at which orders of convergence are taken suit arms with some damping; on an arm
+    with none at all, the dissipative DISCRETE does not get near its order.
+
+    Args:
+        parameters: one arm's parameters.
+        states: number of random states for the comparison point by point.
+        seed: of the random states and motions.
+        progress: called with the name of each part before it starts.
+
+    Raises:
+        ValueError: if `states` is below 1, or the parameters do not describe one arm that hangs.
+    """
+    if states < 1:
+        raise OctarmError(f"the number of states is {states}; it must be at least 1")
+    model = build_model(parameters)
+    at_states, in_motion = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2))
+    parts = {
+        "the template": _compare_template(),
+        f"{states} random states": _compare_states(model, parameters, states, at_states),
+        "static equilibrium": _compare_equilibrium(model, parameters),
+        "small motions": _compare_small_motions(model, parameters),
+        "free motion": _compare_free_motion(model, parameters, in_motion),
+        "energy balance": _compare_energy(model, parameters, in_motion),
+    }
+    checks = gathered(parts, progress)
+    n = parameters.modules
+    title = (
+        f"MuJoCo {mujoco.__version__} against Lagrange: {n} module{'s' if n > 1 else ''}, "
+        f"{np.sum(parameters.mass):.3g} kg, {states} states, seed {seed}"
+    )
+    return Report(title, parameters, states, seed, checks)
+
+
+def _compare_template() -> Iterator[Check]:
+    """The file from which all arms are made, against the arm made from the numbers read in it."""
+    file, built = template_model(), build_model(nominal_parameters())
+    pairs = [(file.opt.gravity, built.opt.gravity)]
+    pairs += [(getattr(file, name), getattr(built, name)) for name in _PHYSICS]
+    difference = max(float(np.max(np.abs(a - b))) for a, b in pairs)
+    yield Check("models/octarm.xml, against the arm built from it", difference, 1e-12)
+    off = mujoco.mjtDisableBit
+    needed = off.mjDSBL_CONTACT | off.mjDSBL_CONSTRAINT | off.mjDSBL_AUTORESET
+    right = (file.opt.disableflags & needed) == needed
+    right &= file.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+    yield Check("models/octarm.xml, options that are not as they must be", float(not right), 0.0)
+
+
+def _compare_states(
+    model: mujoco.MjModel, p: ArmParameters, count: int, rng: np.random.Generator
+) -> Iterator[Check]:
+    states = random_states(p, count, rng)
+    by_mujoco, by_lagrange = mujoco_mechanics(model, p, states), lagrange_mechanics(p, states)
+    r = levers(p)  # makes one unit of the entries of each quantity: forces and lengths
+    force, column = 1.0 / r, 1.0 / r[:, None]
+    rows: tuple[tuple[str, str, np.ndarray | float, float], ...] = (
+        ("positions of the modules", "positions", 1.0, 1e-12),
+        ("inertia matrix D", "inertia", column * force, 1e-12),
+        ("tendon moments T", "tendon_moments", column, 1e-12),
+        ("F_coeff, by forces and couples on the bodies", "coefficients", column, 1e-12),
+        ("bias: Coriolis force and gravity", "bias", force, 1e-10),
+        ("springs", "springs", force, 1e-10),
+        ("dampers", "dampers", force, 1e-10),
+        ("potential force G", "potential_force", force, 1e-10),
+        ("actuators: F_coeff tau", "actuation", force, 1e-10),
+        ("inverse dynamics", "inverse_dynamics", force, 1e-10),
+        ("accelerations", "acceleration", r, 1e-10),
+        ("kinetic energy", "kinetic", 1.0, 1e-12),
+    )
+    for what, field, weight, allowed in rows:
+        measured, expected = getattr(by_mujoco, field), getattr(by_lagrange, field)
+        yield Check(what, relative_error(weight * measured, weight * expected), allowed)
+    yield from _compare_potential(by_mujoco, by_lagrange)
+
+
+def _compare_potential(by_mujoco: Mechanics, by_lagrange: Mechanics) -> Iterator[Check]:
+    """Potential energies may differ by a constant; both models happen to put it at zero."""
+    difference = by_mujoco.potential - by_lagrange.potential
+    offset = float(np.mean(difference))
+    spread = float(np.max(np.abs(difference - offset)) / np.max(np.abs(by_lagrange.potential)))
+    yield Check("potential energy, about its offset", spread, 1e-12)
+    yield Check("potential energy, offset", offset, 1e-10, -1e-10, "J")
+
+
+def _compare_equilibrium(model: mujoco.MjModel, p: ArmParameters) -> Iterator[Check]:
+    q = lagrange.equilibrium(p)
+    qpos, dof = paper_order(model)
+    error = np.max(np.abs(model.key("hanging").qpos[qpos] - q) * levers(p))
+    yield Check("equilibrium, keyframe", float(error), 1e-10, unit="m")
+    data = mujoco.MjData(model)
+    data.qpos[qpos] = q
+    mujoco.mj_forward(model, data)
+    acceleration = np.max(np.abs(data.qacc[dof]) * levers(p))
+    yield Check("equilibrium, acceleration left", float(acceleration), 1e-9, unit="m/s^2")
+
+
+def _compare_small_motions(model: mujoco.MjModel, p: ArmParameters) -> Iterator[Check]:
+    expected = np.linalg.eigvals(free_motion.analytic_linearisation(p))
+    linearisation = free_motion.mujoco_linearisation(model, lagrange.equilibrium(p))
+    distance = np.abs(expected[:, None] - np.linalg.eigvals(linearisation))
+    pairs = linear_sum_assignment(distance)
+    error = np.max(distance[pairs] / np.abs(expected))
+    yield Check("eigenvalues of the linearised arm", float(error), 1e-6)
+    frequencies, _ = free_motion.undamped_modes(p)
+    error = np.max(np.abs(free_motion.measured_frequencies(model, p) / frequencies - 1.0))
+    yield Check("frequencies of small undamped oscillations", float(error), 1e-6)
+
+
+def _compare_free_motion(
+    model: mujoco.MjModel, p: ArmParameters, rng: np.random.Generator
+) -> Iterator[Check]:
+    q, v = free_motion.initial_motion(p, rng)
+    reference = free_motion.reference_motion(p, q, v)
+    steps = round(free_motion.DURATION / model.opt.timestep)
+    rk4 = mujoco.mjtIntegrator.mjINT_RK4
+    error = free_motion.integrator_error(model, p, v, reference, rk4, steps)
+    yield Check("free motion against DOP853, RK4", error, 1e-6, unit="m")
+    for name, integrator in mujoco.mjtIntegrator.__members__.items():
+        order = free_motion.observed_order(model, p, v, reference, integrator)
+        low, high = (3.7, 4.3) if integrator == rk4 else (0.8, 1.2)
+        yield Check(f"order of convergence, {name.removeprefix('mjINT_')}", order, high, low)
+
+
+def _compare_energy(
+    model: mujoco.MjModel, p: ArmParameters, rng: np.random.Generator
+) -> Iterator[Check]:
+    """The energy balance of RK4 at the model's timestep."""
+    # A step takes the fraction z^6 / 72 off the energy of an oscillation, z = frequency * timestep.
+    # Three times that of the fastest mode leaves room for frequencies 20 % above those at rest.
+    h = model.opt.timestep
+    z = np.max(free_motion.undamped_modes(p)[0]) * h
+    loss = 3.0 * free_motion.DURATION / h * z**6 / 72.0
+    q, v = free_motion.initial_motion(p, rng)
+    drift = free_motion.energy_drift(model, p, q, v)
+    yield Check("energy drift without damping", drift, loss)
+    # Simpson's rule on dissipation, at twice the frequency, adds (2 z)^4 / 180: 1e-4 at 370 rad/s.
+    forces = rng.uniform(-5.0, 5.0, p.coordinates)
+    imbalance = free_motion.energy_imbalance(model, p, q, v, forces)
+    yield Check("energy change - work + dissipation", imbalance, 1e-4)

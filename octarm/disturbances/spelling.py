@@ -1,0 +1,149 @@
+"""Disturbances by name, as the command line and `run.json` spell them.
+
+On the command line a disturbance is NAME:VALUE[,KEY=VALUE]*, such as `payload:0.2,at=3`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from octarm.arrays import plain
+from octarm.disturbances.acting import Acting as Acting
+from octarm.disturbances.catalogue import DISTURBANCES as DISTURBANCES
+from octarm.disturbances.episode import Disturbance, field_kinds
+from octarm.disturbances.fields import Amount, Quantity
+from octarm.errors import OctarmError, closest
+
+
+def parse_disturbance(text: str) -> Disturbance:
+    """A disturbance from its spelling on the command line.
+
+    VALUE is that of the first field; a field that may differ between coordinates takes one number
+    for each of them as well, separated by `/`, as in `loss:0/0/0.5/0/0/0`.
+
+    Raises:
+        ValueError: if a name or key is unknown or given twice, or a value missing or not allowed.
+    """
+    name, _, rest = text.partition(":")
+    cls = _named(name)
+    keys = _keys(cls)
+    values: dict[str, Any] = {}
+    for i, item in enumerate(rest.split(",") if rest else []):
+        key, equals, value = item.partition("=")
+        if not equals and i > 0:
+            raise OctarmError(f"{text!r} has {item!r}; it must read {_usage(cls)}")
+        key, value = (key, value) if equals else (next(iter(keys)), item)
+        if key not in keys:
+            raise OctarmError(f"{name} has no key {key!r}{closest(key, keys)}")
+        if keys[key] in values:
+            raise OctarmError(f"{text!r} gives {key} twice")
+        values[keys[key]] = _value(text, key, value, field_kinds(cls)[keys[key]])
+    if not values or any(field not in values for field in _required(cls)):
+        raise OctarmError(f"{text!r} is incomplete; it must read {_usage(cls)}")
+    return cls(**values)
+
+
+def spelling(disturbance: Disturbance) -> str:
+    """The inverse of `parse_disturbance`, for one arm; without the fields that have their defaults.
+
+    Numbers have 6 digits.
+    """
+    main, *_ = keys = _keys(type(disturbance))
+    defaults = {f.name: f.default for f in dataclasses.fields(disturbance)}  # pyright: ignore[reportArgumentType]
+    values = {key: getattr(disturbance, field) for key, field in keys.items()}
+    shown = [
+        f"{key}={_spelt(value)}"
+        for key, value in values.items()
+        if value is not None and (key == main or np.ndim(value) > 0 or value != defaults[keys[key]])
+    ]
+    return f"{disturbance.name}:{','.join(shown).removeprefix(f'{main}=')}"
+
+
+def to_dict(disturbance: Disturbance) -> dict[str, Any]:
+    """Name and fields as words, numbers and lists, ready for JSON; infinity as a word."""
+    fields = {f.name: getattr(disturbance, f.name) for f in dataclasses.fields(disturbance)}  # pyright: ignore[reportArgumentType]
+    return {"name": disturbance.name, **{name: plain(value) for name, value in fields.items()}}
+
+
+def from_dict(description: Mapping[str, Any]) -> Disturbance:
+    """The inverse of `to_dict`.
+
+    Raises:
+        ValueError: if the name or a field is unknown, missing or not allowed.
+    """
+    cls = _named(str(description.get("name")))
+    fields = {key: value for key, value in description.items() if key != "name"}
+    known = field_kinds(cls)
+    for key in fields:
+        if key not in known:
+            raise OctarmError(f"{cls.name} has no field {key!r}{closest(key, known)}")
+    for key in _required(cls):
+        if key not in fields:
+            raise OctarmError(f"{cls.name} needs the field {key!r}")
+    return cls(**fields)
+
+
+def describe() -> str:
+    """How the disturbances are spelt and what they are, for `--help`."""
+    lines: list[str] = []
+    for cls in DISTURBANCES.values():
+        kinds = field_kinds(cls).values()
+        units = [
+            f"{key} [{kind.unit}]"
+            for key, kind in zip(_keys(cls), kinds, strict=True)
+            if isinstance(kind, Quantity)
+        ]
+        meaning = (cls.__doc__ or "").partition("\n")[0].rstrip(".:")
+        lines += [_usage(cls), f"    {meaning}; {', '.join(units)}."]
+    return "\n".join(lines)
+
+
+def _named(name: str) -> type[Disturbance]:
+    if name not in DISTURBANCES:
+        raise OctarmError(f"unknown disturbance {name!r}{closest(name, DISTURBANCES)}")
+    return DISTURBANCES[name]
+
+
+def _keys(cls: type[Disturbance]) -> dict[str, str]:
+    """The spelling of each field, to its name."""
+    return {kind.key or name: name for name, kind in field_kinds(cls).items()}
+
+
+def _required(cls: type[Disturbance]) -> list[str]:
+    fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
+    return [field.name for field in fields if field.default is dataclasses.MISSING]
+
+
+def _usage(cls: type[Disturbance]) -> str:
+    """The spelling with all keys: NAME:VALUE,KEY=default and so on."""
+    defaults = {f.name: f.default for f in dataclasses.fields(cls)}  # pyright: ignore[reportArgumentType]
+    main, *others = _keys(cls)
+    parts = [f"{cls.name}:{main.upper()}"]
+    for key in others:
+        default = defaults[_keys(cls)[key]]
+        shown = f"{default:g}" if isinstance(default, float) else default or key.upper()
+        parts.append(f"{key}={shown}")
+    return ",".join(parts)
+
+
+def _value(text: str, key: str, value: str, kind: Any) -> Amount | str:
+    if not isinstance(kind, Quantity):
+        return value
+    try:
+        numbers = [float(part) for part in value.split("/")]
+    except ValueError:
+        raise OctarmError(
+            f"{text!r} gives {key} the value {value!r}; it must be a number"
+        ) from None
+    if len(numbers) > 1 and not kind.each:
+        raise OctarmError(f"{text!r} gives {key} {len(numbers)} numbers; it takes one")
+    return numbers[0] if len(numbers) == 1 else np.array(numbers)
+
+
+def _spelt(value: Any) -> str:
+    numbers = value.tolist() if isinstance(value, np.ndarray) else [value]
+    return "/".join(x if isinstance(x, str) else f"{x:g}" for x in numbers)

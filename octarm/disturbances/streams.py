@@ -1,0 +1,157 @@
+"""Random streams by name, and the noise that is held between two draws.
+
+One `SeedSequence` belongs to one arm and one episode. Every stream is derived from it and from its
+own name, so that what one stream draws depends neither on the other streams nor on their order.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from octarm.errors import OctarmError
+
+_BLOCK = 64  # holds an arm draws at once; the draws are the same for any number
+NEVER = 2**62  # a step that no episode reaches
+
+
+def stream(seed: np.random.SeedSequence, name: str) -> np.random.Generator:
+    """The generator of this name: the same in every process, unlike Python's `hash`.
+
+    Args:
+        seed: of one arm in one episode; it is not changed.
+        name: of the stream, such as `noise`.
+    """
+    digest = hashlib.sha256(name.encode()).digest()
+    words = (int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4))
+    key = (*seed.spawn_key, *words)
+    own = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
+    return np.random.Generator(np.random.PCG64(own))
+
+
+def in_steps(time: np.ndarray | float, timestep: float) -> np.ndarray:
+    """A time in steps [1]; a whole number where it is one but for rounding.
+
+    Args:
+        time: shape (...), possibly infinite [s].
+        timestep: length of a step [s].
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite, and inf - inf
+        steps = np.asarray(time) / timestep
+        whole = np.rint(steps)
+        return np.where(np.abs(steps - whole) < 1e-6, whole, steps)
+
+
+def first_step(time: np.ndarray | float, timestep: float) -> np.ndarray:
+    """The first step that begins at or after a time [s], shape (...) of integers.
+
+    For times so late that no episode reaches them it is `NEVER`.
+    """
+    return np.minimum(np.ceil(in_steps(time, timestep)), NEVER).astype(np.int64)
+
+
+def periods_begun(step: int, timestep: float, period: np.ndarray | float) -> np.ndarray | int:
+    """How many whole periods have passed when a step begins, shape (...) of integers.
+
+    The same for any timestep that leads to this instant.
+
+    Args:
+        step: number of the step, counted from the start of the episode.
+        timestep: length of a step [s].
+        period: shape (...) [s].
+    """
+    passed = step * timestep / period * (1.0 + 1e-15) + 1e-9
+    if isinstance(passed, float):
+        return math.floor(passed)
+    return np.floor(passed).astype(np.int64)
+
+
+class HeldNoise:
+    """Standard normal numbers, held: draw h of an arm's generator from h t_c to (h+1) t_c.
+
+    White up to its corner: the one-sided spectral density is 2 t_c sinc^2(f t_c), half of which is
+    left at f = 0.443 / t_c. The value at an instant depends on the generator and t_c alone: not on
+    the timestep, on how often or when it was asked for, nor on the batch.
+    """
+
+    def __init__(
+        self,
+        generators: Sequence[np.random.Generator],
+        width: int,
+        correlation_time: np.ndarray | float,
+        timestep: float,
+        batch_shape: tuple[int, ...],
+    ) -> None:
+        """Noise from its beginning.
+
+        Args:
+            generators: one an arm, used by nothing else.
+            width: numbers an arm draws at once.
+            correlation_time: t_c, how long a draw is held, shape () or the batch's [s].
+            timestep: physics step [s].
+            batch_shape: () for one arm, (n,) for a batch.
+
+        Raises:
+            ValueError: if t_c is shorter than the timestep.
+        """
+        least = float(np.min(correlation_time))
+        if float(in_steps(least, timestep)) < 1.0:
+            raise OctarmError(
+                f"the correlation time of a noise is {least:g} s; it must be at least the physics "
+                f"step, {timestep:g} s"
+            )
+        self._generators = generators
+        self._width = width
+        self._batch_shape = batch_shape
+        self._correlation_time = correlation_time
+        self._timestep = timestep
+        self._draws = np.empty((_BLOCK, width, len(generators)))
+        self._block: np.ndarray | int = -1  # of the draws at hand: one number, or each arm's
+        self._hold: np.ndarray | int = -1
+        self._step, self._next = 0, 0  # `_held` is valid in between
+        self._held = np.empty(0)
+
+    def __call__(self, step: int) -> np.ndarray:
+        """The numbers at a physics step, shape (..., width); read-only, one object a hold.
+
+        Raises:
+            ValueError: if the step comes before one that was asked for earlier.
+        """
+        if self._step <= step < self._next:
+            return self._held
+        if step < self._step:
+            raise OctarmError(f"noise was asked for at step {step} after step {self._step}")
+        hold = periods_begun(step, self._timestep, self._correlation_time)
+        if np.any(hold != self._hold):
+            self._hold, self._held = hold, self._take(hold)
+        ends = (hold + 1) * self._correlation_time / self._timestep
+        first = ends if isinstance(ends, float) else float(np.min(ends))
+        self._step, self._next = step, max(step + 1, math.ceil(first - 1e-6))
+        return self._held
+
+    def _take(self, hold: np.ndarray | int) -> np.ndarray:
+        """The draws of this hold, or of one for each arm, shape (..., width)."""
+        block, place = hold // _BLOCK, hold % _BLOCK
+        if np.any(block != self._block):
+            self._draw(block)
+        if isinstance(place, int):
+            taken = self._draws[place].copy()
+        else:
+            taken = np.take_along_axis(self._draws, place[None, None, :], axis=0)[0]
+        held = taken.T.reshape((*self._batch_shape, self._width))
+        held.setflags(write=False)
+        return held
+
+    def _draw(self, block: np.ndarray | int) -> None:
+        """Goes on to a block of draws, or to one for each arm."""
+        ahead = np.broadcast_to(np.asarray(block) - self._block, len(self._generators))
+        for i, (generator, blocks) in enumerate(zip(self._generators, ahead.tolist(), strict=True)):
+            if blocks:
+                numbers = np.empty((_BLOCK, self._width))
+                for _ in range(blocks):  # more than one when some were skipped
+                    generator.standard_normal(out=numbers)
+                self._draws[:, :, i] = numbers
+        self._block = block

@@ -1,1 +1,0 @@
-"""What acts on the arm that the controller does not know."""

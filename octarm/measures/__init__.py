@@ -1,1 +1,0 @@
-"""Metrics as accumulators over blocks of rows."""

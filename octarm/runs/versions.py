@@ -1,0 +1,47 @@
+"""What a result depends on beside its inputs: versions, and the machine."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from octarm.runs import folder as runs
+
+
+def versions() -> dict[str, str]:
+    """Of all that the rows of a sweep depend on for being repeated bit for bit."""
+    return runs.versions() | {name: version(name) for name in ("scipy", "pyarrow")}
+
+
+def host() -> dict[str, Any]:
+    """The machine that this process runs on."""
+    return {
+        "name": platform.node(),
+        "machine": platform.machine(),
+        "cpu": _cpu(),
+        "kernels": _kernels(),
+        "cores": os.cpu_count(),
+    }
+
+
+def _cpu() -> str:
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor()
+
+
+def _kernels() -> str:
+    """The instruction sets that NumPy's loops were chosen for: last bits depend on them."""
+    try:
+        from numpy.lib.introspect import opt_func_info
+    except ImportError:  # before NumPy 2.1
+        return ""
+    found = opt_func_info(func_name="^(cos|exp|sin|tanh)$", signature="float64")
+    names = {own["current"] for loops in found.values() for own in loops.values()}
+    return " ".join(sorted(names))

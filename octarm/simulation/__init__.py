@@ -1,0 +1,1 @@
+"""Stepping arms: physics, environment, and the only simulation loop."""

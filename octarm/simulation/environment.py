@@ -1,0 +1,261 @@
+"""The tracking task on dm_control's environment loop."""
+# pyright: reportIncompatibleMethodOverride=false
+# (dm_control's abstract methods are inferred to return None)
+
+from __future__ import annotations
+
+import collections
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from dm_control.rl import control
+from dm_env import specs
+
+from octarm.arm.actuation import ACTUATIONS
+from octarm.arm.mjcf import build_model, nominal_parameters
+from octarm.arm.parameters import ArmParameters
+from octarm.arrays import split
+from octarm.disturbances.episode import Disturbance, Episode
+from octarm.disturbances.spelling import Acting
+from octarm.errors import OctarmError, closest
+from octarm.interfaces import Motion, Reference
+from octarm.references import named_reference
+from octarm.simulation.batch import BatchPhysics, tip_position
+from octarm.simulation.physics import ArmPhysics
+
+AnyPhysics = ArmPhysics | BatchPhysics
+
+# A tracking error of this size earns a tenth of the reward.
+_SLIDE_MARGIN = 0.01  # [m]
+_BEND_MARGIN = 0.1  # [rad]
+
+
+def load(
+    reference: str | Motion = "sine",
+    *,
+    disturbances: Sequence[Disturbance] = (),
+    parameters: ArmParameters | None = None,
+    batch: int | None = None,
+    timestep: float | None = None,
+    control_period: float | None = None,
+    duration: float | None = None,
+    actuation: str = "f-coeff",
+    seed: int | np.random.SeedSequence | Sequence[np.random.SeedSequence] = 0,
+    threads: int = 1,
+) -> control.Environment:
+    """The arm, hanging at rest, and a motion it shall follow; or a batch of n such arms.
+
+    The action is tau, the input forces of eq (1), shape (2N,) [N]. They act as the generalised
+    force F_coeff(q) tau and are held for one control period. For a batch, the action and all
+    observations have a first axis of n, and so does the reward.
+
+    The environment is one episode: every reset starts the same one again, with the same
+    realisation of what is random in it. Another seed gives another one.
+
+    Args:
+        reference: a name of `octarm.references.REFERENCES`, or a function of time that gives
+            the desired coordinates, velocities and accelerations.
+        disturbances: what acts on the arm that the controller does not know.
+        parameters: the true arm; the nominal one when not given. The arms of a batch may have
+            their own, with batch axis (n,).
+        batch: number of arms n; one arm without the batch axis when not given.
+        timestep: physics step [s]; 0.5 ms when not given.
+        control_period: time between two actions [s]; one physics step when not given.
+        duration: when an episode ends [s], rounded up to whole control periods; never when not
+            given.
+        actuation: `f-coeff`, or `internal` for forces between neighbouring modules.
+        seed: of all that is random in the episode. Arm i of a batch has the seed
+            `SeedSequence(seed, spawn_key=(i,))`, unless one is given for each arm.
+        threads: that step a batch; results do not depend on it.
+
+    Returns:
+        An environment with the observations q, v, q_d, v_d, a_d, each of shape (2N,), and
+        tip_position, shape (3,), in the world frame, where the arm seems to have it.
+
+    Raises:
+        ValueError: for an unknown name, a period that is not a whole multiple of the step, or an
+            arm that does not hang within its limits.
+    """
+    if actuation not in ACTUATIONS:
+        raise OctarmError(f"unknown actuation {actuation!r}{closest(actuation, ACTUATIONS)}")
+    true = nominal_parameters() if parameters is None else parameters
+    if true.batch_shape not in ((), () if batch is None else (batch,)):
+        raise OctarmError(
+            f"parameters have batch axes {true.batch_shape}; the environment has "
+            f"{'one arm' if batch is None else f'{batch} arms'}"
+        )
+    model = build_model(true.arm(0) if true.batch_shape else true, timestep)
+    acts = ACTUATIONS[actuation](true.width)
+    seeds = _seeds(seed, batch)
+    if batch is None:
+        physics = ArmPhysics.from_arm_model(model, acts)
+    else:
+        physics = BatchPhysics(model, batch, acts, parameters=true, threads=threads)
+    rest = physics.hanging()
+    _check_rest(physics, rest)
+    step = physics.timestep()
+    steps_a_period = 1 if control_period is None else _whole_steps(control_period, step)
+    own_rest = rest if true.batch_shape else rest.reshape(-1, rest.shape[-1])[0]
+    motion = named_reference(reference, own_rest) if isinstance(reference, str) else reference
+    limit = None if duration is None else whole_periods(duration, steps_a_period * step)
+    episode = Episode(
+        parameters=true,
+        timestep=step,
+        reference=motion,
+        seeds=seeds,
+        batch_shape=physics.batch_shape,
+    )
+    task = TrackingTask(episode, disturbances, period=steps_a_period * step, episode_periods=limit)
+    return control.Environment(physics, task, n_sub_steps=steps_a_period)
+
+
+def _seeds(
+    seed: int | np.random.SeedSequence | Sequence[np.random.SeedSequence], arms: int | None
+) -> list[np.random.SeedSequence]:
+    """One seed sequence an arm."""
+    if isinstance(seed, int) and seed < 0:
+        raise OctarmError(f"seed is {seed}; it must be at least 0")
+    if arms is not None and arms < 1:
+        raise OctarmError(f"batch is {arms}; it must be at least 1")
+    if isinstance(seed, Sequence):
+        if len(seed) != (1 if arms is None else arms):
+            raise OctarmError(f"there are {len(seed)} seeds; each of {arms or 1} arms needs one")
+        return list(seed)
+    root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+    if arms is None:
+        return [root]
+    return [
+        np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, i)) for i in range(arms)
+    ]
+
+
+def _check_rest(physics: AnyPhysics, rest: np.ndarray) -> None:
+    """Raises ValueError for an arm that does not hang within its limits."""
+    rows = rest.reshape(-1, rest.shape[-1])
+    for i in np.flatnonzero(~physics.limits.holding(rows, np.zeros_like(rows))):
+        broken = physics.limits.violation(rows[i], np.zeros_like(rows[i]))
+        raise OctarmError(f"this arm cannot hang in one piece: at rest {broken}")
+
+
+def whole_periods(duration: float, period: float) -> int:
+    """Number of control periods [1] that cover a duration [s]; at least one.
+
+    Raises:
+        ValueError: unless the duration is positive and at most 1e9 periods.
+    """
+    if not duration > 0.0:
+        raise OctarmError(f"duration is {duration:g} s; it must be positive")
+    if not duration / period <= 1e9:
+        raise OctarmError(
+            f"duration is {duration:g} s; it must be at most {1e9 * period:g} s, "
+            f"1e9 control periods of {period:g} s"
+        )
+    return max(1, math.ceil(duration / period - 1e-6))
+
+
+class TrackingTask(control.Task):
+    """Follow a desired motion; the episode ends early when the arm leaves its limits.
+
+    Attributes:
+        reference: the desired motion.
+        disturbances: what acts on the arm that the controller does not know.
+        random: what wrappers draw from; the same at the start of every episode.
+    """
+
+    def __init__(
+        self,
+        episode: Episode,
+        disturbances: Sequence[Disturbance] = (),
+        *,
+        period: float,
+        episode_periods: int | None = None,
+    ) -> None:
+        """A task for an episode of whole control periods [s]."""
+        self.reference = episode.reference
+        self.disturbances = tuple(disturbances)
+        self.random = episode.streams("wrappers")[0]
+        self._episode = episode
+        Acting(self.disturbances, episode)  # raises when one does not suit the arm
+        self._margin = np.repeat([_SLIDE_MARGIN, _BEND_MARGIN], episode.parameters.modules)
+        self._period = period
+        self._episode_periods = episode_periods
+        self._periods = 0
+        self._desired = self.reference(0.0)
+
+    @property
+    def time(self) -> float:
+        """Time since the start of the episode [s]: whole control periods times their length."""
+        return self._periods * self._period
+
+    def initialize_episode(self, physics: AnyPhysics) -> None:
+        """The arm hangs still, as it does undisturbed; what changes it acts from here on."""
+        self._start_at(0)
+        self.random = self._episode.streams("wrappers")[0]
+        rest = physics.hanging()
+        physics.set_motion(rest, np.zeros_like(rest))
+        physics.begin(Acting(self.disturbances, self._episode))
+
+    def before_step(self, action: np.ndarray, physics: AnyPhysics) -> None:
+        """Holds the action, tau, shape (2N,) [N]."""
+        physics.set_control(action)
+
+    def after_step(self, physics: AnyPhysics) -> None:
+        """One control period has passed."""
+        del physics
+        self._start_at(self._periods + 1)
+
+    def action_spec(self, physics: AnyPhysics) -> specs.BoundedArray:
+        """Input forces tau, shape (2N,) [N], within the actuators' range."""
+        limit = physics.input_limit()
+        return specs.BoundedArray(limit.shape, np.float64, -limit, limit, name="tau")
+
+    def get_observation(self, physics: AnyPhysics) -> collections.OrderedDict[str, np.ndarray]:
+        """What is measured and what is wanted, in fresh arrays.
+
+        q, v, q_d, v_d and a_d have shape (..., 2N), tip_position has shape (..., 3); see `load`.
+        """
+        desired, acting = self._desired, physics.acting
+        q, v = physics.q(), physics.v()
+        if acting is not None and acting.sensors:  # nothing acts before the first episode
+            q, v = acting.sensed(physics.steps(), q, v)
+            tip = tip_position(q)
+        else:
+            tip = physics.tip_position()
+        return collections.OrderedDict(
+            q=q,
+            v=v,
+            q_d=desired.q.copy(),
+            v_d=desired.v.copy(),
+            a_d=desired.a.copy(),
+            tip_position=tip,
+        )
+
+    def get_reward(self, physics: AnyPhysics) -> np.ndarray | float:
+        """In [0, 1], shape (...).
+
+        It is 1 without error, 0.1 when the rms of error by margin is 1, 0 when diverged.
+        """
+        error = (physics.q() - self._desired.q) / self._margin
+        mean = sum(split(error * error)) / error.shape[-1]
+        return np.where(physics.intact(), np.exp(math.log(0.1) * mean), 0.0)[()]
+
+    def get_termination(self, physics: AnyPhysics) -> float | None:
+        """Discount 0 when every arm has left its limits, 1 when the time is up, else None."""
+        if not np.any(physics.intact()):
+            return 0.0
+        return 1.0 if self._periods == self._episode_periods else None
+
+    def _start_at(self, periods: int) -> None:
+        self._periods = periods
+        self._desired: Reference = self.reference(self.time)
+
+
+def _whole_steps(period: float, step: float) -> int:
+    ratio = period / step
+    if not (math.isfinite(ratio) and round(ratio) >= 1 and abs(ratio - round(ratio)) < 1e-6):
+        raise OctarmError(
+            f"control period is {period:g} s; it must be a whole multiple of the physics step, "
+            f"{step:g} s"
+        )
+    return round(ratio)

@@ -1,1 +1,0 @@
-"""Gains by the same search, objective and budget for every controller."""
