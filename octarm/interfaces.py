@@ -22,6 +22,7 @@ against the batch. SI units: slides in m, angles in rad.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -62,11 +63,45 @@ class Command(NamedTuple):
         force: generalised force Q, shape (..., 2N) [N], [N m].
         signals: inner quantities worth recording, by name: the batch axes, then the signal's own,
             mostly (..., 2N), or (..., 2N, M) for M fuzzy rules a coordinate. The loop records
-            what is there and knows none of the names.
+            what is there. Two names have a meaning for those who read the record: `s`, the sliding
+            variable, shape (..., 2N) [m/s], [rad/s], and `reaching_bound`, the time within which
+            s = 0 is promised, shape (..., 1) or (..., 2N) [s].
+        layer: half width phi of the boundary layer around s = 0, broadcasts to (..., 2N) [m/s],
+            [rad/s]; None where there is no layer. It is taken from the first command of a run.
     """
 
     force: np.ndarray
-    signals: Mapping[str, np.ndarray]
+    signals: Mapping[str, np.ndarray] = MappingProxyType({})
+    layer: np.ndarray | None = None
+
+
+class Instant(NamedTuple):
+    """One control instant as the loop shows it to its observers.
+
+    Attributes:
+        measurement: what the controller was told.
+        reference: what was wanted.
+        command: what the controller answered.
+        q: true coordinates, shape (..., 2N) [m], [rad].
+        v: true velocities, shape (..., 2N) [m/s], [rad/s].
+        tau: input forces that were asked for until the next instant, shape (..., 2N) [N].
+        disturbance: generalised force that was added, mean over the period, shape (..., 2N) [N],
+            [N m].
+    """
+
+    measurement: Measurement
+    reference: Reference
+    command: Command
+    q: np.ndarray
+    v: np.ndarray
+    tau: np.ndarray
+    disturbance: np.ndarray
+
+
+# k consecutive control instants as named fields, each of shape (k, ...): `t`, `q`, `v`, `q_d`,
+# `v_d`, `tau`, `force` and `disturbance` as in `Instant`, and the controller's signals by name.
+# The arrays are read-only for whoever gets them, and their memory may be used again afterwards.
+Rows = Mapping[str, np.ndarray]
 
 
 class Controller(Protocol):

@@ -15,7 +15,7 @@ import octarm
 from controllers import CONTROLLERS, make_controller
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import parse_disturbance
-from octarm.simulation.rollout import drive
+from octarm.simulation.rollout import simulate
 
 MISMATCHES = np.array([-0.3, 0.0, 0.3])  # of masses, inertias and damping; half of stiffness
 BEGIN = 1.0  # errors count from here on, when the start from rest is over [s]
@@ -29,7 +29,7 @@ def errors(name: str, disturbances: list[Disturbance], duration: float) -> np.nd
     controller = make_controller(name, arm.mismatched(MISMATCHES))
     rows: list[np.ndarray] = []
     theta1 = arm.modules
-    drive(environment, controller, duration, lambda now: rows.append(now.q - now.reference.q))
+    simulate(environment, controller, duration, lambda now: rows.append(now.q - now.reference.q))
     out = np.stack(rows)[:, :, theta1]
     out[:, ~environment.physics.intact()] = np.nan  # an arm that diverged has no error
     return out

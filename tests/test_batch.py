@@ -12,9 +12,9 @@ from controllers import CONTROLLERS, make_controller
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.spelling import parse_disturbance
-from octarm.interfaces import Command, Controller
+from octarm.interfaces import Command, Controller, Instant
 from octarm.simulation.environment import load
-from octarm.simulation.rollout import Instant, drive, rollout
+from octarm.simulation.rollout import rollout, simulate
 
 P = nominal_parameters()
 DURATION = 0.03
@@ -24,7 +24,7 @@ def states_of_batch(controller: Controller, arms: int, **options) -> tuple[np.nd
     """True coordinates of every arm at every control instant, shape (T, n, 2N), and who is left."""
     environment = load(batch=arms, **options)
     rows: list[np.ndarray] = []
-    drive(environment, controller, DURATION, lambda instant: rows.append(instant.q))
+    simulate(environment, controller, DURATION, lambda instant: rows.append(instant.q))
     return np.stack(rows), environment.physics.intact()
 
 
@@ -106,7 +106,7 @@ def test_it_says_when_an_arm_diverged():
     force[1, 4] = 80.0
     environment = load(batch=3)
     count: list[Instant] = []
-    drive(environment, Push(force), DURATION, count.append)
+    simulate(environment, Push(force), DURATION, count.append)
     alone = rollout(load(), Push(force[1]), DURATION)
     diverged_at = environment.physics.diverged_at()
     assert f"t = {diverged_at[1]:.6g} s" in alone.message
@@ -117,7 +117,7 @@ def test_it_says_when_an_arm_diverged():
 def test_an_episode_ends_when_nobody_is_left():
     environment = load(batch=2)
     count: list[Instant] = []
-    drive(environment, Push(np.full((2, 6), 90.0)), DURATION, count.append)
+    simulate(environment, Push(np.full((2, 6), 90.0)), DURATION, count.append)
     assert 0 < len(count) < 60
 
 

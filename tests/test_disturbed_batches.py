@@ -18,11 +18,11 @@ from controllers import make_controller
 from octarm.checks.validation import arm_with
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
-from octarm.interfaces import Controller, Measurement, Reference
+from octarm.interfaces import Controller, Instant, Measurement, Reference
 from octarm.metrics.table import Block, Metrics
 from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.environment import load
-from octarm.simulation.rollout import Instant, drive, rollout
+from octarm.simulation.rollout import rollout, simulate
 
 CONTROLLER = make_controller("smc-boundary", P.mismatched(-0.3))
 SEEDS = [SeedSequence(9, spawn_key=(i,)) for i in range(3)]
@@ -30,7 +30,7 @@ SEEDS = [SeedSequence(9, spawn_key=(i,)) for i in range(3)]
 
 def instants(environment, controller: Controller, duration: float) -> tuple[list, str]:
     rows: list[Instant] = []
-    message = drive(environment, controller, duration, rows.append)
+    message = simulate(environment, controller, duration, rows.append)
     return rows, message
 
 
@@ -213,7 +213,7 @@ def test_forces_beyond_what_mujoco_takes_end_a_run_alike_in_a_batch():
         alone = rollout(load(parameters=thin), push, 0.005)
         assert alone.status == "diverged" and re.search(reason, alone.message), alone.message
         environment = load(parameters=thin, batch=2)
-        drive(environment, push, 0.005, lambda instant: None)
+        simulate(environment, push, 0.005, lambda instant: None)
         np.testing.assert_array_equal(environment.physics.intact(), False)
         ended = environment.physics.diverged_at()
         assert all(f"t = {at:.6g} s" in alone.message for at in ended)

@@ -27,7 +27,7 @@ from octarm.disturbances.ledger import Ledger
 from octarm.disturbances.spelling import Acting, parse_disturbance
 from octarm.interfaces import Command, Controller, Measurement, Reference
 from octarm.simulation.environment import TrackingTask, load
-from octarm.simulation.rollout import drive, rollout
+from octarm.simulation.rollout import rollout, simulate
 
 P = nominal_parameters()
 ALL = [parse_disturbance(text) for text in SPELLINGS.values()]
@@ -137,7 +137,7 @@ def test_no_controller_can_reach_the_plant(name: str, listed: list[Disturbance],
     environment = load(disturbances=listed, batch=batch)
     law = make_controller(name, P.mismatched(-0.3))
     witness = Witness(law)
-    drive(environment, witness, 0.005, lambda instant: None)
+    simulate(environment, witness, 0.005, lambda instant: None)
     things = list(reachable([law, *witness.given]))
     assert len(witness.given) == 50
     for thing in things:
@@ -191,7 +191,7 @@ def test_writing_into_what_it_is_given_moves_nothing(listed: list[Disturbance], 
         environment = load(disturbances=listed, batch=batch, actuation="internal")
         vandal = Vandal(arrays)
         seen = rows[arrays] = []
-        drive(environment, vandal, 0.01, lambda instant, seen=seen: seen.append(instant.q))
+        simulate(environment, vandal, 0.01, lambda instant, seen=seen: seen.append(instant.q))
         assert vandal.wrote == 100
     np.testing.assert_array_equal(rows["views"], rows["none"])
     np.testing.assert_array_equal(rows["bases"], rows["none"])

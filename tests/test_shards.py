@@ -8,7 +8,7 @@ import pytest
 from controllers import CONTROLLERS, make_controller
 from octarm.metrics.table import METRICS
 from octarm.runs.digest import CHECKPOINTS, StateDigest
-from octarm.simulation.rollout import drive
+from octarm.simulation.rollout import simulate
 from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.shards import begin, run_arms, run_shard, schema
@@ -159,7 +159,7 @@ def test_the_digest_is_that_of_the_states_of_the_loop():
     plan = Plan(spec)
     environment, controller = begin(spec, plan.episode(0), FACTORY)
     digest = StateDigest(20)
-    drive(environment, controller, 0.01, lambda instant: digest.update(instant.q, instant.v))
+    simulate(environment, controller, 0.01, lambda instant: digest.update(instant.q, instant.v))
     row = run_shard(spec, 0, FACTORY).to_pylist()[0]
     assert row["digest"] == digest.result()[0][0]
     assert row["checkpoints"] == digest.result()[1][0].tolist()

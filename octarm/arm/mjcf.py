@@ -31,7 +31,7 @@ def model_path() -> Path:
     Raises:
         FileNotFoundError: if it is missing.
     """
-    package = Path(__file__).resolve().parent
+    package = Path(__file__).resolve().parent.parent
     for folder in (package.parent / "models", package / "models"):
         if (folder / "octarm.xml").is_file():
             return folder / "octarm.xml"

@@ -44,6 +44,18 @@ class Plant(NamedTuple):
     gravity_angle: Amount = 0.0
 
 
+class Event(NamedTuple):
+    """A moment at which a disturbance begins or ends.
+
+    Attributes:
+        at: when [s].
+        text: what begins, such as `payload 0.1`; empty when it ends.
+    """
+
+    at: float
+    text: str
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Episode:
     """All that a disturbance may know when an episode starts.
@@ -236,6 +248,22 @@ class Disturbance(abc.ABC):
         Raises:
             ValueError: if a field does not suit the arm, the batch or the timestep.
         """
+
+    def events(self) -> Sequence[Event]:
+        """The moments at which it begins and ends, to be marked in pictures; of one arm."""
+        return ()
+
+    def carried(self) -> tuple[float, float] | None:
+        """The mass that the tip carries and from when on [kg], [s], to be drawn; None if none."""
+        return None
+
+    def input_bound(self) -> Amount | None:
+        """Bound on |tau| to be drawn, broadcasts to (2N,) [N]; None if it sets none."""
+        return None
+
+    def gravity_angle(self) -> float:
+        """By how much it turns gravity, to be drawn [rad]."""
+        return 0.0
 
 
 class Force(Disturbance):

@@ -1,7 +1,7 @@
 """The only simulation loop: a controller against the arm.
 
-`drive` serves one arm and a batch, and keeps nothing; `stream` hands on the rows of one arm block
-by block, however long the run is; `rollout` returns them as a trajectory.
+`simulate` serves one arm and a batch, and keeps nothing; `stream` hands on the rows of one arm
+block by block, however long the run is; `rollout` returns them as a trajectory.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from __future__ import annotations
 import contextlib
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from dm_control.rl import control
 
 from octarm.arm.mjcf import coordinate_names
 from octarm.errors import OctarmError
-from octarm.interfaces import Command, Controller, Measurement, Reference
+from octarm.interfaces import Controller, Instant, Measurement, Reference
 from octarm.runs.archive import BLOCK, Ending
 from octarm.runs.interrupts import held_interrupts
 from octarm.simulation.batch import BatchPhysics
@@ -27,29 +27,7 @@ from octarm.simulation.trajectory import Trajectory
 _LARGEST_FORCE = 1e8  # [N], [N m]; MuJoCo would drop much larger ones
 
 
-class Instant(NamedTuple):
-    """One control instant: what was there, what was asked, and what acted until the next one.
-
-    Attributes:
-        measurement: what the controller was told.
-        reference: what was wanted.
-        command: what the controller answered.
-        q: true coordinates, shape (..., 2N) [m], [rad].
-        v: true velocities, shape (..., 2N) [m/s], [rad/s].
-        tau: input forces that were asked for, shape (..., 2N) [N].
-        disturbance: generalised force that was added, mean over the period, shape (..., 2N).
-    """
-
-    measurement: Measurement
-    reference: Reference
-    command: Command
-    q: np.ndarray
-    v: np.ndarray
-    tau: np.ndarray
-    disturbance: np.ndarray
-
-
-def drive(
+def simulate(
     environment: control.Environment,
     controller: Controller,
     duration: float,
@@ -180,7 +158,7 @@ def stream(
 
     status = ""
     try:
-        message = drive(environment, controller, duration, observe)
+        message = simulate(environment, controller, duration, observe)
     except KeyboardInterrupt:
         if not rows.count:
             raise

@@ -17,9 +17,9 @@ from octarm.disturbances.episode import Disturbance, field_kinds
 from octarm.disturbances.fields import Quantity
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.errors import OctarmError, closest
-from octarm.interfaces import Controller
+from octarm.interfaces import Controller, Instant
 from octarm.simulation.environment import load
-from octarm.simulation.rollout import Instant, drive
+from octarm.simulation.rollout import simulate
 from octarm.sweeps.margin import Outcome
 from octarm.sweeps.shards import Observer
 
@@ -197,7 +197,7 @@ class Trial:
         environment, controller = self._begin(np.zeros(2, dtype=int), np.array([0.0, 1.0]))
         period = environment.control_timestep()
         observer = Observer(environment, controller, period)
-        drive(environment, controller, period, observer)
+        simulate(environment, controller, period, observer)
         known = observer.metrics(diverged=np.zeros(2, dtype=bool))
         for bound in self.bounds:
             if bound.metric not in known:
@@ -223,7 +223,7 @@ class Trial:
             left -= period
             self.progress(arms * period)
 
-        drive(environment, controller, self.duration, observe)
+        simulate(environment, controller, self.duration, observe)
         self.progress(arms * left)  # what was not needed as all arms diverged
         diverged = ~np.isnan(environment.physics.diverged_at())
         measures = observer.metrics(diverged)

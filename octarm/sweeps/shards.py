@@ -13,12 +13,12 @@ from dm_control.rl import control
 
 from octarm.arm.mjcf import coordinate_names, nominal_parameters
 from octarm.arm.parameters import ArmParameters
-from octarm.interfaces import Controller
+from octarm.interfaces import Controller, Instant
 from octarm.metrics.table import METRICS, Block, Metrics
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.versions import host, versions
 from octarm.simulation.environment import AnyPhysics, load, whole_periods
-from octarm.simulation.rollout import Instant, drive
+from octarm.simulation.rollout import simulate
 from octarm.sweeps.plan import Arms, Plan
 from octarm.sweeps.spec import Axis, SweepSpec
 
@@ -62,7 +62,7 @@ def run_arms(plan: Plan, arms: Arms, factory: Factory, duration: float | None = 
     environment, controller = begin(plan.spec, arms, factory)
     length = plan.spec.duration if duration is None else duration
     observer = Observer(environment, controller, length)
-    message = drive(environment, controller, length, observer)
+    message = simulate(environment, controller, length, observer)
     diverged_at = _diverged_at(environment.physics, message)
     measured = observer.metrics(diverged=~np.isnan(diverged_at))
     digest, checkpoints = observer.digest.result()
@@ -138,7 +138,7 @@ class Observer:
     def __init__(
         self, environment: control.Environment, controller: Controller, duration: float
     ) -> None:
-        """An observer of a run of so many seconds, for `drive`."""
+        """An observer of a run of so many seconds, for `simulate`."""
         self._physics: AnyPhysics = environment.physics
         period = environment.control_timestep()
         self.digest = StateDigest(whole_periods(duration, period))

@@ -41,13 +41,13 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arrays import split
 from octarm.disturbances.actuators import Saturation
 from octarm.disturbances.forces import BandLimitedNoise
-from octarm.interfaces import Controller, Motion, Reference
+from octarm.interfaces import Controller, Instant, Motion, Reference
 from octarm.metrics.chattering import Chattering
 from octarm.metrics.tracking import TrackingError
 from octarm.references import named_reference
 from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.environment import load
-from octarm.simulation.rollout import Instant, drive
+from octarm.simulation.rollout import simulate
 
 # Nominal model and gains to controller; gains that are not given are the hand-set ones.
 Factory = Callable[[ArmParameters, Mapping[str, npt.ArrayLike]], Controller]
@@ -172,7 +172,7 @@ def costs(
     nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
     gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}
     observer = _Observer(trial, environment.control_timestep(), environment.physics, progress)
-    drive(environment, factory(nominal, gains), trial.duration, observer)
+    simulate(environment, factory(nominal, gains), trial.duration, observer)
     return observer.costs(true).reshape(n, len(scenarios))
 
 

@@ -21,10 +21,10 @@ from dm_control.rl import control
 import octarm
 from benchmarks.figures import Row, Settings, clocks
 from controllers import make_controller
-from octarm.interfaces import Measurement, Reference
+from octarm.interfaces import Instant, Measurement, Reference
 from octarm.metrics.blocks import SETTLED_AFTER, Block
 from octarm.metrics.table import Metrics
-from octarm.simulation.rollout import Instant, drive
+from octarm.simulation.rollout import simulate
 from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.shards import Observer, begin, run_arms
@@ -140,7 +140,7 @@ def take_turns(name: str, arms: int, seconds: float, rival: Rival) -> Turns:
         begun = clocks()
 
     try:
-        drive(environment, controller, DURATION, observe)
+        simulate(environment, controller, DURATION, observe)
     except _TimeIsUp:
         pass
     return Turns(np.array(sweep[1:]), np.array(others[1:]))  # the first ones warm up

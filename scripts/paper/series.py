@@ -10,9 +10,10 @@ import numpy as np
 from octarm.arm.mjcf import nominal_parameters
 from octarm.disturbances.forces import BandLimitedNoise
 from octarm.files import whole_file
+from octarm.interfaces import Instant
 from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.environment import load, whole_periods
-from octarm.simulation.rollout import Instant, drive
+from octarm.simulation.rollout import simulate
 from paper.effort import Effort
 from paper.studies import BENDS, MODELS, NOISE, SEED, SLIDES, TIME, WRONG
 from paper.variants import PROPOSED, SIGN, SMC, UNGUARDED, Cast, Factory, Variant
@@ -132,7 +133,7 @@ def run(request: Request, factory: Factory) -> Series:
     controller = factory(request.variant.controller, nominal, request.variant.gains)
     period = environment.control_timestep()
     keeper = _Keeper(environment.physics, whole_periods(EVERY, period))
-    drive(environment, controller, request.duration, keeper)
+    simulate(environment, controller, request.duration, keeper)
     physics: BatchPhysics = environment.physics
     columns = {name: np.stack(rows) for name, rows in keeper.rows.items()}
     t = EVERY * np.arange(len(columns["q"]))

@@ -21,10 +21,10 @@ import numpy as np
 from octarm.arm.lagrange import inverse_dynamics, kinetic_energy
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
-from octarm.interfaces import Measurement, Reference
+from octarm.interfaces import Instant, Measurement, Reference
 from octarm.metrics.table import SETTLED_AFTER
 from octarm.simulation.environment import load
-from octarm.simulation.rollout import Instant, drive
+from octarm.simulation.rollout import simulate
 from paper.effort import Effort
 from paper.studies import BENDS, MODELS, RATE
 from paper.variants import PROPOSED, SIGN, SMC, Cast, Factory, Variant, by_hand
@@ -102,7 +102,7 @@ def run(request: Request, factory: Factory) -> list[Outcome]:
     variant = request.variant
     controller = factory(variant.controller, nominal, variant.gains)
     keeper = _Keeper(true, nominal, np.asarray(variant.gains["lambda"]))
-    drive(environment, controller, request.duration, keeper)
+    simulate(environment, controller, request.duration, keeper)
     history = {name: np.stack(rows) for name, rows in keeper.rows.items()}
     lost = ~environment.physics.intact()
     with np.errstate(all="ignore"):

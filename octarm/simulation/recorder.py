@@ -1,0 +1,100 @@
+"""The one recorder: named fields of control instants, copied into blocks of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+
+import numpy as np
+
+from octarm.errors import OctarmError
+from octarm.interfaces import Instant, Rows
+
+# Of a coordinate array. A few instants at a time are faster than one by one: the physics between
+# two of them leaves the processor's caches cold.
+NUMBERS_A_BLOCK = 50_000
+
+
+class Recorder:
+    """Copies fields of every `stride`-th instant, and hands each full block of rows on.
+
+    The rows of one block of a batch are contiguous along the arms. Their memory is used again for
+    the next block, so whoever keeps rows copies them.
+
+    Attributes:
+        count: number of rows so far, those included that were handed on.
+    """
+
+    def __init__(
+        self,
+        hand_on: Callable[[Rows], object],
+        *,
+        rows: int | None = None,
+        fields: Collection[str] | None = None,
+        stride: int = 1,
+    ) -> None:
+        """A recorder for `simulate`, empty.
+
+        Args:
+            hand_on: called with each block of rows, see `octarm.interfaces.Rows`.
+            rows: number of rows of a block; as many as suit the processor's caches if None.
+            fields: names of those that are recorded, of which a controller need not have all; all
+                that there are if None.
+            stride: records the instants 0, stride, 2 stride and so on.
+        """
+        self._hand_on, self._rows, self._fields, self._stride = hand_on, rows, fields, stride
+        self._columns: dict[str, np.ndarray] = {}
+        self._instants = self._used = self.count = 0
+
+    def __call__(self, instant: Instant) -> None:
+        """Takes a control instant; a row that is interrupted does not count."""
+        due = self._instants % self._stride == 0
+        self._instants += 1
+        if not due:
+            return
+        row = self.row(instant)
+        if not self._columns:
+            size = self._rows or max(1, NUMBERS_A_BLOCK // instant.q.size)
+            self._columns = {name: _stacked(np.asarray(x), size) for name, x in row.items()}
+        for name, column in self._columns.items():
+            column[self._used] = row[name]
+        self._used, self.count = self._used + 1, self.count + 1
+        if self._used == len(next(iter(self._columns.values()))):
+            self.flush()
+
+    def flush(self) -> None:
+        """Hands on the rows that have not been handed on yet, if there are any."""
+        if self._used:
+            rows = {name: column[: self._used] for name, column in self._columns.items()}
+            self._used = 0
+            self._hand_on(rows)
+
+    def row(self, instant: Instant) -> dict[str, np.ndarray]:
+        """The recorded fields of one instant, each of shape (...).
+
+        Raises:
+            OctarmError: if a signal has the name of another field.
+        """
+        batched = instant.q.ndim > 1  # a reference may be the same for all arms
+        q_d, v_d = instant.reference.q, instant.reference.v
+        row = {
+            "t": np.asarray(instant.measurement.t),
+            "q": instant.q,
+            "v": instant.v,
+            "q_d": np.atleast_2d(q_d) if batched else q_d,
+            "v_d": np.atleast_2d(v_d) if batched else v_d,
+            "tau": instant.tau,
+            "force": instant.command.force,
+            "disturbance": instant.disturbance,
+        }
+        for name, signal in instant.command.signals.items():
+            if name in row:
+                raise OctarmError(f"a signal cannot be called {name!r}: the record has that field")
+            row[name] = signal
+        fields = self._fields
+        return row if fields is None else {k: x for k, x in row.items() if k in fields}
+
+
+def _stacked(row: np.ndarray, count: int) -> np.ndarray:
+    """Memory for rows like this one, each contiguous along the arms, shape (count, ...)."""
+    backwards = np.empty((count, *row.shape[::-1]), dtype=row.dtype)
+    return backwards.transpose(0, *range(row.ndim, 0, -1))
