@@ -24,6 +24,10 @@ class OctarmError(ValueError):
     """
 
 
+class FileError(OctarmError, OSError):
+    """A file or folder that cannot be read or written; the sentence names it."""
+
+
 def closest(word: str, known: Iterable[str]) -> str:
     """The end of an error sentence: what a misspelt word may have meant, and all known ones."""
     known = list(known)
