@@ -79,7 +79,7 @@ class IntegralSlidingMode(SlidingGains):
             v_r=measurement.v - s,
             a_r=reference.a - 2.0 * self.lambda_ * e_dot - self.lambda_ * self.lambda_ * e,
         )
-        force, signals = self._command(measurement, surface, saturation(s, self.phi))
+        force, signals, _ = self._command(measurement, surface, saturation(s, self.phi))
         dt = 0.0 if state is None else elapsed(state.t, measurement.t)
         advanced = IntegralState(measurement.t, integral + e * dt)
         return Command(force, {**signals, "integral": integral}), advanced

@@ -575,7 +575,7 @@ def test_another_process_gives_the_same_run():
     texts = list(SPELLINGS.values())
     program = (
         "from octarm import load, rollout\n"
-        "from octarm.disturbances import parse_disturbance\n"
+        "from octarm.disturbances.spelling import parse_disturbance\n"
         "from octarm.arm.mjcf import nominal_parameters\n"
         "from controllers import make_controller\n"
         f"listed = [parse_disturbance(text) for text in {texts!r}]\n"

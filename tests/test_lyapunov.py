@@ -19,11 +19,9 @@ from controllers import (
     IntegralSlidingMode,
     SlidingMode,
     SuperTwisting,
-    adaptive_ledger,
-    lyapunov,
     make_controller,
-    misprints,
 )
+from controllers.proofs import adaptive_ledger, lyapunov, misprints
 from controllers.proofs.ledger import ledger
 from octarm.arm import lagrange
 from octarm.arm.mjcf import nominal_parameters
@@ -42,7 +40,7 @@ def draw(states: int = 500, arm=P):
 
 @pytest.fixture
 def without_a_run(monkeypatch):
-    monkeypatch.setattr("controllers.ledger.along_a_run", lambda *_: ())
+    monkeypatch.setattr("controllers.proofs.ledger.along_a_run", lambda *_: ())
 
 
 # ------------------------------------------------------------------------------- the ledger

@@ -85,7 +85,7 @@ def test_what_is_asked_for_is_what_is_written():
 def wall(monkeypatch: pytest.MonkeyPatch) -> type:
     """The README's disturbance, in the table of all."""
     (code,) = (code for code in PYTHON if "(Force)" in code)
-    scope: dict[str, Any] = {"__name__": "octarm.effects.wall"}
+    scope: dict[str, Any] = {"__name__": "octarm.disturbances.wall"}
     exec(compile(code, "README.md", "exec"), scope)
     monkeypatch.setitem(DISTURBANCES, "wall", scope["Wall"])
     return scope["Wall"]
