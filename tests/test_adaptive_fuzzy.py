@@ -2,7 +2,6 @@
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false
 # (gains are fields of the classes behind the Controller protocol)
 
-import os
 from typing import Any, NamedTuple
 
 import mujoco
@@ -364,12 +363,7 @@ def least_trend(values: np.ndarray) -> np.ndarray:
     return slope - stats.t.ppf(1.0 - 0.025 / values[0].size, freedom) * spread
 
 
-LONG = pytest.mark.skipif(
-    "OCTARM_LONG_TESTS" not in os.environ, reason="takes a minute; set OCTARM_LONG_TESTS to run it"
-)
-
-
-@pytest.mark.parametrize("seconds", [12, pytest.param(120, marks=LONG)])
+@pytest.mark.parametrize("seconds", [12, pytest.param(120, marks=pytest.mark.slow)])
 def test_a_disturbed_arm_stays_within_bounds_and_gets_no_worse(seconds: int):
     controller = hand_set("afsmc", WRONG)
     run = disturbed(controller, seconds)
