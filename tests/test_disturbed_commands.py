@@ -10,7 +10,8 @@ import pytest
 from test_disturbances import SPELLINGS
 
 from octarm.commands import cli
-from octarm.disturbances.episode import Disturbance, field_kinds
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.fields import field_kinds
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance, spelling
 from octarm.runs import folder as runs
 

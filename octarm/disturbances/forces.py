@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from octarm.arm.kinematics import tip_force
-from octarm.arrays import coordinate_names
-from octarm.disturbances.episode import Episode, Force
+from octarm.arrays import entry
+from octarm.disturbances.delivered import Measured
+from octarm.disturbances.episode import Episode, Event, Force
 from octarm.disturbances.fields import Amount, Quantity, Words
-from octarm.disturbances.streams import HeldNoise, in_steps
-from octarm.disturbances.waves import Box, Sine
-from octarm.errors import OctarmError, closest
+from octarm.disturbances.streams import NEVER, HeldNoise, in_steps
+from octarm.errors import OctarmError
 
 _TIP = {"tip-x": (1.0, 0.0), "tip-y": (0.0, 1.0)}  # directions in the base frame
 
-_COORDINATES = Words(
-    joined=("s1", "s2", "s3", "theta1", "theta2", "theta3"),
-    alone=("all",),
-    pattern=r"(s|theta)[1-9]\d*",
-)
-Size = Annotated[Amount, Quantity("N or N m")]
+Size = Annotated[Amount, Quantity("N or N m", usual=(0.0, 5.0))]
 Start = Annotated[Amount, Quantity("s", at_least=0.0)]
 Length = Annotated[Amount, Quantity("s", above=0.0, unbounded=True)]
-Place = Annotated[str, dataclasses.replace(_COORDINATES, alone=("all", *_TIP))]
+Place = Annotated[str, Words(alone=("all", *_TIP), coordinates=True)]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,43 +39,50 @@ class BandLimitedNoise(Force):
         on: `all`, or coordinates such as `s1+theta2`; no force acts on the others.
 
     Raises:
-        ValueError: if a value is out of range, or not exactly one of ratio and rms is given.
+        OctarmError: if a value is out of range, or not exactly one of ratio and rms is given.
     """
 
     name: ClassVar[str] = "noise"
-    ratio: Annotated[Amount | None, Quantity("1", at_least=0.0, each=True)] = None
+    units: ClassVar[Mapping[str, str]] = {"hold": "s", "corner": "Hz"}
+    ratio: Annotated[Amount | None, Quantity("1", at_least=0.0, each=True, usual=(0.0, 5.0))] = None
     correlation_time: Annotated[Amount, Quantity("s", above=0.0, key="time")] = 0.01
     rms: Annotated[Amount | None, Quantity("N or N m", at_least=0.0, each=True)] = None
-    on: Annotated[str, _COORDINATES] = "all"
+    on: Annotated[str, Words(alone=("all",), coordinates=True)] = "all"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if (self.ratio is None) == (self.rms is None):
             raise OctarmError("noise needs either a ratio or an rms, and not both")
 
-    def start(self, episode: Episode) -> _Noise:
+    def start(self, episode: Episode) -> HeldForce:
         """The noise of one episode.
 
         Raises:
-            ValueError: if a field does not suit the arm, the correlation time is shorter than a
+            OctarmError: if a field does not suit the arm, the correlation time is shorter than a
                 physics step, or it is to be a share of an input signal that does not vary.
         """
-        time = episode.per_arm("time of noise", self.correlation_time)
-        generators = episode.streams(self.name)
         held = HeldNoise(
-            generators, episode.coordinates, time, episode.timestep, episode.batch_shape
+            episode.streams(self.name),
+            episode.coordinates,
+            episode.value(self, "correlation_time"),
+            episode.timestep,
+            episode.batch_shape,
         )
-        return _Noise(held, np.asfortranarray(self._wanted(episode)))
+        return HeldForce(held, np.asfortranarray(self._wanted(episode)))
+
+    def delivered(self, measured: Measured) -> dict[str, Any]:
+        """The rms of each coordinate that was asked for and that was there, and the band."""
+        sizes = {"rms_asked": self._wanted(measured.episode)} | measured.signal.sizes()
+        return sizes | measured.signal.band() | {"unexplained": measured.unexplained}
 
     def _wanted(self, episode: Episode) -> np.ndarray:
         """The rms of each coordinate, shape (..., 2N) [N], [N m]."""
+        field = "rms" if self.ratio is None else "ratio"
+        value = np.where(episode.selected(self.on), episode.value(self, field), 0.0)
         if self.ratio is None:
-            rms = episode.per_coordinate("rms of noise", np.asarray(self.rms))
-            return np.where(_mask(self.on, episode), rms, 0.0)
-        ratio = episode.per_coordinate("ratio of noise", self.ratio)
-        ratio = np.where(_mask(self.on, episode), ratio, 0.0)
-        rms = ratio * episode.input_amplitude
-        if np.any(np.any(ratio > 0.0, axis=-1) & np.all(rms == 0.0, axis=-1)):
+            return value
+        rms = value * episode.input_amplitude
+        if np.any(np.any(value > 0.0, axis=-1) & np.all(rms == 0.0, axis=-1)):
             raise OctarmError(
                 "noise is a share of the input signal's amplitude, which is zero for this "
                 "reference; give an rms instead"
@@ -87,23 +90,20 @@ class BandLimitedNoise(Force):
         return rms
 
 
-class _Noise:
-    """Held normal numbers times their rms.
-
-    Attributes:
-        rms: of each coordinate's force, shape (..., 2N) [N], [N m].
-    """
+class HeldForce:
+    """Held normal numbers times their rms."""
 
     def __init__(self, held: HeldNoise, rms: np.ndarray) -> None:
-        self.rms = rms
-        self._held = held
+        """Noise with this rms of each coordinate, shape (..., 2N) [N], [N m]."""
+        self._held, self._rms = held, rms
         self._normal = self._force = np.empty(0)
 
     def __call__(self, step: int, q: np.ndarray) -> np.ndarray:
+        """The force over a step, shape (..., 2N) [N], [N m]."""
         del q
         normal = self._held(step)
         if normal is not self._normal:
-            self._normal, self._force = normal, _kept(self.rms * normal)
+            self._normal, self._force = normal, _kept(self._rms * normal)
         return self._force
 
 
@@ -123,10 +123,11 @@ class SineForce(Force):
             along an axis of the base frame, x along the hanging arm.
 
     Raises:
-        ValueError: if a value is out of range, or `on` is unknown.
+        OctarmError: if a value is out of range, or `on` is unknown.
     """
 
     name: ClassVar[str] = "sine"
+    units: ClassVar[Mapping[str, str]] = {"frequency": "Hz"}
     amplitude: Size
     frequency: Annotated[Amount, Quantity("Hz", above=0.0)] = 1.0
     phase: Annotated[Amount, Quantity("rad")] = 0.0
@@ -134,11 +135,11 @@ class SineForce(Force):
     length: Length = np.inf
     on: Place = "theta1"
 
-    def start(self, episode: Episode) -> _Push:
+    def start(self, episode: Episode) -> PushOnPlace:
         """The force of one episode.
 
         Raises:
-            ValueError: if a field does not suit the arm, or the physics step is too long for the
+            OctarmError: if a field does not suit the arm, or the physics step is too long for the
                 frequency.
         """
         highest, half_rate = float(np.max(self.frequency)), 0.5 / episode.timestep
@@ -147,13 +148,19 @@ class SineForce(Force):
                 f"frequency of sine is {highest:g} Hz; it must be below half of the physics rate, "
                 f"{half_rate:g} Hz"
             )
-        box = _box(self, self.length, episode)
-        frequency, phase, at = (
-            episode.per_arm(f"{name} of sine", getattr(self, name))
-            for name in ("frequency", "phase", "at")
-        )
-        wave = Sine(box, 2.0 * np.pi * frequency, phase, at, episode.timestep)
-        return _Push(wave, self.on, episode)
+        box = _box(self, episode.value(self, "length"), episode)
+        frequency, phase, at = (episode.value(self, n) for n in ("frequency", "phase", "at"))
+        wave = _Sine(box, 2.0 * np.pi * frequency, phase, at, episode.timestep)
+        return PushOnPlace(wave, self.on, episode)
+
+    def delivered(self, measured: Measured) -> dict[str, Any]:
+        """How strong it was, its frequency and how pure it was."""
+        sizes = measured.signal.sizes() | measured.signal.line()
+        return sizes | {"unexplained": measured.unexplained}
+
+    def events(self) -> Sequence[Event]:
+        """When it begins and ends."""
+        return self._span(self.at, self.length)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -170,7 +177,7 @@ class PulseForce(Force):
         on: as for `SineForce`.
 
     Raises:
-        ValueError: if a value is out of range, or `on` is unknown.
+        OctarmError: if a value is out of range, or `on` is unknown.
     """
 
     name: ClassVar[str] = "pulse"
@@ -179,13 +186,13 @@ class PulseForce(Force):
     length: Length = 0.1
     on: Place = "theta1"
 
-    def start(self, episode: Episode) -> _Push:
-        """The force of one episode.
+    def start(self, episode: Episode) -> PushOnPlace:
+        """The force of one episode."""
+        return PushOnPlace(_box(self, episode.value(self, "length"), episode), self.on, episode)
 
-        Raises:
-            ValueError: if a field does not suit the arm.
-        """
-        return _Push(_box(self, self.length, episode), self.on, episode)
+    def events(self) -> Sequence[Event]:
+        """When it begins and ends."""
+        return self._span(self.at, self.length)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -198,7 +205,7 @@ class StepForce(Force):
         on: as for `SineForce`.
 
     Raises:
-        ValueError: if a value is out of range, or `on` is unknown.
+        OctarmError: if a value is out of range, or `on` is unknown.
     """
 
     name: ClassVar[str] = "step"
@@ -206,55 +213,90 @@ class StepForce(Force):
     at: Start = 0.0
     on: Place = "theta1"
 
-    def start(self, episode: Episode) -> _Push:
-        """The force of one episode.
+    def start(self, episode: Episode) -> PushOnPlace:
+        """The force of one episode."""
+        return PushOnPlace(_box(self, np.inf, episode), self.on, episode)
 
-        Raises:
-            ValueError: if a field does not suit the arm.
-        """
-        return _Push(_box(self, np.inf, episode), self.on, episode)
+    def events(self) -> Sequence[Event]:
+        """When it begins."""
+        return self._span(self.at)
 
 
-class _Push:
+class PushOnPlace:
     """A force of changing size on coordinates or on the tip."""
 
-    def __init__(self, size: Box | Sine, on: str, episode: Episode) -> None:
+    def __init__(self, size: Callable[[int], Amount], on: str, episode: Episode) -> None:
+        """A force whose size at a step has shape () or (n,) [N], [N m]."""
         self._size = size
         self._tip = _TIP.get(on)
-        self._mask = None if on in _TIP else np.flatnonzero(_mask(on, episode)).tolist()
+        self._places = None if on in _TIP else np.flatnonzero(episode.selected(on)).tolist()
         self._shape = (*episode.batch_shape, episode.coordinates)
         self._last: Amount | None = None
         self._force = np.empty(0)
 
     def __call__(self, step: int, q: np.ndarray) -> np.ndarray:
+        """The force over a step, shape (..., 2N) [N], [N m]."""
         size = self._size(step)
         if self._tip is not None:
             return tip_force(q, size * self._tip[0], size * self._tip[1])
         if size is not self._last:
             force = np.zeros(self._shape, order="F")
-            force[..., self._mask] = np.asarray(size)[..., None]
+            force[..., self._places] = np.asarray(size)[..., None]
             self._last, self._force = size, _kept(force)
         return self._force
 
 
-def _box(force: SineForce | PulseForce | StepForce, length: Amount, episode: Episode) -> Box:
+class _Box:
+    """A height during a span of time, and 0 outside; constant between a few steps.
+
+    A step that lies in the span in part has that part of the height.
+    """
+
+    def __init__(self, height: Amount, begin: np.ndarray, end: np.ndarray) -> None:
+        """A height of shape () or (n,), from `begin` to `end`, shapes () or (n,) [steps]."""
+        self._height, self._begin, self._end = height, begin, end
+        ends = np.minimum(np.concatenate([np.zeros(1), np.ravel(begin), np.ravel(end)]), NEVER)
+        self._edges = np.unique(np.concatenate([np.floor(ends), np.ceil(ends)]).astype(np.int64))
+        self._from, self._until, self._size = 0, 0, 0.0
+
+    def __call__(self, step: int) -> Amount:
+        """The mean size over a step, of shape () or (n,); one object as long as it stays."""
+        if not self._from <= step < self._until:
+            place = int(np.searchsorted(self._edges, step, side="right"))
+            self._from = int(self._edges[place - 1])
+            self._until = int(self._edges[place]) if place < len(self._edges) else NEVER
+            ended, begun = (np.clip(x - step, 0.0, 1.0) for x in (self._end, self._begin))
+            self._size = entry((ended - begun) * self._height + 0.0)  # 0.0 rather than -0.0
+        return self._size
+
+
+@dataclasses.dataclass(frozen=True)
+class _Sine:
+    """A box times sin(omega (t - at) + phase) with t the time at which a step begins.
+
+    All but the box have shape () or (n,): omega [rad/s], phase [rad], at [s].
+    """
+
+    box: _Box
+    omega: Amount
+    phase: Amount
+    at: Amount
+    timestep: float
+
+    def __call__(self, step: int) -> Amount:
+        """The size at the beginning of a step, of shape () or (n,)."""
+        amplitude = self.box(step)
+        if isinstance(amplitude, float) and amplitude == 0.0:
+            return amplitude
+        angle = self.omega * (step * self.timestep - self.at) + self.phase
+        return entry(amplitude * np.sin(angle) + 0.0)
+
+
+def _box(force: SineForce | PulseForce | StepForce, length: Amount, episode: Episode) -> _Box:
     """The force's amplitude from its beginning on, for a while."""
-    amplitude, at, length = (
-        episode.per_arm(f"{name} of {force.name}", value)
-        for name, value in (("amplitude", force.amplitude), ("at", force.at), ("length", length))
-    )
+    amplitude, at = episode.value(force, "amplitude"), episode.value(force, "at")
     begin, end = in_steps(at, episode.timestep), in_steps(at + length, episode.timestep)
-    return Box(amplitude, begin, end)
-
-
-def _mask(on: str, episode: Episode) -> np.ndarray:
-    """Which coordinates a force acts on, shape (2N,)."""
-    known = coordinate_names(episode.parameters.modules)
-    wanted = known if on == "all" else on.split("+")
-    for name in wanted:
-        if name not in known:
-            raise OctarmError(f"unknown coordinate {name!r}{closest(name, known)}")
-    return np.array([name in wanted for name in known])
+    return _Box(amplitude, begin, end)
 
 
 def _kept(force: np.ndarray) -> np.ndarray:

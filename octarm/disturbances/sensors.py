@@ -9,14 +9,15 @@ noise and resolution are `rate` times those of the coordinate.
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, ClassVar
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from octarm.disturbances.delays import DelayLine
-from octarm.disturbances.episode import Episode, SensorFault
+from octarm.disturbances.delivered import Measured
+from octarm.disturbances.episode import Episode, SensorFault, SensorProcess
 from octarm.disturbances.fields import Amount, Quantity
-from octarm.disturbances.streams import HeldNoise
+from octarm.disturbances.streams import DelayLine, HeldNoise
 
 Rate = Annotated[Amount, Quantity("1/s", at_least=0.0)]
 
@@ -35,33 +36,30 @@ class MeasurementDelay(SensorFault):
     """
 
     name: ClassVar[str] = "measurement-delay"
-    delay: Annotated[Amount, Quantity("s", at_least=0.0, at_most=10.0)]
+    instead_of_two: ClassVar[str] = "give the sum of both delays"
+    units: ClassVar[Mapping[str, str]] = {"delay": "s"}
+    delay: Annotated[Amount, Quantity("s", at_least=0.0, at_most=10.0, usual=(0.0, 0.05))]
 
-    def start(self, episode: Episode) -> _MeasurementDelay:
-        """The delay in one episode; its attribute `delay` is what it really is.
+    def start(self, episode: Episode) -> LateReadings:
+        """The delay in one episode; its attribute `delay` is what it really is."""
+        return LateReadings(episode.value(self, "delay"), episode.timestep, episode.batch_shape)
 
-        Raises:
-            ValueError: if the delay does not suit the batch.
-        """
-        return _MeasurementDelay(DelayLine("delay of measurement-delay", self.delay, episode))
+    def delivered(self, measured: Measured) -> dict[str, Any]:
+        """How far the readings were from the truth, and how late."""
+        return measured.signal.sizes() | {"delay": measured.signal.delay()}
 
 
-class _MeasurementDelay:
-    """The motion of a while ago.
-
-    Attributes:
-        delay: of each arm, whole physics steps, shape (...) [s].
-    """
-
-    def __init__(self, line: DelayLine) -> None:
-        self.delay, self._line = line.delay, line
+class LateReadings(DelayLine):
+    """The motion of a while ago."""
 
     def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
-        self._line.put(step, q, v)
+        """Keeps the true motion after a step, shapes (..., 2N)."""
+        self.put(step, q, v)
 
     def __call__(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What is read when a step begins, shapes (..., 2N), whatever q and v are by now."""
         del q, v
-        then_q, then_v = self._line.take(np.maximum(step - self._line.steps, 0))
+        then_q, then_v = self.take(np.maximum(step - self.steps, 0))
         return then_q, then_v
 
 
@@ -80,30 +78,33 @@ class MeasurementNoise(SensorFault):
     """
 
     name: ClassVar[str] = "measurement-noise"
-    rms: Annotated[Amount, Quantity("1", at_least=0.0, each=True)]
+    rms: Annotated[Amount, Quantity("1", at_least=0.0, each=True, usual=(0.0, 0.05))]
     rate: Rate = 100.0
     correlation_time: Annotated[Amount, Quantity("s", above=0.0, key="time")] = 0.001
 
-    def start(self, episode: Episode) -> _MeasurementNoise:
-        """The noise of one episode; `rms_q` and `rms_v` are its rms in SI units.
+    def start(self, episode: Episode) -> Noisy:
+        """The noise of one episode.
 
         Raises:
-            ValueError: if a field does not suit the arm, or the correlation time is shorter than a
-                physics step.
+            OctarmError: if a field does not suit the arm, or the correlation time is shorter than
+                a physics step.
         """
-        rms_q, rms_v = _scaled("rms", self.rms, self.rate, self.name, episode)
-        time = episode.per_arm("time of measurement-noise", self.correlation_time)
         held = HeldNoise(
             episode.streams(self.name),
             2 * episode.coordinates,
-            time,
+            episode.value(self, "correlation_time"),
             episode.timestep,
             episode.batch_shape,
         )
-        return _MeasurementNoise(held, rms_q, rms_v)
+        return Noisy(held, *_scaled(self, "rms", episode))
+
+    def delivered(self, measured: Measured) -> dict[str, Any]:
+        """The rms that was asked for, of q and then of v, and how much the readings changed."""
+        rms = np.concatenate(_scaled(self, "rms", measured.episode))
+        return {"rms_asked": rms} | measured.signal.sizes()
 
 
-class _MeasurementNoise:
+class Noisy(SensorProcess):
     """Held numbers times a scale, the first half of them on q and the second on v.
 
     Attributes:
@@ -112,14 +113,13 @@ class _MeasurementNoise:
     """
 
     def __init__(self, held: HeldNoise, rms_q: np.ndarray, rms_v: np.ndarray) -> None:
+        """Noise of these rms, shapes (..., 2N)."""
         self.rms_q, self.rms_v = rms_q, rms_v
         self._held = held
         self._normal = self._on_q = self._on_v = np.empty(0)
 
-    def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
-        """Nothing is remembered."""
-
     def __call__(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The noisy readings, shapes (..., 2N)."""
         normal, n = self._held(step), q.shape[-1]
         if normal is not self._normal:
             self._normal = normal
@@ -141,20 +141,16 @@ class Quantisation(SensorFault):
     """
 
     name: ClassVar[str] = "quantisation"
-    resolution: Annotated[Amount, Quantity("1", at_least=0.0, each=True)]
+    resolution: Annotated[Amount, Quantity("1", at_least=0.0, each=True, usual=(0.0, 0.05))]
     rate: Rate = 100.0
 
-    def start(self, episode: Episode) -> _Quantisation:
-        """The rounding in one episode; `step_q` and `step_v` are its steps in SI units.
-
-        Raises:
-            ValueError: if a field does not suit the arm.
-        """
-        return _Quantisation(*_scaled("resolution", self.resolution, self.rate, self.name, episode))
+    def start(self, episode: Episode) -> Rounded:
+        """The rounding in one episode."""
+        return Rounded(*_scaled(self, "resolution", episode))
 
 
-class _Quantisation:
-    """Rounding to nearest.
+class Rounded(SensorProcess):
+    """Rounding to the nearest multiple of a step.
 
     Attributes:
         step_q: of the coordinates, shape (..., 2N) [m], [rad].
@@ -162,24 +158,21 @@ class _Quantisation:
     """
 
     def __init__(self, step_q: np.ndarray, step_v: np.ndarray) -> None:
+        """Rounding to these steps, shapes (..., 2N)."""
         self.step_q, self.step_v = (np.where(x > _FINEST, x, 0.0) for x in (step_q, step_v))
 
-    def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
-        """Nothing is remembered."""
-
     def __call__(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The rounded readings, shapes (..., 2N)."""
         del step
         return _rounded(q, self.step_q), _rounded(v, self.step_v)
 
 
 def _scaled(
-    name: str, share: Amount, rate: Amount, of: str, episode: Episode
+    fault: MeasurementNoise | Quantisation, field: str, episode: Episode
 ) -> tuple[np.ndarray, np.ndarray]:
     """What a share of the scale is on q and on v, shapes (..., 2N), contiguous along the arms."""
-    rest = episode.parameters.rest_length
-    scale = np.concatenate([rest, np.ones_like(rest)], axis=-1)
-    on_q = episode.per_coordinate(f"{name} of {of}", share) * scale
-    on_v = on_q * np.asarray(episode.per_arm(f"rate of {of}", rate))[..., None]
+    on_q = episode.value(fault, field) * episode.scale
+    on_v = on_q * np.asarray(episode.value(fault, "rate"))[..., None]
     return np.asfortranarray(on_q), np.asfortranarray(on_v)
 
 

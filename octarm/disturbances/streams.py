@@ -1,4 +1,4 @@
-"""Random streams by name, and the noise that is held between two draws.
+"""What depends on time: random streams by name, noise held between two draws, and delays.
 
 One `SeedSequence` belongs to one arm and one episode. Every stream is derived from it and from its
 own name, so that what one stream draws depends neither on the other streams nor on their order.
@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from octarm.arrays import Entry, entry
 from octarm.errors import OctarmError
 
 _BLOCK = 64  # holds an arm draws at once; the draws are the same for any number
@@ -28,8 +29,8 @@ def stream(seed: np.random.SeedSequence, name: str) -> np.random.Generator:
     digest = hashlib.sha256(name.encode()).digest()
     words = (int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4))
     key = (*seed.spawn_key, *words)
-    own = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
-    return np.random.Generator(np.random.PCG64(own))
+    derived = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
+    return np.random.Generator(np.random.PCG64(derived))
 
 
 def in_steps(time: np.ndarray | float, timestep: float) -> np.ndarray:
@@ -95,7 +96,7 @@ class HeldNoise:
             batch_shape: () for one arm, (n,) for a batch.
 
         Raises:
-            ValueError: if t_c is shorter than the timestep.
+            OctarmError: if t_c is shorter than the timestep.
         """
         least = float(np.min(correlation_time))
         if float(in_steps(least, timestep)) < 1.0:
@@ -118,7 +119,7 @@ class HeldNoise:
         """The numbers at a physics step, shape (..., width); read-only, one object a hold.
 
         Raises:
-            ValueError: if the step comes before one that was asked for earlier.
+            OctarmError: if the step comes before one that was asked for earlier.
         """
         if self._step <= step < self._next:
             return self._held
@@ -155,3 +156,38 @@ class HeldNoise:
                     generator.standard_normal(out=numbers)
                 self._draws[:, :, i] = numbers
         self._block = block
+
+
+class DelayLine:
+    """The last rows, as many as the longest delay takes; before the first row all are zero.
+
+    Attributes:
+        delay: of each arm, whole physics steps, shape (...) [s].
+        steps: the same in physics steps, shape (...) of integers.
+    """
+
+    delay: Entry
+    steps: np.ndarray
+
+    def __init__(self, delay: Entry, timestep: float, batch_shape: tuple[int, ...]) -> None:
+        """An empty line; the delay, shape () or the batch's [s], is rounded to whole steps."""
+        steps = np.rint(in_steps(delay, timestep)).astype(np.int64)
+        self.steps = np.broadcast_to(steps, batch_shape)
+        self.delay = entry(self.steps * timestep)
+        self._length = int(np.max(self.steps)) + 1
+        self._ring = np.empty(0)
+        self._place = np.empty(0, dtype=np.int64)
+
+    def put(self, step: int, *rows: np.ndarray) -> None:
+        """Keeps what belongs to a step: arrays of one shape (..., 2N), the same number always."""
+        if not self._ring.size:  # the arms' axis is last, so that it is contiguous
+            shape = (len(rows), *rows[0].T.shape)
+            self._ring = np.zeros_like(rows[0], shape=(self._length, *shape))
+            self._place = np.arange(math.prod(shape)).reshape(shape)
+        for kept, row in zip(self._ring[step % self._length], rows, strict=True):
+            kept[...] = row.T
+
+    def take(self, steps: np.ndarray) -> list[np.ndarray]:
+        """What was put at these steps, one an arm, shape (...): arrays of shape (..., 2N)."""
+        row = steps % self._length
+        return [kept.T for kept in self._ring.take(self._place + row * self._place.size)]

@@ -18,8 +18,8 @@ from octarm.arm.limits import Limits
 from octarm.arm.mjcf import PlantFields, build_model, paper_order
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Entry, split
+from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Plant
-from octarm.disturbances.spelling import Acting
 
 
 class BatchPhysics(control.Physics):
@@ -53,7 +53,7 @@ class BatchPhysics(control.Physics):
         self._undisturbed = own or ArmParameters.from_model(model)
         self.limits = Limits.of(self._undisturbed)
         self.actuation = actuation
-        self.acting: Acting | None = None
+        self.acting: ActiveDisturbances | None = None
         self._qpos_index, self._qvel_index = paper_order(model)
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._ctrl, self._added = self.batch.bind("ctrl"), self.batch.bind("qfrc_applied")
@@ -120,7 +120,7 @@ class BatchPhysics(control.Physics):
         """Holds the input forces tau, shape (n, 2N) [N], until the next call."""
         self._tau = control.copy(order="K")
 
-    def begin(self, acting: Acting) -> None:
+    def begin(self, acting: ActiveDisturbances) -> None:
         """Starts an episode under these disturbances, the arms standing where they were placed."""
         self.acting = acting
         self._change(acting)
@@ -218,7 +218,7 @@ class BatchPhysics(control.Physics):
                 self._disturbance += added
         self._ctrl[:] = self.actuation.tendon_forces(q, self._received)
 
-    def _change(self, acting: Acting) -> None:
+    def _change(self, acting: ActiveDisturbances) -> None:
         """Lets the plants follow their disturbances."""
         plant = acting.plant(self._steps)
         if plant is not None:

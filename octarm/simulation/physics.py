@@ -18,8 +18,8 @@ from octarm.arm.actuation import Actuation, GroundedActuation
 from octarm.arm.limits import Limits
 from octarm.arm.mjcf import PlantFields, coordinate_names, paper_order
 from octarm.arm.parameters import ArmParameters
+from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Plant
-from octarm.disturbances.spelling import Acting
 
 with warnings.catch_warnings():  # without a display, glfw complains although nothing is drawn
     warnings.simplefilter("ignore")
@@ -35,7 +35,7 @@ class ArmPhysics(dm_mujoco.Physics):
 
     actuation: Actuation
     limits: Limits
-    acting: Acting | None = None  # what disturbs this episode
+    acting: ActiveDisturbances | None = None  # what disturbs this episode
     # Called when an episode begins, and after every physics step.
     watch: Callable[[ArmPhysics], object] | None = None
 
@@ -141,7 +141,7 @@ class ArmPhysics(dm_mujoco.Physics):
         self._steps = 0
         self._intact = True
 
-    def begin(self, acting: Acting) -> None:
+    def begin(self, acting: ActiveDisturbances) -> None:
         """Starts an episode under these disturbances, the arm standing where it was placed."""
         self.acting = acting
         self._change(acting)
@@ -187,6 +187,12 @@ class ArmPhysics(dm_mujoco.Physics):
         """Generalised force that MuJoCo was given in the last physics step, shape (2N,)."""
         return self._added.take(self._qvel_index)
 
+    def plant(self) -> Plant:
+        """The arm as it is in MuJoCo's model: its parameters, and where gravity points."""
+        model = self.model.ptr
+        x, _, z = model.opt.gravity
+        return Plant(ArmParameters.from_model(model), np.arctan2(x, -z))
+
     def disturbance(self) -> np.ndarray:
         """Generalised force that was added, mean over the last `step`, shape (2N,) [N], [N m]."""
         return self._disturbance.copy()
@@ -222,7 +228,7 @@ class ArmPhysics(dm_mujoco.Physics):
                 self._disturbance += force / nstep
         self._ctrl[:] = self.actuation.tendon_forces(q, self._received)
 
-    def _change(self, acting: Acting) -> None:
+    def _change(self, acting: ActiveDisturbances) -> None:
         """Lets the plant follow its disturbances."""
         plant = acting.plant(self._steps)
         if plant is not None:

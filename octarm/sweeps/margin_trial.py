@@ -13,8 +13,8 @@ from dm_control.rl import control
 
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
-from octarm.disturbances.episode import Disturbance, field_kinds
-from octarm.disturbances.fields import Quantity
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.fields import Quantity, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.errors import OctarmError, closest
 from octarm.interfaces import Controller, Instant
