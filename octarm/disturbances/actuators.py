@@ -33,20 +33,19 @@ class ActuationDelay(ActuatorFault):
     units: ClassVar[Mapping[str, str]] = {"delay": "s"}
     delay: Annotated[Amount, Quantity("s", at_least=0.0, at_most=10.0, usual=(0.0, 0.05))]
 
-    def start(self, episode: Episode) -> LateInputs:
+    def start(self, episode: Episode) -> _LateInputs:
         """The delay in one episode; its attribute `delay` is what it really is."""
-        return LateInputs(episode.value(self, "delay"), episode.timestep, episode.batch_shape)
+        return _LateInputs(episode.value(self, "delay"), episode.timestep, episode.batch_shape)
 
     def delivered(self, measured: Measured) -> dict[str, Any]:
         """How large the inputs were, and how late."""
         return measured.signal.sizes() | {"delay": measured.signal.delay()}
 
 
-class LateInputs(DelayLine):
+class _LateInputs(DelayLine):
     """The input forces of a while ago."""
 
     def __call__(self, step: int, tau: np.ndarray) -> np.ndarray:
-        """Those that arrive at a step, given those that are asked for, shape (..., 2N) [N]."""
         self.put(step, tau)
         (late,) = self.take(step - self.steps)
         return late
@@ -184,7 +183,7 @@ class LossOfEffectiveness(ActuatorFault):
 
     def events(self) -> Sequence[Event]:
         """When it is lost."""
-        return self._span(self.at)
+        return self.span(self.at)
 
 
 def _weakened(kept: np.ndarray, onset: np.ndarray, step: int, tau: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arrays import coordinate_names
 from octarm.disturbances.delivered import Measured
 from octarm.disturbances.fields import Amount, Quantity, field_defaults, field_kinds
-from octarm.disturbances.streams import stream
+from octarm.disturbances.streams import HeldNoise, stream
 from octarm.errors import OctarmError, closest
 from octarm.interfaces import Motion
 
@@ -132,6 +132,15 @@ class Episode:
         """The random streams of this name, one for each arm; see `stream`."""
         name = numbered(name, self.occurrence)
         return [stream(seed, name) for seed in self._seeds]
+
+    def noise(self, disturbance: Disturbance, scale: np.ndarray) -> HeldNoise:
+        """Noise of a disturbance with a field `correlation_time`, times a scale, shape (..., k).
+
+        Raises:
+            OctarmError: if the correlation time is shorter than a physics step.
+        """
+        time = self.value(disturbance, "correlation_time")
+        return HeldNoise(self.streams(disturbance.name), scale, time, self.timestep)
 
     def value(self, disturbance: Disturbance, field: str) -> Amount:
         """A field of numbers for the arms of this episode.
@@ -252,7 +261,7 @@ class Disturbance(abc.ABC):
         """By how much it turns gravity, to be drawn [rad]."""
         return 0.0
 
-    def _span(self, at: Amount, length: Amount = np.inf) -> list[Event]:
+    def span(self, at: Amount, length: Amount = np.inf) -> list[Event]:
         """The events of a beginning and, unless the length [s] is infinite, of an end."""
         if np.ndim(at) or np.ndim(length):
             return []

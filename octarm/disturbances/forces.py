@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, ClassVar
 
@@ -11,7 +12,7 @@ import numpy as np
 from octarm.arm.kinematics import tip_force
 from octarm.arrays import entry
 from octarm.disturbances.delivered import Measured
-from octarm.disturbances.episode import Episode, Event, Force
+from octarm.disturbances.episode import Episode, Event, Force, ForceProcess
 from octarm.disturbances.fields import Amount, Quantity, Words
 from octarm.disturbances.streams import NEVER, HeldNoise, in_steps
 from octarm.errors import OctarmError
@@ -26,11 +27,11 @@ Place = Annotated[str, Words(alone=("all", *_TIP), coordinates=True)]
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class BandLimitedNoise(Force):
-    """Band-limited white noise on the joints: normal numbers, each held for a while.
+    """Band-limited white noise on the joints, a ratio of the input amplitude or of a given rms.
 
-    The rms of each coordinate's force is `ratio` times the amplitude of its input signal, see
-    `Episode.input_amplitude`, or `rms` itself. The spectrum is flat at first and has lost half of
-    its density at 0.443 / correlation_time.
+    Normal numbers, each held for a while. The rms of each coordinate's force is `ratio` times the
+    amplitude of its input signal, see `Episode.input_amplitude`, or `rms` itself. The spectrum is
+    flat at first and has lost half of its density at 0.443 / correlation_time.
 
     Attributes:
         ratio: rms over input amplitude, broadcasts to shape (..., 2N) [1].
@@ -54,21 +55,14 @@ class BandLimitedNoise(Force):
         if (self.ratio is None) == (self.rms is None):
             raise OctarmError("noise needs either a ratio or an rms, and not both")
 
-    def start(self, episode: Episode) -> HeldForce:
+    def start(self, episode: Episode) -> ForceProcess:
         """The noise of one episode.
 
         Raises:
             OctarmError: if a field does not suit the arm, the correlation time is shorter than a
                 physics step, or it is to be a share of an input signal that does not vary.
         """
-        held = HeldNoise(
-            episode.streams(self.name),
-            episode.coordinates,
-            episode.value(self, "correlation_time"),
-            episode.timestep,
-            episode.batch_shape,
-        )
-        return HeldForce(held, np.asfortranarray(self._wanted(episode)))
+        return functools.partial(_held, episode.noise(self, self._wanted(episode)))
 
     def delivered(self, measured: Measured) -> dict[str, Any]:
         """The rms of each coordinate that was asked for and that was there, and the band."""
@@ -90,26 +84,14 @@ class BandLimitedNoise(Force):
         return rms
 
 
-class HeldForce:
-    """Held normal numbers times their rms."""
-
-    def __init__(self, held: HeldNoise, rms: np.ndarray) -> None:
-        """Noise with this rms of each coordinate, shape (..., 2N) [N], [N m]."""
-        self._held, self._rms = held, rms
-        self._normal = self._force = np.empty(0)
-
-    def __call__(self, step: int, q: np.ndarray) -> np.ndarray:
-        """The force over a step, shape (..., 2N) [N], [N m]."""
-        del q
-        normal = self._held(step)
-        if normal is not self._normal:
-            self._normal, self._force = normal, _kept(self._rms * normal)
-        return self._force
+def _held(noise: HeldNoise, step: int, q: np.ndarray) -> np.ndarray:
+    del q
+    return noise(step)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class SineForce(Force):
-    """A sine, amplitude sin(2 pi frequency (t - at) + phase), from the time `at` on.
+    """A sine on joints or tip, amplitude sin(2 pi frequency (t - at) + phase).
 
     Over a physics step it is what it is at its start.
 
@@ -121,9 +103,6 @@ class SineForce(Force):
         length: for how long, may be infinite, shape (...) [s].
         on: coordinates such as `theta1` or `s1+s2`, `all`, or `tip-x`, `tip-y`, a force on the tip
             along an axis of the base frame, x along the hanging arm.
-
-    Raises:
-        OctarmError: if a value is out of range, or `on` is unknown.
     """
 
     name: ClassVar[str] = "sine"
@@ -135,7 +114,7 @@ class SineForce(Force):
     length: Length = np.inf
     on: Place = "theta1"
 
-    def start(self, episode: Episode) -> PushOnPlace:
+    def start(self, episode: Episode) -> _Push:
         """The force of one episode.
 
         Raises:
@@ -151,7 +130,7 @@ class SineForce(Force):
         box = _box(self, episode.value(self, "length"), episode)
         frequency, phase, at = (episode.value(self, n) for n in ("frequency", "phase", "at"))
         wave = _Sine(box, 2.0 * np.pi * frequency, phase, at, episode.timestep)
-        return PushOnPlace(wave, self.on, episode)
+        return _Push(wave, self.on, episode)
 
     def delivered(self, measured: Measured) -> dict[str, Any]:
         """How strong it was, its frequency and how pure it was."""
@@ -160,12 +139,12 @@ class SineForce(Force):
 
     def events(self) -> Sequence[Event]:
         """When it begins and ends."""
-        return self._span(self.at, self.length)
+        return self.span(self.at, self.length)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class PulseForce(Force):
-    """A constant force from the time `at` on, for a while.
+    """A constant force on joints or tip from the time `at` on, for a while.
 
     A physics step that it covers in part gets that part of the force, so that the impulse is
     amplitude times length for any timestep.
@@ -175,9 +154,6 @@ class PulseForce(Force):
         at: when it begins, shape (...) [s].
         length: for how long, may be infinite, shape (...) [s].
         on: as for `SineForce`.
-
-    Raises:
-        OctarmError: if a value is out of range, or `on` is unknown.
     """
 
     name: ClassVar[str] = "pulse"
@@ -186,26 +162,23 @@ class PulseForce(Force):
     length: Length = 0.1
     on: Place = "theta1"
 
-    def start(self, episode: Episode) -> PushOnPlace:
+    def start(self, episode: Episode) -> _Push:
         """The force of one episode."""
-        return PushOnPlace(_box(self, episode.value(self, "length"), episode), self.on, episode)
+        return _Push(_box(self, episode.value(self, "length"), episode), self.on, episode)
 
     def events(self) -> Sequence[Event]:
         """When it begins and ends."""
-        return self._span(self.at, self.length)
+        return self.span(self.at, self.length)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class StepForce(Force):
-    """A constant force from the time `at` on, to the end.
+    """A constant force on joints or tip from the time `at` on, to the end.
 
     Attributes:
         amplitude: shape (...) [N], or [N m] on a bend.
         at: when it begins, shape (...) [s].
         on: as for `SineForce`.
-
-    Raises:
-        OctarmError: if a value is out of range, or `on` is unknown.
     """
 
     name: ClassVar[str] = "step"
@@ -213,20 +186,19 @@ class StepForce(Force):
     at: Start = 0.0
     on: Place = "theta1"
 
-    def start(self, episode: Episode) -> PushOnPlace:
+    def start(self, episode: Episode) -> _Push:
         """The force of one episode."""
-        return PushOnPlace(_box(self, np.inf, episode), self.on, episode)
+        return _Push(_box(self, np.inf, episode), self.on, episode)
 
     def events(self) -> Sequence[Event]:
         """When it begins."""
-        return self._span(self.at)
+        return self.span(self.at)
 
 
-class PushOnPlace:
-    """A force of changing size on coordinates or on the tip."""
+class _Push:
+    """A force on coordinates or on the tip, whose size at a step has shape () or (n,)."""
 
     def __init__(self, size: Callable[[int], Amount], on: str, episode: Episode) -> None:
-        """A force whose size at a step has shape () or (n,) [N], [N m]."""
         self._size = size
         self._tip = _TIP.get(on)
         self._places = None if on in _TIP else np.flatnonzero(episode.selected(on)).tolist()
@@ -235,14 +207,14 @@ class PushOnPlace:
         self._force = np.empty(0)
 
     def __call__(self, step: int, q: np.ndarray) -> np.ndarray:
-        """The force over a step, shape (..., 2N) [N], [N m]."""
         size = self._size(step)
         if self._tip is not None:
             return tip_force(q, size * self._tip[0], size * self._tip[1])
         if size is not self._last:
             force = np.zeros(self._shape, order="F")
             force[..., self._places] = np.asarray(size)[..., None]
-            self._last, self._force = size, _kept(force)
+            force.setflags(write=False)  # it is handed out again
+            self._last, self._force = size, force
         return self._force
 
 
@@ -297,9 +269,3 @@ def _box(force: SineForce | PulseForce | StepForce, length: Amount, episode: Epi
     amplitude, at = episode.value(force, "amplitude"), episode.value(force, "at")
     begin, end = in_steps(at, episode.timestep), in_steps(at + length, episode.timestep)
     return _Box(amplitude, begin, end)
-
-
-def _kept(force: np.ndarray) -> np.ndarray:
-    """The same array, read-only, as it is handed out again."""
-    force.setflags(write=False)
-    return force

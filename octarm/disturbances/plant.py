@@ -41,9 +41,6 @@ class Mismatch(PlantChange):
         damping: further factor, shape (...) [1].
         rest_length: factor, shape (...) [1].
         tilt: angle by which gravity is turned, see `Plant`, shape (...) [rad].
-
-    Raises:
-        OctarmError: if a value is out of range.
     """
 
     name: ClassVar[str] = "mismatch"
@@ -55,13 +52,13 @@ class Mismatch(PlantChange):
     rest_length: Factor = 1.0
     tilt: Angle = 0.0
 
-    def start(self, episode: Episode) -> FixedChange:
+    def start(self, episode: Episode) -> _Fixed:
         """The change of one episode."""
         value = {name: episode.value(self, name) for name in ("mismatch", *SCALABLE, "tilt")}
         full, half = 1.0 + value["mismatch"], 1.0 + value["mismatch"] / 2.0
         common = {"mass": full, "inertia": full, "stiffness": half, "damping": full}
         factors = {n: _spread(n, common.get(n, 1.0) * value[n]) for n in SCALABLE}
-        return FixedChange(factors, value["tilt"])
+        return _Fixed(factors, value["tilt"])
 
     def gravity_angle(self) -> float:
         """The tilt, if it is one number [rad]."""
@@ -79,9 +76,6 @@ class RandomMismatch(PlantChange):
         share: of mass, inertia, stiffness and damping, shape (...) [1].
         rest_length: share of the rest lengths, shape (...) [1].
         tilt: gravity is turned by at most this angle, shape (...) [rad].
-
-    Raises:
-        OctarmError: if a value is out of range.
     """
 
     name: ClassVar[str] = "random-mismatch"
@@ -89,7 +83,7 @@ class RandomMismatch(PlantChange):
     rest_length: Share = 0.0
     tilt: Annotated[Amount, Quantity("rad", at_least=0.0)] = 0.0
 
-    def start(self, episode: Episode) -> FixedChange:
+    def start(self, episode: Episode) -> _Fixed:
         """The arms of one episode."""
         n, batch = episode.parameters.modules, episode.batch_shape
         shapes = {name: (2, n)[2 - axes :] for name, axes in SCALABLE.items()} | {"tilt": ()}
@@ -101,7 +95,7 @@ class RandomMismatch(PlantChange):
         shares = dict.fromkeys(SCALABLE, episode.value(self, "share"))
         shares["rest_length"] = episode.value(self, "rest_length")
         factors = {name: 1.0 + _spread(name, share) * u[name] for name, share in shares.items()}
-        return FixedChange(factors, episode.value(self, "tilt") * u["tilt"])
+        return _Fixed(factors, episode.value(self, "tilt") * u["tilt"])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,17 +104,14 @@ class GravityTilt(PlantChange):
 
     Attributes:
         angle: from the x axis of the base frame towards its y axis, shape (...) [rad].
-
-    Raises:
-        OctarmError: if it is not a finite number.
     """
 
     name: ClassVar[str] = "tilt"
     angle: Angle
 
-    def start(self, episode: Episode) -> FixedChange:
+    def start(self, episode: Episode) -> _Fixed:
         """The change of one episode."""
-        return FixedChange({}, episode.value(self, "angle"))
+        return _Fixed({}, episode.value(self, "angle"))
 
     def gravity_angle(self) -> float:
         """The angle, if it is one number [rad]."""
@@ -128,23 +119,16 @@ class GravityTilt(PlantChange):
 
 
 @dataclasses.dataclass(frozen=True)
-class FixedChange:
-    """Factors on parameters, and a turn of gravity, from the start.
-
-    Attributes:
-        factors: by the name of the parameter, each broadcasts to the parameter's shape (...) [1].
-        tilt: shape () or the batch's [rad].
-    """
+class _Fixed:
+    """Factors on parameters, by name, and a turn of gravity, shape (...) [rad], from the start."""
 
     factors: Mapping[str, Amount]
     tilt: Amount
 
     def changes_at(self, step: int) -> bool:
-        """Only at the start."""
         return step == 0
 
     def apply(self, step: int, plant: Plant) -> Plant:
-        """The plant with other parameters, at any step."""
         del step
         scaled = plant.parameters.scaled(**self.factors) if self.factors else plant.parameters
         return Plant(scaled, plant.gravity_angle + self.tilt)
@@ -159,23 +143,20 @@ class Payload(PlantChange):
     Attributes:
         mass: shape (...) [kg].
         at: when it is picked up, shape (...) [s].
-
-    Raises:
-        OctarmError: if a value is negative.
     """
 
     name: ClassVar[str] = "payload"
     mass: Annotated[Amount, Quantity("kg", at_least=0.0, usual=(0.0, 1.0))]
     at: Annotated[Amount, Quantity("s", at_least=0.0)] = 0.0
 
-    def start(self, episode: Episode) -> Load:
+    def start(self, episode: Episode) -> _Load:
         """The load of one episode."""
         first = first_step(episode.value(self, "at"), episode.timestep)
-        return Load(episode.value(self, "mass"), first, frozenset([0, *np.ravel(first).tolist()]))
+        return _Load(episode.value(self, "mass"), first, frozenset([0, *np.ravel(first).tolist()]))
 
     def events(self) -> Sequence[Event]:
         """When it is picked up."""
-        return self._span(self.at)
+        return self.span(self.at)
 
     def carried(self) -> tuple[float, float] | None:
         """Its mass [kg] and when it is picked up [s], if both are one number."""
@@ -185,25 +166,17 @@ class Payload(PlantChange):
 
 
 @dataclasses.dataclass(frozen=True)
-class Load:
-    """A mass at the tip, which is the last body's place, from a step on.
-
-    Attributes:
-        mass: shape () or the batch's [kg].
-        first: step from which it is there, shape () or the batch's.
-        changes: all these steps, and 0.
-    """
+class _Load:
+    """A mass [kg] at the tip, which is the last body's place, from a step on; shapes (...)."""
 
     mass: Amount
     first: np.ndarray
     changes: frozenset[int]
 
     def changes_at(self, step: int) -> bool:
-        """Whether an arm picks it up at this step."""
         return step in self.changes
 
     def apply(self, step: int, plant: Plant) -> Plant:
-        """The plant with the loads that are there by now."""
         p = plant.parameters
         added = np.where(step >= self.first, self.mass, 0.0)
         batch = np.broadcast_shapes(p.mass.shape[:-1], added.shape)
@@ -223,9 +196,6 @@ class Drift(PlantChange):
         rate: shape (...) [1/s].
         of: what drifts, such as `stiffness` or `stiffness+damping`.
         limit: shape (...) [1].
-
-    Raises:
-        OctarmError: if a value is out of range, or `of` is unknown.
     """
 
     name: ClassVar[str] = "drift"
@@ -233,10 +203,10 @@ class Drift(PlantChange):
     of: Of = "stiffness"
     limit: Share = 0.5
 
-    def start(self, episode: Episode) -> DriftingFactor:
+    def start(self, episode: Episode) -> _Drift:
         """The drift of one episode."""
         rate, limit = episode.value(self, "rate"), episode.value(self, "limit")
-        return DriftingFactor(functools.partial(_ramp, rate, limit), self.of, episode.timestep)
+        return _Drift(functools.partial(_ramp, rate, limit), self.of, episode.timestep)
 
 
 def _ramp(rate: Amount, limit: Amount, t: float) -> np.ndarray:
@@ -255,9 +225,6 @@ class CyclicDrift(PlantChange):
         period: shape (...) [s].
         phase: shape (...) [rad].
         of: what drifts, such as `stiffness` or `stiffness+damping`.
-
-    Raises:
-        OctarmError: if a value is out of range, or `of` is unknown.
     """
 
     name: ClassVar[str] = "cyclic-drift"
@@ -266,11 +233,11 @@ class CyclicDrift(PlantChange):
     phase: Annotated[Amount, Quantity("rad")] = 0.0
     of: Of = "stiffness"
 
-    def start(self, episode: Episode) -> DriftingFactor:
+    def start(self, episode: Episode) -> _Drift:
         """The drift of one episode."""
         share, period, phase = (episode.value(self, n) for n in ("share", "period", "phase"))
         swing = functools.partial(_swing, share, 2.0 * np.pi / period, phase)
-        return DriftingFactor(swing, self.of, episode.timestep)
+        return _Drift(swing, self.of, episode.timestep)
 
 
 def _swing(share: Amount, omega: Amount, phase: Amount, t: float) -> np.ndarray:
@@ -279,25 +246,17 @@ def _swing(share: Amount, omega: Amount, phase: Amount, t: float) -> np.ndarray:
 
 
 @dataclasses.dataclass(frozen=True)
-class DriftingFactor:
-    """A factor on some parameters that follows time on a grid of its own.
-
-    Attributes:
-        factor: at a time [s], shape () or the batch's [1].
-        of: names of the parameters, joined by `+`.
-        timestep: physics step [s].
-    """
+class _Drift:
+    """A factor, shape (...), on some parameters that follows time [s] on a grid of its own."""
 
     factor: Callable[[float], np.ndarray]
     of: str
     timestep: float
 
     def changes_at(self, step: int) -> bool:
-        """At the start, and whenever the next instant of the grid has come."""
         return step == 0 or self._grid(step) != self._grid(step - 1)
 
     def apply(self, step: int, plant: Plant) -> Plant:
-        """The plant with the factor of the last instant of the grid."""
         factor = self.factor(self._grid(step) * _GRID)
         factors = {name: _spread(name, factor) for name in self.of.split("+")}
         return plant._replace(parameters=plant.parameters.scaled(**factors))

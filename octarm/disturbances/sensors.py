@@ -40,24 +40,22 @@ class MeasurementDelay(SensorFault):
     units: ClassVar[Mapping[str, str]] = {"delay": "s"}
     delay: Annotated[Amount, Quantity("s", at_least=0.0, at_most=10.0, usual=(0.0, 0.05))]
 
-    def start(self, episode: Episode) -> LateReadings:
+    def start(self, episode: Episode) -> _LateReadings:
         """The delay in one episode; its attribute `delay` is what it really is."""
-        return LateReadings(episode.value(self, "delay"), episode.timestep, episode.batch_shape)
+        return _LateReadings(episode.value(self, "delay"), episode.timestep, episode.batch_shape)
 
     def delivered(self, measured: Measured) -> dict[str, Any]:
         """How far the readings were from the truth, and how late."""
         return measured.signal.sizes() | {"delay": measured.signal.delay()}
 
 
-class LateReadings(DelayLine):
+class _LateReadings(DelayLine):
     """The motion of a while ago."""
 
     def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
-        """Keeps the true motion after a step, shapes (..., 2N)."""
         self.put(step, q, v)
 
     def __call__(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What is read when a step begins, shapes (..., 2N), whatever q and v are by now."""
         del q, v
         then_q, then_v = self.take(np.maximum(step - self.steps, 0))
         return then_q, then_v
@@ -82,51 +80,29 @@ class MeasurementNoise(SensorFault):
     rate: Rate = 100.0
     correlation_time: Annotated[Amount, Quantity("s", above=0.0, key="time")] = 0.001
 
-    def start(self, episode: Episode) -> Noisy:
-        """The noise of one episode.
-
-        Raises:
-            OctarmError: if a field does not suit the arm, or the correlation time is shorter than
-                a physics step.
-        """
-        held = HeldNoise(
-            episode.streams(self.name),
-            2 * episode.coordinates,
-            episode.value(self, "correlation_time"),
-            episode.timestep,
-            episode.batch_shape,
-        )
-        return Noisy(held, *_scaled(self, "rms", episode))
+    def start(self, episode: Episode) -> _Noise:
+        """The noise of one episode, whose correlation time is at least a physics step."""
+        scales = np.concatenate(_scaled(self, "rms", episode), axis=-1)
+        return _Noise(episode.noise(self, scales))
 
     def delivered(self, measured: Measured) -> dict[str, Any]:
         """The rms that was asked for, of q and then of v, and how much the readings changed."""
-        rms = np.concatenate(_scaled(self, "rms", measured.episode))
-        return {"rms_asked": rms} | measured.signal.sizes()
+        asked = {"rms_asked": np.concatenate(_scaled(self, "rms", measured.episode))}
+        return asked | measured.signal.sizes()
 
 
-class Noisy(SensorProcess):
-    """Held numbers times a scale, the first half of them on q and the second on v.
+class _Noise(SensorProcess):
+    """Held numbers that are added, the first half of them to q and the second to v."""
 
-    Attributes:
-        rms_q: of the coordinates, shape (..., 2N) [m], [rad].
-        rms_v: of the velocities, shape (..., 2N) [m/s], [rad/s].
-    """
-
-    def __init__(self, held: HeldNoise, rms_q: np.ndarray, rms_v: np.ndarray) -> None:
-        """Noise of these rms, shapes (..., 2N)."""
-        self.rms_q, self.rms_v = rms_q, rms_v
-        self._held = held
-        self._normal = self._on_q = self._on_v = np.empty(0)
+    def __init__(self, held: HeldNoise) -> None:
+        self._held, n = held, held.scale.shape[-1] // 2
+        self.rms_q, self.rms_v = held.scale[..., :n], held.scale[..., n:]
 
     def __call__(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The noisy readings, shapes (..., 2N)."""
-        normal, n = self._held(step), q.shape[-1]
-        if normal is not self._normal:
-            self._normal = normal
-            self._on_q, self._on_v = self.rms_q * normal[..., :n], self.rms_v * normal[..., n:]
+        noise, n = self._held(step), q.shape[-1]
         return (
-            np.where(self.rms_q > 0.0, q + self._on_q, q),
-            np.where(self.rms_v > 0.0, v + self._on_v, v),
+            np.where(self.rms_q > 0.0, q + noise[..., :n], q),
+            np.where(self.rms_v > 0.0, v + noise[..., n:], v),
         )
 
 
@@ -144,25 +120,18 @@ class Quantisation(SensorFault):
     resolution: Annotated[Amount, Quantity("1", at_least=0.0, each=True, usual=(0.0, 0.05))]
     rate: Rate = 100.0
 
-    def start(self, episode: Episode) -> Rounded:
+    def start(self, episode: Episode) -> _Rounding:
         """The rounding in one episode."""
-        return Rounded(*_scaled(self, "resolution", episode))
+        return _Rounding(*_scaled(self, "resolution", episode))
 
 
-class Rounded(SensorProcess):
-    """Rounding to the nearest multiple of a step.
-
-    Attributes:
-        step_q: of the coordinates, shape (..., 2N) [m], [rad].
-        step_v: of the velocities, shape (..., 2N) [m/s], [rad/s].
-    """
+class _Rounding(SensorProcess):
+    """Rounding to the nearest multiple of a step, shapes (..., 2N)."""
 
     def __init__(self, step_q: np.ndarray, step_v: np.ndarray) -> None:
-        """Rounding to these steps, shapes (..., 2N)."""
         self.step_q, self.step_v = (np.where(x > _FINEST, x, 0.0) for x in (step_q, step_v))
 
     def __call__(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The rounded readings, shapes (..., 2N)."""
         del step
         return _rounded(q, self.step_q), _rounded(v, self.step_v)
 

@@ -112,11 +112,16 @@ def help_text() -> str:
         keys = zip(field_keys(cls), field_kinds(cls).values(), strict=True)
         units = [f"{key} [{kind.unit}]" for key, kind in keys if kind.unit not in ("", "1")]
         meaning = (cls.__doc__ or "").partition("\n")[0].rstrip(".:")
-        text = "; ".join([meaning, *([", ".join(units)] if units else [])])
+        text = f"{meaning}; {', '.join(units)}" if units else meaning
         lines = sections.setdefault(cls.family, [])
         lines.append(f"  {_usage(cls)}")
         lines += textwrap.wrap(text, 80, initial_indent=indent, subsequent_indent=indent)
-    return "\n\n".join("\n".join([family, *lines]) for family, lines in sections.items())
+    blocks = ["\n".join([family, *lines]) for family, lines in sections.items()]
+    several = [cls.name for cls in DISTURBANCES.values() if first_field(cls)[1].each]
+    each = (
+        f"{', '.join(several)} take a number for each coordinate or column as well: 0/0/0.5/0/0/0"
+    )
+    return "\n\n".join([*blocks, textwrap.fill(each, 80)])
 
 
 def _named(name: str) -> type[Disturbance]:
@@ -125,18 +130,30 @@ def _named(name: str) -> type[Disturbance]:
     return DISTURBANCES[name]
 
 
+def first_field(cls: type[Disturbance]) -> tuple[str, Quantity]:
+    """The field that stands without a key; the one that varies when nothing else is said.
+
+    Raises:
+        OctarmError: if it is a field of words.
+    """
+    field, kind = next(iter(field_kinds(cls).items()))
+    if not isinstance(kind, Quantity):
+        raise OctarmError(f"{cls.name} begins with {field}, which is no number")
+    return field, kind
+
+
 def _required(cls: type[Disturbance]) -> set[str]:
     """The fields without a default."""
     return field_kinds(cls).keys() - field_defaults(cls).keys()
 
 
 def _usage(cls: type[Disturbance]) -> str:
-    """The spelling with all keys: NAME:VALUE,KEY=default and so on."""
+    """The spelling with all keys that have a value: NAME:VALUE,KEY=default and so on."""
     main, *others = keys = field_keys(cls)
     parts = [f"{cls.name}:{main.upper()}"]
     for key in others:
-        default = field_defaults(cls).get(keys[key])
-        parts.append(f"{key}={key.upper() if default is None else _format(default)}")
+        default = field_defaults(cls).get(keys[key], key.upper())
+        parts += [f"{key}={_format(default)}"] if default is not None else []
     return ",".join(parts)
 
 

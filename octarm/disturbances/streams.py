@@ -71,29 +71,30 @@ def periods_begun(step: int, timestep: float, period: np.ndarray | float) -> np.
 
 
 class HeldNoise:
-    """Standard normal numbers, held: draw h of an arm's generator from h t_c to (h+1) t_c.
+    """Normal numbers times a scale, held: draw h of an arm's generator from h t_c to (h+1) t_c.
 
     White up to its corner: the one-sided spectral density is 2 t_c sinc^2(f t_c), half of which is
     left at f = 0.443 / t_c. The value at an instant depends on the generator and t_c alone: not on
     the timestep, on how often or when it was asked for, nor on the batch.
+
+    Attributes:
+        scale: rms of each number, shape (..., k).
     """
 
     def __init__(
         self,
         generators: Sequence[np.random.Generator],
-        width: int,
+        scale: np.ndarray,
         correlation_time: np.ndarray | float,
         timestep: float,
-        batch_shape: tuple[int, ...],
     ) -> None:
         """Noise from its beginning.
 
         Args:
             generators: one an arm, used by nothing else.
-            width: numbers an arm draws at once.
+            scale: rms of each number that an arm draws, shape (k,) or (n, k).
             correlation_time: t_c, how long a draw is held, shape () or the batch's [s].
             timestep: physics step [s].
-            batch_shape: () for one arm, (n,) for a batch.
 
         Raises:
             OctarmError: if t_c is shorter than the timestep.
@@ -104,19 +105,18 @@ class HeldNoise:
                 f"the correlation time of a noise is {least:g} s; it must be at least the physics "
                 f"step, {timestep:g} s"
             )
+        self.scale = np.asfortranarray(scale)
         self._generators = generators
-        self._width = width
-        self._batch_shape = batch_shape
         self._correlation_time = correlation_time
         self._timestep = timestep
-        self._draws = np.empty((_BLOCK, width, len(generators)))
+        self._draws = np.empty((_BLOCK, scale.shape[-1], len(generators)))
         self._block: np.ndarray | int = -1  # of the draws at hand: one number, or each arm's
         self._hold: np.ndarray | int = -1
         self._step, self._next = 0, 0  # `_held` is valid in between
         self._held = np.empty(0)
 
     def __call__(self, step: int) -> np.ndarray:
-        """The numbers at a physics step, shape (..., width); read-only, one object a hold.
+        """The numbers at a physics step, shape (..., k); read-only, one object a hold.
 
         Raises:
             OctarmError: if the step comes before one that was asked for earlier.
@@ -134,15 +134,15 @@ class HeldNoise:
         return self._held
 
     def _take(self, hold: np.ndarray | int) -> np.ndarray:
-        """The draws of this hold, or of one for each arm, shape (..., width)."""
+        """The numbers of this hold, or of one for each arm, shape (..., k)."""
         block, place = hold // _BLOCK, hold % _BLOCK
         if np.any(block != self._block):
             self._draw(block)
         if isinstance(place, int):
-            taken = self._draws[place].copy()
+            drawn = self._draws[place]
         else:
-            taken = np.take_along_axis(self._draws, place[None, None, :], axis=0)[0]
-        held = taken.T.reshape((*self._batch_shape, self._width))
+            drawn = np.take_along_axis(self._draws, place[None, None, :], axis=0)[0]
+        held = self.scale * drawn.T.reshape(self.scale.shape)
         held.setflags(write=False)
         return held
 
@@ -151,7 +151,7 @@ class HeldNoise:
         ahead = np.broadcast_to(np.asarray(block) - self._block, len(self._generators))
         for i, (generator, blocks) in enumerate(zip(self._generators, ahead.tolist(), strict=True)):
             if blocks:
-                numbers = np.empty((_BLOCK, self._width))
+                numbers = np.empty(self._draws.shape[:2])
                 for _ in range(blocks):  # more than one when some were skipped
                     generator.standard_normal(out=numbers)
                 self._draws[:, :, i] = numbers
