@@ -16,9 +16,8 @@ from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.commands import margin as margin_commands
 from octarm.commands.cli import main
-from octarm.disturbances.fields import field_kinds
 from octarm.disturbances.forces import PulseForce
-from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
+from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_disturbance
 from octarm.interfaces import Command
 from octarm.sweeps.margin import Brackets, Outcome, estimate, search
 from octarm.sweeps.margin_trial import (
@@ -285,7 +284,7 @@ def test_a_measure_that_a_run_cannot_have_is_refused():
 def test_anything_can_vary(name):
     usual = NOMINAL_RANGE
     if name != NOMINAL:
-        usual = next(iter(field_kinds(DISTURBANCES[name]).values())).usual
+        usual = first_field(DISTURBANCES[name])[1].usual
     if usual is None:
         with pytest.raises(ValueError, match=f"{name} has no usual range; give --low"):
             parse_varied(name, None, None)

@@ -262,15 +262,19 @@ class Disturbance(abc.ABC):
         return 0.0
 
     def span(self, at: Amount, length: Amount = np.inf) -> list[Event]:
-        """The events of a beginning and, unless the length [s] is infinite, of an end."""
+        """The events of one arm's disturbance that begins at a time [s] and lasts for a length [s].
+
+        There are none if these are arrays of shape (n,), and no end if the length is infinite.
+        """
         if np.ndim(at) or np.ndim(length):
             return []
         size = getattr(self, next(iter(field_kinds(type(self)))))
-        text = self.name if np.ndim(size) else f"{self.name} {size:g}"
+        text = f"{self.name} {size:g}" if isinstance(size, float) else self.name
         events = [Event(float(at), text), Event(float(at + length), "")]
         return events if np.isfinite(length) else events[:1]
 
 
+# What `start` of a `Force` and of an `ActuatorFault` returns.
 ForceProcess = ActuatorProcess = Callable[[int, np.ndarray], np.ndarray]
 
 
@@ -327,7 +331,7 @@ class Force(Disturbance):
     def start(self, episode: Episode) -> ForceProcess: ...  # noqa: D102
 
     def delivered(self, measured: Measured) -> dict[str, Any]:
-        """How strong it was, when it acted, and how much force the simulation had besides."""
+        """How strong it was, when it acted, and the largest force that no disturbance explains."""
         sizes = measured.signal.sizes() | measured.signal.presence()
         return sizes | {"unexplained": measured.unexplained}
 
