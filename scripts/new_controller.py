@@ -12,13 +12,11 @@ Run it: python scripts/new_controller.py [--duration 6] [--out DIR]
 import argparse
 import dataclasses
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 
 import octarm
 from controllers import make_controller
-from controllers.gains import Gain, GainField
 from controllers.law import elapsed
 from controllers.recommended import apparent_mass
 from controllers.sliding_mode import SlidingLaw
@@ -36,8 +34,8 @@ State = tuple[float, np.ndarray]  # time of the last call [s], and w, shape (...
 class LearningSlidingMode(SlidingLaw):
     """The law above. The gains broadcast to (..., 2N), so that a batch can hold many of them."""
 
-    K_s: Annotated[Gain, GainField("N s/m, N m s/rad")]
-    L: Annotated[Gain, GainField("N/m, N m/rad")]
+    K_s: np.ndarray  # [N s/m], [N m s/rad]
+    L: np.ndarray  # [N/m], [N m/rad]
 
     def initial_state(self, batch_shape: tuple[int, ...] = ()) -> State:
         """Nothing is learnt yet."""
@@ -49,8 +47,8 @@ class LearningSlidingMode(SlidingLaw):
         """The generalised force at this instant, shape (..., 2N) [N], [N m]."""
         surface = self.surface(measurement, reference)
         w = state[1] + elapsed(state[0], measurement.t) * self.L * surface.s
-        command = self.command(measurement, surface, -self.K_s * surface.s - w, w=w)
-        return command, (measurement.t, w)
+        switching = -self.K_s * surface.s - w
+        return self.command(measurement, surface, switching, w=w), (measurement.t, w)
 
 
 def main() -> None:

@@ -33,14 +33,16 @@ _AXES = {"N": 1, "2N": 2, "": 0}
 class Entries(NamedTuple):
     """Parameters entry by entry, for arithmetic along the arm; see `octarm.arrays.split`.
 
+    An entry is a number, or an array of shape (...).
+
     Attributes:
-        mass: of each module.
-        inertia: of each module.
-        half_width: half the distance between the columns.
-        stiffness: for columns 1 and 2, that of each module.
-        damping: likewise.
-        rest_length: of each module.
-        gravity: along the hanging arm.
+        mass: of each module, N entries of shape (...) [kg].
+        inertia: of each module, N entries of shape (...) [kg m^2].
+        half_width: half the distance between the columns, shape (...) [m].
+        stiffness: for columns 1 and 2, N entries of shape (...) [N/m].
+        damping: for columns 1 and 2, N entries of shape (...) [N s/m].
+        rest_length: of each module, N entries of shape (...) [m].
+        gravity: along the hanging arm, shape (...) [m/s^2].
     """
 
     mass: Sequence[Entry]

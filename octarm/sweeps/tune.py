@@ -130,7 +130,8 @@ def tune(
     """Searches gains; the same bits for the same arguments, wherever it went on from.
 
     Args:
-        factory: makes the controller; gains that it is not given are the hand-set ones.
+        factory: makes the controller from gains of shape (..., 2N); those that it is not given
+            are the hand-set ones.
         effort: how much is tried.
         seed: of the search. The scenarios do not depend on it.
         state: where an earlier search stopped; the beginning when not given.
