@@ -49,6 +49,12 @@ def nominal_parameters() -> ArmParameters:
     return ArmParameters.from_model(template_model())
 
 
+@functools.cache
+def nominal_input_limit() -> float:
+    """Bound on the absolute input forces [N]: the actuators' range in `models/octarm.xml`."""
+    return float(template_model().actuator_ctrlrange[0, 1])
+
+
 def build_model(
     parameters: ArmParameters | None = None, timestep: float | None = None
 ) -> mujoco.MjModel:
@@ -276,7 +282,7 @@ def _static_equilibrium(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarra
     """qpos at which gravity and springs balance, by Newton's method on MuJoCo's own forces.
 
     Raises:
-        ValueError: if it does not converge: the springs are too soft for this weight.
+        OctarmError: if it does not converge: the springs are too soft for this weight.
     """
 
     def residual(qpos: np.ndarray) -> np.ndarray:
