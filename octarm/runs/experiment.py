@@ -309,7 +309,7 @@ def _perform(
                 Metrics(
                     control_period=environment.control_timestep(),
                     input_limit=physics.input_limit(),
-                    phi=recorder.layer,
+                    layer=recorder.layer,
                 )
             )
         measured[0].update(rows)

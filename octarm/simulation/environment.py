@@ -251,7 +251,7 @@ class TrackingTask(control.Task):
 
     def get_termination(self, physics: AnyPhysics) -> float | None:
         """Discount 0 when every arm has left its limits, 1 when the time is up, else None."""
-        if not np.any(physics.intact()):
+        if physics.all_lost():
             return 0.0
         return 1.0 if self._periods == self._episode_periods else None
 

@@ -66,8 +66,10 @@ def simulate(
             command, state = controller(state, measurement, reference)
             message = _refusal(physics, command.force, measurement)
             tau = physics.actuation.inputs(measurement.q, command.force)
-        q, v, disturbance = physics.q(), physics.v(), np.zeros_like(measurement.q)
-        if not message:
+        q, v = physics.q(), physics.v()
+        if message:
+            disturbance = np.zeros_like(q)
+        else:
             try:
                 timestep = environment.step(tau)
             except control.PhysicsError as error:

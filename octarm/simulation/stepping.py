@@ -59,9 +59,10 @@ class AnyPhysics(control.Physics):
             undisturbed: the arms' parameters, of one arm or with batch axis (n,).
         """
         self._qpos_index, self._qvel_index = paper_order(model)
-        # Views of MuJoCo's memory, kept because looking them up costs as much as a small product.
-        self._qpos, self._qvel = state("qpos"), state("qvel")
-        self._ctrl, self._added = state("ctrl"), state("qfrc_applied")
+        # Views of MuJoCo's memory, kept because looking them up costs as much as a small product;
+        # of those that are read the coordinate is the first axis.
+        self._qpos, self._qvel = state("qpos").T, state("qvel").T
+        self._ctrl, self._added = state("ctrl"), state("qfrc_applied").T
         self._fields = PlantFields(model, field)
         self._timestep = float(model.opt.timestep)
         self._undisturbed = undisturbed
@@ -69,6 +70,8 @@ class AnyPhysics(control.Physics):
         self.limits = Limits.of(undisturbed)
         self._input_limit = self._alike(model.actuator_ctrlrange[:, 1])
         self._rest = self._alike(rest_of(model))
+        self._zero = np.zeros_like(self._rest)
+        self._zero.setflags(write=False)
         self._forget()
 
     @abc.abstractmethod
@@ -89,11 +92,11 @@ class AnyPhysics(control.Physics):
 
     def q(self) -> np.ndarray:
         """Generalised coordinates, shape (..., 2N) [m], [rad]."""
-        return self._qpos.T.take(self._qpos_index, 0).T
+        return self._qpos.take(self._qpos_index, 0).T
 
     def v(self) -> np.ndarray:
         """Generalised velocities, shape (..., 2N) [m/s], [rad/s]."""
-        return self._qvel.T.take(self._qvel_index, 0).T
+        return self._qvel.take(self._qvel_index, 0).T
 
     def tau(self) -> np.ndarray:
         """The input forces being held, shape (..., 2N) [N]."""
@@ -105,7 +108,7 @@ class AnyPhysics(control.Physics):
 
     def added(self) -> np.ndarray:
         """Generalised force that MuJoCo was given in the last physics step, shape (..., 2N)."""
-        return self._added.T.take(self._qvel_index, 0).T
+        return self._added.take(self._qvel_index, 0).T
 
     def disturbance(self) -> np.ndarray:
         """Generalised force that was added, mean over the last `step`, shape (..., 2N)."""
@@ -122,6 +125,10 @@ class AnyPhysics(control.Physics):
     def intact(self) -> np.ndarray:
         """Which arms are still within their limits, shape (...) of bool."""
         return self._intact.copy()
+
+    def all_lost(self) -> bool:
+        """Whether no arm is within its limits any more."""
+        return not (self._all_intact or self._intact.any())
 
     def diverged_at(self) -> np.ndarray:
         """When arms left their limits, shape (...) [s]; NaN for those that have not."""
@@ -141,8 +148,8 @@ class AnyPhysics(control.Physics):
 
     def set_motion(self, q: np.ndarray, v: np.ndarray) -> None:
         """Places the arms at q, shape (..., 2N) [m], [rad], moving with v [m/s], [rad/s]."""
-        self._qpos[..., self._qpos_index] = q
-        self._qvel[..., self._qvel_index] = v
+        self._qpos[self._qpos_index] = q.T
+        self._qvel[self._qvel_index] = v.T
 
     def set_control(self, control: np.ndarray) -> None:
         """Holds the input forces tau, shape (..., 2N) [N], until the next call."""
@@ -169,7 +176,7 @@ class AnyPhysics(control.Physics):
 
         An arm stops at its first state outside the limits. It ends early when no arm is left.
         """
-        self._disturbance = np.zeros_like(self._rest)
+        self._disturbance = self._zero
         q = self.q()
         for _ in range(n_sub_steps):
             self._receive(q, n_sub_steps)
@@ -181,7 +188,7 @@ class AnyPhysics(control.Physics):
             if self.watch is not None:
                 self.watch(self)
             self._check_limits(q, v)
-            if not self._all_intact and not self._intact.any():
+            if self.all_lost():
                 return
 
     def _receive(self, q: np.ndarray, nstep: int) -> None:
@@ -192,11 +199,11 @@ class AnyPhysics(control.Physics):
             self._received = acting.received(self._steps, self._tau)
             if acting.forces:
                 force = acting.force(self._steps, q)
-                self._added[..., self._qvel_index] = force
+                self._added[self._qvel_index] = force.T
                 mean = force / nstep
                 if not self._all_intact:
                     mean = np.where(self._intact[..., None], mean, 0.0)
-                self._disturbance += mean
+                self._disturbance = self._disturbance + mean
         self._ctrl[...] = self.actuation.tendon_forces(q, self._received)
 
     def _change(self, acting: Acting) -> None:
@@ -215,8 +222,7 @@ class AnyPhysics(control.Physics):
         if self.acting is not None and self.acting.plant_changes:
             self._write(Plant(self._undisturbed))
         self.acting = None
-        self._tau = self._received = np.zeros_like(self._rest)
-        self._disturbance = np.zeros_like(self._rest)
+        self._tau = self._received = self._disturbance = self._zero
         self._steps = 0
         self._intact = np.ones(self.batch_shape, dtype=bool)
         self._diverged_at = np.full(self.batch_shape, np.nan)
