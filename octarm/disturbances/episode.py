@@ -23,9 +23,8 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from octarm.arm.lagrange import inverse_dynamics
+from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import coordinate_names
 from octarm.disturbances.delivered import Measured
 from octarm.disturbances.fields import Amount, Quantity, field_defaults, field_kinds
 from octarm.disturbances.streams import HeldNoise, stream
@@ -104,10 +103,9 @@ class Episode:
         return self.parameters.coordinates
 
     @property
-    def scale(self) -> np.ndarray:
-        """Scale of each coordinate, shape (..., 2N): rest lengths [m] of slides, 1 rad of bends."""
-        rest = self.parameters.rest_length
-        return np.concatenate([rest, np.ones_like(rest)], axis=-1)
+    def model(self) -> LagrangeModel:
+        """The analytic model of the undisturbed arm: names, scales and equations of motion."""
+        return LagrangeModel(self.parameters)
 
     def selected(self, names: str) -> np.ndarray:
         """Whether each coordinate is named in `names`, such as `s1+theta2` or `all`, shape (2N,).
@@ -115,7 +113,7 @@ class Episode:
         Raises:
             OctarmError: if the arm has no coordinate of one of these names.
         """
-        known = coordinate_names(self.parameters.modules)
+        known = self.model.names
         wanted = known if names == "all" else names.split("+")
         for name in wanted:
             if name not in known:
@@ -200,7 +198,7 @@ class Episode:
             parts = [np.stack(part) for part in zip(*instants, strict=True)]
             if self.parameters.batch_shape:  # after the axis of time
                 parts = [part[:, None] if part.ndim == 2 else part for part in parts]
-            yield from inverse_dynamics(self.parameters, *parts)
+            yield from self.model.inverse_dynamics(*parts)
 
 
 class Disturbance(abc.ABC):

@@ -140,7 +140,7 @@ def _scaled(
     fault: MeasurementNoise | Quantisation, field: str, episode: Episode
 ) -> tuple[np.ndarray, np.ndarray]:
     """What a share of the scale is on q and on v, shapes (..., 2N), contiguous along the arms."""
-    on_q = episode.value(fault, field) * episode.scale
+    on_q = episode.value(fault, field) * episode.model.scale
     on_v = on_q * np.asarray(episode.value(fault, "rate"))[..., None]
     return np.asfortranarray(on_q), np.asfortranarray(on_v)
 
