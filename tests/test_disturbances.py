@@ -17,11 +17,13 @@ from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Disturbance, Episode
 from octarm.disturbances.fields import field_kinds
 from octarm.disturbances.forces import BandLimitedNoise, SineForce, StepForce
+from octarm.disturbances.ledger import asked
 from octarm.disturbances.plant import Payload, RandomMismatch
 from octarm.disturbances.sensors import MeasurementNoise
 from octarm.disturbances.spelling import (
     DISTURBANCES,
     from_dict,
+    from_entry,
     help_text,
     parse_disturbance,
     to_dict,
@@ -199,6 +201,49 @@ def test_wrong_descriptions_are_refused():
     ):
         with pytest.raises(ValueError, match=sentence):
             from_dict(description)
+
+
+# What is drawn of them
+
+
+@pytest.mark.parametrize(
+    ("text", "events"),
+    [
+        ("payload:0.2,at=3", [(3.0, "payload 0.2")]),
+        ("step:-1,at=2", [(2.0, "step -1")]),
+        ("sine:0.1", [(0.0, "sine 0.1")]),
+        ("sine:0.1,at=1,length=2", [(1.0, "sine 0.1"), (3.0, "")]),
+        ("pulse:5,at=0.5,length=0.25", [(0.5, "pulse 5"), (0.75, "")]),
+        ("loss:0.3,at=1", [(1.0, "loss 0.3")]),
+        ("loss:0/0/0.5/0/0/0,at=1", [(1.0, "loss")]),
+        ("noise:0.4", []),
+        ("lag:0.01", []),
+    ],
+)
+def test_it_says_when_it_begins_and_ends(text: str, events: list[tuple[float, str]]):
+    assert [*parse_disturbance(text).events()] == events
+
+
+def test_it_says_what_it_carries_turns_and_bounds():
+    assert parse_disturbance("payload:0.2,at=3").carried() == (0.2, 3.0)
+    assert parse_disturbance("tilt:0.1").gravity_angle() == 0.1
+    assert parse_disturbance("mismatch:0.2,tilt=-0.3").gravity_angle() == -0.3
+    bound = parse_disturbance("saturation:1/1/1/2/2/inf").input_bound()
+    np.testing.assert_array_equal(np.asarray(bound), [1.0, 1.0, 1.0, 2.0, 2.0, np.inf])
+    several = Payload(mass=np.array([0.1, 0.2]), at=1.0)
+    assert several.carried() is None  # of one arm only
+    for name in set(SPELLINGS) - {"payload", "tilt", "mismatch", "saturation"}:
+        other = parse_disturbance(SPELLINGS[name])
+        assert (other.carried(), other.gravity_angle(), other.input_bound()) == (None, 0.0, None)
+
+
+@pytest.mark.parametrize("name", SPELLINGS)
+def test_an_entry_of_a_run_brings_it_back(name: str):
+    disturbance = parse_disturbance(SPELLINGS[name])
+    first, second = asked([disturbance, disturbance])
+    assert (first["name"], second["name"]) == (name, f"{name}-2")
+    for entry in (first, second):
+        assert to_dict(from_entry(json.loads(json.dumps(entry)))) == to_dict(disturbance)
 
 
 # Random streams

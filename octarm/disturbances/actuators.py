@@ -15,31 +15,43 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from octarm.disturbances.delivered import Measured
-from octarm.disturbances.episode import ActuatorFault, ActuatorProcess, Episode, Event
+from octarm.disturbances.episode import (
+    ActuatorFault,
+    ActuatorProcess,
+    Disturbance,
+    Episode,
+    Event,
+)
 from octarm.disturbances.fields import Amount, Quantity
 from octarm.disturbances.streams import DelayLine, first_step
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class ActuationDelay(ActuatorFault):
-    """Input forces that arrive late; none, until the delay has passed once.
+class Delay(Disturbance):
+    """What passes arrives late.
 
     Attributes:
         delay: rounded to whole physics steps, which need not be whole control periods, shape (...)
             [s].
     """
 
-    name: ClassVar[str] = "actuation-delay"
     units: ClassVar[Mapping[str, str]] = {"delay": "s"}
     delay: Annotated[Amount, Quantity("s", at_least=0.0, at_most=10.0, usual=(0.0, 0.05))]
+
+    def delivered(self, measured: Measured) -> dict[str, Any]:
+        """How much it changed what passes, and how late this arrived."""
+        return measured.signal.sizes() | {"delay": measured.signal.delay()}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class ActuationDelay(Delay, ActuatorFault):
+    """Input forces that arrive late; none, until the delay has passed once."""
+
+    name: ClassVar[str] = "actuation-delay"
 
     def start(self, episode: Episode) -> _LateInputs:
         """The delay in one episode; its attribute `delay` is what it really is."""
         return _LateInputs(episode.value(self, "delay"), episode.timestep, episode.batch_shape)
-
-    def delivered(self, measured: Measured) -> dict[str, Any]:
-        """How large the inputs were, and how late."""
-        return measured.signal.sizes() | {"delay": measured.signal.delay()}
 
 
 class _LateInputs(DelayLine):

@@ -9,11 +9,11 @@ noise and resolution are `rate` times those of the coordinate.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from octarm.disturbances.actuators import Delay
 from octarm.disturbances.delivered import Measured
 from octarm.disturbances.episode import Episode, SensorFault, SensorProcess
 from octarm.disturbances.fields import Amount, Quantity
@@ -25,28 +25,18 @@ _FINEST = 1e-18  # [m], [rad] and per second: steps finer than this are beyond a
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class MeasurementDelay(SensorFault):
+class MeasurementDelay(Delay, SensorFault):
     """Readings that show the arm as it was a while ago; at first, as it was at the start.
 
     It reads the true motion, so it has to be the first of several sensor faults.
-
-    Attributes:
-        delay: rounded to whole physics steps, which need not be whole control periods, shape (...)
-            [s].
     """
 
     name: ClassVar[str] = "measurement-delay"
     instead_of_two: ClassVar[str] = "give the sum of both delays"
-    units: ClassVar[Mapping[str, str]] = {"delay": "s"}
-    delay: Annotated[Amount, Quantity("s", at_least=0.0, at_most=10.0, usual=(0.0, 0.05))]
 
     def start(self, episode: Episode) -> _LateReadings:
         """The delay in one episode; its attribute `delay` is what it really is."""
         return _LateReadings(episode.value(self, "delay"), episode.timestep, episode.batch_shape)
-
-    def delivered(self, measured: Measured) -> dict[str, Any]:
-        """How far the readings were from the truth, and how late."""
-        return measured.signal.sizes() | {"delay": measured.signal.delay()}
 
 
 class _LateReadings(DelayLine):
