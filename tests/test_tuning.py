@@ -172,9 +172,9 @@ def test_a_gain_has_one_knob(name: str):
 def test_a_new_controller_is_tuned_by_the_knobs_of_its_gains():
     @dataclasses.dataclass(frozen=True, kw_only=True)
     class New(Law):
-        stiffness: Annotated[Gain, GainField("N/m", knob=Knob("how stiff", apart=True))]
-        colour: Annotated[Gain, GainField("1")]
-        safe: Annotated[bool, Switch("1")] = True
+        stiffness: Annotated[Gain, GainField("how hard", "N/m", knob=Knob("how stiff", apart=True))]
+        colour: Annotated[Gain, GainField("to look at", "1")]
+        safe: Annotated[bool, Switch("for those who fear", "1")] = True
 
     space = Space(New(nominal=LagrangeModel(P), stiffness=2.0, colour=1.0), N)  # pyright: ignore
     assert [u.name for u in space.unknowns] == ["how stiff of slides", "how stiff of bends"]
