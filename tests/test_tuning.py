@@ -377,7 +377,7 @@ def test_bad_input_is_refused_in_one_sentence(arguments, sentence, tmp_path, mon
     assert not list(tmp_path.iterdir())
 
 
-def test_a_gain_set_survives_the_file():
+def test_a_gain_set_survives_the_file(tmp_path):
     whole = GainSet(
         controller="smc",
         modules=3,
@@ -387,7 +387,9 @@ def test_a_gain_set_survives_the_file():
             "search": {"good": True, "rows": [{"name": "x", "n": 1}, {"name": "y", "n": -2.5e-9}]},
         },
     )
-    assert GainSet.from_toml(whole.to_toml(), "x.toml") == whole
+    path = tmp_path / "x.toml"
+    path.write_text(whole.to_toml(), encoding="utf-8")
+    assert read_gain_set(path) == whole
 
 
 GIVEN = GainSet(controller="smc", modules=3, gains={"lambda": 33.0, "K": [1, 2, 3, 4, 5, 6]})
