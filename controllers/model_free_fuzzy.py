@@ -104,7 +104,7 @@ class FuzzyController(Law):
         """The generalised force for this instant, shape (..., 2N) [N], [N m].
 
         Raises:
-            ValueError: if the measurement or the reference has a wrong shape.
+            OctarmError: if the measurement or the reference has a wrong shape.
         """
         self.check(measurement, reference)
         e, e_dot = measurement.q - reference.q, measurement.v - reference.v

@@ -1,8 +1,8 @@
 """The Lyapunov ledger: the controllers' proofs of stability, checked at random states, as a report.
 
 Every right law has to give V' as claimed, and never above its bound; every wrong one, made from the
-right one by a misprint of the paper, has to be noticed by the same comparison. The bounds hold
-beside what the dampers and K_v take, which must not make up for what a law lacks.
+right one by a misprint of the paper, has to be noticed by the same comparison. The bounds leave
+out what the dampers and K_v take, which must not make up for what a law lacks.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def ledger(
         progress: called with the name of each part before it starts.
 
     Raises:
-        ValueError: if `states` is below 100.
+        OctarmError: if `states` is below 100.
     """
     if states < FEWEST_STATES:
         raise OctarmError(
