@@ -4,7 +4,6 @@ import contextlib
 import importlib
 import json
 import sys
-import tomllib
 from concurrent.futures import Executor, Future
 from pathlib import Path
 
@@ -15,8 +14,7 @@ import octarm
 from controllers import CONTROLLERS, make_controller
 from controllers.gains import gain_fields
 from octarm.commands import cli
-from octarm.sweeps.tune import Effort
-from octarm.sweeps.tune_objective import Trial
+from octarm.sweeps.tune import Space
 
 P = octarm.nominal_parameters()
 
@@ -136,17 +134,15 @@ def test_its_margin_is_found(capsys):
 
 
 @pytest.mark.usefixtures("_follower")
-def test_it_is_tuned_by_its_own_knobs(monkeypatch):
-    short, long = Trial(begin=0.02, duration=0.06), Trial(begin=0.03, duration=0.1)
-    effort = Effort(population=5, generations=2, finalists=1, short=short, long=long)
-    monkeypatch.setattr(Effort, "within", classmethod(lambda cls, budget: effort))
+def test_it_is_tuned_by_its_own_knobs(capsys):
     law = make_controller("follower", P)
     assert [(k.name, k.high, k.apart, k.gains) for k in law.knobs()] == [
         ("K_v", 10.0, False, ("K_v",)),
         ("pull", 2.0, True, ("pull",)),
     ]
-    assert cli.main(["tune", "follower", "--out", "mine.toml"]) == 0
-    content = tomllib.loads(Path("mine.toml").read_text(encoding="utf-8"))
-    assert content["gains"].keys() == {"K_v", "pull"}
-    assert np.all(np.array(content["gains"]["pull"]) <= np.repeat([4000.0, 40.0], 3))
-    make_controller("follower", P, gain_set="mine.toml")
+    space = Space(law, P.modules)
+    assert [u.name for u in space.unknowns] == ["K_v", "pull of slides", "pull of bends"]
+    turned = space.turned(space.bounds.T)
+    np.testing.assert_allclose(turned["pull"][1], np.repeat([4000.0, 40.0], 3))
+    assert cli.main(["tune", "follower", "--budget", "1"]) == 2  # it is known, and cannot be paid
+    assert "budget is 1 s" in capsys.readouterr().err
