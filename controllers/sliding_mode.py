@@ -73,11 +73,6 @@ class SlidingLaw(Law):
         self.check(measurement, reference)
         return sliding_surface(self.lambda_, measurement, reference)
 
-    def force_along(self, measurement: Measurement, surface: Surface) -> np.ndarray:
-        """D^ q_r'' + (C^ + B^) q_r' + G^, eqs (28) and (55) corrected, shape (..., 2N)."""
-        _, q, v = measurement
-        return self.nominal.inverse_dynamics(q, v, surface.a_r, surface.v_r)
-
     def command(
         self,
         measurement: Measurement,
@@ -87,7 +82,7 @@ class SlidingLaw(Law):
         layer: Gain | None = None,
         **signals: np.ndarray,
     ) -> Command:
-        """The equivalent force and the robust part together.
+        """D^ q_r'' + (C^ + B^) q_r' + G^, eqs (28) and (55) corrected, and the robust part.
 
         Its signals are s, the parts `equivalent` and `switching`, V = 1/2 s^T D^ s of shape
         (..., 1) [J], and those that are given.
@@ -99,8 +94,9 @@ class SlidingLaw(Law):
             layer: half width of the boundary layer, broadcasts to (..., 2N) [m/s], [rad/s].
             **signals: more quantities to record.
         """
-        s, equivalent = surface.s, self.force_along(measurement, surface)
-        V = self.nominal.kinetic_energy(measurement.q, s)[..., None]
+        s, (_, q, v) = surface.s, measurement
+        equivalent = self.nominal.inverse_dynamics(q, v, surface.a_r, surface.v_r)
+        V = self.nominal.kinetic_energy(q, s)[..., None]
         parts = {"s": s, "equivalent": equivalent, "switching": switching, "V": V}
         width = None if layer is None else np.asarray(layer)
         return Command(equivalent + switching, {**parts, **signals}, width)
