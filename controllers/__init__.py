@@ -79,7 +79,7 @@ def make_controller(
     fields = {spelled(field): field for field in declared}
     starting = {n: f for n, f in declared.items() if f.replaced_by not in given}
     values: dict[str, Any] = {
-        n: f.recommended(model) for n, f in starting.items() if f.recommended is not None
+        n: f.start(model) for n, f in starting.items() if f.recommended is not None
     }
     tuned = starting_gains(name, model.modules, gain_set)
     wanted = {n: x for n, x in tuned.items() if fields.get(n) not in declared.keys() - starting}

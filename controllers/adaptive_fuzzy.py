@@ -40,8 +40,9 @@ import numpy as np
 from controllers.adaptive_gains import (
     COMPENSATION_BOUND,
     CONSEQUENT_BOUND,
-    PREMISE_RATE,
+    PREMISES,
     AdaptiveLaw,
+    premise_rate,
 )
 from controllers.fuzzy.estimators import first_type, second_type, strengths
 from controllers.gains import Gain, GainField
@@ -83,16 +84,17 @@ class FuzzyState(NamedTuple):
     E: np.ndarray
 
 
+PREMISE_RATE = GainField(
+    "adaptation rate of alpha", "1/(N m), 1/(N m rad)", premise_rate, PREMISES, zero=True
+)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class AdaptiveConsequents(AdaptiveLaw):
     """Law (63) with the first type of estimator: theta and E adapt, alpha and sigma are given.
 
     It is `AdaptiveFuzzy` with eta3 = eta4 = 0, for less. The signals hold f_hat and E of shape
     (..., 2N), and theta of shape (..., 2N, M).
-
-    Attributes:
-        theta_max: bound on |theta|, broadcasts to (..., 2N) [N], [N m]; inf for none.
-        E_max: bound on E, broadcasts to (..., 2N) [N], [N m]; inf for none.
     """
 
     theta_max: Annotated[np.ndarray, CONSEQUENT_BOUND]
@@ -133,34 +135,19 @@ class AdaptiveFuzzy(AdaptiveLaw):
 
     The signals are those of `AdaptiveConsequents`, and alpha and sigma of shape (..., 2N, M).
 
-    Attributes:
-        eta3: adaptation rate of alpha, broadcasts to (..., 2N) [1/(N m)], [1/(N m rad)].
-        eta4: adaptation rate of sigma, broadcasts to (..., 2N) [1/(N m)], [1/(N m rad)].
-        theta_max: bound on |theta|, broadcasts to (..., 2N) [N], [N m]; inf for none.
-        E_max: bound on E, broadcasts to (..., 2N) [N], [N m]; inf for none.
-        alpha_max: bound on |alpha - alpha0|, broadcasts to (..., 2N) [1]; inf for none.
-        sigma_min: smallest sigma, broadcasts to (..., 2N) [1]; 0 for none.
-        sigma_max: largest sigma, broadcasts to (..., 2N) [1]; inf for none.
-
     Raises:
         OctarmError: if sigma_min exceeds sigma_max.
     """
 
     eta3: Annotated[Gain, PREMISE_RATE]
-    eta4: Annotated[Gain, PREMISE_RATE]
+    eta4: Annotated[Gain, dataclasses.replace(PREMISE_RATE, meaning="adaptation rate of sigma")]
     theta_max: Annotated[np.ndarray, CONSEQUENT_BOUND]
     E_max: Annotated[np.ndarray, COMPENSATION_BOUND]
     alpha_max: Annotated[  # half the distance to the neighbour
-        np.ndarray,
-        GainField("1", zero_allowed=True, unbounded=True, recommended=lambda nominal: 0.25),
+        np.ndarray, GainField("bound on |alpha - alpha0|", "1", 0.25, zero=True, infinite=True)
     ]
-    sigma_min: Annotated[
-        np.ndarray, GainField("1", zero_allowed=True, recommended=lambda nominal: 1.0)
-    ]
-    sigma_max: Annotated[
-        np.ndarray,
-        GainField("1", zero_allowed=True, unbounded=True, recommended=lambda nominal: 3.0),
-    ]
+    sigma_min: Annotated[np.ndarray, GainField("smallest sigma; 0 for none", "1", 1.0, zero=True)]
+    sigma_max: Annotated[np.ndarray, GainField("largest sigma", "1", 3.0, zero=True, infinite=True)]
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -65,68 +65,71 @@ def premise_rate(nominal: NominalModel) -> np.ndarray:
     return 0.1 / (force_scale(nominal) * boundary_width(nominal))
 
 
-LEARNING, BOUND = Knob("learning"), Knob("bound", apart=True)
+LEARNING, BOUND, PREMISES = Knob("learning"), Knob("bound", apart=True), Knob("premises")
 
 CONSEQUENT_BOUND = GainField(
-    "N, N m", zero_allowed=True, unbounded=True, recommended=consequent_bound, knob=BOUND
+    "bound on |theta|", "N, N m", consequent_bound, BOUND, zero=True, infinite=True
 )
-COMPENSATION_BOUND = dataclasses.replace(CONSEQUENT_BOUND, recommended=compensation_bound)
-PREMISE_RATE = GainField(
-    "1/(N m), 1/(N m rad)", zero_allowed=True, recommended=premise_rate, knob=Knob("premises")
+COMPENSATION_BOUND = dataclasses.replace(
+    CONSEQUENT_BOUND, meaning="bound on E", recommended=compensation_bound
 )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class AdaptiveLaw(SlidingLaw):
-    """The gains of law (63) with given premises; each broadcasts to (..., 2N) unless said.
-
-    Attributes:
-        K_v: linear gain [N s/m], [N m s/rad].
-        phi: half width of the saturation in the compensation [m/s], [rad/s]; 0 gives sgn(s), as
-            the proof has it.
-        scale: z = s / scale is what the membership functions see [m/s], [rad/s].
-        dead_zone: E rests while |s| is below this [m/s], [rad/s]; 0 for none.
-        eta1: adaptation rate of E [N/m], [N m/rad].
-        eta2: adaptation rate of theta [N/m], [N m/rad].
-        alpha0: centres of the membership functions at the start, in units of z, shape (M,) or
-            (..., 2N, M) [1].
-        sigma0: their inverse widths at the start, broadcasts against alpha0 [1].
-        safeguards: whether bounds and dead zone act; False (or 0) leaves the law as printed.
-        normalised: whether the strengths phi of a joint's rules are divided by their sum.
+    """The gains of law (63) with given premises.
 
     Raises:
         OctarmError: if alpha0 and sigma0 are for different numbers of rules.
     """
 
     K_v: Annotated[Gain, LINEAR_GAIN]
-    phi: Annotated[Gain, LAYER_WIDTH]
-    scale: Annotated[Gain, GainField("m/s, rad/s", recommended=boundary_width, knob=WIDTH)]
+    phi: Annotated[  # 0 gives sgn(s), as the proof has it
+        Gain,
+        dataclasses.replace(LAYER_WIDTH, meaning="half width of the layer of the compensation"),
+    ]
+    scale: Annotated[
+        Gain,
+        GainField(
+            "the membership functions see z = s / scale", "m/s, rad/s", boundary_width, WIDTH
+        ),
+    ]
     dead_zone: Annotated[
         Gain,
         GainField(
+            "E rests while |s| is below this",
             "m/s, rad/s",
-            zero_allowed=True,
-            recommended=lambda nominal: 0.05 * boundary_width(nominal),
-            knob=WIDTH,
+            lambda nominal: 0.05 * boundary_width(nominal),
+            WIDTH,
+            zero=True,
         ),
     ]
     eta1: Annotated[
         Gain,
-        GainField("N/m, N m/rad", zero_allowed=True, recommended=compensation_rate, knob=LEARNING),
+        GainField("adaptation rate of E", "N/m, N m/rad", compensation_rate, LEARNING, zero=True),
     ]
     eta2: Annotated[
         Gain,
-        GainField("N/m, N m/rad", zero_allowed=True, recommended=consequent_rate, knob=LEARNING),
+        GainField("adaptation rate of theta", "N/m, N m/rad", consequent_rate, LEARNING, zero=True),
     ]
     alpha0: Annotated[
         np.ndarray,
-        RuleField("1", zero_allowed=True, recommended=lambda nominal: [-1.0, -0.5, 0.0, 0.5, 1.0]),
+        RuleField(
+            "centres of the membership functions at the start, in units of z",
+            "1",
+            [-1.0, -0.5, 0.0, 0.5, 1.0],
+            zero=True,
+        ),
     ]
     sigma0: Annotated[  # a function is at exp(-1) on its neighbours' centres
-        np.ndarray, RuleField("1", recommended=lambda nominal: 2.0)
+        np.ndarray, RuleField("their inverse widths at the start", "1", 2.0)
     ]
-    safeguards: Annotated[bool, Switch("1")] = True
-    normalised: Annotated[bool, Switch("1")] = False
+    safeguards: Annotated[
+        bool, Switch("whether bounds and dead zone act; else the law is as printed", "1")
+    ] = True
+    normalised: Annotated[
+        bool, Switch("whether the strengths of a joint's rules are divided by their sum", "1")
+    ] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

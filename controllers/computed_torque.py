@@ -18,21 +18,12 @@ class ComputedTorque(Law):
 
     Signals: `equivalent` D^ q_d'' + (C^ + B^) q' + G^, and `feedback` -D^ (K_d e' + K_p e) =
     -D^ K_d s with s = e' + (K_p / K_d) e.
-
-    Attributes:
-        K_p: position gain, broadcasts to (..., 2N) [1/s^2].
-        K_d: velocity gain, broadcasts to (..., 2N) [1/s].
     """
 
     # Critical damping at 80 rad/s. A nominal model that is 15 % too stiff cancels too much of the
     # springs: the arm then needs K_p above 0.15 / 1.3 of its highest mode's (154 rad/s)^2.
-    K_p: Annotated[
-        Gain,
-        GainField("1/s^2", recommended=lambda nominal: 6400.0, knob=Knob("K_p", apart=True)),
-    ]
-    K_d: Annotated[
-        Gain, GainField("1/s", recommended=lambda nominal: 160.0, knob=Knob("K_d", apart=True))
-    ]
+    K_p: Annotated[Gain, GainField("position gain", "1/s^2", 6400.0, Knob("K_p", apart=True))]
+    K_d: Annotated[Gain, GainField("velocity gain", "1/s", 160.0, Knob("K_d", apart=True))]
 
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference

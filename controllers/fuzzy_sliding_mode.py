@@ -40,16 +40,12 @@ class FuzzySlidingMode(SlidingLaw):
     wherever the model is exact, and outside the layer under eq (40); inside it a model error leaves
     a bounded error, as with `BoundaryLayer`.
 
-    Attributes:
-        K: switching gain, above the model error by eq (40), broadcasts to (..., 2N) [N], [N m].
-        K_v: linear gain, broadcasts to (..., 2N) [N s/m], [N m s/rad].
-        phi: where the first and last rule take over, broadcasts to (..., 2N) [m/s], [rad/s].
-        fuzzy: the function f; a subclass may set another one.
+    A subclass may set another function `fuzzy`.
     """
 
     K: Annotated[Gain, SWITCHING_GAIN]
     K_v: Annotated[Gain, LINEAR_GAIN]
-    phi: Annotated[Gain, dataclasses.replace(LAYER_WIDTH, zero_allowed=False)]
+    phi: Annotated[Gain, dataclasses.replace(LAYER_WIDTH, zero=False)]
 
     fuzzy: ClassVar[Callable[[np.ndarray], np.ndarray]] = SWITCHING
 

@@ -16,7 +16,7 @@ import numpy as np
 import pydantic
 
 from octarm.errors import OctarmError
-from octarm.formats import Document, Model, parse_toml, read_toml, to_toml
+from octarm.formats import Model, read_toml, to_toml
 
 SHIPPED = Path(__file__).resolve().parent / "gains"
 
@@ -48,22 +48,9 @@ class GainSet:
     origin: Mapping[str, Any] = dataclasses.field(default_factory=dict[str, Any])
 
     def to_toml(self) -> str:
-        """The text of a file; `from_toml` is the inverse."""
+        """The text of a file; `read_gain_set` is the inverse."""
         head = {"controller": self.controller, "modules": self.modules, "gains": self.gains}
         return to_toml({**head, **self.origin})
-
-    @classmethod
-    def from_toml(cls, text: str, file: str) -> GainSet:
-        """Reads the text of a file.
-
-        Args:
-            text: what it says.
-            file: its name in error messages.
-
-        Raises:
-            OctarmError: if it is not TOML, or does not hold a set of gains.
-        """
-        return _gain_set(parse_toml(text, file))
 
 
 def read_gain_set(path: str | Path) -> GainSet:
@@ -73,15 +60,9 @@ def read_gain_set(path: str | Path) -> GainSet:
         FileError: if it cannot be read.
         OctarmError: if it is not TOML, or does not hold a set of gains.
     """
-    return _gain_set(read_toml(path))
-
-
-def _gain_set(document: Document) -> GainSet:
-    file = document.read(_GainFile)
-    origin = file.model_extra or {}
-    return GainSet(
-        controller=file.controller, modules=file.modules, gains=file.gains, origin=origin
-    )
+    file = read_toml(path).read(_GainFile)
+    name, origin = file.controller, file.model_extra or {}
+    return GainSet(controller=name, modules=file.modules, gains=file.gains, origin=origin)
 
 
 @functools.cache

@@ -2,7 +2,7 @@
 
 A gain is a field of the law, annotated with all that is to be known of it:
 
-    K_v: Annotated[Gain, GainField("N s/m, N m s/rad", recommended=linear_gain, knob=Knob("K_v"))]
+    K_v: Annotated[Gain, GainField("linear gain", "N s/m, N m s/rad", linear_gain)]
 
 `Law` checks the gains when it is made, `make_controller` fills in the recommended ones, and
 `octarm tune` turns the knobs. Gains that several laws share stand in `controllers.recommended`.
@@ -32,21 +32,28 @@ class GainField:
     """A gain that may differ from coordinate to coordinate: it broadcasts to shape (..., 2N).
 
     Attributes:
+        meaning: for people.
         units: of slides and of bends, such as "N s/m, N m s/rad"; one unit if they are the same.
-        zero_allowed: whether it may be 0.
-        unbounded: whether it may be infinite.
-        recommended: gives the value for a nominal model, used where nothing else is asked for;
-            None for a gain that has to be given, or has a default.
-        replaced_by: name of a gain in whose presence this one is not filled in.
+        recommended: the value where nothing else is asked for, or what gives it for a nominal
+            model; None for a gain that has to be given, or has a default.
         knob: what multiplies the recommended value in tuning; gains may share one.
+        zero: whether it may be 0.
+        infinite: whether it may be infinite.
+        replaced_by: name of a gain in whose presence this one is not filled in.
     """
 
+    meaning: str
     units: str
-    zero_allowed: bool = False
-    unbounded: bool = False
-    recommended: Callable[[NominalModel], npt.ArrayLike] | None = None
-    replaced_by: str = ""
+    recommended: npt.ArrayLike | Callable[[NominalModel], npt.ArrayLike] | None = None
     knob: Knob | None = None
+    _: dataclasses.KW_ONLY
+    zero: bool = False
+    infinite: bool = False
+    replaced_by: str = ""
+
+    def start(self, nominal: NominalModel) -> npt.ArrayLike | None:
+        """The recommended value for a nominal model, broadcasts to (..., 2N)."""
+        return self.recommended(nominal) if callable(self.recommended) else self.recommended
 
     def checked(self, name: str, value: Any, nominal: NominalModel) -> Any:
         """The gain as a read-only float array.
@@ -59,11 +66,11 @@ class GainField:
         Raises:
             OctarmError: if it is not finite, not positive, or has neither one value nor 2N of them.
         """
-        gain = read_only(name, value, unbounded=self.unbounded)
+        gain = read_only(name, value, unbounded=self.infinite)
         self._check_shape(name, gain, nominal)
-        good = gain >= 0.0 if self.zero_allowed else gain > 0.0
+        good = gain >= 0.0 if self.zero else gain > 0.0
         if not np.all(good):
-            allowed = "at least 0" if self.zero_allowed else "above 0"
+            allowed = "at least 0" if self.zero else "above 0"
             raise OctarmError(f"{name} holds {gain[~good].flat[0]:g}; it must be {allowed}")
         return gain
 
@@ -102,7 +109,7 @@ class RuleField(GainField):
                 f"{name} has shape {numbers.shape}; it must be (M,) or "
                 f"(..., {nominal.coordinates}, M) for M rules"
             )
-        if not self.zero_allowed and not np.all(numbers > 0.0):
+        if not self.zero and not np.all(numbers > 0.0):
             worst = numbers[numbers <= 0.0].flat[0]
             raise OctarmError(f"{name} holds {worst:g}; it must be above 0")
         return numbers

@@ -44,18 +44,16 @@ class IntegralSlidingMode(SwitchingLaw):
     limit: |s| is then s_max, and nothing winds up.
 
     Here lambda is a double pole. The signals hold the `integral` as well.
-
-    Attributes:
-        phi: half width of the boundary layer, 0 for sgn(s), broadcasts to (..., 2N) [m/s], [rad/s].
-        s_max: largest |s| that the integral leaves standing, broadcasts to (..., 2N) [m/s],
-            [rad/s].
     """
 
     phi: Annotated[Gain, LAYER_WIDTH]
     s_max: Annotated[
         Gain,
         GainField(
-            "m/s, rad/s", recommended=lambda nominal: 5.0 * boundary_width(nominal), knob=WIDTH
+            "largest |s| that the integral leaves standing",
+            "m/s, rad/s",
+            lambda nominal: 5.0 * boundary_width(nominal),
+            WIDTH,
         ),
     ]
 

@@ -73,24 +73,29 @@ class FuzzyController(Law):
     Signals: `fuzzy`, the value of f in [-1, 1]; and s = e' + (rate_scale / e_scale) e, which is
     zero on the diagonal of the table.
 
-    Attributes:
-        force_scale: force of the strongest rule, broadcasts to (..., 2N) [N], [N m].
-        e_scale: error that is big, broadcasts to (..., 2N) [m], [rad].
-        rate_scale: rate of the error that is big, broadcasts to (..., 2N) [m/s], [rad/s].
-        surface: f, of two arrays of shape (..., 2N); a subclass may set another one, such as a
-            `Mamdani` system.
+    A subclass may set another `surface` f, of two arrays of shape (..., 2N), such as a `Mamdani`
+    system.
     """
 
     surface: ClassVar[Callable[[np.ndarray, np.ndarray], np.ndarray]] = SURFACE
 
     force_scale: Annotated[
-        Gain, GainField("N, N m", recommended=force_scale, knob=Knob("force_scale", apart=True))
+        Gain,
+        GainField(
+            "force of the strongest rule", "N, N m", force_scale, Knob("force_scale", apart=True)
+        ),
     ]
     e_scale: Annotated[
-        Gain, GainField("m, rad", recommended=error_scale, knob=Knob("e_scale", apart=True))
+        Gain, GainField("error that is big", "m, rad", error_scale, Knob("e_scale", apart=True))
     ]
     rate_scale: Annotated[
-        Gain, GainField("m/s, rad/s", recommended=rate_scale, knob=Knob("rate_scale", apart=True))
+        Gain,
+        GainField(
+            "rate of the error that is big",
+            "m/s, rad/s",
+            rate_scale,
+            Knob("rate_scale", apart=True),
+        ),
     ]
 
     def __call__(
@@ -99,7 +104,7 @@ class FuzzyController(Law):
         """The generalised force for this instant, shape (..., 2N) [N], [N m].
 
         Raises:
-            ValueError: if the measurement or the reference has a wrong shape.
+            OctarmError: if the measurement or the reference has a wrong shape.
         """
         self.check(measurement, reference)
         e, e_dot = measurement.q - reference.q, measurement.v - reference.v

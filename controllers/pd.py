@@ -29,17 +29,13 @@ class ProportionalDerivative(Law):
 
     Signals: `equivalent` G^(q_d), and `feedback` -K_p e - K_d e' = -K_d s with
     s = e' + (K_p / K_d) e.
-
-    Attributes:
-        K_p: position gain, broadcasts to (..., 2N) [N/m], [N m/rad].
-        K_d: velocity gain, broadcasts to (..., 2N) [N s/m], [N m s/rad].
     """
 
     K_p: Annotated[
-        Gain, GainField("N/m, N m/rad", recommended=position_gain, knob=Knob("K_p", apart=True))
+        Gain, GainField("position gain", "N/m, N m/rad", position_gain, Knob("K_p", apart=True))
     ]
     K_d: Annotated[
-        Gain, GainField("N s/m, N m s/rad", recommended=layer_slope, knob=Knob("K_d", apart=True))
+        Gain, GainField("velocity gain", "N s/m, N m s/rad", layer_slope, Knob("K_d", apart=True))
     ]
 
     def __call__(

@@ -66,13 +66,16 @@ def layer_slope(nominal: NominalModel) -> np.ndarray:
 # All that says how large an |s| is: the hand-set values are multiples of one width.
 WIDTH = Knob("width", apart=True)
 
-DECAY_RATE = GainField(  # lambda, about the arm's lowest mode
-    "1/s", recommended=lambda nominal: 15.0, knob=Knob("lambda", low=0.25, high=4.0)
+# About the arm's lowest mode.
+DECAY_RATE = GainField(
+    "decay rate of the error on the surface", "1/s", 15.0, Knob("lambda", low=0.25, high=4.0)
 )
 SWITCHING_GAIN = GainField(
-    "N, N m", zero_allowed=True, recommended=switching_gain, knob=Knob("K", apart=True)
+    "switching gain", "N, N m", switching_gain, Knob("K", apart=True), zero=True
 )
 LINEAR_GAIN = GainField(
-    "N s/m, N m s/rad", zero_allowed=True, recommended=linear_gain, knob=Knob("K_v")
+    "gain of the linear term", "N s/m, N m s/rad", linear_gain, Knob("K_v"), zero=True
 )
-LAYER_WIDTH = GainField("m/s, rad/s", zero_allowed=True, recommended=boundary_width, knob=WIDTH)
+LAYER_WIDTH = GainField(
+    "half width of the boundary layer", "m/s, rad/s", boundary_width, WIDTH, zero=True
+)

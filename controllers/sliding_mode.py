@@ -49,9 +49,7 @@ def sliding_surface(lambda_: Gain, measurement: Measurement, reference: Referenc
     """Eqs (17) and (18), for a lambda [1/s] that broadcasts to (..., 2N)."""
     e, e_dot = measurement.q - reference.q, measurement.v - reference.v
     return Surface(
-        s=e_dot + lambda_ * e,
-        v_r=reference.v - lambda_ * e,
-        a_r=reference.a - lambda_ * e_dot,
+        s=e_dot + lambda_ * e, v_r=reference.v - lambda_ * e, a_r=reference.a - lambda_ * e_dot
     )
 
 
@@ -62,11 +60,7 @@ def saturation(s: np.ndarray, phi: Gain) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class SlidingLaw(Law):
-    """A law with a sliding surface: the model along q_r', and a robust part.
-
-    Attributes:
-        lambda_: decay rate of the error on the surface, broadcasts to (..., 2N) [1/s].
-    """
+    """A law with a sliding surface: the model along q_r', and a robust part."""
 
     lambda_: Annotated[Gain, DECAY_RATE]
 
@@ -79,11 +73,6 @@ class SlidingLaw(Law):
         self.check(measurement, reference)
         return sliding_surface(self.lambda_, measurement, reference)
 
-    def force_along(self, measurement: Measurement, surface: Surface) -> np.ndarray:
-        """D^ q_r'' + (C^ + B^) q_r' + G^, eqs (28) and (55) corrected, shape (..., 2N)."""
-        _, q, v = measurement
-        return self.nominal.inverse_dynamics(q, v, surface.a_r, surface.v_r)
-
     def command(
         self,
         measurement: Measurement,
@@ -93,7 +82,7 @@ class SlidingLaw(Law):
         layer: Gain | None = None,
         **signals: np.ndarray,
     ) -> Command:
-        """The equivalent force and the robust part together.
+        """D^ q_r'' + (C^ + B^) q_r' + G^, eqs (28) and (55) corrected, and the robust part.
 
         Its signals are s, the parts `equivalent` and `switching`, V = 1/2 s^T D^ s of shape
         (..., 1) [J], and those that are given.
@@ -105,8 +94,9 @@ class SlidingLaw(Law):
             layer: half width of the boundary layer, broadcasts to (..., 2N) [m/s], [rad/s].
             **signals: more quantities to record.
         """
-        s, equivalent = surface.s, self.force_along(measurement, surface)
-        V = self.nominal.kinetic_energy(measurement.q, s)[..., None]
+        s, (_, q, v) = surface.s, measurement
+        equivalent = self.nominal.inverse_dynamics(q, v, surface.a_r, surface.v_r)
+        V = self.nominal.kinetic_energy(q, s)[..., None]
         parts = {"s": s, "equivalent": equivalent, "switching": switching, "V": V}
         width = None if layer is None else np.asarray(layer)
         return Command(equivalent + switching, {**parts, **signals}, width)
@@ -114,15 +104,7 @@ class SlidingLaw(Law):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class SwitchingLaw(SlidingLaw):
-    """The gains of a sliding mode whose switching gain is given, or derived from an uncertainty.
-
-    Attributes:
-        K: switching gain, broadcasts to (..., 2N) [N], [N m]; None when it is derived.
-        K_v: linear gain, broadcasts to (..., 2N) [N s/m], [N m s/rad].
-        uncertainty: share u of the nominal model from which K is derived, below 1, shape () or
-            (..., 1) [1]; see `NominalModel.largest_error`. None when K is given.
-        eta: what a derived K has above the model error, broadcasts to (..., 2N) [N], [N m]; the
-            recommended one when not given.
+    """A sliding mode whose switching gain is given, or derived from an uncertainty.
 
     Raises:
         OctarmError: unless one of K and uncertainty is given.
@@ -130,8 +112,13 @@ class SwitchingLaw(SlidingLaw):
 
     K: Annotated[Gain | None, dataclasses.replace(SWITCHING_GAIN, replaced_by="uncertainty")] = None
     K_v: Annotated[Gain, LINEAR_GAIN]
-    uncertainty: Annotated[Gain | None, ShareField("1")] = None
-    eta: Annotated[Gain | None, GainField("N, N m")] = None
+    uncertainty: Annotated[
+        Gain | None,
+        ShareField("share of the nominal model, see `largest_error`, from which K is derived", "1"),
+    ] = None
+    eta: Annotated[
+        Gain | None, GainField("what a derived K has above the model error", "N, N m")
+    ] = None
 
     def __post_init__(self) -> None:
         given = (self.K is not None) + (self.uncertainty is not None)
@@ -201,9 +188,6 @@ class BoundaryLayer(SwitchingLaw):
     Inside the layer |s| <= phi the switching is a linear term: no chattering, at the price of an
     error that only stays bounded. Eq (42) becomes V' <= -sum eta_i |s_i| + sum K_i phi_i / 4, and
     no time to reach s = 0 can be promised. With phi = 0 this is `SlidingMode`.
-
-    Attributes:
-        phi: half width of the boundary layer, broadcasts to (..., 2N) [m/s], [rad/s].
     """
 
     phi: Annotated[Gain, LAYER_WIDTH]

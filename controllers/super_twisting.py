@@ -56,30 +56,22 @@ class SuperTwisting(SlidingLaw):
     w is kept within K: as the other switching gains it need not exceed the model error, and does
     not wind up while an actuator is at its limit. It is part of the signal `switching`, and a
     signal of its own. V is that of the other sliding modes, although the proof needs another one.
-
-    Attributes:
-        K: largest |w|, broadcasts to (..., 2N) [N], [N m].
-        K_v: linear gain, broadcasts to (..., 2N) [N s/m], [N m s/rad].
-        k_1: gain of the root, broadcasts to (..., 2N) [N/sqrt(m/s)], [N m/sqrt(rad/s)].
-        k_2: rate of w, broadcasts to (..., 2N) [N/s], [N m/s].
     """
 
-    K: Annotated[Gain, SWITCHING_GAIN]
+    K: Annotated[Gain, dataclasses.replace(SWITCHING_GAIN, meaning="largest |w|")]
     K_v: Annotated[Gain, LINEAR_GAIN]
     k_1: Annotated[
         Gain,
         GainField(
+            "gain of the root",
             "N/sqrt(m/s), N m/sqrt(rad/s)",
-            zero_allowed=True,
-            recommended=root_gain,
-            knob=Knob("k_1", apart=True),
+            root_gain,
+            Knob("k_1", apart=True),
+            zero=True,
         ),
     ]
     k_2: Annotated[
-        Gain,
-        GainField(
-            "N/s, N m/s", zero_allowed=True, recommended=rate_gain, knob=Knob("k_2", apart=True)
-        ),
+        Gain, GainField("rate of w", "N/s, N m/s", rate_gain, Knob("k_2", apart=True), zero=True)
     ]
 
     def __call__(

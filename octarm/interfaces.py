@@ -79,7 +79,7 @@ class Instant(NamedTuple):
     """One control instant as the loop shows it to its observers.
 
     Attributes:
-        measurement: what the controller was told.
+        measurement: what the controller received.
         reference: what was wanted.
         command: what the controller answered.
         q: true coordinates, shape (..., 2N) [m], [rad].

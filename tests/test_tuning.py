@@ -172,9 +172,9 @@ def test_a_gain_has_one_knob(name: str):
 def test_a_new_controller_is_tuned_by_the_knobs_of_its_gains():
     @dataclasses.dataclass(frozen=True, kw_only=True)
     class New(Law):
-        stiffness: Annotated[Gain, GainField("N/m", knob=Knob("how stiff", apart=True))]
-        colour: Annotated[Gain, GainField("1")]
-        safe: Annotated[bool, Switch("1")] = True
+        stiffness: Annotated[Gain, GainField("how hard", "N/m", knob=Knob("how stiff", apart=True))]
+        colour: Annotated[Gain, GainField("to look at", "1")]
+        safe: Annotated[bool, Switch("for those who fear", "1")] = True
 
     space = Space(New(nominal=LagrangeModel(P), stiffness=2.0, colour=1.0), N)  # pyright: ignore
     assert [u.name for u in space.unknowns] == ["how stiff of slides", "how stiff of bends"]
@@ -377,7 +377,7 @@ def test_bad_input_is_refused_in_one_sentence(arguments, sentence, tmp_path, mon
     assert not list(tmp_path.iterdir())
 
 
-def test_a_gain_set_survives_the_file():
+def test_a_gain_set_survives_the_file(tmp_path):
     whole = GainSet(
         controller="smc",
         modules=3,
@@ -387,7 +387,9 @@ def test_a_gain_set_survives_the_file():
             "search": {"good": True, "rows": [{"name": "x", "n": 1}, {"name": "y", "n": -2.5e-9}]},
         },
     )
-    assert GainSet.from_toml(whole.to_toml(), "x.toml") == whole
+    path = tmp_path / "x.toml"
+    path.write_text(whole.to_toml(), encoding="utf-8")
+    assert read_gain_set(path) == whole
 
 
 GIVEN = GainSet(controller="smc", modules=3, gains={"lambda": 33.0, "K": [1, 2, 3, 4, 5, 6]})

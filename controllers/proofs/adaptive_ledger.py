@@ -15,7 +15,6 @@ from controllers.proofs.lyapunov import (
     AdaptiveLaw,
     Instants,
     approximation_error,
-    as_claimed,
     below,
     damped,
     energy_rate,
@@ -24,6 +23,7 @@ from controllers.proofs.lyapunov import (
     model_error,
     parameter_energy,
     parameter_rate,
+    proved,
     random_instants,
     random_nominal,
     rates_of,
@@ -93,8 +93,7 @@ def adaptive(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterato
     for name, normalised in itertools.product(("afsmc", "afsmc-consequent"), (False, True)):
         label = f"{name} normalised" if normalised else name
         t = adaptive_trial(name, p, states, rng, normalised=normalised)
-        yield as_claimed(label, t.rate(), t.claim)
-        yield below(label, t.rate(), -t.taken, rms(t.claim))
+        yield from proved(label, t.rate(), t.claim, -t.taken)
     yield from _saturated(p, states, rng)
     yield from _safeguarded(p, states, rng)
 
@@ -104,9 +103,8 @@ def _saturated(p: ArmParameters, states: int, rng: np.random.Generator) -> Itera
     phi = layer_of(p)
     t = adaptive_trial("afsmc", p, states, rng, phi=phi)
     claim = t.claim + np.sum(t.now.E * _unsaturated(t.surface.s, phi), axis=-1)
-    yield as_claimed("afsmc, E sat(s / phi)", t.rate(), claim)
     bound = np.sum(0.25 * t.now.E * phi, axis=-1) - t.taken
-    yield below("afsmc, E sat(s / phi)", t.rate(), bound, rms(claim))
+    yield from proved("afsmc, E sat(s / phi)", t.rate(), claim, bound)
 
 
 def _safeguarded(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
@@ -149,8 +147,8 @@ def along_a_run(p: ArmParameters, rng: np.random.Generator) -> Iterator[Check]:
         V = (energy + parameter_energy(trial.law, trial.now, trial.best)) / rms(claim)
         pairs = rate[:-2:2] + 4.0 * rate[1:-1:2] + rate[2::2]  # Simpson's rule over two steps
         integral = np.cumsum(pairs, axis=0) * (t[1] / 3.0) / rms(claim)
-        yield as_claimed("afsmc along a run", rate, claim)
-        yield below("afsmc along a run", rate, 0.25 * np.sum(E * phi, axis=-1), rms(claim))
+        bound = 0.25 * np.sum(E * phi, axis=-1)
+        yield from proved("afsmc along a run", rate, claim, bound)
         difference = np.max(np.abs(V[2::2] - V[0] - integral)) / t[-1]
         yield Check("afsmc along a run: V - its integrated V', a second", float(difference), 1e-3)
         left = float(np.max(V[-1] / V[0]))

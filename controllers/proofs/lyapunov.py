@@ -20,6 +20,7 @@ Shapes: (...) for the batch, 2N coordinates, M fuzzy rules a coordinate. Energie
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -253,6 +254,14 @@ def noticed(name: str, rate: np.ndarray, claim: np.ndarray) -> Check:
 def below(name: str, rate: np.ndarray, bound: np.ndarray | float, scale: float) -> Check:
     """The row for a V' that is never to exceed a bound."""
     return Check(f"{name}: largest V' - bound", float(np.max(rate - bound)) / scale, EXACT)
+
+
+def proved(
+    name: str, rate: np.ndarray, claim: np.ndarray, bound: np.ndarray | float
+) -> Iterator[Check]:
+    """The rows for a right law: V' equals its claim, and never exceeds its bound."""
+    yield as_claimed(name, rate, claim)
+    yield below(name, rate, bound, rms(claim))
 
 
 def rms(x: np.ndarray) -> float:

@@ -201,8 +201,8 @@ def _set_modules(spec: mujoco.MjSpec, modules: int) -> None:
 
 def _geoms_of(spec: mujoco.MjSpec, i: int) -> tuple[list[mujoco.MjsGeom], list[mujoco.MjsGeom]]:
     """The pictures of module i: those on the body it stands on, and those on its own."""
-    below, own = _geom_names(i)
-    return [spec.geom(name) for name in below], [spec.geom(name) for name in own]
+    sleeves, rods = _geom_names(i)
+    return [spec.geom(name) for name in sleeves], [spec.geom(name) for name in rods]
 
 
 def _geom_names(i: int) -> tuple[list[str], list[str]]:
