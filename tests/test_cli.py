@@ -196,6 +196,20 @@ def test_a_diverging_run_is_kept_and_marked(capsys):
     assert len(run) < 20
 
 
+def test_a_run_says_its_format_and_another_one_is_refused(capsys):
+    assert short_run() == 0
+    text = Path("a/run.json").read_text()
+    description = json.loads(text)
+    assert description["format"] == 2
+    assert description["coordinates"][0] == {"name": "s1", "unit": "m"}
+    assert description["coordinates"][-1] == {"name": "theta3", "unit": "rad"}
+    Path("a/run.json").write_text(text.replace('"format": 2', '"format": 3'))
+    capsys.readouterr()
+    assert cli.main(["verify", "a"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "a/run.json has format 3" in line and "reads format 2" in line
+
+
 def test_an_interrupt_leaves_nothing_half_written(monkeypatch, capsys):
     def interrupted(*_args, **_options):
         raise KeyboardInterrupt
@@ -209,7 +223,8 @@ def test_an_interrupt_leaves_nothing_half_written(monkeypatch, capsys):
 def test_an_interrupt_while_replacing_keeps_the_earlier_run(monkeypatch):
     assert short_run() == 0
     before = Path("a/run.npz").read_bytes()
-    monkeypatch.setattr(runs, "write_run", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    failing = lambda *_: (_ for _ in ()).throw(OSError("disk full"))  # noqa: E731
+    monkeypatch.setattr(experiment.Archive, "save", failing)
     assert short_run("--mismatch", "0.1") == 2
     assert Path("a/run.npz").read_bytes() == before
     assert [p.name for p in Path().iterdir()] == ["a"]

@@ -170,7 +170,7 @@ def mapped(path: str | os.PathLike[str]) -> Trajectory:
                 with content.open(member):  # after which the file stands where the array begins
                     arrays[member.filename.removesuffix(".npy")] = _mapped_array(path, file)
         return Trajectory.from_arrays(arrays)
-    except (KeyError, ValueError, zipfile.BadZipFile) as error:
+    except (KeyError, RuntimeError, ValueError, zipfile.BadZipFile) as error:
         raise OctarmError(f"{path} is not a trajectory file ({error})") from None
 
 

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from octarm.errors import OctarmError
+from octarm.errors import FileError, OctarmError
 from octarm.files import whole_file
 from octarm.interfaces import Rows
 
@@ -117,7 +117,7 @@ class Trajectory:
         """Reads what `save` wrote.
 
         Raises:
-            OctarmError: if the file is not a trajectory.
+            OctarmError: if the file is not a trajectory, or cannot be read.
         """
         try:
             with np.load(path, allow_pickle=False) as file:
@@ -125,7 +125,9 @@ class Trajectory:
             for array in arrays.values():
                 array.setflags(write=False)
             return cls.from_arrays(arrays)
-        except (KeyError, ValueError, zipfile.BadZipFile) as error:
+        except OSError as error:
+            raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
+        except (EOFError, KeyError, RuntimeError, ValueError, zipfile.BadZipFile) as error:
             raise OctarmError(f"{path} is not a trajectory file ({error})") from None
 
     @classmethod
