@@ -266,6 +266,12 @@ class Disturbance(abc.ABC):
         return 0.0
 
 
+def begins_and_ends(text: str, at: Amount, length: Amount = np.inf) -> Sequence[Event]:
+    """The events of a disturbance of one arm that acts from `at` on for a while [s]."""
+    end = float(at) + float(length)
+    return [Event(float(at), text), *([Event(end, "")] if np.isfinite(end) else [])]
+
+
 class Force(Disturbance):
     """A disturbance that pushes the arm."""
 

@@ -6,6 +6,7 @@ On the command line a disturbance is NAME:VALUE[,KEY=VALUE]*, such as `payload:0
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -85,6 +86,16 @@ def from_dict(description: Mapping[str, Any]) -> Disturbance:
         if key not in fields:
             raise OctarmError(f"{cls.name} needs the field {key!r}")
     return cls(**fields)
+
+
+def from_entry(entry: Mapping[str, Any]) -> Disturbance:
+    """The disturbance of an entry of `run.json`, `{"name": "noise-2", "asked": {...}}`.
+
+    Raises:
+        OctarmError: if the name or a field is unknown, missing or not allowed.
+    """
+    name = re.sub(r"-\d+$", "", str(entry.get("name")))  # noise-2 is the second noise
+    return from_dict({"name": name, **entry["asked"]})
 
 
 def describe() -> str:

@@ -92,6 +92,7 @@ class Archive:
         self._block = block = min(block, rows)
         self._file: IO[bytes] | None = None
         self._layout = _Layout(0, block, {})
+        self._layer: np.ndarray | None = None
 
     def __enter__(self) -> Archive:
         """Makes the file; raises OSError if it cannot be written."""
@@ -142,6 +143,9 @@ class Archive:
                     np.lib.format.write_array_header_1_0(member, header)
                     for numbers in self._numbers(name):
                         member.write(numbers)
+            if self._layer is not None:
+                with file.open("layer.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, self._layer)
             for name in TEXTS:
                 with file.open(f"{name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, np.array(getattr(self.ending, name)))
@@ -153,8 +157,11 @@ class Archive:
         return self._file
 
     def _begin(self, rows: Trajectory) -> None:
+        self._layer = rows.layer
         shapes = {name: array.shape[1:] for name, array in rows.arrays()}
-        head = json.dumps({"rows": self._block, "shapes": shapes}).encode() + b"\n"
+        layer = None if rows.layer is None else rows.layer.tolist()
+        known = {"rows": self._block, "shapes": shapes, "layer": layer}
+        head = json.dumps(known).encode() + b"\n"
         self._opened.write(head)
         self._layout = _Layout(len(head), self._block, shapes)
         # Once as blocks and, before they are removed, once more as arrays.
@@ -208,6 +215,8 @@ def read_blocks(path: str | os.PathLike[str]) -> Trajectory:
     }
     end = f"killed after t = {arrays['t'][-1]:.6g} s"
     texts = {"status": "interrupted", "message": end, "digest": ""}
+    if known.get("layer") is not None:
+        arrays["layer"] = np.array(known["layer"])
     return Trajectory.from_arrays(arrays, texts)
 
 

@@ -143,7 +143,7 @@ def stream(
         raise OctarmError(
             f"a trajectory records one arm; this environment has {physics.batch_shape[0]}"
         )
-    rows = _Rows(physics, block)
+    rows = _Rows(physics, block, getattr(controller, "phi", None))
 
     def hand_on() -> None:
         with held_interrupts():
@@ -173,7 +173,8 @@ def joined(blocks: Sequence[Trajectory], ending: Ending) -> Trajectory:
     """Blocks of rows as one trajectory."""
     tables = [dict(rows.arrays()) for rows in blocks]
     arrays = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-    return Trajectory.from_arrays(arrays, ending._asdict())
+    layer = {} if blocks[0].layer is None else {"layer": blocks[0].layer}
+    return Trajectory.from_arrays(arrays | layer, ending._asdict())
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
@@ -214,7 +215,9 @@ class _Rows:
         count: number of rows so far, those included that were taken.
     """
 
-    def __init__(self, physics: ArmPhysics, size: int) -> None:
+    def __init__(self, physics: ArmPhysics, size: int, layer: Any) -> None:
+        layer = None if layer is None else np.broadcast_to(layer, physics.q().shape)
+        self._layer = {} if layer is None else {"layer": np.array(layer, dtype=float)}
         self._physics, self._size = physics, size
         self._used = self.count = 0
         self._columns: dict[str, np.ndarray] = {}
@@ -250,7 +253,7 @@ class _Rows:
             self._hash.update(state)
         arrays = {name: column[: self._used] for name, column in self._columns.items()}
         self._states, self._used = [], 0
-        return Trajectory.from_arrays(arrays, Ending("ok", "", "")._asdict())
+        return Trajectory.from_arrays(arrays | self._layer, Ending("ok", "", "")._asdict())
 
     def digest(self) -> str:
         """Of the rows that were taken."""

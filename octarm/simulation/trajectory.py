@@ -35,6 +35,8 @@ class Trajectory:
         force: generalised force Q the controller asked for, shape (T, 2N) [N], [N m].
         disturbance: generalised force that disturbances added, shape (T, 2N) [N], [N m].
         signals: the controller's own quantities by name, each of shape (T, k).
+        layer: half width phi of the controller's boundary layer, shape (2N,) [m/s], [rad/s]; None
+            where there is none.
         status: `ok`, or `diverged` or `interrupted` when the run ended before its time.
         message: one sentence on how such a run ended; empty otherwise.
         digest: SHA-256 over MuJoCo's integration state at every control instant.
@@ -52,6 +54,7 @@ class Trajectory:
     force: np.ndarray
     disturbance: np.ndarray
     signals: Mapping[str, np.ndarray]
+    layer: np.ndarray | None = None
     status: Literal["ok", "diverged", "interrupted"] = "ok"
     message: str = ""
     digest: str = ""
@@ -87,7 +90,8 @@ class Trajectory:
         """Writes the twin `.npz`, whole or not at all; equal trajectories give equal bytes."""
         texts = {name: np.array(getattr(self, name)) for name in TEXTS}
         with whole_file(path) as part, open(part, "wb") as file:
-            np.savez(file, allow_pickle=False, **dict(self.arrays()), **texts)
+            layer = {} if self.layer is None else {"layer": self.layer}
+            np.savez(file, allow_pickle=False, **dict(self.arrays()), **layer, **texts)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
@@ -114,9 +118,11 @@ class Trajectory:
             KeyError: if something is missing.
         """
         fixed = {name: arrays[name] for name in _ARRAYS}
-        signals = {name: array for name, array in arrays.items() if name not in fixed}
+        layer = arrays.get("layer")
+        known = (*fixed, "layer")
+        signals = {name: array for name, array in arrays.items() if name not in known}
         ended = {name: texts[name] for name in TEXTS}
-        return cls(**fixed, **ended, signals=signals)  # pyright: ignore[reportArgumentType]
+        return cls(**fixed, **ended, signals=signals, layer=layer)  # pyright: ignore[reportArgumentType]
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
