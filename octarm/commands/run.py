@@ -168,7 +168,7 @@ def _view(folder: Path) -> int:
 
     try:
         viewer.open_viewer([folder / runs.RECORDING])
-    except RuntimeError as error:
+    except OctarmError as error:
         print(f"the viewer did not open: {error}")
         print(f"a picture: octarm replay {shlex.quote(str(folder))} --screenshot picture.png")
     return ExitCode.FINE

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -11,8 +12,10 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure as NewFigure
 
+from octarm.arm.coordinates import planar_coordinates
+from octarm.disturbances.spelling import from_entry
 from octarm.files import whole_file
-from octarm.recordings.channels import Channel, bound_lines, bounds_of, channels_of, values_of
+from octarm.recordings.channels import Channel, bounds_of, channels_of, has_energy
 from octarm.recordings.notes import title_of
 from octarm.simulation.trajectory import Trajectory
 
@@ -22,6 +25,7 @@ Figure = Any
 
 COLORS = ["#d1660a", "#1f6fb5", "#2a9461", "#b8408f", "#a08a10", "#6a55c8", "#1b8f8f", "#c24a3a"]
 _MOST = 4000  # points a curve; of more only the extremes of each stretch are drawn
+_INSTANTS = 1500  # of a heat map at most
 _STYLE: Any = {
     "font.size": 8,
     "axes.titlesize": 8,
@@ -48,7 +52,7 @@ def write_figures(
 ) -> list[Path]:
     """Writes each figure as PNG and SVG; a folder that is missing is made.
 
-    The figures are `tracking`, `error` and `inputs`; `sliding` if the controller has a sliding
+    There are always `tracking`, `error` and `inputs`; `sliding` if the controller has a sliding
     variable, `adaptation` if it adapts, `disturbance` if something pushed the arm.
 
     Args:
@@ -66,7 +70,7 @@ def write_figures(
     folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     with cast(Any, matplotlib).rc_context(_STYLE):
-        for name, figure in figures(run, description):
+        for name, figure in _Drawing(run, description).figures():
             for kind in ("png", "svg"):
                 path = folder / f"{name}.{kind}"
                 with whole_file(path) as part:
@@ -77,78 +81,70 @@ def write_figures(
     return written
 
 
-def figures(run: Trajectory, description: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
-    """The figures of a run by name."""
-    draw = _Drawing(run, description)
-    yield "tracking", draw.halves("q", desired=True)
-    yield "error", draw.halves("error")
-    yield "inputs", draw.inputs()
-    if "s" in draw.channels:
-        yield "sliding", draw.sliding()
-    if any(channel.kind == "rules" for channel in draw.channels.values()):
-        yield "adaptation", draw.adaptation()
-    if "disturbance" in draw.channels:
-        yield "disturbance", draw.halves("disturbance")
-
-
 class _Drawing:
-    """What figures are made of."""
+    """Draws the figures of one run."""
 
     def __init__(self, run: Trajectory, description: Mapping[str, Any]) -> None:
+        self._rows, self._t, self._title = dict(run.arrays()), run.t, title_of(description)
+        coordinates = planar_coordinates(run.q.shape[1] // 2)
+        gains = description.get("controller", {}).get("gains", {})
+        disturbances = map(from_entry, description.get("disturbances", []))
+        bounds = bounds_of(coordinates, run.layer, gains, disturbances)
         disturbed = bool(run.disturbance.any())
-        self.run, self._title = run, title_of(description)
-        self.channels = channels_of(run, disturbed=disturbed)
-        self._values = values_of(run, disturbed=disturbed)
-        self._bounds = bounds_of(description, run.q.shape[1])
+        self._channels = channels_of(self._rows, coordinates, bounds, disturbed=disturbed)
 
-    def halves(self, name: str, desired: bool = False) -> Figure:
-        """Bends above slides."""
-        figure, axes = self._figure(2)
-        for ax, part in zip(axes, ("bends", "slides"), strict=True):
-            self._half(ax, name, part, desired)
-            ax.set_ylabel(f"{self.channels[name].title}, {part}{self.channels[name].unit(part)}")
+    def figures(self) -> Iterator[tuple[str, Figure]]:
+        """The figures by name."""
+        rules = [channel for channel in self._channels.values() if channel.kind == "rules"]
+        yield "tracking", self._coordinates("q", desired=True)
+        yield "error", self._coordinates("error")
+        yield "inputs", self._inputs()
+        if "s" in self._channels:
+            yield "sliding", self._sliding()
+        if rules:
+            yield "adaptation", self._adaptation(rules)
+        if "disturbance" in self._channels:
+            yield "disturbance", self._coordinates("disturbance")
+
+    def _coordinates(self, name: str, desired: bool = False) -> Figure:
+        """A channel with axes for each of its parts."""
+        figure, axes = self._figure(len(self._channels[name].parts))
+        self._draw_parts(axes, name, self._channels[name].title, desired)
         return figure
 
-    def inputs(self) -> Figure:
-        """Both columns of each module."""
-        n = self.run.q.shape[1] // 2
-        figure, axes = self._figure(n, height=1.35)
-        tau, bound = self._values["tau"], self._bounds.get("tau")
+    def _inputs(self) -> Figure:
+        """Axes for each module, with both of its columns."""
+        channel = self._channels["tau"]
+        tau = channel.values(self._rows)
+        figure, axes = self._figure(tau.shape[1] // 2, height=1.35)
         for i, ax in enumerate(axes):
             for a, style in ((1, "-"), (2, "--")):
                 color = COLORS[i % len(COLORS)]
                 self._line(ax, tau[:, 2 * i + a - 1], color, f"column {a}", linestyle=style)
-            if bound is not None:
-                for y in bound_lines("tau", bound, "all"):
-                    ax.axhline(y, color="#555555", linewidth=0.6, linestyle=":")
+            self._finish(ax, channel, slice(None))
             ax.set_ylabel(f"$\\tau$, module {i + 1} [N]")
-            _legend(ax)
         return figure
 
-    def sliding(self) -> Figure:
+    def _sliding(self) -> Figure:
         """s, then V if there is one."""
-        has_energy = "V" in self.channels and self.channels["V"].kind == "scalar"
-        figure, axes = self._figure(3 if has_energy else 2)
-        for ax, part in zip(axes, ("bends", "slides"), strict=False):
-            self._half(ax, "s", part, False)
-            ax.set_ylabel(f"$s$, {part}{self.channels['s'].unit(part)}")
-        if has_energy:
-            V = np.maximum(self._values["V"][:, 0], 1e-12)
-            self._line(axes[2], V, "#333333", "V")
-            axes[2].set_yscale("log")
-            axes[2].set_ylabel("$V$ [J]")
+        energy, parts = has_energy(self._channels), self._channels["s"].parts
+        figure, axes = self._figure(len(parts) + energy)
+        self._draw_parts(axes, "s", "$s$")
+        if energy:
+            V = np.maximum(self._channels["V"].values(self._rows)[:, 0], 1e-12)
+            self._line(axes[-1], V, "#333333", "V")
+            axes[-1].set_yscale("log")
+            axes[-1].set_ylabel("$V$ [J]")
         return figure
 
-    def adaptation(self) -> Figure:
+    def _adaptation(self, rules: Sequence[Channel]) -> Figure:
         """Numbers of rules as heat maps over time, then E."""
-        rules = [c for c in self.channels.values() if c.kind == "rules"]
-        has_gain = "E" in self.channels
-        figure, axes = self._figure(len(rules) + 2 * has_gain, height=1.5)
+        gains = len(self._channels["E"].parts) if "E" in self._channels else 0
+        figure, axes = self._figure(len(rules) + gains, height=1.5)
         for ax, channel in zip(axes, rules, strict=False):
-            self._heat(figure, ax, channel)
-        for ax, part in zip(axes[len(rules) :], ("bends", "slides"), strict=False):
-            self._half(ax, "E", part, False)
-            ax.set_ylabel(f"$E$, {part}{self.channels['E'].unit(part)}")
+            self._heat_map(figure, ax, channel)
+        if gains:
+            self._draw_parts(axes[len(rules) :], "E", "$E$")
         return figure
 
     def _figure(self, rows: int, height: float = 1.9) -> tuple[Figure, list[Axes]]:
@@ -156,36 +152,40 @@ class _Drawing:
         axes = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
         axes[0].set_title(self._title, loc="left")
         axes[-1].set_xlabel("time [s]")
-        axes[0].set_xlim(self.run.t[0], self.run.t[-1] if len(self.run) > 1 else None)
+        axes[0].set_xlim(self._t[0], self._t[-1] if len(self._t) > 1 else None)
         return figure, axes
 
-    def _half(self, ax: Axes, name: str, part: str, desired: bool) -> None:
-        channel = self.channels[name]
-        values, half = self._values[name], channel.half(part)
-        n = len(channel.names) // 2
-        for i, label in enumerate(channel.names[half]):
-            color = COLORS[i % len(COLORS)]
-            j = i + (half.start or 0)
-            if desired:
-                wanted = self._values["q_d"][:, j]
-                self._line(ax, wanted, color, None, linewidth=3.0, alpha=0.3)
-            self._line(ax, values[:, j], color, _symbol(label))
-        if name in self._bounds and n:
-            for y in bound_lines(name, self._bounds[name], part):
-                ax.axhline(y, color="#555555", linewidth=0.6, linestyle=":")
-        _legend(ax)
+    def _draw_parts(
+        self, axes: Sequence[Axes], name: str, title: str, desired: bool = False
+    ) -> None:
+        """The parts of a channel, the last one (bends) above."""
+        channel = self._channels[name]
+        values, wanted = channel.values(self._rows), self._rows["q_d"]
+        for ax, (part, where) in zip(axes, reversed(channel.parts.items()), strict=False):
+            for i, j in enumerate(range(len(channel.names))[where]):
+                color = COLORS[i % len(COLORS)]
+                if desired:
+                    self._line(ax, wanted[:, j], color, None, linewidth=3.0, alpha=0.3)
+                self._line(ax, values[:, j], color, _symbol(channel.names[j]))
+            self._finish(ax, channel, where)
+            ax.set_ylabel(f"{title}, {part}{channel.units[part]}" if part else title)
 
-    def _heat(self, figure: Figure, ax: Axes, channel: Channel) -> None:
+    def _finish(self, ax: Axes, channel: Channel, where: slice) -> None:
+        """Lines at the bounds of a part of a channel, and the legend."""
+        for y in channel.bound.lines(where) if channel.bound is not None else ():
+            ax.axhline(y, color="#555555", linewidth=0.6, linestyle=":")
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), handlelength=1.4, borderaxespad=0.2)
+
+    def _heat_map(self, figure: Figure, ax: Axes, channel: Channel) -> None:
         """The change of numbers of rules; colours by the largest of each coordinate."""
-        values = np.nan_to_num(self._values[channel.name])
-        values = values - values[0]
-        few = np.linspace(0, len(values) - 1, min(len(values), 1500)).astype(int)
-        values = values[few].T
-        coordinates = self.run.q.shape[1]
-        rules = len(values) // coordinates
-        largest = np.abs(values).reshape(coordinates, -1).max(axis=1)
-        shade = values / np.maximum(np.repeat(largest, rules), 1e-300)[:, None]
-        extent = (float(self.run.t[0]), float(self.run.t[-1]), len(values) - 0.5, -0.5)
+        values = np.nan_to_num(channel.values(self._rows))
+        few = np.linspace(0, len(values) - 1, min(len(values), _INSTANTS)).astype(int)
+        coordinates = self._rows["q"].shape[1]
+        changes = (values - values[0])[few].T.reshape(coordinates, -1, len(few))
+        largest = np.abs(changes).max(axis=(1, 2), keepdims=True)
+        shade = (changes / np.maximum(largest, 1e-300)).reshape(-1, len(few))
+        rules = len(shade) // coordinates
+        extent = (float(self._t[0]), float(self._t[-1]), len(shade) - 0.5, -0.5)
         image = ax.imshow(
             shade, aspect="auto", cmap="RdBu_r", vmin=-1, vmax=1, extent=extent, rasterized=True,
             interpolation="nearest",
@@ -199,7 +199,7 @@ class _Drawing:
         figure.colorbar(image, ax=ax, label="share of largest", pad=0.01)
 
     def _line(self, ax: Axes, y: np.ndarray, color: str, label: str | None, **style: Any) -> None:
-        t, y = _thinned(self.run.t, y)
+        t, y = _thinned(self._t, y)
         ax.plot(t, y, color=color, label=label, **style)
 
 
@@ -217,19 +217,10 @@ def _thinned(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return t[rows], y[rows]
 
 
-def _legend(ax: Axes) -> None:
-    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), handlelength=1.4, borderaxespad=0.2)
-
-
 def _symbol(name: str) -> str:
-    """`theta1` as a formula."""
-    for word, sign in (
-        ("theta", "\\theta"),
-        ("alpha", "\\alpha"),
-        ("sigma", "\\sigma"),
-        ("s", "s"),
-    ):
-        rest = name.removeprefix(word)
-        if rest != name and (rest.isdigit() or not rest):
-            return f"${sign}_{{{rest}}}$" if rest else f"${sign}$"
-    return name
+    """`theta1` as a formula; names that are not symbols stay as they are."""
+    match = re.fullmatch(r"(theta|alpha|sigma|s)(\d*)", name)
+    if match is None:
+        return name
+    sign = match[1] if match[1] == "s" else f"\\{match[1]}"
+    return f"${sign}_{{{match[2]}}}$" if match[2] else f"${sign}$"

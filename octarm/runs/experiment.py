@@ -32,7 +32,7 @@ from octarm.simulation.rollout import joined, stream
 from octarm.simulation.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from octarm.recordings.recording import Recorder
+    from octarm.recordings.recording import RunRecording
 
 # Name, nominal model and gains to controller; `controllers.make_controller` is one.
 Factory = Callable[[str, ArmParameters, Mapping[str, Any]], Controller]
@@ -257,11 +257,11 @@ def run_into(
     with contextlib.ExitStack() as peace, runs.new_folder(out) as folder:
         runs.announce(folder, announced)
         with Archive(folder / runs.BLOCKS, rows=rows) as archive:
-            with _recorder(folder / runs.RECORDING, announced) as recorder:
+            with _recording(folder / runs.RECORDING, announced) as recording:
 
                 def take_up(block: Trajectory) -> None:
                     archive.add(block)
-                    recorder.add(block)
+                    recording.add(dict(block.arrays()), block.layer)
                     if keep is not None:
                         keep(block)
 
@@ -272,15 +272,19 @@ def run_into(
                 if interrupted and (not partial or folder != out.resolve()):
                     raise KeyboardInterrupt  # the earlier run stays
                 peace.enter_context(_without_interrupts())
-                recorder.finish(description)
+                recording.finish(description)
             runs.write_run(folder, archive, description)
     return mapped(out / runs.ARRAYS), description
 
 
-def _recorder(path: Path, announced: Mapping[str, Any]) -> Recorder:
-    from octarm.recordings.recording import Recorder  # imports rerun, which takes half a second
+def _recording(
+    path: Path, announced: Mapping[str, Any]
+) -> contextlib.AbstractContextManager[RunRecording]:
+    from octarm.recordings.recording import (
+        run_recording,  # imports rerun, which takes half a second
+    )
 
-    return Recorder(path, announced)
+    return run_recording(path, announced)
 
 
 @contextlib.contextmanager

@@ -206,7 +206,7 @@ def new_folder(folder: Path) -> Generator[Path]:
         yield part
         os.replace(folder, earlier)
         os.replace(part, folder)
-    except (OSError, RuntimeError) as error:
+    except (OctarmError, OSError, RuntimeError) as error:
         raise type(error)(str(error).replace(str(part), str(folder))) from error
     except KeyboardInterrupt:
         raise KeyboardInterrupt("nothing was written") from None

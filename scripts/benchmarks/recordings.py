@@ -15,7 +15,8 @@ import rerun as rr
 import octarm
 from benchmarks.figures import Row, Settings
 from controllers import CONTROLLERS, make_controller
-from octarm.recordings.channels import channels_of, values_of
+from octarm.arm.coordinates import planar_coordinates
+from octarm.recordings.channels import channels_of
 from octarm.recordings.recording import write_recording
 from octarm.runs.experiment import Experiment, perform
 from octarm.simulation.trajectory import Trajectory
@@ -77,11 +78,12 @@ def _stepwise(folder: Path, run: Trajectory, recorded: float) -> list[Row]:
 
     The recorder also draws the arm and records the rules, 60 times a second; that is not logged.
     """
-    channels, values = channels_of(run, disturbed=False), values_of(run, disturbed=False)
+    rows, coordinates = dict(run.arrays()), planar_coordinates(run.q.shape[1] // 2)
+    channels = channels_of(rows, coordinates, {}, disturbed=False)
     lists: dict[str, np.ndarray] = {}  # what the recorder holds together
-    for name, channel in channels.items():
+    for channel in channels.values():
         if channel.kind != "rules":
-            lists |= channel.fields(values[name])
+            lists |= channel.columns(channel.values(rows))
     numbers = {f"{name}/{i}": x for name, table in lists.items() for i, x in enumerate(table.T)}
     a_number, a_list = (_logged(folder / "steps.rrd", run, kind) for kind in (numbers, lists))
     return [
