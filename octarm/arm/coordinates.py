@@ -14,7 +14,7 @@ class Coordinates(NamedTuple):
     Attributes:
         names: one for each coordinate, in the order of q.
         groups: where the coordinates of one kind stand in q, by the name of the group; they share a
-            unit and a scale, and are plotted together.
+            unit and a scale, and are plotted together, group below group.
         units: unit of the coordinates of each group, `m` or `rad`.
         inputs: one name for each input force, in the order of tau.
     """
@@ -30,7 +30,7 @@ def planar_coordinates(modules: int) -> Coordinates:
     columns = [f"column_{a}_{i}" for i in range(1, modules + 1) for a in (1, 2)]
     return Coordinates(
         names=tuple(coordinate_names(modules)),
-        groups={"slides": slice(modules), "bends": slice(modules, 2 * modules)},
-        units={"slides": "m", "bends": "rad"},
+        groups={"bends": slice(modules, 2 * modules), "slides": slice(modules)},
+        units={"bends": "rad", "slides": "m"},
         inputs=tuple(columns),
     )

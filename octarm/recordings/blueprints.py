@@ -75,7 +75,7 @@ class Plots:
         if channel is None or channel.kind == "rules":
             return []
         views: list[Any] = []
-        for part in reversed(channel.parts):
+        for part in channel.parts:
             title = f"{channel.title}, {part}" if part else channel.title
             named = not views and channel.kind in ("coordinates", "inputs") and name != "E"
             views.append(self._view(f"{title}{channel.units[part]}", name, part, legend=named))
@@ -135,7 +135,7 @@ def blueprint(
         height = _LANE * (lanes + 2)
         states = _state_view(plots.axis, "state", ["states/**", "- states/each/**"])
         left = rrb.Vertical(arm, states, row_shares=[1.0 - height, height])
-    tracking = [rrb.Horizontal(*plots.tracking(p), name=p) for p in reversed(channels["q"].parts)]
+    tracking = [rrb.Horizontal(*plots.tracking(p), name=p) for p in channels["q"].parts]
     right = rrb.Vertical(
         *tracking,
         rrb.Tabs(*tabs.values(), active_tab=list(tabs).index(opened)),

@@ -84,10 +84,12 @@ def _blueprint(
     errors: Sequence[np.ndarray],
 ) -> rrb.Blueprint:
     axis = time_axis(end)
-    names, arms, pages, inputs = "AB", [], [], []
+    arms: list[Any] = []
+    pages: list[Any] = []
+    inputs: list[Any] = []
     error = recordings[0].channels["error"]
-    rows: dict[str, list[Any]] = {part: [] for part in reversed(error.parts)}
-    for name, recording, title in zip(names, recordings, titles, strict=True):
+    rows: dict[str, list[Any]] = {part: [] for part in error.parts}
+    for name, recording, title in zip("AB", recordings, titles, strict=True):
         plots = Plots(recording.channels, axis, root=f"{name}/")
         view = recording.scene.view(
             f"{name}: {title}   pale sheath: desired", origin=f"{name}/world"

@@ -58,7 +58,7 @@ class Phases:
         s = rows.get("s") if "switching" in rows else None  # else s is only a filtered error
         if s is not None and s.shape[1:] == (len(self._names),):
             sliding = self._sliding(s)
-            add("surface", sliding.all(axis=1), ("reaching", "sliding"))
+            add("surface", np.all(sliding, axis=1, keepdims=True)[:, 0], ("reaching", "sliding"))
             for name, flags in zip(self._names, sliding.T, strict=True):
                 add(f"each/{name}", flags, ("reaching", "sliding"))
         if self._limit is not None:

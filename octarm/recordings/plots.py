@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import matplotlib
 import numpy as np
@@ -81,6 +81,26 @@ def write_figures(
     return written
 
 
+class _Panel(NamedTuple):
+    """One pair of axes: some of the numbers of a channel over time.
+
+    Attributes:
+        channel: the numbers.
+        part: which of them.
+        label: of the y axis.
+        styles: colour, label and line style of each.
+        desired: whether q_d is drawn as well.
+        logarithmic: whether the y axis is.
+    """
+
+    channel: Channel
+    part: slice
+    label: str
+    styles: Sequence[Mapping[str, str]]
+    desired: bool = False
+    logarithmic: bool = False
+
+
 class _Drawing:
     """Draws the figures of one run."""
 
@@ -96,87 +116,76 @@ class _Drawing:
     def figures(self) -> Iterator[tuple[str, Figure]]:
         """The figures by name."""
         rules = [channel for channel in self._channels.values() if channel.kind == "rules"]
-        yield "tracking", self._coordinates("q", desired=True)
-        yield "error", self._coordinates("error")
-        yield "inputs", self._inputs()
+        yield "tracking", self._figure(self._panels("q", desired=True))
+        yield "error", self._figure(self._panels("error"))
+        yield "inputs", self._figure(self._inputs(), height=1.35)
         if "s" in self._channels:
-            yield "sliding", self._sliding()
+            yield "sliding", self._figure([*self._panels("s", "$s$"), *self._energy()])
         if rules:
-            yield "adaptation", self._adaptation(rules)
+            yield "adaptation", self._figure([*rules, *self._panels("E", "$E$")], height=1.5)
         if "disturbance" in self._channels:
-            yield "disturbance", self._coordinates("disturbance")
+            yield "disturbance", self._figure(self._panels("disturbance"))
 
-    def _coordinates(self, name: str, desired: bool = False) -> Figure:
-        """A channel with axes for each of its parts."""
-        figure, axes = self._figure(len(self._channels[name].parts))
-        self._draw_parts(axes, name, self._channels[name].title, desired)
-        return figure
+    def _panels(self, name: str, title: str = "", desired: bool = False) -> Iterator[_Panel]:
+        """A panel for each part of a channel, if there is such a channel."""
+        if name in self._channels:
+            channel = self._channels[name]
+            for part, where in channel.parts.items():
+                label = f"{title or channel.title}{', ' if part else ''}{part}{channel.units[part]}"
+                names = enumerate(channel.names[where])
+                styles = [{"color": _color(i), "label": _symbol(name)} for i, name in names]
+                yield _Panel(channel, where, label, styles, desired)
 
-    def _inputs(self) -> Figure:
-        """Axes for each module, with both of its columns."""
+    def _inputs(self) -> Iterator[_Panel]:
+        """A panel for each module, with both of its columns."""
         channel = self._channels["tau"]
-        tau = channel.values(self._rows)
-        figure, axes = self._figure(tau.shape[1] // 2, height=1.35)
-        for i, ax in enumerate(axes):
-            for a, style in ((1, "-"), (2, "--")):
-                color = COLORS[i % len(COLORS)]
-                self._line(ax, tau[:, 2 * i + a - 1], color, f"column {a}", linestyle=style)
-            self._finish(ax, channel, slice(None))
-            ax.set_ylabel(f"$\\tau$, module {i + 1} [N]")
-        return figure
+        for i in range(len(channel.names) // 2):
+            label = f"$\\tau$, module {i + 1}{channel.units['']}"
+            styles = [
+                {"color": _color(i), "label": f"column {a}", "linestyle": line}
+                for a, line in ((1, "-"), (2, "--"))
+            ]
+            yield _Panel(channel, slice(2 * i, 2 * i + 2), label, styles)
 
-    def _sliding(self) -> Figure:
-        """s, then V if there is one."""
-        energy, parts = has_energy(self._channels), self._channels["s"].parts
-        figure, axes = self._figure(len(parts) + energy)
-        self._draw_parts(axes, "s", "$s$")
-        if energy:
-            V = np.maximum(self._channels["V"].values(self._rows)[:, 0], 1e-12)
-            self._line(axes[-1], V, "#333333", "V")
-            axes[-1].set_yscale("log")
-            axes[-1].set_ylabel("$V$ [J]")
-        return figure
+    def _energy(self) -> Iterator[_Panel]:
+        """A panel of V, if the controller reports it."""
+        if has_energy(self._channels):
+            style = {"color": "#333333", "label": "V"}
+            channel = self._channels["V"]
+            yield _Panel(channel, slice(None), "$V$ [J]", [style], logarithmic=True)
 
-    def _adaptation(self, rules: Sequence[Channel]) -> Figure:
-        """Numbers of rules as heat maps over time, then E."""
-        gains = len(self._channels["E"].parts) if "E" in self._channels else 0
-        figure, axes = self._figure(len(rules) + gains, height=1.5)
-        for ax, channel in zip(axes, rules, strict=False):
-            self._heat_map(figure, ax, channel)
-        if gains:
-            self._draw_parts(axes[len(rules) :], "E", "$E$")
-        return figure
-
-    def _figure(self, rows: int, height: float = 1.9) -> tuple[Figure, list[Axes]]:
-        figure = NewFigure(figsize=(6.3, height * rows + 0.5), layout="constrained")
-        axes = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
+    def _figure(self, panels: Iterable[_Panel | Channel], height: float = 1.9) -> Figure:
+        """Panels one below another; a channel of rules becomes a heat map."""
+        panels = list(panels)
+        figure = NewFigure(figsize=(6.3, height * len(panels) + 0.5), layout="constrained")
+        axes = list(figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
         axes[0].set_title(self._title, loc="left")
         axes[-1].set_xlabel("time [s]")
         axes[0].set_xlim(self._t[0], self._t[-1] if len(self._t) > 1 else None)
-        return figure, axes
+        for ax, panel in zip(axes, panels, strict=True):
+            if isinstance(panel, Channel):
+                self._draw_rules(figure, ax, panel)
+            else:
+                self._draw_curves(ax, panel)
+        return figure
 
-    def _draw_parts(
-        self, axes: Sequence[Axes], name: str, title: str, desired: bool = False
-    ) -> None:
-        """The parts of a channel, the last one (bends) above."""
-        channel = self._channels[name]
-        values, wanted = channel.values(self._rows), self._rows["q_d"]
-        for ax, (part, where) in zip(axes, reversed(channel.parts.items()), strict=False):
-            for i, j in enumerate(range(len(channel.names))[where]):
-                color = COLORS[i % len(COLORS)]
-                if desired:
-                    self._line(ax, wanted[:, j], color, None, linewidth=3.0, alpha=0.3)
-                self._line(ax, values[:, j], color, _symbol(channel.names[j]))
-            self._finish(ax, channel, where)
-            ax.set_ylabel(f"{title}, {part}{channel.units[part]}" if part else title)
-
-    def _finish(self, ax: Axes, channel: Channel, where: slice) -> None:
-        """Lines at the bounds of a part of a channel, and the legend."""
-        for y in channel.bound.lines(where) if channel.bound is not None else ():
+    def _draw_curves(self, ax: Axes, panel: _Panel) -> None:
+        values = panel.channel.values(self._rows)[:, panel.part]
+        if panel.logarithmic:
+            values = np.maximum(values, 1e-12)
+            ax.set_yscale("log")
+        desired = self._rows["q_d"][:, panel.part] if panel.desired else values
+        for style, y, y_d in zip(panel.styles, values.T, desired.T, strict=True):
+            if panel.desired:
+                ax.plot(*_thinned(self._t, y_d), color=style["color"], linewidth=3.0, alpha=0.3)
+            ax.plot(*_thinned(self._t, y), **style)
+        bound = panel.channel.bound
+        for y in () if bound is None else bound.lines(panel.part):
             ax.axhline(y, color="#555555", linewidth=0.6, linestyle=":")
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), handlelength=1.4, borderaxespad=0.2)
+        ax.set_ylabel(panel.label)
 
-    def _heat_map(self, figure: Figure, ax: Axes, channel: Channel) -> None:
+    def _draw_rules(self, figure: Figure, ax: Axes, channel: Channel) -> None:
         """The change of numbers of rules; colours by the largest of each coordinate."""
         values = np.nan_to_num(channel.values(self._rows))
         few = np.linspace(0, len(values) - 1, min(len(values), _INSTANTS)).astype(int)
@@ -190,17 +199,13 @@ class _Drawing:
             shade, aspect="auto", cmap="RdBu_r", vmin=-1, vmax=1, extent=extent, rasterized=True,
             interpolation="nearest",
         )  # fmt: skip
-        names = [name.rsplit("_", 1)[0] for name in channel.names[::rules]]
-        ax.set_yticks(rules * np.arange(coordinates) + 0.5 * (rules - 1), map(_symbol, names))
+        names = [_symbol(name.rsplit("_", 1)[0]) for name in channel.names[::rules]]
+        ax.set_yticks(rules * np.arange(coordinates) + 0.5 * (rules - 1), names)
         for j in range(1, coordinates):
             ax.axhline(j * rules - 0.5, color="white", linewidth=1.0)
         ax.grid(False)
         ax.set_ylabel(f"change of {_symbol(channel.name)}")
         figure.colorbar(image, ax=ax, label="share of largest", pad=0.01)
-
-    def _line(self, ax: Axes, y: np.ndarray, color: str, label: str | None, **style: Any) -> None:
-        t, y = _thinned(self._t, y)
-        ax.plot(t, y, color=color, label=label, **style)
 
 
 def _thinned(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -215,6 +220,10 @@ def _thinned(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows = (np.sort(both, axis=1) + starts[:, None]).ravel()
     rows = np.concatenate([[0], rows, np.arange(whole, len(t))])
     return t[rows], y[rows]
+
+
+def _color(i: int) -> str:
+    return COLORS[i % len(COLORS)]
 
 
 def _symbol(name: str) -> str:

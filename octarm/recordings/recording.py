@@ -218,18 +218,20 @@ class RunRecording:
 
     def _log_signals(self, rows: Rows, frames: np.ndarray) -> None:
         """Everything with a row at an instant; slow numbers only at the frames."""
-        t, tables = rows["t"], {"signals": {}, "adaptation": {}}
+        t = rows["t"]
+        full: dict[str, np.ndarray] = {}
+        slow: dict[str, np.ndarray] = {}
         for name, channel in self.channels.items():
             values = channel.values(rows)
             if channel.kind == "rules":
                 self._heat_maps[name].add(t, values)
             elif channel.entity == "adaptation":
-                tables["adaptation"] |= channel.columns(values[frames])
+                slow |= channel.columns(values[frames])
             else:
-                tables["signals"] |= channel.columns(values)
-        self._send("signals", t, tables["signals"] | self._energy_rate(rows))
-        if tables["adaptation"] and frames.any():
-            self._send("adaptation", t[frames], tables["adaptation"])
+                full |= channel.columns(values)
+        self._send("signals", t, full | self._energy_rate(rows))
+        if slow and frames.any():
+            self._send("adaptation", t[frames], slow)
 
     def _energy_rate(self, rows: Rows) -> dict[str, np.ndarray]:
         """The rate of V, and its bound by (42) if the model were exact: s^T robust part [W]."""
