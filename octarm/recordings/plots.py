@@ -26,6 +26,7 @@ Figure = Any
 COLORS = ["#d1660a", "#1f6fb5", "#2a9461", "#b8408f", "#a08a10", "#6a55c8", "#1b8f8f", "#c24a3a"]
 _MOST = 4000  # points a curve; of more only the extremes of each stretch are drawn
 _INSTANTS = 1500  # of a heat map at most
+_LEGEND = {"handlelength": 1.4, "borderaxespad": 0.2}
 _STYLE: Any = {
     "font.size": 8,
     "axes.titlesize": 8,
@@ -88,7 +89,7 @@ class _Panel(NamedTuple):
         channel: the numbers.
         part: which of them.
         label: of the y axis.
-        styles: colour, label and line style of each.
+        styles: colour of each, and label and line style if it has them.
         desired: whether q_d is drawn as well.
         logarithmic: whether the y axis is.
     """
@@ -150,9 +151,8 @@ class _Drawing:
     def _energy(self) -> Iterator[_Panel]:
         """A panel of V, if the controller reports it."""
         if has_energy(self._channels):
-            style = {"color": "#333333", "label": "V"}
-            channel = self._channels["V"]
-            yield _Panel(channel, slice(None), "$V$ [J]", [style], logarithmic=True)
+            style = {"color": "#333333"}
+            yield _Panel(self._channels["V"], slice(None), "$V$ [J]", [style], logarithmic=True)
 
     def _figure(self, panels: Iterable[_Panel | Channel], height: float = 1.9) -> Figure:
         """Panels one below another; a channel of rules becomes a heat map."""
@@ -182,7 +182,10 @@ class _Drawing:
         bound = panel.channel.bound
         for y in () if bound is None else bound.lines(panel.part):
             ax.axhline(y, color="#555555", linewidth=0.6, linestyle=":")
-        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), handlelength=1.4, borderaxespad=0.2)
+        if "label" in panel.styles[0]:
+            ax.legend(
+                loc="upper left", bbox_to_anchor=(1.0, 1.02), handlelength=1.4, borderaxespad=0.2
+            )
         ax.set_ylabel(panel.label)
 
     def _draw_rules(self, figure: Figure, ax: Axes, channel: Channel) -> None:
