@@ -103,9 +103,8 @@ def test_the_viewer_serves_this_machine_only_and_is_gone_afterwards(
     arguments = ["--headless", "--window-size", "320x200", str(recording)]
     with viewer._running(arguments) as shown:
         served = []
-        deadline = time.monotonic() + 20.0
-        while not served and time.monotonic() < deadline:
-            time.sleep(0.05)
+        while not served:
+            shown.pause(20.0)
             sockets = psutil.Process(shown.process.pid).net_connections(kind="inet")
             served = [s.laddr.ip for s in sockets if s.status == psutil.CONN_LISTEN]
     assert set(served) == {"127.0.0.1"}
@@ -214,11 +213,8 @@ def shown_views(path):
     """How many views the viewer shows of a recording, none of which complains."""
     arguments = ["--headless", "--window-size", "960x600", str(path)]
     with viewer._running(arguments) as shown:
-        client, deadline = None, time.monotonic() + 30.0
-        while client is None and time.monotonic() < deadline:
-            time.sleep(0.05)
-            client = shown.client(0.3)
-        assert client is not None
+        while (client := shown.client(0.3)) is None:
+            shown.pause(30.0)
         for _ in range(3):
             client.take_screenshot()
         state, logs = client.get_state(), client.get_logs()

@@ -267,7 +267,7 @@ class Disturbance(abc.ABC):
 
 
 def begins_and_ends(text: str, at: Amount, length: Amount = np.inf) -> Sequence[Event]:
-    """The events of a disturbance of one arm that acts from `at` on for a while [s]."""
+    """The events of a disturbance of one arm from `at` on for a while, both of shape () [s]."""
     end = float(at) + float(length)
     return [Event(float(at), text), *([Event(end, "")] if np.isfinite(end) else [])]
 

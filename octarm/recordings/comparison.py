@@ -31,8 +31,8 @@ def write_comparison(path: Path, first: Run, second: Run) -> None:
 
     Args:
         path: the `.rrd` file; its folder must exist.
-        first: shown as A.
-        second: shown as B; its arm has as many modules.
+        first: appears as A.
+        second: appears as B; its arm has as many modules.
 
     Raises:
         OctarmError: if the numbers of modules differ, a run has no rows, or rerun does not take
@@ -121,6 +121,6 @@ def _blueprint(
 
 
 def _scale(errors: Sequence[np.ndarray]) -> float:
-    """Range of the plots of these errors, equal for both runs; 0 for one of its own."""
+    """Range of the plots of these errors, equal for both runs; 0 if the viewer is to choose it."""
     largest = max(float(np.nan_to_num(np.abs(e)).max()) for e in errors)
     return 1.05 * largest if largest < 1e3 else 0.0

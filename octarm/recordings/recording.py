@@ -34,7 +34,7 @@ from octarm.recordings.blueprints import blueprint
 from octarm.recordings.channels import Channel, bounds_of, channels_of, has_energy, has_sliding
 from octarm.recordings.heat_map import HeatMap
 from octarm.recordings.notes import notes_of, title_of
-from octarm.recordings.rrd import Path, flush, rerun_errors, rrd_file, send_table, times
+from octarm.recordings.rrd import Path, rerun_errors, rrd_file, send_table, times
 from octarm.recordings.scene import Scene
 from octarm.recordings.shapes import drawable
 from octarm.simulation.trajectory import Trajectory
@@ -165,7 +165,7 @@ class RunRecording:
             if self._count >= self._next_picture:  # what a killed run leaves has one too
                 self._next_picture = 4 * self._count
                 self._draw_rules()
-            flush(self._stream)
+            self._stream.flush(timeout_sec=60.0)  # bounds the memory that waits; raises errors
 
     def add_all(self, run: Trajectory) -> None:
         """Records a whole run block by block; raises what `add` does."""

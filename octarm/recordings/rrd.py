@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import rerun as rr
-from rerun.experimental import ViewerClient as ViewerClient  # for octarm.recordings.viewer
 
 from octarm.errors import OctarmError
 from octarm.files import piped, whole_file
@@ -55,11 +54,6 @@ def rerun_errors(path: Path) -> Generator[None]:
         yield
     except RuntimeError as error:
         raise OctarmError(f"{path} cannot be recorded: {_first_line(error)}") from error
-
-
-def flush(stream: rr.RecordingStream) -> None:
-    """Brings to disk what was logged, which bounds the memory it takes; raises rerun's errors."""
-    stream.flush(timeout_sec=60.0)
 
 
 def times(t: np.ndarray) -> list[rr.TimeColumn]:

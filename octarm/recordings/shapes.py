@@ -72,18 +72,18 @@ def smooth_arm(q: np.ndarray, offset: float = 0.0, points: int = 12) -> np.ndarr
 
 
 def backbone(q: np.ndarray, pieces: int) -> Pieces:
-    """The backbone from base to tip, in that many pieces for each module."""
+    """The backbone for q of shape (..., 2N), in that many pieces for each module."""
     return _pieces(smooth_arm(q, points=pieces + 1), q)
 
 
 def columns(q: np.ndarray, width: float) -> Pieces:
-    """Columns 1 and 2 of each module in the order of tau, in `COLUMN_PIECES` pieces each."""
+    """Columns for q of shape (..., 2N), in the order of tau, in `COLUMN_PIECES` pieces each."""
     sides = [smooth_arm(q, side * width, COLUMN_PIECES + 1) for side in (-0.5, 0.5)]
     return _pieces(np.stack(sides, axis=-3), q)
 
 
 def plates(q: np.ndarray) -> Pieces:
-    """The plates at the ends of the modules; they face along the arm."""
+    """The plates at the ends of the modules for q of shape (..., 2N); they face along the arm."""
     angles = np.pi - np.cumsum(q[..., q.shape[-1] // 2 :], axis=-1)
     return Pieces(world_position(positions(q)), angles, np.zeros_like(angles))
 

@@ -53,7 +53,7 @@ def write_video(
     speed: float = 1.0,
     camera: str = "oblique",
 ) -> None:
-    """Writes the film of a run, whole or not at all; the desired arm is shown as a ghost.
+    """Writes the film of a run, whole or not at all; the desired arm appears as a ghost.
 
     `choose_renderer` must have been called before MuJoCo was imported, unless MUJOCO_GL is set.
 

@@ -1,4 +1,4 @@
-"""The rerun viewer that ships with the package, as a process of its own.
+"""The rerun viewer that ships with the package, in a separate process.
 
 It serves on 127.0.0.1 only, and proxies that lead nowhere keep it from asking the network for news
 or sending usage data. Nothing waits for it longer than it works: see `_Viewer.pause`.
@@ -26,7 +26,7 @@ from octarm.files import whole_file
 from octarm.recordings.web_page import guarded_page
 
 if TYPE_CHECKING:
-    from octarm.recordings.rrd import ViewerClient
+    from rerun.experimental import ViewerClient
 
 _NOWHERE = "http://127.0.0.1:9"
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
@@ -34,10 +34,7 @@ Name = str | os.PathLike[str]
 
 
 def open_viewer(paths: Iterable[Name]) -> None:
-    """Shows recordings in a window, and returns when it is closed.
-
-    Args:
-        paths: `.rrd` files.
+    """Shows `.rrd` files in a window, and returns when it is closed.
 
     Raises:
         OctarmError: if a file does not exist, there is no display, or the viewer fails.
@@ -54,14 +51,10 @@ def open_viewer(paths: Iterable[Name]) -> None:
 
 
 def serve(paths: Iterable[Name], ready: Callable[[str], object]) -> None:
-    """Serves recordings to a browser on this machine, and returns when it is interrupted.
+    """Serves `.rrd` files to a browser on this machine, and returns when it is interrupted.
 
-    All that the page needs comes from the installed package, and a browser is told to fetch from
-    this machine only.
-
-    Args:
-        paths: `.rrd` files.
-        ready: called with the address to open.
+    All that the page needs comes from the installed package, and a browser may fetch from this
+    machine only. `ready` is called with the address to open.
 
     Raises:
         OctarmError: if a file does not exist, or the server fails.
@@ -121,7 +114,7 @@ def screenshot(
 def rescue(partial: Name, path: Name) -> None:
     """Writes what can be read of a recording that was not finished as one that is.
 
-    Its plots show what time there is rather than the time that was planned.
+    Its plots show the time that there is rather than the time that was planned.
 
     Raises:
         OctarmError: if nothing can be read.
@@ -207,7 +200,7 @@ class _Viewer:
 
     def client(self, time: float | None) -> ViewerClient | None:
         """A client once the recording is loaded, at the time asked for."""
-        from octarm.recordings.rrd import ViewerClient  # imports rerun, which takes half a second
+        from rerun.experimental import ViewerClient  # the import takes half a second
 
         try:
             client = ViewerClient(self.url)
