@@ -24,6 +24,14 @@ class Coordinates(NamedTuple):
     units: Mapping[str, str]
     inputs: tuple[str, ...]
 
+    @property
+    def unit_of_each(self) -> tuple[str, ...]:
+        """The unit of each coordinate, in the order of q."""
+        units = [""] * len(self.names)
+        for group, part in self.groups.items():
+            units[part] = [self.units[group]] * len(self.names[part])
+        return tuple(units)
+
 
 def planar_coordinates(modules: int) -> Coordinates:
     """Those of the planar arm: q = [s1..sN, theta1..thetaN], and two columns for each module."""

@@ -8,13 +8,12 @@ a physics step, so that nothing depends on the control period.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
 import numpy as np
 
 from octarm.disturbances.delays import DelayLine
-from octarm.disturbances.episode import ActuatorFault, Episode, Event, begins_and_ends
+from octarm.disturbances.episode import ActuatorFault, Episode
 from octarm.disturbances.fields import Amount, Quantity
 from octarm.disturbances.streams import first_step
 
@@ -31,11 +30,6 @@ class LossOfEffectiveness(ActuatorFault):
     name: ClassVar[str] = "loss"
     share: Annotated[Amount, Quantity("1", at_least=0.0, at_most=1.0, each=True)]
     at: Annotated[Amount, Quantity("s", at_least=0.0, at_most=1e9)] = 0.0
-
-    def events(self) -> Sequence[Event]:
-        """When it is lost."""
-        share = f" {self.share:g}" if np.ndim(self.share) == 0 else ""
-        return begins_and_ends(f"{self.name}{share}", self.at)
 
     def start(self, episode: Episode) -> _Loss:
         """The loss in one episode.
@@ -95,10 +89,6 @@ class Saturation(ActuatorFault):
 
     name: ClassVar[str] = "saturation"
     limit: Annotated[Amount, Quantity("N", at_least=0.0, each=True, unbounded=True)]
-
-    def input_bound(self) -> Amount:
-        """The limit [N]."""
-        return self.limit
 
     def start(self, episode: Episode) -> _Saturation:
         """The saturation in one episode.

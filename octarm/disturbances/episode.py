@@ -232,6 +232,7 @@ class Disturbance(abc.ABC):
     """
 
     name: ClassVar[str]
+    family: ClassVar[str]  # heading in the help
 
     def __post_init__(self) -> None:
         optional = {f.name for f in dataclasses.fields(self) if f.default is None}  # pyright: ignore
@@ -266,14 +267,10 @@ class Disturbance(abc.ABC):
         return 0.0
 
 
-def begins_and_ends(text: str, at: Amount, length: Amount = np.inf) -> Sequence[Event]:
-    """The events of a disturbance of one arm from `at` on for a while, both of shape () [s]."""
-    end = float(at) + float(length)
-    return [Event(float(at), text), *([Event(end, "")] if np.isfinite(end) else [])]
-
-
 class Force(Disturbance):
     """A disturbance that pushes the arm."""
+
+    family: ClassVar[str] = "forces"
 
     @abc.abstractmethod
     def start(self, episode: Episode) -> ForceProcess: ...  # noqa: D102
@@ -282,6 +279,8 @@ class Force(Disturbance):
 class PlantChange(Disturbance):
     """A disturbance that makes the arm another one."""
 
+    family: ClassVar[str] = "the arm"
+
     @abc.abstractmethod
     def start(self, episode: Episode) -> PlantProcess: ...  # noqa: D102
 
@@ -289,12 +288,16 @@ class PlantChange(Disturbance):
 class ActuatorFault(Disturbance):
     """A disturbance of the input forces on their way to the plant."""
 
+    family: ClassVar[str] = "the inputs"
+
     @abc.abstractmethod
     def start(self, episode: Episode) -> ActuatorProcess: ...  # noqa: D102
 
 
 class SensorFault(Disturbance):
     """A disturbance of the readings on their way to the controller."""
+
+    family: ClassVar[str] = "the readings"
 
     @abc.abstractmethod
     def start(self, episode: Episode) -> SensorProcess: ...  # noqa: D102

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
 import numpy as np
 
 from octarm.arm.kinematics import tip_force
 from octarm.arrays import coordinate_names
-from octarm.disturbances.episode import Episode, Event, Force, begins_and_ends
+from octarm.disturbances.episode import Episode, Force
 from octarm.disturbances.fields import Amount, Quantity, Words
 from octarm.disturbances.streams import HeldNoise, in_steps
 from octarm.disturbances.waves import Box, Sine
@@ -135,10 +134,6 @@ class SineForce(Force):
     length: Length = np.inf
     on: Place = "theta1"
 
-    def events(self) -> Sequence[Event]:
-        """When it begins and ends."""
-        return begins_and_ends(f"{self.name} {self.amplitude:g}", self.at, self.length)
-
     def start(self, episode: Episode) -> _Push:
         """The force of one episode.
 
@@ -184,10 +179,6 @@ class PulseForce(Force):
     length: Length = 0.1
     on: Place = "theta1"
 
-    def events(self) -> Sequence[Event]:
-        """When it begins and ends."""
-        return begins_and_ends(f"{self.name} {self.amplitude:g}", self.at, self.length)
-
     def start(self, episode: Episode) -> _Push:
         """The force of one episode.
 
@@ -214,10 +205,6 @@ class StepForce(Force):
     amplitude: Size
     at: Start = 0.0
     on: Place = "theta1"
-
-    def events(self) -> Sequence[Event]:
-        """When it begins and ends."""
-        return begins_and_ends(f"{self.name} {self.amplitude:g}", self.at)
 
     def start(self, episode: Episode) -> _Push:
         """The force of one episode.

@@ -7,12 +7,12 @@ nothing accumulates.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 import numpy as np
 
-from octarm.disturbances.episode import Episode, Event, Plant, PlantChange, begins_and_ends
+from octarm.disturbances.episode import Episode, Plant, PlantChange
 from octarm.disturbances.fields import Amount, Quantity
 from octarm.disturbances.streams import first_step
 
@@ -49,10 +49,6 @@ class Mismatch(PlantChange):
     damping: Annotated[Amount, Quantity("1", at_least=0.0, at_most=1e6)] = 1.0
     rest_length: Factor = 1.0
     tilt: Annotated[Amount, Quantity("rad")] = 0.0
-
-    def gravity_angle(self) -> float:
-        """The tilt [rad]."""
-        return float(self.tilt)
 
     def start(self, episode: Episode) -> _Fixed:
         """The change of one episode.
@@ -127,10 +123,6 @@ class GravityTilt(PlantChange):
     name: ClassVar[str] = "tilt"
     angle: Annotated[Amount, Quantity("rad")]
 
-    def gravity_angle(self) -> float:
-        """The angle [rad]."""
-        return float(self.angle)
-
     def start(self, episode: Episode) -> _Fixed:
         """The change of one episode.
 
@@ -157,14 +149,6 @@ class Payload(PlantChange):
     name: ClassVar[str] = "payload"
     mass: Annotated[Amount, Quantity("kg", at_least=0.0)]
     at: Annotated[Amount, Quantity("s", at_least=0.0)] = 0.0
-
-    def events(self) -> Sequence[Event]:
-        """When it is picked up."""
-        return begins_and_ends(f"{self.name} {self.mass:g}", self.at)
-
-    def carried(self) -> tuple[float, float]:
-        """Its mass [kg] and when it is picked up [s]."""
-        return float(self.mass), float(self.at)
 
     def start(self, episode: Episode) -> _Payload:
         """The load of one episode.

@@ -37,9 +37,8 @@ from octarm.recordings.notes import notes_of, title_of
 from octarm.recordings.rrd import Path, rerun_errors, rrd_file, send_table, times
 from octarm.recordings.scene import Scene
 from octarm.recordings.shapes import drawable
-from octarm.simulation.trajectory import Trajectory
+from octarm.simulation.trajectory import BLOCK, Trajectory
 
-BLOCK = 5000  # rows: fewer cost space in the file, more cost memory
 _FRAME_RATE = 60.0  # of the 3D scene [Hz]
 _FIRST_PICTURE = 20_000  # rows, after which numbers of rules are drawn although the run goes on
 _PROPERTIES = ("seed", "duration", "timestep", "control_period", "status", "digest", "command")
