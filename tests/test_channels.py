@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from recordings import described, layer, swinging
 
-from octarm.arm.coordinates import planar_coordinates
-from octarm.disturbances.actuators import Saturation
 from octarm.recordings.channels import bounds_of, channels_of
 from octarm.recordings.heat_map import HeatMap
 from octarm.recordings.notes import notes_of, title_of
 from octarm.recordings.phases import Phases
 
+LIMITS = [("saturation", 20.0), ("saturation-2", 15.0)]
+
 
 def channels_and_rows(**signals):
     rows = dict(swinging(**signals).arrays())
-    return channels_of(rows, planar_coordinates(3), {}, disturbed=True), rows
+    return channels_of(rows, described(), None, disturbed=True), rows
 
 
 def test_channels_have_a_name_for_each_number():
@@ -28,13 +28,14 @@ def test_channels_have_a_name_for_each_number():
 
 
 def test_bounds_are_those_of_the_layer_and_the_saturation():
-    arm, gains = planar_coordinates(3), described()["controller"]["gains"]
-    bounds = bounds_of(arm, layer(3), gains, [Saturation(limit=20.0), Saturation(limit=15.0)])
+    limits = [{"name": name, "asked": {"limit": x}} for name, x in LIMITS]
+    bounds = bounds_of(described(disturbances=limits), layer())
     np.testing.assert_array_equal(bounds["s"].values, [0.05] * 3 + [0.8] * 3)
     np.testing.assert_allclose(bounds["error"].values, [0.005] * 3 + [0.08] * 3)
-    assert bounds["error"].lines(arm.groups["bends"]) == pytest.approx([0.08, -0.08])
+    assert bounds["error"].lines(slice(3, 6)) == pytest.approx([0.08, -0.08])
     np.testing.assert_array_equal(bounds["tau"].values, 15.0)
-    assert bounds_of(arm, np.zeros(6), {"E_max": "large"}, [Saturation(limit=np.inf)]) == {}
+    unlimited = [{"name": "saturation", "asked": {"limit": "inf"}}]
+    assert bounds_of(described(disturbances=unlimited), np.zeros(6)) == {}
 
 
 def states_at(watch, s, tau=None):

@@ -13,13 +13,14 @@ recorded with single precision; the gain E, which adapts slowly, also with singl
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from octarm.arm.coordinates import Coordinates
+from octarm.arm.coordinates import Coordinates, planar_coordinates
 from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.spelling import from_entry
 from octarm.interfaces import Rows
 
 Kind = Literal["coordinates", "inputs", "scalar", "list", "rules"]
@@ -139,21 +140,32 @@ class Channel(NamedTuple):
         return {self.column(name): values[:, part] for name, part in self.parts.items()}
 
 
+def coordinates_of(description: Mapping[str, Any]) -> Coordinates:
+    """The coordinates of the arm that `run.json` describes."""
+    return planar_coordinates(len(description["parameters"]["mass"]))
+
+
+def disturbances_of(description: Mapping[str, Any]) -> dict[str, Disturbance]:
+    """The disturbances that `run.json` lists, by the names of their entries.
+
+    Raises:
+        OctarmError: if one of them is unknown.
+    """
+    return {entry["name"]: from_entry(entry) for entry in description.get("disturbances", [])}
+
+
 def channels_of(
-    rows: Rows,
-    coordinates: Coordinates,
-    bounds: Mapping[str, Bound],
-    *,
-    disturbed: bool,
+    rows: Rows, description: Mapping[str, Any], layer: np.ndarray | None, *, disturbed: bool
 ) -> dict[str, Channel]:
     """The channels of a run by name.
 
     Args:
         rows: some instants of the run.
-        coordinates: of its arm.
-        bounds: of channels by name, see `bounds_of`.
+        description: of the run, as `run.json` has it.
+        layer: half width of the boundary layer, shape (2N,) [m/s], [rad/s]; None if there is none.
         disturbed: whether the force of the disturbances is one of the channels.
     """
+    coordinates, bounds = coordinates_of(description), bounds_of(description, layer)
     count = len(coordinates.names)
     channels: dict[str, Channel] = {}
 
@@ -201,13 +213,8 @@ def has_energy(channels: Mapping[str, Channel]) -> bool:
     return "V" in channels and channels["V"].kind == "scalar"
 
 
-def bounds_of(
-    coordinates: Coordinates,
-    layer: np.ndarray | None,
-    gains: Mapping[str, Any],
-    disturbances: Iterable[Disturbance],
-) -> dict[str, Bound]:
-    """What bounds the channels of a run, as far as it is known.
+def bounds_of(description: Mapping[str, Any], layer: np.ndarray | None) -> dict[str, Bound]:
+    """What bounds the channels of a run, by the name of the channel, as far as it is known.
 
     s is bounded by the boundary layer phi, and tau by what a disturbance limits the inputs to. Two
     gains are known here by their names: `lambda_`, the slope of the sliding variable
@@ -215,13 +222,12 @@ def bounds_of(
     which the gain E is projected. This is the only place where recorded gains are interpreted.
 
     Args:
-        coordinates: of the arm.
+        description: of the run, as `run.json` has it.
         layer: half width phi of the boundary layer, shape (2N,) [m/s], [rad/s]; None if there is
             none.
-        gains: of the controller, as `run.json` has them.
-        disturbances: of the run.
     """
-    shape = (len(coordinates.names),)
+    gains = description.get("controller", {}).get("gains", {})
+    shape = (len(coordinates_of(description).names),)
     bounds: dict[str, Bound] = {}
     phi, slope, largest = (
         _positive(value, shape) for value in (layer, gains.get("lambda_"), gains.get("E_max"))
@@ -232,9 +238,10 @@ def bounds_of(
             bounds["error"] = Bound(phi / slope, "phi / lambda")
     if largest is not None:
         bounds["E"] = Bound(largest, "E_max", both_sides=False)
-    limits = [np.broadcast_to(x, shape) for d in disturbances if (x := d.input_bound()) is not None]
-    if limits and np.all(np.isfinite(limits)):
-        bounds["tau"] = Bound(np.min(limits, axis=0), "limit")
+    limits = [disturbance.input_bound() for disturbance in disturbances_of(description).values()]
+    known = [np.broadcast_to(limit, shape) for limit in limits if limit is not None]
+    if known and np.all(np.isfinite(known)):
+        bounds["tau"] = Bound(np.min(known, axis=0), "limit")
     return bounds
 
 

@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
-from octarm.arm.coordinates import planar_coordinates
 from octarm.metrics.table import METRICS
+from octarm.recordings.channels import coordinates_of
 
 _REMARK = """The arm is drawn as a picture of the lumped model, whose module i slides along the end
 of the one before and bends at its own end. No arc of length s_i and angle theta_i ends where such a
@@ -63,7 +63,7 @@ def notes_of(description: Mapping[str, Any]) -> dict[str, str]:
 
 def _metrics(description: Mapping[str, Any]) -> str:
     """A table with a column for each coordinate; inputs stand in the order of tau."""
-    names = planar_coordinates(len(description["parameters"]["mass"])).names
+    names = coordinates_of(description).names
     rows: list[list[str]] = []
     for name, values in description["metrics"].items():
         numbers = cast(list[Any], values) if isinstance(values, list) else [values]

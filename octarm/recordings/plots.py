@@ -12,10 +12,8 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure as NewFigure
 
-from octarm.arm.coordinates import planar_coordinates
-from octarm.disturbances.spelling import from_entry
 from octarm.files import whole_file
-from octarm.recordings.channels import Channel, bounds_of, channels_of, has_energy
+from octarm.recordings.channels import Channel, channels_of, has_energy
 from octarm.recordings.notes import title_of
 from octarm.simulation.trajectory import Trajectory
 
@@ -107,12 +105,8 @@ class _Drawing:
 
     def __init__(self, run: Trajectory, description: Mapping[str, Any]) -> None:
         self._rows, self._t, self._title = dict(run.arrays()), run.t, title_of(description)
-        coordinates = planar_coordinates(run.q.shape[1] // 2)
-        gains = description.get("controller", {}).get("gains", {})
-        disturbances = map(from_entry, description.get("disturbances", []))
-        bounds = bounds_of(coordinates, run.layer, gains, disturbances)
         disturbed = bool(run.disturbance.any())
-        self._channels = channels_of(self._rows, coordinates, bounds, disturbed=disturbed)
+        self._channels = channels_of(self._rows, description, run.layer, disturbed=disturbed)
 
     def figures(self) -> Iterator[tuple[str, Figure]]:
         """The figures by name."""

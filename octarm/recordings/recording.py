@@ -24,14 +24,20 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from octarm.arm.coordinates import planar_coordinates
 from octarm.arm.parameters import ArmParameters
-from octarm.disturbances.spelling import from_entry
 from octarm.errors import OctarmError
 from octarm.interfaces import Rows
 from octarm.recordings import phases
 from octarm.recordings.blueprints import blueprint
-from octarm.recordings.channels import Channel, bounds_of, channels_of, has_energy, has_sliding
+from octarm.recordings.channels import (
+    Channel,
+    bounds_of,
+    channels_of,
+    coordinates_of,
+    disturbances_of,
+    has_energy,
+    has_sliding,
+)
 from octarm.recordings.heat_map import HeatMap
 from octarm.recordings.notes import notes_of, title_of
 from octarm.recordings.rrd import Path, rerun_errors, rrd_file, send_table, times
@@ -121,10 +127,9 @@ class RunRecording:
             raise OctarmError("the parameters must be those of one arm")
         self._stream, self._path, self._root = stream, path, root
         self._description = description
-        self._coordinates = planar_coordinates(parameters.modules)
-        entries = description.get("disturbances", [])
-        self._disturbances = {entry["name"]: from_entry(entry) for entry in entries}
-        self._disturbed = bool(entries) if disturbed is None else disturbed
+        self._coordinates = coordinates_of(description)
+        self._disturbances = disturbances_of(description)
+        self._disturbed = bool(self._disturbances) if disturbed is None else disturbed
         self.scene = Scene(parameters, list(self._disturbances.values()), disturbed=self._disturbed)
         self.channels: dict[str, Channel] = {}
         self._heat_maps: dict[str, HeatMap] = {}
@@ -187,18 +192,16 @@ class RunRecording:
 
     def _begin(self, rows: Rows, layer: np.ndarray | None) -> None:
         """Logs what the first rows tell, and what stays the same."""
-        t, coordinates = rows["t"], self._coordinates
-        gains = self._description.get("controller", {}).get("gains", {})
-        bounds = bounds_of(coordinates, layer, gains, self._disturbances.values())
-        self.channels = channels_of(rows, coordinates, bounds, disturbed=self._disturbed)
+        t, names, bounds = rows["t"], self._coordinates.names, bounds_of(self._description, layer)
+        self.channels = channels_of(rows, self._description, layer, disturbed=self._disturbed)
         limits = [bounds[name].values if name in bounds else None for name in ("s", "tau")]
-        self._phases = phases.Phases(coordinates.names, *limits)
+        self._phases = phases.Phases(names, *limits)
         if len(t) > 1:
             rate = (len(t) - 1) / float(t[-1] - t[0])
             self._stride = max(1, round(rate / _FRAME_RATE))
         for name, channel in self.channels.items():
             if channel.kind == "rules":
-                self._heat_maps[name] = HeatMap(channel, len(coordinates.names))
+                self._heat_maps[name] = HeatMap(channel, len(names))
         self._planned = float(self._description.get("duration", t[-1]))
         self._start = float(t[0])
         for entity, look in self.scene.looks().items():

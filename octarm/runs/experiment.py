@@ -41,7 +41,7 @@ class Recording(Protocol):
     """A recording that is written while the run goes on."""
 
     def add(self, rows: Rows, layer: np.ndarray | None) -> None:
-        """Records further rows of a controller with this boundary layer."""
+        """Records further rows; `layer` is that of the controller, shape (2N,), or None."""
         ...
 
     def finish(self, description: Mapping[str, Any]) -> None:

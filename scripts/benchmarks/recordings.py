@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ import rerun as rr
 import octarm
 from benchmarks.figures import Row, Settings
 from controllers import CONTROLLERS, make_controller
-from octarm.arm.coordinates import planar_coordinates
 from octarm.recordings.channels import channels_of
 from octarm.recordings.recording import write_recording
 from octarm.runs.experiment import Experiment, perform
@@ -44,7 +43,7 @@ def recording(settings: Settings) -> list[Row]:
                 Row(f"{controller}, writing within the run's time", share, "%", at_most=10.0),
             ]
             if controller == STEPWISE:
-                rows += _stepwise(Path(name), run, writing / len(run))
+                rows += _stepwise(Path(name), run, description, writing / len(run))
     return rows
 
 
@@ -73,13 +72,15 @@ def _median(call: Callable[[], object]) -> float:
     return float(np.median(times))
 
 
-def _stepwise(folder: Path, run: Trajectory, recorded: float) -> list[Row]:
+def _stepwise(
+    folder: Path, run: Trajectory, description: Mapping[str, Any], recorded: float
+) -> list[Row]:
     """`rr.log` of the same signals at every instant, against a step of the recorder [s].
 
     The recorder also draws the arm and records the rules, 60 times a second; that is not logged.
     """
-    rows, coordinates = dict(run.arrays()), planar_coordinates(run.q.shape[1] // 2)
-    channels = channels_of(rows, coordinates, {}, disturbed=False)
+    rows = dict(run.arrays())
+    channels = channels_of(rows, description, run.layer, disturbed=False)
     lists: dict[str, np.ndarray] = {}  # what the recorder holds together
     for channel in channels.values():
         if channel.kind != "rules":
