@@ -38,9 +38,7 @@ if TYPE_CHECKING:
 
 def run(options: Run) -> int:
     """`octarm run`: one controller against the arm, as a run folder."""
-    from octarm.recordings.recording import (
-        run_recording,
-    )  # imports rerun, which takes half a second
+    from octarm.recordings.recording import run_recording  # the import takes half a second
 
     true = _true_parameters(options)
     nominal = true.mismatched(options.mismatch).scaled(**named_values("--nominal", options.nominal))
