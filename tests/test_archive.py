@@ -12,12 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from recordings import swinging
+from recordings import part_of, swinging
 
 from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
 from octarm.interfaces import Rows
-from octarm.recordings.recording import part_of
 from octarm.runs.archive import Archive, mapped, read_blocks
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import ArmRecorder, copied, rollout

@@ -41,7 +41,7 @@ _AS_THEY_ARE = {"seed", "spawn_key", "duration", "timestep", "control_period", "
 class Recording(Protocol):
     """A recording that is written while the run goes on; see `octarm.recordings.recording`."""
 
-    def add(self, rows: Rows) -> None: ...  # noqa: D102
+    def add(self, rows: Rows, layer: np.ndarray | None) -> None: ...  # noqa: D102
 
     def finish(self, description: Mapping[str, Any]) -> None: ...  # noqa: D102
 
@@ -261,7 +261,7 @@ def run_into(
 
                 def take_up(rows: Rows, layer: np.ndarray | None) -> None:
                     archive.add(rows, layer)
-                    recorder.add(rows)
+                    recorder.add(rows, layer)
                     if keep is not None:
                         keep(rows)
 
