@@ -14,7 +14,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from types import FrameType
 from typing import Any
 
@@ -76,13 +76,13 @@ def ignored_interrupts() -> Generator[None]:
 @contextlib.contextmanager
 def _handled_by(
     handler: Callable[[int, FrameType | None], Any] | signal.Handlers,
-) -> Generator[dict[int, Any]]:
+) -> Generator[Mapping[int, Any]]:
     """Replaces the handlers of interrupts for a while; yields those from before by number."""
     if threading.current_thread() is not threading.main_thread():
         yield {}  # signals do not come here
         return
     known = [number for number in SIGNALS if signal.getsignal(number) is not None]
-    before = {number: signal.signal(number, handler) for number in known}
+    before = {int(number): signal.signal(number, handler) for number in known}
     try:
         yield before
     finally:

@@ -211,12 +211,9 @@ def perform(
         The trajectory, and the content of `run.json`: also what came of the run.
     """
     blocks: list[Rows] = []
-
-    def keep(rows: Rows, layer: np.ndarray | None) -> None:
-        del layer  # the ending has it
-        blocks.append(copied(rows))
-
-    ending, description = _perform(environment, controller, announced, keep, progress)
+    ending, description = _perform(
+        environment, controller, announced, lambda rows, _: blocks.append(copied(rows)), progress
+    )
     return joined(blocks, ending), description
 
 
