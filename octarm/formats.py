@@ -12,10 +12,11 @@ cattrs checks no ranges.
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import json
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast
 
@@ -27,17 +28,28 @@ from octarm.errors import FileError, OctarmError, closest
 FORMAT = 2  # version of the formats of run.json and manifest.json
 
 Key = tuple[str, ...]
-M = TypeVar("M", bound="Model")
 T = TypeVar("T")
 
 # A TOML or JSON array, as a tuple.
 Array = Annotated[tuple[T, ...], pydantic.Strict(False)]
 
 
+def one_of(words: Iterable[str]) -> pydantic.AfterValidator:
+    """An annotation of `str`: one of these words, which may become more until one is read."""
+
+    def check(word: str) -> str:
+        if word not in words:
+            raise PydanticCustomError("unknown_word", "{hint}", {"hint": closest(word, words)})
+        return word
+
+    return pydantic.AfterValidator(check)
+
+
 class Model(pydantic.BaseModel):
     """A table of a file: its keys are the fields, and no others are allowed.
 
-    Nothing is converted but whole numbers to floats: a word or a truth value is not a number.
+    Nothing is converted but whole numbers to floats: a word or a truth value is not a number. A
+    validator of a field says in a ValueError what the value must be, such as "positive".
     """
 
     model_config = pydantic.ConfigDict(strict=True, extra="forbid", frozen=True)
@@ -67,16 +79,26 @@ class Document:
     content: Mapping[str, Any]
     text: str = ""
 
-    def read(self, model: type[M]) -> M:
-        """The content as a model.
+    def read(self, kind: type[T], *keys: str) -> T:
+        """The content, or the value of a key, as a model or another type.
+
+        Args:
+            kind: what it shall be.
+            keys: of the value, that of its table first.
 
         Raises:
-            OctarmError: if the content is not what the model allows.
+            OctarmError: if it is not what the type allows.
         """
+        value: Any = self.content
+        for key in keys:
+            value = value[key]
+        model = inspect.isclass(kind) and issubclass(kind, Model)  # which says itself it is strict
         try:
-            return model.model_validate(self.content)
+            return pydantic.TypeAdapter(
+                kind, config=None if model else {"strict": True}
+            ).validate_python(value)
         except pydantic.ValidationError as error:
-            raise self._sentence(error.errors(include_url=False)) from None
+            raise self._sentence(keys, error.errors(include_url=False)) from None
 
     def where(self, *keys: str) -> str:
         """File and line of a key, in words; the line of its table where the key has none."""
@@ -90,11 +112,18 @@ class Document:
         """An error about a key."""
         return OctarmError(f"{self.where(*keys)}: {message}")
 
-    def _sentence(self, errors: list[ErrorDetails]) -> OctarmError:
-        """The first error; those of the alternatives for the same value are one."""
+    def _sentence(self, above: Key, errors: list[ErrorDetails]) -> OctarmError:
+        """The first error; those of the alternatives for the same value are one.
+
+        Unknown keys come first, since a misspelt key is a missing one as well.
+        """
+        for error in errors:
+            error["loc"] = (*above, *error["loc"])
         first = next((e for e in errors if e["type"] == "unknown_key"), errors[0])
         place = self._place(first)
         alike = [e for e in errors if self._place(e) == place]
+        if isinstance(first["input"], str):
+            first = next((e for e in alike if e["type"] == "unknown_word"), first)
         keys = tuple(part for part in place if isinstance(part, str))
         key, table = (keys[-1], ".".join(keys[:-1])) if keys else ("the file", "")
         value = f"{key} {'is' if place[-1:] == keys[-1:] else 'holds'} {spelt(first['input'])}"
@@ -106,10 +135,8 @@ class Document:
                 message, keys = f"unknown key {key!r}{inside}{context['hint']}", (*keys, key)
             case "missing":
                 message = f"{f'[{table}]' if table else 'it'} needs a value of {key}"
-            case "value_error":
-                message = str(context["error"])
-            case _ if (words := _words(alike)) and isinstance(first["input"], str):
-                message = f"unknown {key} {spelt(first['input'])}{closest(first['input'], words)}"
+            case "unknown_word":
+                message = f"unknown {key} {spelt(first['input'])}{context['hint']}"
             case _:
                 message = f"{value}; it must be {' or '.join(dict.fromkeys(map(_allowed, alike)))}"
         return self.error(message, *keys)
@@ -201,26 +228,30 @@ def spelt(value: Any) -> str:
     return json.dumps(value, default=str, ensure_ascii=False)
 
 
-def _words(errors: list[ErrorDetails]) -> list[str]:
-    """The words that are allowed."""
-    expected = [e.get("ctx", {})["expected"] for e in errors if e["type"] == "literal_error"]
-    return re.findall(r"'([^']*)'", " ".join(expected))
-
-
 def _allowed(error: ErrorDetails) -> str:
     """What is allowed, in words."""
-    if error["type"] in _TYPES:
-        return _TYPES[error["type"]]
-    return error["msg"].removeprefix("Input should be ")
+    if error["type"] == "value_error":
+        return str(error.get("ctx", {})["error"])
+    words = _TYPES.get(error["type"]) or error["msg"].removeprefix("Input should be ")
+    for long, short in _RANGES.items():
+        words = words.replace(long, short)
+    return words
 
 
 _TYPES = {
     "int_type": "a whole number",
     "float_type": "a number",
     "string_type": "a word",
-    "tuple_type": "an array",
+    "tuple_type": "a list",
+    "list_type": "a list",
     "dict_type": "a table",
     "model_type": "a table",
+}
+_RANGES = {
+    "greater than or equal to": "at least",
+    "less than or equal to": "at most",
+    "greater than": "above",
+    "less than": "below",
 }
 
 

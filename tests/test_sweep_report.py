@@ -1,6 +1,7 @@
 """The report on a sweep: its numbers, its doubts, its page."""
 
 import csv
+import hashlib
 import html.parser
 import json
 import re
@@ -20,6 +21,7 @@ import octarm
 from controllers import make_controller
 from octarm.commands.cli import main
 from octarm.errors import ExitCode
+from octarm.formats import FORMAT
 from octarm.metrics.table import METRICS
 from octarm.reports.checks import findings
 from octarm.reports.episodes import read_episodes
@@ -28,9 +30,8 @@ from octarm.reports.findings import make_report, partners
 from octarm.reports.page import inline_svg
 from octarm.reports.panels import COLORS
 from octarm.reports.tables import number
-from octarm.sweeps.folder import labels
-from octarm.sweeps.parser import parse_spec
-from octarm.sweeps.shard_file import write_shard
+from octarm.sweeps.spec_file import parse_spec
+from octarm.sweeps.store import shard_bytes
 
 HOSTILE = '<script>alert("&")</script>'
 NOISES, MISMATCHES, SEEDS = (0.0, 0.2, 0.4), (-0.3, 0.3), 6
@@ -98,6 +99,7 @@ def write_sweep(folder: Path, table: dict[str, np.ndarray], **changes) -> Path:
     ]
     start = {"time": "2026-01-01", "versions": {"numpy": "2"}, "host": {"cpu": "x", "cores": 2}}
     manifest = {
+        "format": FORMAT,
         "spec": spec,
         "spec_hash": "abc",
         "episodes": n,
@@ -107,7 +109,6 @@ def write_sweep(folder: Path, table: dict[str, np.ndarray], **changes) -> Path:
     }
     for key, value in changes.items():
         (spec if key in spec or "." in key else manifest)[key] = value
-    (folder / "manifest.json").write_text(json.dumps(manifest))
     (folder / "spec.toml").write_text(f"# {HOSTILE}\nseed = 0\n")
     metrics = {name for name in table if any(name.startswith(metric) for metric in METRICS)}
     fields = []
@@ -120,7 +121,10 @@ def write_sweep(folder: Path, table: dict[str, np.ndarray], **changes) -> Path:
     whole = pa.table(arrays, pa.schema(fields))
     for shard in shards:
         rows = whole.slice(shard["first"], shard["episodes"])
-        write_shard(folder / shard["file"], rows, labels("abc", shard["first"]))
+        content = shard_bytes(rows)
+        (folder / shard["file"]).write_bytes(content)
+        shard["sha256"] = hashlib.sha256(content).hexdigest()
+    (folder / "manifest.json").write_text(json.dumps(manifest))
     return folder
 
 

@@ -14,7 +14,7 @@ from octarm.reports.episodes import read_episodes
 from octarm.reports.figures import Picture, pictures
 from octarm.reports.findings import TABLES, Report, make_report, tables
 from octarm.reports.page import Source, page
-from octarm.sweeps.folder import SPEC
+from octarm.sweeps.store import SPEC
 
 if TYPE_CHECKING:
     from octarm.options import sweeps

@@ -28,7 +28,7 @@ class LossOfEffectiveness(ActuatorFault):
     """
 
     name: ClassVar[str] = "loss"
-    share: Annotated[Amount, Quantity("1", at_least=0.0, at_most=1.0, each=True)]
+    share: Annotated[Amount, Quantity("1", at_least=0.0, at_most=1.0, each=True, usual=(0.0, 1.0))]
     at: Annotated[Amount, Quantity("s", at_least=0.0, at_most=1e9)] = 0.0
 
     def start(self, episode: Episode) -> _Loss:
@@ -58,7 +58,7 @@ class DeadZone(ActuatorFault):
     """
 
     name: ClassVar[str] = "dead-zone"
-    width: Annotated[Amount, Quantity("N", at_least=0.0, each=True)]
+    width: Annotated[Amount, Quantity("N", at_least=0.0, each=True, usual=(0.0, 5.0))]
 
     def start(self, episode: Episode) -> _DeadZone:
         """The dead zone in one episode.
@@ -120,7 +120,9 @@ class Lag(ActuatorFault):
     """
 
     name: ClassVar[str] = "lag"
-    time_constant: Annotated[Amount, Quantity("s", at_least=0.0, each=True, key="time")]
+    time_constant: Annotated[
+        Amount, Quantity("s", at_least=0.0, each=True, key="time", usual=(0.0, 0.2))
+    ]
 
     def start(self, episode: Episode) -> _Lag:
         """The lag in one episode.
@@ -187,7 +189,7 @@ class ActuationDelay(ActuatorFault):
     """
 
     name: ClassVar[str] = "actuation-delay"
-    delay: Annotated[Amount, Quantity("s", at_least=0.0, at_most=10.0)]
+    delay: Annotated[Amount, Quantity("s", at_least=0.0, at_most=10.0, usual=(0.0, 0.05))]
 
     def start(self, episode: Episode) -> _ActuationDelay:
         """The delay in one episode; its attribute `delay` is what it really is.

@@ -34,7 +34,7 @@ class Drift(PlantChange):
     """
 
     name: ClassVar[str] = "drift"
-    rate: Annotated[Amount, Quantity("1/s")]
+    rate: Annotated[Amount, Quantity("1/s", usual=(0.0, 0.5))]
     of: Of = "stiffness"
     limit: Share = 0.5
 

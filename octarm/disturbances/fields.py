@@ -28,6 +28,7 @@ class Quantity:
             arms may.
         unbounded: whether infinity is allowed.
         key: how the command line spells the field; as the code does, when empty.
+        usual: the values from which and to which it is varied when nothing else is said.
     """
 
     unit: str
@@ -38,6 +39,7 @@ class Quantity:
     each: bool = False
     unbounded: bool = False
     key: str = ""
+    usual: tuple[float, float] | None = None
 
     def check(self, name: str, value: Any) -> Amount:
         """A float, or a read-only array of the shape of the value.

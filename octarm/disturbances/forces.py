@@ -22,7 +22,7 @@ _COORDINATES = Words(
     alone=("all",),
     pattern=r"(s|theta)[1-9]\d*",
 )
-Size = Annotated[Amount, Quantity("N or N m")]
+Size = Annotated[Amount, Quantity("N or N m", usual=(0.0, 5.0))]
 Start = Annotated[Amount, Quantity("s", at_least=0.0)]
 Length = Annotated[Amount, Quantity("s", above=0.0, unbounded=True)]
 Place = Annotated[str, dataclasses.replace(_COORDINATES, alone=("all", *_TIP))]
@@ -47,7 +47,7 @@ class BandLimitedNoise(Force):
     """
 
     name: ClassVar[str] = "noise"
-    ratio: Annotated[Amount | None, Quantity("1", at_least=0.0, each=True)] = None
+    ratio: Annotated[Amount | None, Quantity("1", at_least=0.0, each=True, usual=(0.0, 5.0))] = None
     correlation_time: Annotated[Amount, Quantity("s", above=0.0, key="time")] = 0.01
     rms: Annotated[Amount | None, Quantity("N or N m", at_least=0.0, each=True)] = None
     on: Annotated[str, _COORDINATES] = "all"

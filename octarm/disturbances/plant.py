@@ -20,7 +20,7 @@ from octarm.disturbances.streams import first_step
 SCALABLE = {"mass": 1, "inertia": 1, "stiffness": 2, "damping": 2, "rest_length": 1}
 
 Factor = Annotated[Amount, Quantity("1", above=0.0, at_most=1e6)]
-Share = Annotated[Amount, Quantity("1", at_least=0.0, below=1.0)]
+Share = Annotated[Amount, Quantity("1", at_least=0.0, below=1.0, usual=(0.0, 0.95))]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,7 +42,7 @@ class Mismatch(PlantChange):
     """
 
     name: ClassVar[str] = "mismatch"
-    mismatch: Annotated[Amount, Quantity("1", above=-1.0, at_most=1e6)] = 0.0
+    mismatch: Annotated[Amount, Quantity("1", above=-1.0, at_most=1e6, usual=(0.0, 3.0))] = 0.0
     mass: Factor = 1.0
     inertia: Factor = 1.0
     stiffness: Factor = 1.0
@@ -121,7 +121,7 @@ class GravityTilt(PlantChange):
     """
 
     name: ClassVar[str] = "tilt"
-    angle: Annotated[Amount, Quantity("rad")]
+    angle: Annotated[Amount, Quantity("rad", usual=(0.0, 1.5))]
 
     def start(self, episode: Episode) -> _Fixed:
         """The change of one episode.
@@ -147,7 +147,7 @@ class Payload(PlantChange):
     """
 
     name: ClassVar[str] = "payload"
-    mass: Annotated[Amount, Quantity("kg", at_least=0.0)]
+    mass: Annotated[Amount, Quantity("kg", at_least=0.0, usual=(0.0, 1.0))]
     at: Annotated[Amount, Quantity("s", at_least=0.0)] = 0.0
 
     def start(self, episode: Episode) -> _Payload:

@@ -35,7 +35,7 @@ class MeasurementDelay(SensorFault):
     """
 
     name: ClassVar[str] = "measurement-delay"
-    delay: Annotated[Amount, Quantity("s", at_least=0.0, at_most=10.0)]
+    delay: Annotated[Amount, Quantity("s", at_least=0.0, at_most=10.0, usual=(0.0, 0.05))]
 
     def start(self, episode: Episode) -> _MeasurementDelay:
         """The delay in one episode; its attribute `delay` is what it really is.
@@ -80,7 +80,7 @@ class MeasurementNoise(SensorFault):
     """
 
     name: ClassVar[str] = "measurement-noise"
-    rms: Annotated[Amount, Quantity("1", at_least=0.0, each=True)]
+    rms: Annotated[Amount, Quantity("1", at_least=0.0, each=True, usual=(0.0, 0.05))]
     rate: Rate = 100.0
     correlation_time: Annotated[Amount, Quantity("s", above=0.0, key="time")] = 0.001
 
@@ -141,7 +141,7 @@ class Quantisation(SensorFault):
     """
 
     name: ClassVar[str] = "quantisation"
-    resolution: Annotated[Amount, Quantity("1", at_least=0.0, each=True)]
+    resolution: Annotated[Amount, Quantity("1", at_least=0.0, each=True, usual=(0.0, 0.05))]
     rate: Rate = 100.0
 
     def start(self, episode: Episode) -> _Quantisation:

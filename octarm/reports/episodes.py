@@ -24,8 +24,8 @@ from octarm.reports.measures import (
     read_suspects,
     read_values,
 )
-from octarm.sweeps.folder import read_manifest, read_sweep
 from octarm.sweeps.spec import which
+from octarm.sweeps.store import read_manifest, read_sweep
 
 _FEWEST, _MOST_RANGES = 4, 6  # values in a range of a drawn axis, and ranges
 

@@ -14,8 +14,7 @@ import pyarrow as pa
 from octarm.errors import OctarmError, closest
 from octarm.metrics.table import METRICS, SETTLED_AFTER
 from octarm.references import REFERENCES, named_reference
-from octarm.sweeps.folder import read_schema, read_sweep
-from octarm.sweeps.shard_file import metadata_of
+from octarm.sweeps.store import metadata_of, read_schema, read_sweep
 
 DEFAULT = ("rms_error", "tip_rms_error", "chattering", "effort", "overshoot")
 

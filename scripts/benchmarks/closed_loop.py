@@ -25,9 +25,9 @@ from octarm.interfaces import Instant, Measurement, Reference
 from octarm.metrics.blocks import SETTLED_AFTER, Block
 from octarm.metrics.table import Metrics
 from octarm.simulation.rollout import simulate
-from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.shards import Observer, begin, run_arms
+from octarm.sweeps.spec_file import parse_spec
 from octarm.sweeps.workers import WorkerProcesses
 
 TARGETS = {"afsmc": 0.78, "smc-boundary": 0.85}  # share of the open loop's throughput

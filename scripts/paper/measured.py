@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from octarm.sweeps.folder import read_sweep
 
 from octarm.arm.mjcf import coordinate_names, nominal_parameters
 from octarm.reports.statistics import Interval, medians
-from octarm.sweeps.folder import read_sweep
 from octarm.sweeps.tune_objective import BEND_SCALE, SLIDE_SCALE, root_mean_square, weight
 from paper.studies import BENDS, SLIDES, TIME, Part
 
