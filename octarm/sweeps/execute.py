@@ -5,7 +5,7 @@ from __future__ import annotations
 import collections
 import contextlib
 import time
-from collections.abc import Callable, Collection, Generator
+from collections.abc import Callable, Collection
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -92,9 +92,13 @@ def sweep(
         done = set(folder.finished())
         progress(sum(len(plan.shards[i]) for i in done))
         todo = [i for i in range(len(plan.shards)) if i not in done]
-        with _executor(executor, len(todo)) as pool, Notes(folder.path / PROGRESS) as notes:
+        # Processes are started one by one, when there is a call for them.
+        pool = executor or WorkerProcesses(max(1, min(cores(), len(todo))))
+        owned = contextlib.nullcontext() if executor else pool
+        with owned, Notes(folder.path / PROGRESS) as notes:
 
             def submit(shard: int) -> Future[pa.Table]:
+                notes.forget(shard)
                 return pool.submit(_run_noted, spec, shard, factory, notes.file(shard))
 
             def keep(shard: int, table: pa.Table) -> None:
@@ -114,16 +118,6 @@ def sweep(
 def _run_noted(spec: SweepSpec, shard: int, factory: ControllerFactory, note: Path) -> pa.Table:
     """`run_shard`, with a note on how far it is."""
     return run_shard(spec, shard, factory, Note(note, spec.duration))
-
-
-@contextlib.contextmanager
-def _executor(given: Executor | None, shards: int) -> Generator[Executor]:
-    """The executor that was given, or processes that live as long as the block."""
-    if given is not None:
-        yield given
-        return
-    with WorkerProcesses(max(1, min(cores(), shards))) as pool:
-        yield pool
 
 
 class _Run:
@@ -254,10 +248,13 @@ def estimate(spec: SweepSpec, factory: ControllerFactory) -> Forecast:
     names = [plan.arms(shard[:1]).controller for shard in plan.shards]
     costs = {name: _cost(plan, plan.shards[names.index(name)], factory) for name in names}
     pairs = [(costs[name], len(shard)) for name, shard in zip(names, plan.shards, strict=True)]
-    periods = costs[names[0]].periods
-    seconds = sum(cost.start + cost.period * periods * n for cost, n in pairs)
-    size = sum(cost.empty + cost.row * n for cost, n in pairs)
-    return Forecast(plan.episodes, periods, len(plan.shards), seconds, int(size))
+    return Forecast(
+        episodes=plan.episodes,
+        periods=costs[names[0]].periods,
+        shards=len(plan.shards),
+        seconds=sum(cost.start + cost.arm * n for cost, n in pairs),
+        size=int(sum(cost.empty + cost.row * n for cost, n in pairs)),
+    )
 
 
 class _Cost(NamedTuple):
@@ -265,9 +262,9 @@ class _Cost(NamedTuple):
 
     periods: int  # control periods of an episode
     start: float  # before and after the control periods [s]
-    period: float  # each of an arm's control periods [s]
+    arm: float  # the control periods of an arm [s]
     empty: int  # the file without rows [byte]
-    row: float  # each of its rows, if every measure had a value [byte]
+    row: float  # each of its rows, if every metric had a value [byte]
 
 
 def _cost(plan: Plan, shard: range, factory: ControllerFactory) -> _Cost:
@@ -282,12 +279,12 @@ def _cost(plan: Plan, shard: range, factory: ControllerFactory) -> _Cost:
     started = time.perf_counter()
     table = run_arms(plan, arms, factory, clock, duration=min(_MEASURED, periods) * period)
     elapsed = time.perf_counter() - started
-    few = min(_WARM, len(instants) - 1)
-    rate = (instants[-1] - instants[few]) / max(1, len(instants) - 1 - few)
+    warm = instants[min(_WARM, len(instants) - 1) :]
+    rate = (warm[-1] - warm[0]) / max(1, len(warm) - 1)
     return _Cost(
         periods=periods,
         start=max(0.0, elapsed - len(instants) * rate),
-        period=rate / len(shard),
+        arm=rate * periods / len(shard),
         empty=len(shard_bytes(table.slice(0, 0))),
         row=table.nbytes / len(shard),
     )

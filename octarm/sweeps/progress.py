@@ -36,9 +36,8 @@ class Note:
         """Takes a control instant."""
         if time.monotonic() >= self._due:
             self._due = time.monotonic() + _EVERY
-            share = instant.measurement.t / self._duration
             with contextlib.suppress(OSError):  # such as a folder that is not seen from here
-                self._file.write_text(f"{share:.6f}", encoding="ascii")
+                self._file.write_text(f"{instant.measurement.t / self._duration:.6f}")
 
 
 class Notes:
@@ -51,30 +50,26 @@ class Notes:
 
     def __enter__(self) -> Notes:
         self.__exit__()  # what a process that was killed has left
-        with contextlib.suppress(OSError):
-            self._folder.mkdir()
+        self._folder.mkdir(exist_ok=True)
         return self
 
     def __exit__(self, *_: object) -> None:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def file(self, shard: int) -> Path:
-        """The file for a shard that begins."""
-        self.forget(shard)
+        """The file of a shard."""
         return self._folder / str(shard)
 
     def share(self, shard: int) -> float:
         """Which share of a shard is done, as far as known [1]."""
         with contextlib.suppress(OSError, ValueError):  # none yet, or half of one
-            text = (self._folder / str(shard)).read_text(encoding="ascii")
-            self._known[shard] = min(1.0, max(0.0, float(text)))
+            self._known[shard] = min(1.0, max(0.0, float(self.file(shard).read_text())))
         return self._known.get(shard, 0.0)
 
     def forget(self, shard: int) -> None:
         """Takes back the note of a shard that is finished, or begins again."""
         self._known.pop(shard, None)
-        with contextlib.suppress(OSError):
-            (self._folder / str(shard)).unlink()
+        self.file(shard).unlink(missing_ok=True)
 
 
 class ArmSeconds:
@@ -109,7 +104,8 @@ class ProgressBar:
 
     def __init__(self, spec: SweepSpec) -> None:
         """A bar for a sweep; it is drawn on terminals only."""
-        self._duration = spec.duration
+        self._duration, self._done, self._partial = spec.duration, 0, 0.0
+        self._started = 0.0
         self._bar = tqdm(
             total=Plan(spec).episodes,
             disable=None,
@@ -118,9 +114,6 @@ class ProgressBar:
             bar_format="{percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, "
             "{rate_noinv_fmt}{postfix}]",
         )
-        self._done: int | None = None
-        self._partial = 0.0
-        self._started = time.time()
 
     def __enter__(self) -> ProgressBar:
         return self
@@ -129,19 +122,17 @@ class ProgressBar:
         self._bar.close()
 
     def update(self, episodes: int) -> None:
-        """So many episodes are finished."""
-        if self._done is None:  # those that were there already take no time
-            self._done = self._bar.initial = self._bar.n = episodes
-            self._started = self._bar.start_t = time.time()
-            self._bar.refresh()
-            return
+        """So many episodes are finished; those of the first call were so before."""
         self._done += episodes
+        if not self._started:  # they take no time
+            self._bar.initial = episodes
+            self._started = self._bar.start_t = time.time()
         self.go_on(max(0.0, self._partial - episodes))
 
     def go_on(self, partial: float) -> None:
         """The finished parts of the episodes at work are worth so many."""
         self._partial = partial
-        self._bar.n = (self._done or 0) + int(partial)
+        self._bar.n = self._done + int(partial)
         run = (self._bar.n - self._bar.initial) * self._duration
         speed = run / max(1e-3, time.time() - self._started)
         self._bar.set_postfix_str(f"{digits(speed)} simulated s/s")  # draws the bar

@@ -139,28 +139,24 @@ class Observer:
         self._period, self._controller = environment.control_timestep(), controller
         periods = whole_periods(duration, self._period)
         self._digest = StateDigest(periods, self._physics.intact)
-        self._recorder = Recorder(self._take, fields=_FIELDS)
-        self._metrics: Metrics | None = None
+        self._measured: tuple[Metrics, Recorder] | None = None
 
     def __call__(self, instant: Instant) -> None:
         """Takes a control instant."""
-        if self._metrics is None:
-            layer = instant.command.layer
-            if layer is None:  # until every controller says it
-                layer = getattr(self._controller, "phi", None)
-            limit = self._physics.input_limit()
-            self._metrics = Metrics(control_period=self._period, input_limit=limit, phi=layer)
+        if self._measured is None:
+            self._measured = self._begin(instant)
         self._digest(instant)
-        self._recorder(instant)
+        self._measured[1](instant)
 
     def outcome(self, message: str) -> Outcome:
         """What came of the arms, given what `simulate` returned."""
-        self._recorder.flush()
-        assert self._metrics is not None
+        assert self._measured is not None  # a run has one instant at least
+        metrics, recorder = self._measured
+        recorder.flush()
         diverged_at = _diverged_at(self._physics, message)
         diverged = ~np.isnan(diverged_at)
         batch, n = self._physics.batch_shape, len(diverged)
-        results = self._metrics.result(diverged=diverged if batch else diverged[0])
+        results = metrics.result(diverged=diverged if batch else diverged[0])
         columns = {
             column.name: results[column.metric].reshape(n, -1)[:, column.place]
             for column in _metric_columns(nominal_parameters().modules)
@@ -168,11 +164,20 @@ class Observer:
         }
         return Outcome(diverged_at, columns, *self._digest.result())
 
-    def _take(self, rows: Rows) -> None:
-        assert self._metrics is not None
-        signals = {name: rows[name] for name in _SIGNALS if name in rows}
-        fields = {name: array for name, array in rows.items() if name not in signals}
-        self._metrics.update(Block(**fields, signals=signals))
+    def _begin(self, instant: Instant) -> tuple[Metrics, Recorder]:
+        """Metrics for such arms, and what hands them their rows."""
+        layer = instant.command.layer
+        if layer is None:  # until every controller says it
+            layer = getattr(self._controller, "phi", None)
+        limit = self._physics.input_limit()
+        metrics = Metrics(control_period=self._period, input_limit=limit, phi=layer)
+        # Without a cycle of references, so that the arms' memory is free when the run is over.
+        return metrics, Recorder(lambda rows: metrics.update(_block(rows)), fields=_FIELDS)
+
+
+def _block(rows: Rows) -> Block:
+    signals = {name: rows[name] for name in _SIGNALS if name in rows}
+    return Block(**{k: x for k, x in rows.items() if k not in signals}, signals=signals)
 
 
 def measure(

@@ -12,10 +12,11 @@ import datetime
 import hashlib
 import io
 import json
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import filelock
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -45,9 +46,9 @@ def read_sweep(folder: str | Path, columns: Sequence[str] | None = None) -> pa.T
     Raises:
         OctarmError: if the folder holds no sweep, no finished shard or a damaged one.
     """
-    folder = Path(folder)
-    shards = [_read(folder, shard, columns) for shard in read_manifest(folder)["shards"]]
-    tables = [table.replace_schema_metadata(None) for table in shards if table is not None]
+    tables = [
+        table.replace_schema_metadata(None) for _, table in _shards(Path(folder), columns=columns)
+    ]
     if not tables:
         raise OctarmError(f"{folder} has no finished episode yet")
     return pa.concat_tables(tables)
@@ -59,10 +60,8 @@ def read_schema(folder: str | Path) -> pa.Schema:
     Raises:
         OctarmError: if the folder holds no sweep, or no finished shard.
     """
-    folder = Path(folder)
-    for shard in read_manifest(folder)["shards"]:
-        if (table := _read(folder, shard)) is not None:
-            return table.schema
+    for _, table in _shards(Path(folder)):
+        return table.schema
     raise OctarmError(f"{folder} has no finished episode yet")
 
 
@@ -72,11 +71,8 @@ def read_row(folder: str | Path, episode: int) -> pa.Table:
     Raises:
         OctarmError: if the folder holds no sweep, or the episode is not finished or damaged.
     """
-    folder = Path(folder)
-    for shard in read_manifest(folder)["shards"]:
-        place = episode - shard["first"]
-        if 0 <= place < shard["episodes"] and (table := _read(folder, shard)) is not None:
-            return table.slice(place, 1)
+    for first, table in _shards(Path(folder), episode=episode):
+        return table.slice(episode - first, 1)
     raise OctarmError(f"episode {episode} of {folder} is not finished; --resume runs it")
 
 
@@ -179,17 +175,20 @@ class SweepFolder:
             OctarmError: if another one does.
             FileError: if it cannot be written.
         """
+        lock = filelock.FileLock(self.path / _LOCK, timeout=0)
         try:
             (self.path / EPISODES).mkdir(parents=True, exist_ok=True)
-            file = open(self.path / _LOCK, "w")
+            lock.acquire()
+        except filelock.Timeout:
+            raise OctarmError(f"another process is at work on {self.path}") from None
         except OSError as error:
             raise FileError(f"{self.path} cannot be written: {error.strerror}") from None
-        with file:
-            try:
-                _lock(file.fileno())
-            except BlockingIOError:
-                raise OctarmError(f"another process is at work on {self.path}") from None
+        except NotImplementedError:  # some network file systems have no locks
+            pass
+        try:
             yield
+        finally:
+            lock.release()
 
     def begin(self, gains: Mapping[str, Any]) -> list[str]:
         """Writes what the sweep is, or notes that it goes on.
@@ -254,25 +253,35 @@ class SweepFolder:
         write_text(self.path / MANIFEST, to_json(self._manifest))
 
 
-def _read(
-    folder: Path, shard: Mapping[str, Any], columns: Sequence[str] | None = None
-) -> pa.Table | None:
-    """The rows of a shard, given its entry in the manifest; None if it is not finished.
+def _shards(
+    folder: Path, *, episode: int | None = None, columns: Sequence[str] | None = None
+) -> Iterator[tuple[int, pa.Table]]:
+    """The finished shards, or that of an episode: the first episode and the rows of each.
 
     Raises:
-        OctarmError: if it is damaged, or lacks a column.
+        OctarmError: if the folder holds no sweep, a shard is damaged, or lacks a column.
     """
-    file = folder / shard["file"]
-    content = _content(file)
-    if content is None or not shard["sha256"]:
-        return None
-    if not _is_whole(content, shard):
-        raise OctarmError(
-            f"{file} is damaged: it does not have the SHA-256 that {MANIFEST} states; --resume "
-            "runs it again"
-        )
-    # Without threads: one that ends after the interpreter aborts the process when it frees a buffer
-    # that is Python's.
+    for shard in read_manifest(folder)["shards"]:
+        file, first = folder / shard["file"], shard["first"]
+        if episode is not None and not first <= episode < first + shard["episodes"]:
+            continue
+        content = _content(file)
+        if content is None or not shard["sha256"]:
+            continue
+        if not _is_whole(content, shard):
+            raise OctarmError(
+                f"{file} is damaged: it does not have the SHA-256 that {MANIFEST} states; "
+                "--resume runs it again"
+            )
+        yield first, _parsed(content, file, columns)
+
+
+def _parsed(content: bytes, file: Path, columns: Sequence[str] | None) -> pa.Table:
+    """The rows in the bytes of a file.
+
+    Without threads: one that ends after the interpreter aborts the process when it frees a buffer
+    that is Python's.
+    """
     with pq.ParquetFile(pa.BufferReader(content)) as stored:
         known = stored.schema_arrow.names
         for name in columns or ():
@@ -307,21 +316,3 @@ def _changes(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
         for name in now
         if name != "platform" and before.get(name) != now[name]
     ]
-
-
-def _lock(descriptor: int) -> None:
-    """Takes the lock of an open file, where the system has such a thing.
-
-    Raises:
-        BlockingIOError: if another process has it.
-    """
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        return
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise
-    except OSError:  # some network file systems have no locks
-        return
