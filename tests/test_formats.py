@@ -6,6 +6,7 @@ import math
 import tomllib
 from typing import Annotated, Any
 
+import numpy as np
 import pytest
 from pydantic import Field, field_validator
 
@@ -94,6 +95,8 @@ def test_what_is_written_is_read_back():
         "d": {"e.f": "é", "rows": [{"x": 1.0}, {"x": 2.0}]},
     }
     assert tomllib.loads(to_toml(content | {"none": None})) == content
+    odd = {"a": np.array([1.0, math.inf, math.nan]), "b": (-math.inf,)}
+    assert json.loads(to_json(odd)) == {"a": [1.0, "inf", None], "b": ["-inf"]}
     assert json.loads(to_json({"a": [1], "b": {"c": [{}], "d": {}}})) == {
         "a": [1],
         "b": {"c": [{}], "d": {}},

@@ -278,7 +278,7 @@ def test_gains_of_a_file_become_part_of_the_spec(gain_file):
     ("line", "text", "expected"),
     [
         (1, 'gain_set = "tund"', 'unknown gain_set "tund"; known are tuned, recommended, or NAME'),
-        (2, '[gain_set]\npd = "tund"', 'unknown pd "tund"; known are'),
+        (2, '[gain_set]\npd = "tund"', 'unknown gain_set "tund"; known are'),
         (2, '[gain_set]\nsmc = "tuned"', "gains of 'smc', which is no controller of this sweep"),
         (2, '[gain_set]\npd = "other.toml"', "other.toml cannot be read: No such file"),
         (2, "[disturbance]\nnoise-2 = 0.1", "there is a noise-2, but no noise"),

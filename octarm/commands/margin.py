@@ -6,10 +6,9 @@ import csv
 import dataclasses
 import functools
 import io
-import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
@@ -18,6 +17,7 @@ from controllers import make_controller
 from octarm.disturbances.spelling import parse_disturbance, spelling
 from octarm.errors import ExitCode, OctarmError
 from octarm.files import write_text
+from octarm.formats import to_json
 from octarm.runs.versions import host, versions
 from octarm.sweeps.margin import (
     NOMINAL,
@@ -58,7 +58,7 @@ def margin(options: Margin) -> int:
     if options.csv is not None:
         write_text(options.csv, _csv(rows))
     if options.json is not None:
-        write_text(options.json, json.dumps(_report(options, varied, rows), indent=1) + "\n")
+        write_text(options.json, to_json(_report(options, varied, rows)))
     return ExitCode.FINE
 
 
@@ -221,7 +221,7 @@ def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _report(options: Margin, varied: Varied, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Everything, ready for JSON: infinity as a word, None for NaN."""
+    """Everything, for a JSON file."""
     settings = {
         key: value
         for key, value in dataclasses.asdict(options).items()
@@ -235,17 +235,7 @@ def _report(options: Margin, varied: Varied, rows: Sequence[Mapping[str, Any]]) 
             "unit": varied.unit,
         },
         "settings": settings,
-        "controllers": [_plain(row) for row in rows],
+        "controllers": list(rows),
         "versions": versions(),
         "host": host(),
     }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in cast(Mapping[str, Any], value).items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in cast(list[Any], value)]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else str(value)
-    return value

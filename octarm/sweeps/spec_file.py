@@ -37,7 +37,7 @@ from octarm.arm.mjcf import nominal_parameters
 from octarm.disturbances.episode import field_kinds
 from octarm.disturbances.fields import Words
 from octarm.disturbances.spelling import DISTURBANCES
-from octarm.errors import OctarmError, closest
+from octarm.errors import FileError, OctarmError, closest
 from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
 from octarm.sweeps.spec import Axis, GridAxis, RandomAxis, SweepSpec, class_of, field_names, which
@@ -289,30 +289,26 @@ def _gains(
     Raises:
         OctarmError: for what is no set of gains, or is of another controller.
     """
-    given = content.gain_set
-    if isinstance(given, dict):
-        keys = {name: ("gain_set", name) for name in given}
-    else:
-        keys = dict.fromkeys(controllers if given else (), ("gain_set",))
-    for place in (*keys.items(), *((name, ("gains", name)) for name in content.gains)):
-        if place[0] not in controllers:
-            raise document.error(
-                f"gains of {place[0]!r}, which is no controller of this sweep"
-                f"{closest(place[0], controllers)}",
-                *place[1],
-            )
-    sets = {name: given[name] if isinstance(given, dict) else str(given) for name in keys}
+    sets = content.gain_set or {}
+    if isinstance(sets, str):
+        sets = dict.fromkeys(controllers, sets)
+    for table, names in (("gain_set", sets), ("gains", content.gains)):
+        for name in names:
+            if name not in controllers:
+                hint = closest(name, controllers)
+                message = f"gains of {name!r}, which is no controller of this sweep{hint}"
+                raise document.error(message, table, name)
     gains: dict[str, dict[str, Any]] = {}
     for name, choice in sets.items():
         if choice.endswith(".toml"):
             try:
                 gains[name] = _gains_of_file(Path(document.file).parent / choice, name)
-            except OSError as error:
-                raise document.error(str(error), *keys[name]) from None
+            except FileError as error:
+                raise document.error(str(error), "gain_set", name) from None
         elif choice not in GAIN_SETS:
             known = ", ".join(GAIN_SETS)
-            message = f"unknown {keys[name][-1]} {spelt(choice)}; known are {known}, or NAME.toml"
-            raise document.error(message, *keys[name])
+            message = f"unknown gain_set {spelt(choice)}; known are {known}, or NAME.toml"
+            raise document.error(message, "gain_set", name)
     for name, own in content.gains.items():
         gains[name] = gains.get(name, {}) | own
     return sets, gains
