@@ -5,7 +5,7 @@ import datetime
 import functools
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
@@ -13,16 +13,19 @@ import pytest
 import controllers.gains
 from controllers import CONTROLLERS, make_controller
 from controllers.gain_sets import SHIPPED, GainSet, read_gain_set
+from controllers.gains import Gain, GainField, Switch
+from controllers.law import Law
 from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.nominal import LagrangeModel
 from octarm.commands import cli
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.disturbances.streams import stream
+from octarm.interfaces import Knob
 from octarm.metrics.chattering import Chattering
 from octarm.references import named_reference
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout
 from octarm.sweeps.tune import (
-    KNOBS,
     Budget,
     SearchState,
     Space,
@@ -176,29 +179,29 @@ def test_a_knob_turns_its_gains_by_a_factor():
     assert space.at_bounds(candidate[1]) == ["premises"]
 
 
-def test_a_gain_has_one_knob():
-    gains = [gain for knob in KNOBS for gain in knob.gains]
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_a_gain_has_one_knob(name: str):
+    gains = [gain for knob in by_hand(name)(P).knobs() for gain in knob.gains]
     assert len(gains) == len(set(gains))
 
 
-def test_a_new_controller_is_tuned_by_the_names_of_its_gains():
-    @dataclasses.dataclass(frozen=True)
-    class New:
-        nominal: object = P
-        K_p: float = 2.0
-        colour: float = 1.0
-        safe: bool = True
+def test_a_new_controller_is_tuned_by_the_knobs_of_its_gains():
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class New(Law):
+        stiffness: Annotated[Gain, GainField("N/m", knob=Knob("how stiff", apart=True))]
+        colour: Annotated[Gain, GainField("1")]
+        safe: Annotated[bool, Switch("1")] = True
 
-    space = Space(New(), N)  # pyright: ignore[reportArgumentType]
-    assert [unknown.name for unknown in space.unknowns] == ["K_p of slides", "K_p of bends"]
+    space = Space(New(nominal=LagrangeModel(P), stiffness=2.0, colour=1.0), N)  # pyright: ignore
+    assert [u.name for u in space.unknowns] == ["how stiff of slides", "how stiff of bends"]
     assert space.fixed() == {"colour": 1.0}
 
     @dataclasses.dataclass(frozen=True)
-    class Untunable:
-        colour: float = 1.0
+    class Untunable(Law):
+        pass
 
-    with pytest.raises(ValueError, match="Untunable has no gain that can be tuned; those are lam"):
-        Space(Untunable(), N)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="Untunable has no gain that can be tuned"):
+        Space(Untunable(nominal=LagrangeModel(P)), N)  # pyright: ignore[reportArgumentType]
 
 
 # The search
@@ -439,14 +442,17 @@ def test_a_set_that_does_not_fit_is_refused(tmp_path, changes, sentence):
 
 def test_what_is_no_gain_set_is_refused(tmp_path):
     path = tmp_path / "x.toml"
-    for text, sentence in {"a = ": "x.toml: ", "a = 1": "x.toml holds no gains; it needs"}.items():
+    for text, sentence in {
+        "a = ": "x.toml: ",
+        "a = 1": "x.toml: it needs a value of controller",
+    }.items():
         path.write_text(text)
         with pytest.raises(ValueError, match=sentence):
             read_gain_set(path)
     path.write_bytes(b"\xff\xfe")
-    with pytest.raises(ValueError, match="holds no gains: it is not text"):
+    with pytest.raises(ValueError, match="is not a text file"):
         read_gain_set(path)
-    with pytest.raises(ValueError, match="holds no gains: No such file"):
+    with pytest.raises(ValueError, match="cannot be read: No such file"):
         make_controller("smc", P, gain_set=tmp_path / "none.toml")
     with pytest.raises(ValueError, match="unknown gains 'tuend'; they are tuned, recommended, or"):
         make_controller("smc", P, gain_set="tuend")

@@ -14,18 +14,17 @@ import numpy as np
 
 from controllers import make_controller
 from controllers.fuzzy_sliding_mode import FuzzySlidingMode
-from controllers.gains import boundary_width
 from controllers.integral_sliding_mode import IntegralState
 from controllers.proofs.adaptive_ledger import adaptive, along_a_run
 from controllers.proofs.lyapunov import (
     LAMBDA,
     Instants,
-    Sliding,
     as_claimed,
     below,
     damped,
     energy_rate,
     integral_sliding,
+    layer_of,
     linear_gain_of,
     model_error,
     noticed,
@@ -35,6 +34,7 @@ from controllers.proofs.lyapunov import (
     sliding,
 )
 from controllers.proofs.misprints import misprints
+from controllers.sliding_mode import Surface
 from controllers.super_twisting import SuperTwistingState
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.report import Check, Report, gathered
@@ -87,7 +87,7 @@ def ledger(
     return Report(title, parameters, states, seed, checks)
 
 
-class Trial(NamedTuple):
+class SwitchingTrial(NamedTuple):
     """Random instants with a switching gain that covers the model error there, eq (40).
 
     Attributes:
@@ -100,7 +100,7 @@ class Trial(NamedTuple):
     """
 
     at: Instants
-    surface: Sliding
+    surface: Surface
     F: np.ndarray
     eta: np.ndarray
     K: np.ndarray
@@ -128,18 +128,18 @@ class Trial(NamedTuple):
         return -np.sum(self.eta * np.abs(s), axis=-1) - damped(self.at, s, self.K_v)
 
 
-def _trial(at: Instants, surface: Sliding) -> Trial:
+def _trial(at: Instants, surface: Surface) -> SwitchingTrial:
     F = model_error(at, surface)
     eta = 0.01 * np.sqrt(np.mean(F * F, axis=0))
-    return Trial(at, surface, F, eta, np.abs(F) + eta, linear_gain_of(at.true))
+    return SwitchingTrial(at, surface, F, eta, np.abs(F) + eta, linear_gain_of(at.true))
 
 
 def _random_trial(
     p: ArmParameters,
     states: int,
     rng: np.random.Generator,
-    surface_of: Callable[[Instants, float], Sliding] = sliding,
-) -> Trial:
+    surface_of: Callable[[Instants, float], Surface] = sliding,
+) -> SwitchingTrial:
     at = random_instants(p, random_nominal(p, states, rng), LAMBDA, rng)
     return _trial(at, surface_of(at, LAMBDA))
 
@@ -175,7 +175,7 @@ def _derived_gain(p: ArmParameters, states: int, rng: np.random.Generator) -> It
     yield below(f"smc, K from an uncertainty of {UNCERTAINTY:g}", rate, bound, rms(rate))
 
 
-def _worst_model(at: Instants, surface: Sliding) -> ArmParameters:
+def _worst_model(at: Instants, surface: Surface) -> ArmParameters:
     """The model within the uncertainty that has the largest s^T F, one for each instant.
 
     F is linear in the parameters, so that each of them can be taken for itself.
@@ -195,7 +195,7 @@ def _worst_model(at: Instants, surface: Sliding) -> ArmParameters:
 
 def _boundary_layer(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
     """V' = s^T F - sum K s sat(s / phi) - s^T (K_v + B) s, at most (42) + sum K phi / 4."""
-    phi = boundary_width(p)
+    phi = layer_of(p)
     t = _random_trial(p, states, rng)
     s = t.surface.s
     rate = t.rate(t.answer("smc-boundary", phi=phi)[0].force)
@@ -227,7 +227,7 @@ def _fuzzy_switching(p: ArmParameters, states: int, rng: np.random.Generator) ->
 
     A fuzzy f(s / phi) on the far side of sat(s / phi) from zero pushes back at least as hard.
     """
-    phi = boundary_width(p)
+    phi = layer_of(p)
     t = _random_trial(p, states, rng)
     rate = t.rate(t.answer("fsmc", phi=phi)[0].force)
     claim = t.claim(-t.K * FuzzySlidingMode.fuzzy(t.surface.s / phi))
@@ -245,7 +245,7 @@ def _super_twisting(p: ArmParameters, states: int, rng: np.random.Generator) -> 
     size = np.abs(t.surface.s)
     w = t.K * rng.uniform(-1.0, 1.0, t.K.shape)
     # A root gain that balances the model error somewhere among these |s|.
-    k_1 = np.sqrt(np.mean(t.F * t.F, axis=0) / boundary_width(p))
+    k_1 = np.sqrt(np.mean(t.F * t.F, axis=0) / layer_of(p))
     state = SuperTwistingState(t.at.measurement.t, w.copy())
     command, _ = t.answer("super-twisting", state, k_1=k_1)
     rate = t.rate(command.force)

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 def run(options: Run) -> int:
     """`octarm run`: one controller against the arm, as a run folder."""
+    from octarm.recordings.recording import Recorder  # imports rerun, which takes half a second
+
     true = _true_parameters(options)
     nominal = true.mismatched(options.mismatch).scaled(**named_values("--nominal", options.nominal))
     experiment = Experiment(
@@ -61,8 +63,9 @@ def run(options: Run) -> int:
     started, swing = time.perf_counter(), Swing()
     with tqdm(total=periods, unit=" periods", disable=None, leave=False) as bar:
         trajectory, description = run_into(
-            out, environment, controller, announced, progress=bar.update, keep=swing.add
-        )
+            out, environment, controller, announced, recording=Recorder, progress=bar.update,
+            keep=swing.add,
+        )  # fmt: skip
     elapsed = time.perf_counter() - started
     print(summary(len(trajectory), swing.amplitude(), description, elapsed))
     print(f"wrote {out}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")

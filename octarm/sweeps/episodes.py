@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import OctarmError
-from octarm.interfaces import ControllerFactory
+from octarm.interfaces import Controller, ControllerFactory
 from octarm.runs import folder as runs
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.experiment import Experiment, run_into
@@ -209,22 +209,26 @@ def record_episodes(
         OSError: if a folder cannot be written.
         KeyboardInterrupt: if interrupted; finished folders stay.
     """
-    spec = sweep.plan.spec
+    from octarm.recordings.recording import Recorder  # imports rerun, which takes half a second
+
+    def make(name: str, nominal: Any, gains: Mapping[str, Any]) -> Controller:
+        del gains  # those of the spec
+        return sweep.plan.spec.controller(name, nominal, factory)
+
     different: dict[int, str] = {}
     for episode, words in reasons.items():
         folder = sweep.path / RECORDED / f"{episode}-{'-'.join(words)}"
         if _is_there(folder, episode):
             continue
         experiment = sweep.experiment(episode)
-        environment, controller = experiment.begin(
-            lambda name, nominal, gains: spec.controller(name, nominal, factory)
-        )
+        environment, controller = experiment.begin(make)
         announced = experiment.announcement(environment, controller)
         periods = whole_periods(experiment.duration, environment.control_timestep())
         begin(periods, f"recording episode {episode} ({', '.join(words)})")
         trajectory, _ = run_into(
-            folder, environment, controller, announced, progress=progress, partial=False
-        )
+            folder, environment, controller, announced, recording=Recorder, progress=progress,
+            partial=False,
+        )  # fmt: skip
         if difference := _difference(sweep, episode, trajectory, periods):
             different[episode] = difference
     return different

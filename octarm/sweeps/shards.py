@@ -12,8 +12,8 @@ import pyarrow as pa
 from dm_control.rl import control
 
 from octarm.arm.mjcf import coordinate_names, nominal_parameters
-from octarm.interfaces import Controller, ControllerFactory, Instant, Rows
-from octarm.metrics.table import METRICS, Block, Metrics
+from octarm.interfaces import Controller, ControllerFactory, Instant
+from octarm.metrics.table import METRICS, Metrics
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.versions import host, versions
 from octarm.simulation.environment import AnyPhysics, load, whole_periods
@@ -24,8 +24,7 @@ from octarm.sweeps.spec import SweepSpec
 
 Observe = Callable[[Instant], object]
 
-_SIGNALS = ("s", "reaching_bound")  # those that metrics know
-_FIELDS = ("t", "q", "q_d", "tau", "force", *_SIGNALS)
+_FIELDS = ("t", "q", "q_d", "tau", "force", "s", "reaching_bound")  # those that metrics know
 _MARKS = pa.list_(pa.uint64(), CHECKPOINTS)
 
 
@@ -131,12 +130,10 @@ class Outcome(NamedTuple):
 class Observer:
     """Measures a run while it goes on, and keeps nothing of it but a few instants."""
 
-    def __init__(
-        self, environment: control.Environment, controller: Controller, duration: float
-    ) -> None:
+    def __init__(self, environment: control.Environment, duration: float) -> None:
         """An observer of a run of so many seconds, for `simulate`."""
         self._physics: AnyPhysics = environment.physics
-        self._period, self._controller = environment.control_timestep(), controller
+        self._period = environment.control_timestep()
         periods = whole_periods(duration, self._period)
         self._digest = StateDigest(periods, self._physics.intact)
         self._measured: tuple[Metrics, Recorder] | None = None
@@ -166,18 +163,10 @@ class Observer:
 
     def _begin(self, instant: Instant) -> tuple[Metrics, Recorder]:
         """Metrics for such arms, and what hands them their rows."""
-        layer = instant.command.layer
-        if layer is None:  # until every controller says it
-            layer = getattr(self._controller, "phi", None)
-        limit = self._physics.input_limit()
-        metrics = Metrics(control_period=self._period, input_limit=limit, phi=layer)
+        limit, layer = self._physics.input_limit(), instant.command.layer
+        metrics = Metrics(control_period=self._period, input_limit=limit, layer=layer)
         # Without a cycle of references, so that the arms' memory is free when the run is over.
-        return metrics, Recorder(lambda rows: metrics.update(_block(rows)), fields=_FIELDS)
-
-
-def _block(rows: Rows) -> Block:
-    signals = {name: rows[name] for name in _SIGNALS if name in rows}
-    return Block(**{k: x for k, x in rows.items() if k not in signals}, signals=signals)
+        return metrics, Recorder(metrics.update, fields=_FIELDS)
 
 
 def measure(
@@ -197,7 +186,7 @@ def measure(
     Raises:
         OctarmError: if the duration is not positive, or the controller's force has a wrong shape.
     """
-    observer = Observer(environment, controller, duration)
+    observer = Observer(environment, duration)
 
     def observe(instant: Instant) -> None:
         for each in (observer, *observers):

@@ -28,50 +28,11 @@ from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import OctarmError
 from octarm.files import write_text
 from octarm.formats import Model, read_json, to_json
-from octarm.interfaces import Controller, ControllerFactory
+from octarm.interfaces import Controller, Knob, Tunable
 from octarm.runs import versions as origin
 from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, Examination, costs
 
 _PACKAGES = ("python", "octarm", "mujoco", "dm-control", "numpy", "scipy")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Knob:
-    """A factor by which tuning multiplies the hand-set values of gains.
-
-    Attributes:
-        name: of the knob.
-        gains: that it multiplies, those of them that a controller has.
-        low: smallest factor [1].
-        high: largest factor [1].
-        apart: whether slides and bends have a factor each.
-    """
-
-    name: str
-    gains: tuple[str, ...]
-    low: float = 0.1
-    high: float = 10.0
-    apart: bool = False
-
-
-# A gain has one meaning in all controllers, so a new controller is tuned by the names of its gains.
-KNOBS = (
-    Knob(name="lambda", gains=("lambda",), low=0.25, high=4.0),
-    Knob(name="K_p", gains=("K_p",), apart=True),
-    Knob(name="K_d", gains=("K_d",), apart=True),
-    Knob(name="K", gains=("K",), apart=True),
-    Knob(name="K_v", gains=("K_v",)),
-    # All that says how large an |s| is: the hand-set values are multiples of one width.
-    Knob(name="width", gains=("phi", "scale", "dead_zone", "s_max"), apart=True),
-    Knob(name="k_1", gains=("k_1",), apart=True),
-    Knob(name="k_2", gains=("k_2",), apart=True),
-    Knob(name="force_scale", gains=("force_scale",), apart=True),
-    Knob(name="e_scale", gains=("e_scale",), apart=True),
-    Knob(name="rate_scale", gains=("rate_scale",), apart=True),
-    Knob(name="learning", gains=("eta1", "eta2")),
-    Knob(name="premises", gains=("eta3", "eta4")),
-    Knob(name="bound", gains=("theta_max", "E_max"), apart=True),
-)
 
 
 class Unknown(NamedTuple):
@@ -80,13 +41,11 @@ class Unknown(NamedTuple):
     Attributes:
         name: for people.
         knob: that it turns.
-        gains: names of those that the controller has.
         share: 1 for the coordinates of the arm that it is for, 0 for others, shape (2N,).
     """
 
     name: str
     knob: Knob
-    gains: tuple[str, ...]
     share: np.ndarray
 
 
@@ -98,28 +57,26 @@ class Space:
 
     Attributes:
         gains: the hand-set ones, by name.
+        knobs: what the controller lets be turned.
         unknowns: what is searched.
         bounds: smallest and largest entry of a candidate, shape (d, 2).
     """
 
-    def __init__(self, controller: Controller, modules: int) -> None:
+    def __init__(self, controller: Tunable, modules: int) -> None:
         """The space around a controller with its hand-set gains.
 
         Raises:
             OctarmError: if it has no gain that can be tuned.
         """
-        self.gains = gains_of(controller)
+        self.gains, self.knobs = gains_of(controller), controller.knobs()
         slides, every = np.repeat([1.0, 0.0], modules), np.ones(2 * modules)
         self.unknowns: list[Unknown] = []
-        for knob in KNOBS:
-            gains = tuple(name for name in knob.gains if name in self.gains)
+        for knob in self.knobs:
             parts = {" of slides": slides, " of bends": 1.0 - slides} if knob.apart else {"": every}
-            for part, share in parts.items() if gains else ():
-                self.unknowns.append(Unknown(knob.name + part, knob, gains, share))
+            self.unknowns += [Unknown(knob.name + part, knob, x) for part, x in parts.items()]
         if not self.unknowns:
-            known = ", ".join(name for knob in KNOBS for name in knob.gains)
             raise OctarmError(
-                f"{type(controller).__name__} has no gain that can be tuned; those are {known}"
+                f"{type(controller).__name__} has no gain that can be tuned; give one a knob"
             )
         self.bounds = np.log10([(u.knob.low, u.knob.high) for u in self.unknowns])
 
@@ -128,13 +85,13 @@ class Space:
         table: dict[str, np.ndarray] = {}
         for unknown, logarithms in zip(self.unknowns, candidates.T, strict=True):
             factors = 10.0 ** (unknown.share[:, None] * logarithms)
-            for name in unknown.gains:
+            for name in unknown.knob.gains:
                 table[name] = table.get(name, self.gains[name].reshape(-1, 1)) * factors
         return {name: rounded(columns).T for name, columns in table.items()}
 
     def fixed(self) -> dict[str, np.ndarray]:
         """The gains that stay as they are, each of the shape of its value in `gains`."""
-        tuned = {name for unknown in self.unknowns for name in unknown.gains}
+        tuned = {name for unknown in self.unknowns for name in unknown.knob.gains}
         return {name: gain for name, gain in self.gains.items() if name not in tuned}
 
     def at_bounds(self, candidate: np.ndarray) -> list[str]:
@@ -247,7 +204,7 @@ class Tuned:
 
 
 def tune(
-    factory: ControllerFactory,
+    factory: Callable[..., Tunable],
     budget: Budget,
     *,
     seed: int = 0,
@@ -414,7 +371,7 @@ def settings(controller: str, space: Space, budget: Budget, seed: int) -> dict[s
         "seed": seed,
         "budget": dataclasses.asdict(budget),
         "gains": {name: gain.tolist() for name, gain in space.gains.items()},
-        "range": [dataclasses.asdict(knob) for knob in KNOBS],
+        "range": [knob._asdict() for knob in space.knobs],
         "objective": FORMULA,
         "versions": versions(),
     }

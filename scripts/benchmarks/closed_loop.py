@@ -117,7 +117,7 @@ def take_turns(name: str, arms: int, seconds: float, rival: Rival) -> Turns:
     run_arms(plan, shard, make_controller, duration=_step())
     once = (clocks() - started) * _step() / (DURATION * arms)
     environment, controller = begin(plan.spec, shard, make_controller)
-    observer = Observer(environment, controller, DURATION)
+    observer = Observer(environment, DURATION)
     other = rival(name, environment)
     sweep: list[np.ndarray] = []
     others: list[np.ndarray] = []
