@@ -143,7 +143,7 @@ BAD = [
     (["run", "--parameter", "gravity:1e10"], "cannot hang in one piece: at rest s1"),
     (["run", "--out", "/dev/null/x"], "/dev/null/x cannot be written"),
     (["replay", "precious"], "precious has no recording run.rrd"),
-    (["replay", "broken"], "broken/run.json does not describe a run"),
+    (["replay", "broken"], "broken/run.json holds no table"),
     (["validate", "--seed", "-1"], "seed is -1; it must be at least 0"),
     (["validate", "--json", "nowhere/x.json"], "nowhere/x.json cannot be written"),
     (["run", "--duraton", "3"], "octarm run has no option '--duraton', did you mean '--duration'"),
@@ -166,7 +166,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(arguments, message, capsys
     Path("full").mkdir()
     Path("full/notes.txt").write_text("mine")
     Path("precious").mkdir()
-    Path("precious/run.json").write_text('{"controller": {}}')
+    Path("precious/run.json").write_text('{"format": 2, "controller": {}}')
     Path("precious/notes.txt").write_text("mine")
     Path("broken").mkdir()
     Path("broken/run.json").write_text("[]")
@@ -200,7 +200,7 @@ def test_an_interrupt_leaves_nothing_half_written(monkeypatch, capsys):
     def interrupted(*_args, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(experiment, "stream", interrupted)
+    monkeypatch.setattr(experiment.ArmRecorder, "run", interrupted)
     assert short_run() == 130
     assert "interrupted" in capsys.readouterr().err
     assert list(Path().iterdir()) == []

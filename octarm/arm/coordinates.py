@@ -1,4 +1,4 @@
-"""Names and units of an arm's coordinates and inputs, for all that prints, plots or records them."""
+"""Names and units of an arm's coordinates and inputs, for all that prints or records them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Coordinates(NamedTuple):
 
 
 def planar_coordinates(modules: int) -> Coordinates:
-    """The coordinates of the planar arm, q = [s1..sN, theta1..thetaN], with two columns a module."""
+    """The coordinates of the planar arm, q = [s1..sN, theta1..thetaN]; two columns a module."""
     columns = [f"column_{a}_{i}" for i in range(1, modules + 1) for a in (1, 2)]
     return Coordinates(
         names=tuple(coordinate_names(modules)),
