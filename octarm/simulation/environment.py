@@ -17,8 +17,8 @@ from octarm.arm.kinematics import tip_position
 from octarm.arm.mjcf import build_model, build_slim_model, nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import split
+from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Disturbance, Episode
-from octarm.disturbances.spelling import Acting
 from octarm.errors import OctarmError, closest
 from octarm.interfaces import Motion, Reference
 from octarm.references import named_reference
@@ -186,7 +186,7 @@ class TrackingTask(control.Task):
         self.disturbances = tuple(disturbances)
         self.random = episode.streams("wrappers")[0]
         self._episode = episode
-        Acting(self.disturbances, episode)  # raises when one does not suit the arm
+        ActiveDisturbances(self.disturbances, episode)  # raises when one does not suit the arm
         self._margin = np.array(margin)
         self._period = period
         self._episode_periods = episode_periods
@@ -204,7 +204,7 @@ class TrackingTask(control.Task):
         self.random = self._episode.streams("wrappers")[0]
         rest = physics.hanging()
         physics.set_motion(rest, np.zeros_like(rest))
-        physics.begin(Acting(self.disturbances, self._episode))
+        physics.begin(ActiveDisturbances(self.disturbances, self._episode))
 
     def before_step(self, action: np.ndarray, physics: AnyPhysics) -> None:
         """Holds the action, tau, shape (2N,) [N]."""

@@ -16,8 +16,8 @@ from octarm.arm.coordinates import Coordinates, planar_coordinates
 from octarm.arm.limits import Limits
 from octarm.arm.mjcf import PlantFields, paper_order
 from octarm.arm.parameters import ArmParameters
+from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Plant
-from octarm.disturbances.spelling import Acting
 
 
 class AnyPhysics(control.Physics):
@@ -40,7 +40,7 @@ class AnyPhysics(control.Physics):
     coordinates: Coordinates
     actuation: Actuation
     limits: Limits
-    acting: Acting | None = None
+    acting: ActiveDisturbances | None = None
     watch: Callable[[AnyPhysics], object] | None = None
 
     def _attach(
@@ -155,7 +155,7 @@ class AnyPhysics(control.Physics):
         """Holds the input forces tau, shape (..., 2N) [N], until the next call."""
         self._tau = np.array(control, dtype=np.float64)
 
-    def begin(self, acting: Acting) -> None:
+    def begin(self, acting: ActiveDisturbances) -> None:
         """Starts an episode under these disturbances, the arms standing where they were placed."""
         self.acting = acting
         self._change(acting)
@@ -206,7 +206,7 @@ class AnyPhysics(control.Physics):
                 self._disturbance = self._disturbance + mean
         self._ctrl[...] = self.actuation.tendon_forces(q, self._received)
 
-    def _change(self, acting: Acting) -> None:
+    def _change(self, acting: ActiveDisturbances) -> None:
         """Lets the plants follow their disturbances."""
         plant = acting.plant(self._steps)
         if plant is not None:

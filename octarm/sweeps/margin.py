@@ -19,9 +19,8 @@ import numpy as np
 from dm_control.rl import control
 
 from octarm.arm.mjcf import nominal_parameters
-from octarm.disturbances.episode import Disturbance, field_kinds
-from octarm.disturbances.fields import Quantity
-from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_disturbance
 from octarm.errors import OctarmError, closest
 from octarm.interfaces import Controller, ControllerFactory
 from octarm.simulation.environment import load
@@ -228,7 +227,7 @@ class Varied:
         """The disturbance with a value an arm, shape (n,), if it is one."""
         if self.disturbance is None:
             return []
-        field, kind = _first(type(self.disturbance))
+        field, kind = first_field(type(self.disturbance))
         each = values[:, None] if kind.each else values
         return [dataclasses.replace(self.disturbance, **{field: each})]  # pyright: ignore
 
@@ -265,20 +264,13 @@ def parse_varied(text: str, low: float | None, high: float | None) -> Varied:
         return Varied(name=name, low=low, high=high)
     texts = [f"{name}:{value!r}{',' + rest if rest else ''}" for value in (low, high)]
     at_low, _ = (parse_disturbance(text) for text in texts)
-    unit = _first(type(at_low))[1].unit
+    unit = first_field(type(at_low))[1].unit
     return Varied(name=name, low=low, high=high, unit=unit, disturbance=at_low)
 
 
 def usual_range(name: str) -> tuple[float, float] | None:
     """Where the search begins and ends when it is not said, in the unit of the values."""
-    return _NOMINAL_RANGE if name == NOMINAL else _first(DISTURBANCES[name])[1].usual
-
-
-def _first(cls: type[Disturbance]) -> tuple[str, Quantity]:
-    """The field that stands without a key."""
-    field, kind = next(iter(field_kinds(cls).items()))
-    assert isinstance(kind, Quantity)
-    return field, kind
+    return _NOMINAL_RANGE if name == NOMINAL else first_field(DISTURBANCES[name])[1].usual
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

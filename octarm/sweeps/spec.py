@@ -10,7 +10,8 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from octarm.arrays import plain
-from octarm.disturbances.episode import Disturbance, field_kinds
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.fields import field_keys
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.formats import to_toml
 from octarm.interfaces import Controller, ControllerFactory
@@ -34,11 +35,6 @@ def which(disturbance: str) -> Which:
 def class_of(disturbance: str) -> type[Disturbance]:
     """The class of a disturbance of a spec."""
     return DISTURBANCES[which(disturbance).kind]
-
-
-def field_names(disturbance: str) -> dict[str, str]:
-    """The fields of a disturbance as the code spells them, by how files do."""
-    return {kind.key or name: name for name, kind in field_kinds(class_of(disturbance)).items()}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -211,4 +207,6 @@ def _tables(axes: Mapping[Any, Any]) -> dict[str, Any]:
 
 def _keys(disturbance: str, fields: Any) -> list[tuple[str, str]]:
     """The keys of fields in files, each with the field."""
-    return [(key, field) for key, field in field_names(disturbance).items() if field in fields]
+    return [
+        (key, field) for key, field in field_keys(class_of(disturbance)).items() if field in fields
+    ]

@@ -23,7 +23,6 @@ part of the spec that the sweep keeps.
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
@@ -34,13 +33,12 @@ from pydantic import AfterValidator, Field, FiniteFloat
 
 from octarm.arm.actuation import ACTUATIONS
 from octarm.arm.mjcf import nominal_parameters
-from octarm.disturbances.episode import field_kinds
-from octarm.disturbances.fields import Words
+from octarm.disturbances.fields import Words, field_defaults, field_keys, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError, OctarmError, closest
 from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
-from octarm.sweeps.spec import Axis, GridAxis, RandomAxis, SweepSpec, class_of, field_names, which
+from octarm.sweeps.spec import Axis, GridAxis, RandomAxis, SweepSpec, class_of, which
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
 METHODS = ("uniform", "sobol")
@@ -268,7 +266,7 @@ def _fields(document: Document, *place: str) -> Iterator[_Field]:
         if which(name).kind not in DISTURBANCES:
             hint = closest(name, DISTURBANCES)
             raise document.error(f"unknown disturbance {name!r}{hint}", *place, name)
-        fields = field_names(name)
+        fields = field_keys(class_of(name))
         first = next(iter(fields))
         inner = cast(dict[str, Any], value) if isinstance(value, dict) else None
         bare = inner is None or (inner and inner.keys() <= Bounds.model_fields.keys())
@@ -344,10 +342,9 @@ def _try(spec: SweepSpec, name: str, document: Document) -> None:
     if number > 1 and before not in spec.disturbances:
         raise document.error(f"there is a {name}, but no {before}", *place)
     cls: Any = DISTURBANCES[kind]
-    required = {f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING}
-    missing = required - {*fixed, *(axis.field for axis in axes)}
-    for key, field in field_names(name).items():
-        if field in missing:
+    given = {*field_defaults(cls), *fixed, *(axis.field for axis in axes)}
+    for key, field in field_keys(class_of(name)).items():
+        if field not in given:
             raise document.error(f"{name} needs a value of {key}", *place)
     # Side by side suffices: what a value may be does not depend on the other fields' values.
     for values in itertools.zip_longest(*(axis.probes for axis in axes)) if axes else [()]:
