@@ -2,9 +2,12 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Annotated, ClassVar
 
 import pytest
 
+from octarm.disturbances.episode import Force
+from octarm.disturbances.fields import Amount, Quantity
 from octarm.disturbances.forces import BandLimitedNoise, PulseForce
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError
@@ -99,6 +102,27 @@ def test_every_disturbance_can_be_an_axis_and_has_a_column_of_its_own():
     columns = [axis.name for axis in spec.axes]
     assert len(set(columns)) == len(columns) == 3 + len(DISTURBANCES)
     assert "disturbance.mismatch" in columns  # of the true arm; `mismatch` is the nominal model's
+
+
+def test_a_disturbance_from_outside_can_be_an_axis(monkeypatch):
+    @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+    class Wall(Force):
+        name: ClassVar[str] = "wall"
+        stiffness: Annotated[Amount, Quantity("N m/rad", at_least=0.0)]
+        distance: Annotated[Amount, Quantity("rad", key="angle")] = 0.2
+
+        def start(self, episode):
+            return lambda step, q: 0.0 * q
+
+    monkeypatch.setitem(DISTURBANCES, "wall", Wall)
+    text = 'controller = "pd"\n[grid.disturbance]\nwall = [0.0, 5.0]\nwall.angle = [0.1]'
+    spec = parse_spec(text.replace("wall = ", "wall.stiffness = "))
+    assert {axis.name for axis in spec.axes[3:]} == {"wall", "wall.angle"}
+    (wall,) = Plan(spec).episode(1).disturbances  # the last value of stiffness
+    assert isinstance(wall, Wall) and (wall.stiffness, wall.distance) == (5.0, 0.1)
+    assert parse_spec(spec.to_toml()).hash() == spec.hash()
+    with pytest.raises(ValueError, match="stiffness of wall is -1 N m/rad; it must be at least 0"):
+        parse_spec('controller = "pd"\n[disturbance]\nwall = -1')
 
 
 def test_the_hash_is_that_of_what_is_asked_for():
