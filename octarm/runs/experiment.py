@@ -22,6 +22,7 @@ from octarm.disturbances.ledger import Ledger, asked
 from octarm.disturbances.spelling import from_dict
 from octarm.errors import OctarmError, closest
 from octarm.interfaces import Controller
+from octarm.metrics.table import Metrics, as_json
 from octarm.references import REFERENCES
 from octarm.runs import folder as runs
 from octarm.runs.archive import Archive, Ending, mapped
@@ -201,22 +202,23 @@ def _perform(
     ledger = Ledger(task.disturbances, physics) if task.disturbances else None
     if ledger is not None:
         physics.watch = ledger.step
-    measured = runs.Measured(
+    metrics = Metrics(
         control_period=environment.control_timestep(),
         input_limit=physics.input_limit(),
-        phi=getattr(controller, "phi", None),
+        layer=getattr(controller, "phi", None),
     )
 
     def take_up(rows: Trajectory) -> None:
         keep(rows)
-        measured.add(rows)
+        arrays = {name: getattr(rows, name) for name in ("t", "q", "q_d", "tau", "force")}
+        metrics.update({**rows.signals, **arrays})
 
     duration = announced["duration"]
     ending = stream(environment, controller, duration, keep=take_up, progress=progress)
     return ending, {
         **announced,
         "disturbances": ledger.rows() if ledger is not None else [],
-        "metrics": measured.numbers(diverged=ending.status == "diverged"),
+        "metrics": as_json(metrics.result(ending.status == "diverged")),
         **ending._asdict(),
     }
 

@@ -15,14 +15,12 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import plain
 from octarm.errors import OctarmError
 from octarm.files import write_text
 from octarm.interfaces import Controller
-from octarm.metrics.table import Block, Metrics
 from octarm.runs.archive import Archive, mapped, read_blocks
 from octarm.simulation.trajectory import Trajectory
 
@@ -34,64 +32,6 @@ BLOCKS = ARRAYS + ".blocks"  # and of its arrays
 RUNNING = "running"
 
 _PACKAGES = ("octarm", "mujoco", "dm-control", "numpy", "rerun-sdk")
-
-
-class Measured:
-    """The metrics of a run, block by block: `add` rows in their order, then `numbers`."""
-
-    def __init__(
-        self,
-        *,
-        control_period: float,
-        input_limit: npt.ArrayLike = np.inf,
-        phi: npt.ArrayLike | None = None,
-    ) -> None:
-        """See `octarm.metrics.Metrics` for what these are."""
-        self._metrics = Metrics(control_period=control_period, input_limit=input_limit, phi=phi)
-
-    def add(self, rows: Trajectory) -> None:
-        """Takes up further rows."""
-        block = Block(rows.t, rows.q, rows.q_d, rows.tau, rows.force, rows.signals)
-        self._metrics.update(block)
-
-    def numbers(self, *, diverged: bool = False) -> dict[str, list[float | None] | float | None]:
-        """The metrics by name, a list in the order of q (of tau, for inputs) or one number.
-
-        None stands for what there is no number for; of a diverged run there is none at all.
-        """
-        results = self._metrics.result(diverged=diverged)
-        return {name: _numbers(values) for name, values in results.items()}
-
-
-def measure(
-    trajectory: Trajectory,
-    *,
-    control_period: float | None = None,
-    input_limit: npt.ArrayLike = np.inf,
-    phi: npt.ArrayLike | None = None,
-) -> dict[str, list[float | None] | float | None]:
-    """The metrics of a whole run, as `Measured.numbers` has them.
-
-    Args:
-        trajectory: the run.
-        control_period: see `octarm.metrics.Metrics` [s]; the step of the trajectory's t when not
-            given, of which a single row has none.
-        input_limit: see there, broadcasts to (2N,) [N].
-        phi: see there, broadcasts to (2N,) [m/s], [rad/s].
-    """
-    t, known = trajectory.t, control_period is not None or len(trajectory) > 1
-    if control_period is None:
-        control_period = float(t[1] - t[0]) if known else 1.0
-    measured = Measured(control_period=control_period, input_limit=input_limit, phi=phi)
-    measured.add(trajectory)
-    return measured.numbers(diverged=trajectory.status == "diverged" or not known)
-
-
-def _numbers(values: np.ndarray) -> Any:
-    """A number or a list, with None for NaN."""
-    out = values.astype(object)
-    out[~np.isfinite(values)] = None
-    return out.tolist()
 
 
 def describe_fields(thing: Any) -> dict[str, Any]:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from dm_control.rl import control
 
-from octarm.arm.mjcf import coordinate_names, nominal_parameters
+from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
-from octarm.interfaces import Controller, Instant
-from octarm.metrics.table import METRICS, Block, Metrics
+from octarm.arrays import coordinate_names, coordinate_units
+from octarm.interfaces import Controller, Instant, Rows
+from octarm.metrics.table import METRICS, Column, Metrics, columns
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.versions import host, versions
 from octarm.simulation.environment import AnyPhysics, load, whole_periods
@@ -25,7 +26,6 @@ from octarm.sweeps.spec import Axis, SweepSpec
 # Name, nominal model and gains to controller; `controllers.make_controller` is one.
 Factory = Callable[[str, ArmParameters, Mapping[str, Any]], Controller]
 
-_MEASURED = ("s", "reaching_bound")  # the signals that metrics know
 # Of a coordinate array. A few instants at a time are faster than one by one: the physics between
 # two of them leaves the processor's caches cold.
 _NUMBERS_A_BLOCK = 50_000
@@ -118,8 +118,8 @@ def schema(spec: SweepSpec) -> pa.Schema:
         if axis.name != "controller":
             words = isinstance(axis, Axis) and axis.words
             fields.append(pa.field(axis.name, pa.string() if words else pa.float64()))
-    for column in _metric_columns(nominal_parameters().modules):
-        fields.append(pa.field(column.name, pa.float64(), metadata={"unit": column.unit}))
+    for column in metric_columns():
+        fields.append(pa.field(column.name, pa.float64(), metadata=column.metadata))
     fields += [
         pa.field("wall_time", pa.float64(), metadata={"unit": "s"}),
         pa.field("digest", pa.uint64()),
@@ -145,7 +145,7 @@ class Observer:
         self._metrics = Metrics(
             control_period=period,
             input_limit=self._physics.input_limit(),
-            phi=getattr(controller, "phi", None),
+            layer=getattr(controller, "phi", None),
         )
         self._alive: np.ndarray | None = None
         self._rows: _Rows | None = None
@@ -164,7 +164,7 @@ class Observer:
             else instant.reference.q,
             "tau": instant.tau,
             "force": instant.command.force,
-            **{name: signals[name] for name in _MEASURED if name in signals},
+            **{name: signals[name] for name in METRICS.fields if name in signals},
         }
         if self._rows is None:
             self._rows = _Rows(row, max(1, _NUMBERS_A_BLOCK // instant.q.size))
@@ -184,7 +184,7 @@ class Observer:
         n = len(diverged)
         return {
             column.name: results[column.metric].reshape(n, -1)[:, column.place]
-            for column in _metric_columns(nominal_parameters().modules)
+            for column in metric_columns()
             if column.metric in results
         }
 
@@ -203,12 +203,11 @@ class _Rows:
         self._used += 1
         return self._used == self._count
 
-    def take(self) -> Block:
+    def take(self) -> Rows:
         """The rows, whose memory will be used again."""
         rows = {name: column[: self._used] for name, column in self._columns.items()}
         self._used = 0
-        signals = {name: rows.pop(name) for name in _MEASURED if name in rows}
-        return Block(**rows, signals=signals)
+        return rows
 
 
 def _stacked(row: np.ndarray, count: int) -> np.ndarray:
@@ -217,24 +216,10 @@ def _stacked(row: np.ndarray, count: int) -> np.ndarray:
     return backwards.transpose(0, *range(row.ndim, 0, -1))
 
 
-class _MetricColumn(NamedTuple):
-    name: str
-    metric: str
-    place: int  # along the last axis
-    unit: str
-
-
-def _metric_columns(modules: int) -> list[_MetricColumn]:
-    coordinates = coordinate_names(modules)
-    inputs = [f"tau{i + 1}" for i in range(2 * modules)]
-    columns: list[_MetricColumn] = []
-    for metric, meaning in METRICS.items():
-        suffixes = {"coordinate": coordinates, "input": inputs, "arm": [""]}[meaning.of]
-        for place, suffix in enumerate(suffixes):
-            bend = meaning.of == "coordinate" and place >= modules
-            unit = meaning.bend_unit if bend else meaning.slide_unit
-            columns.append(_MetricColumn(f"{metric}_{suffix}".rstrip("_"), metric, place, unit))
-    return columns
+def metric_columns() -> list[Column]:
+    """The columns of all metrics."""
+    modules = nominal_parameters().modules
+    return columns(coordinate_names(modules), coordinate_units(modules))
 
 
 def _diverged_at(physics: AnyPhysics, message: str) -> np.ndarray:
