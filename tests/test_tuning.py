@@ -22,6 +22,7 @@ from octarm.disturbances.spelling import parse_disturbance
 from octarm.disturbances.streams import stream
 from octarm.interfaces import Knob
 from octarm.metrics.chattering import Chattering
+from octarm.metrics.metric import Settings
 from octarm.references import named_reference
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout
@@ -75,9 +76,9 @@ def test_the_cost_is_the_declared_formula(i: int):
     controller = by_hand("smc")(P.mismatched(scenario.mismatch), {"K": 3.0})
     run = rollout(environment, controller, trial.duration)
     rms = np.sqrt(np.mean(run.error[200:] ** 2, axis=0))  # 2 kHz, from 0.1 s on
-    high_pass = Chattering(run.tau[0], 5e-4)
-    high_pass.update(run.tau[:200], steady=False)
-    high_pass.update(run.tau[200:])
+    high_pass = Chattering({"force": run.tau[0]}, Settings(control_period=5e-4))
+    high_pass.update({"force": run.tau[:200]}, False)
+    high_pass.update({"force": run.tau[200:]}, True)
     rattle = high_pass.result()["chattering"]
     e = np.sqrt(np.sum((rms[:3] / 0.0175) ** 2 + (rms[3:] / 0.3) ** 2) / 6)
     c = np.sqrt(np.sum(rattle**2) / 6) / (9.81 * (0.3 + 0.25 + 0.2))

@@ -67,9 +67,7 @@ def _metrics(description: Mapping[str, Any]) -> str:
     rows = [head, ["---"] * len(head)]
     for name, values in description["metrics"].items():
         meaning = METRICS.get(name)
-        unit = "" if meaning is None else meaning.slide_unit
-        if meaning is not None and meaning.bend_unit not in ("", meaning.slide_unit):
-            unit = f"{unit}, {meaning.bend_unit}"
+        unit = "" if meaning is None else ", ".join(meaning.units)
         listed = cast(list[Any], values) if isinstance(values, list) else [values]
         texts = [_text(v) for v in listed]
         texts += [""] * (2 * modules - len(texts))

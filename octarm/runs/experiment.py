@@ -21,7 +21,7 @@ from octarm.errors import OctarmError, closest
 from octarm.formats import Array, Document, Model
 from octarm.interfaces import Controller, ControllerFactory, Rows
 from octarm.interrupts import ignored_interrupts
-from octarm.metrics.table import Metrics
+from octarm.metrics.table import Metrics, as_json
 from octarm.references import REFERENCES
 from octarm.runs import folder as runs
 from octarm.runs.archive import Archive, mapped
@@ -302,15 +302,8 @@ def _perform(
     return ending, {
         **announced,
         "disturbances": ledger.rows() if ledger is not None else [],
-        "metrics": {name: _numbers(values) for name, values in metrics.items()},
+        "metrics": as_json(metrics),
         "status": ending.status,
         "message": ending.message,
         "digest": ending.digest,
     }
-
-
-def _numbers(values: np.ndarray) -> Any:
-    """A number or a list, ready for JSON: None for what there is no number for."""
-    out = values.astype(object)
-    out[~np.isfinite(values)] = None
-    return out.tolist()

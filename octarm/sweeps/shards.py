@@ -11,9 +11,10 @@ import numpy as np
 import pyarrow as pa
 from dm_control.rl import control
 
-from octarm.arm.mjcf import coordinate_names, nominal_parameters
+from octarm.arm.mjcf import nominal_parameters
+from octarm.arrays import coordinate_names, coordinate_units
 from octarm.interfaces import Controller, ControllerFactory, Instant
-from octarm.metrics.table import METRICS, Metrics
+from octarm.metrics.table import METRICS, Column, Metrics, columns
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.versions import host, versions
 from octarm.simulation.environment import AnyPhysics, load, whole_periods
@@ -24,7 +25,6 @@ from octarm.sweeps.spec import SweepSpec
 
 Observe = Callable[[Instant], object]
 
-_FIELDS = ("t", "q", "q_d", "tau", "force", "s", "reaching_bound")  # those that metrics know
 _MARKS = pa.list_(pa.uint64(), CHECKPOINTS)
 
 
@@ -69,7 +69,7 @@ def run_arms(
     outcome = measure(environment, controller, length, *observers)
     n = len(arms.episodes)
     values = plan.values(arms.episodes)
-    columns: dict[str, Any] = {
+    held: dict[str, Any] = {
         "episode": arms.episodes,
         "controller": values.pop("controller"),
         "seed": plan.seeds(arms.episodes),
@@ -82,7 +82,7 @@ def run_arms(
         "checkpoints": pa.FixedSizeListArray.from_arrays(outcome.checkpoints.ravel(), CHECKPOINTS),
     }
     form = schema(plan.spec)
-    return pa.table([_column(columns.get(field.name), field.type, n) for field in form], form)
+    return pa.table([_column(held.get(field.name), field.type, n) for field in form], form)
 
 
 def begin(
@@ -154,19 +154,19 @@ class Observer:
         diverged = ~np.isnan(diverged_at)
         batch, n = self._physics.batch_shape, len(diverged)
         results = metrics.result(diverged=diverged if batch else diverged[0])
-        columns = {
+        values = {
             column.name: results[column.metric].reshape(n, -1)[:, column.place]
-            for column in _metric_columns(nominal_parameters().modules)
+            for column in _metric_columns()
             if column.metric in results
         }
-        return Outcome(diverged_at, columns, *self._digest.result())
+        return Outcome(diverged_at, values, *self._digest.result())
 
     def _begin(self, instant: Instant) -> tuple[Metrics, Recorder]:
         """Metrics for such arms, and what hands them their rows."""
         limit, layer = self._physics.input_limit(), instant.command.layer
         metrics = Metrics(control_period=self._period, input_limit=limit, layer=layer)
         # Without a cycle of references, so that the arms' memory is free when the run is over.
-        return metrics, Recorder(metrics.update, fields=_FIELDS)
+        return metrics, Recorder(metrics.update, fields=METRICS.fields)
 
 
 def measure(
@@ -208,8 +208,8 @@ def schema(spec: SweepSpec) -> pa.Schema:
     for axis in (*spec.axes, *spec.random):
         if axis.name != "controller":
             fields.append(pa.field(axis.name, pa.string() if axis.words else pa.float64()))
-    for column in _metric_columns(nominal_parameters().modules):
-        fields.append(pa.field(column.name, pa.float64(), metadata={"unit": column.unit}))
+    for column in _metric_columns():
+        fields.append(pa.field(column.name, pa.float64(), metadata=column.metadata))
     fields += [
         pa.field("wall_time", pa.float64(), metadata={"unit": "s"}),
         pa.field("digest", pa.uint64()),
@@ -218,24 +218,10 @@ def schema(spec: SweepSpec) -> pa.Schema:
     return pa.schema(fields)
 
 
-class _MetricColumn(NamedTuple):
-    name: str
-    metric: str
-    place: int  # along the last axis
-    unit: str
-
-
-def _metric_columns(modules: int) -> list[_MetricColumn]:
-    coordinates = coordinate_names(modules)
-    inputs = [f"tau{i + 1}" for i in range(2 * modules)]
-    columns: list[_MetricColumn] = []
-    for metric, meaning in METRICS.items():
-        suffixes = {"coordinate": coordinates, "input": inputs, "arm": [""]}[meaning.of]
-        for place, suffix in enumerate(suffixes):
-            bend = meaning.of == "coordinate" and place >= modules
-            unit = meaning.bend_unit if bend else meaning.slide_unit
-            columns.append(_MetricColumn(f"{metric}_{suffix}".rstrip("_"), metric, place, unit))
-    return columns
+def _metric_columns() -> list[Column]:
+    """The columns of all metrics."""
+    modules = nominal_parameters().modules
+    return columns(coordinate_names(modules), coordinate_units(modules))
 
 
 def _diverged_at(physics: AnyPhysics, message: str) -> np.ndarray:

@@ -42,6 +42,7 @@ from octarm.disturbances.actuators import Saturation
 from octarm.disturbances.forces import BandLimitedNoise
 from octarm.interfaces import ControllerFactory, Instant, Motion, Reference
 from octarm.metrics.chattering import Chattering
+from octarm.metrics.metric import Settings
 from octarm.metrics.tracking import TrackingError
 from octarm.references import named_reference
 from octarm.simulation.batch import BatchPhysics
@@ -205,15 +206,15 @@ class _Observer:
     def __init__(self, examination: Examination, period: float, physics: BatchPhysics) -> None:
         self._examination, self._period, self._physics = examination, period, physics
         like = np.zeros_like(physics.q())
-        self._error, self._chattering = TrackingError(like), Chattering(like, period)
+        first, settings = {"q": like, "force": like}, Settings(control_period=period)
+        self._error, self._chattering = TrackingError(first, settings), Chattering(first, settings)
 
     def __call__(self, instant: Instant) -> None:
         steady = instant.measurement.t > self._examination.begin - 0.5 * self._period
         with np.errstate(all="ignore"):  # an arm that is lost may hold anything
-            self._chattering.update(instant.tau[None], steady)
-            if steady:
-                error = (instant.q - instant.reference.q)[None]
-                self._error.update(error, error * error)
+            self._chattering.update({"force": instant.tau[None]}, steady)
+            error = (instant.q - instant.reference.q)[None]
+            self._error.update({"error": error, "squared_error": error * error}, steady)
 
     def costs(self, true: ArmParameters) -> np.ndarray:
         """The cost of each arm, shape (n,)."""
