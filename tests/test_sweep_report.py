@@ -15,7 +15,6 @@ import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from octarm.reports.comparisons import compare, partners
 
 import octarm
 from controllers import make_controller
@@ -25,6 +24,7 @@ from octarm.errors import ExitCode
 from octarm.metrics.table import METRICS
 from octarm.metrics.table import columns as metric_columns
 from octarm.reports.charts import pictures
+from octarm.reports.comparisons import compare, partners
 from octarm.reports.consistency import remarks
 from octarm.reports.figures import COLORS, inline_svg
 from octarm.reports.frame import read_episodes
