@@ -16,27 +16,27 @@ from octarm.metrics.table import METRICS
 from octarm.sweeps.parser import parse_spec
 
 
-class Reserve(Accumulator):
-    """The smallest distance of a coordinate from zero, and what a signal says at the end."""
+class Reach(Accumulator):
+    """The largest distance of a coordinate from zero, and what a signal says at the end."""
 
     metrics = {  # noqa: RUF012
-        "least_distance": Metric(
-            "coordinate", ("m", "rad"), "smallest |q| of the run", better="more"
+        "largest_distance": Metric(
+            "coordinate", ("m", "rad"), "largest |q| of the run", better="more"
         ),
         "last_s": Metric("arm", ("m/s",), "mean of s at the end", better="neither"),
     }
     signals = ("s",)
 
     def __init__(self, first: Rows, settings: Settings) -> None:
-        self._least = np.full_like(first["q"], np.inf)
+        self._largest = np.zeros_like(first["q"])
         self._last = np.zeros_like(first["q"][..., 0])
 
     def update(self, rows: Rows, steady: bool) -> None:
-        self._least = np.minimum(self._least, np.min(np.abs(rows["q"]), axis=0))
+        self._largest = np.maximum(self._largest, np.max(np.abs(rows["q"]), axis=0))
         self._last = np.mean(rows["s"][-1], axis=-1)
 
     def result(self) -> dict[str, np.ndarray]:
-        return {"least_distance": self._least, "last_s": self._last}
+        return {"largest_distance": self._largest, "last_s": self._last}
 
 
 SPEC = """\
@@ -51,19 +51,20 @@ noise = [0.0, 0.4]
 
 @pytest.fixture
 def declared(monkeypatch):
-    monkeypatch.setattr(METRICS, "accumulators", (*METRICS.accumulators, Reserve))
+    monkeypatch.setattr(METRICS, "accumulators", (*METRICS.accumulators, Reach))
 
 
 def test_a_run_has_it(declared, tmp_path):
-    assert METRICS["least_distance"].better == "more"
+    assert METRICS["largest_distance"].better == "more"
     run = ["run", "--controller", "smc-boundary", "--duration", "0.1", "--out", str(tmp_path / "r")]
     assert main(run) == 0
     trajectory, description = octarm.read_run(tmp_path / "r")
-    least = description["metrics"]["least_distance"]
-    np.testing.assert_array_equal(least, np.min(np.abs(trajectory.q), axis=0))
+    largest = description["metrics"]["largest_distance"]
+    np.testing.assert_array_equal(largest, np.max(np.abs(trajectory.q), axis=0))
     assert description["metrics"]["last_s"] == np.mean(trajectory.signals["s"][-1])
     assert (
-        json.loads((tmp_path / "r" / "run.json").read_text())["metrics"]["least_distance"] == least
+        json.loads((tmp_path / "r" / "run.json").read_text())["metrics"]["largest_distance"]
+        == largest
     )
 
 
@@ -72,11 +73,11 @@ def test_a_sweep_and_its_report_have_it(declared, tmp_path):
     with ThreadPoolExecutor(1) as thread:
         octarm.sweep(parse_spec(SPEC), make_controller, folder, executor=thread, in_flight=1)
     table = octarm.read_sweep(folder)
-    assert table.schema.field("least_distance_theta2").metadata[b"unit"] == b"rad"
-    assert all(value > 0.0 for value in table["least_distance_theta2"].to_pylist())
-    metrics = ["--metric", "least_distance_theta2", "--metric", "last_s"]
+    assert table.schema.field("largest_distance_theta2").metadata[b"unit"] == b"rad"
+    assert all(value > 0.0 for value in table["largest_distance_theta2"].to_pylist())
+    metrics = ["--metric", "largest_distance_theta2", "--metric", "last_s"]
     assert main(["report", str(folder), *metrics]) == 0
     page = ET.fromstring((folder / "report" / "report.html").read_text(encoding="utf-8"))
     rows = [["".join(cell.itertext()) for cell in row.iter("td")] for row in page.iter("tr")]
-    assert ["least_distance_theta2", "smallest |q| of the run", "rad", "more"] in rows
+    assert ["largest_distance_theta2", "largest |q| of the run", "rad", "more"] in rows
     assert ["last_s", "mean of s at the end", "m/s", "neither"] in rows
