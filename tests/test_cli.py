@@ -28,7 +28,6 @@ from octarm.options.sweeps import Margin
 from octarm.options.table import COMMANDS
 from octarm.references import REFERENCES
 from octarm.runs import experiment
-from octarm.runs import folder as runs
 
 ROOT = Path(__file__).resolve().parent.parent
 KEYS = {
@@ -261,24 +260,6 @@ def test_a_reader_that_goes_away_is_no_error():
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
     assert Path("a/run.json").is_file()
-
-
-def test_an_interrupt_between_the_renames_brings_the_earlier_run_back(monkeypatch):
-    assert short_run() == 0
-    before = Path("a/run.npz").read_bytes()
-    rename = runs.os.replace
-
-    def interrupted(source, target):
-        if Path(source).name.startswith(".a.part-") and Path(target).name == "a":
-            monkeypatch.undo()
-            raise KeyboardInterrupt
-        rename(source, target)
-
-    monkeypatch.setattr(runs.os, "replace", interrupted)
-    folder = Path.cwd()
-    assert cli.main(["run", "--duration", "0.02", "--out", str(folder / "a")]) == 130
-    assert (folder / "a/run.npz").read_bytes() == before
-    assert [p.name for p in folder.iterdir()] == ["a"]
 
 
 def page(*arguments: str) -> str:
