@@ -232,6 +232,7 @@ class Disturbance(abc.ABC):
     """
 
     name: ClassVar[str]
+    family: ClassVar[str]  # heading in the help
 
     def __post_init__(self) -> None:
         optional = {f.name for f in dataclasses.fields(self) if f.default is None}  # pyright: ignore
@@ -269,12 +270,16 @@ class Disturbance(abc.ABC):
 class Force(Disturbance):
     """A disturbance that pushes the arm."""
 
+    family: ClassVar[str] = "forces"
+
     @abc.abstractmethod
     def start(self, episode: Episode) -> ForceProcess: ...  # noqa: D102
 
 
 class PlantChange(Disturbance):
     """A disturbance that makes the arm another one."""
+
+    family: ClassVar[str] = "the arm"
 
     @abc.abstractmethod
     def start(self, episode: Episode) -> PlantProcess: ...  # noqa: D102
@@ -283,12 +288,16 @@ class PlantChange(Disturbance):
 class ActuatorFault(Disturbance):
     """A disturbance of the input forces on their way to the plant."""
 
+    family: ClassVar[str] = "the inputs"
+
     @abc.abstractmethod
     def start(self, episode: Episode) -> ActuatorProcess: ...  # noqa: D102
 
 
 class SensorFault(Disturbance):
     """A disturbance of the readings on their way to the controller."""
+
+    family: ClassVar[str] = "the readings"
 
     @abc.abstractmethod
     def start(self, episode: Episode) -> SensorProcess: ...  # noqa: D102

@@ -6,6 +6,8 @@ On the command line a disturbance is NAME:VALUE[,KEY=VALUE]*, such as `payload:0
 from __future__ import annotations
 
 import dataclasses
+import re
+import textwrap
 from collections.abc import Mapping
 from typing import Any
 
@@ -87,19 +89,30 @@ def from_dict(description: Mapping[str, Any]) -> Disturbance:
     return cls(**fields)
 
 
-def describe() -> str:
-    """How the disturbances are spelt and what they are, for `--help`."""
-    lines: list[str] = []
+def from_entry(entry: Mapping[str, Any]) -> Disturbance:
+    """The disturbance of an entry of `run.json`, `{"name": "noise-2", "asked": {...}}`.
+
+    Raises:
+        OctarmError: if the name or a field is unknown, missing or not allowed.
+    """
+    name = re.sub(r"-\d+$", "", str(entry["name"]))  # noise-2 is the second noise
+    return from_dict({"name": name, **entry["asked"]})
+
+
+def help_text() -> str:
+    """All disturbances by family: spelling, meaning and units, in lines of at most 80 columns."""
+    sections: dict[str, list[str]] = {}
     for cls in DISTURBANCES.values():
-        kinds = field_kinds(cls).values()
-        units = [
-            f"{key} [{kind.unit}]"
-            for key, kind in zip(_keys(cls), kinds, strict=True)
-            if isinstance(kind, Quantity)
-        ]
+        keys = zip(_keys(cls), field_kinds(cls).values(), strict=True)
+        units = [f"{key} [{kind.unit}]" for key, kind in keys if kind.unit not in ("", "1")]
         meaning = (cls.__doc__ or "").partition("\n")[0].rstrip(".:")
-        lines += [_usage(cls), f"    {meaning}; {', '.join(units)}."]
-    return "\n".join(lines)
+        text = f"{meaning}; {', '.join(units)}" if units else meaning
+        lines = sections.setdefault(cls.family, [])
+        lines += [
+            f"  {_usage(cls)}",
+            *textwrap.wrap(text, 74, initial_indent=" " * 6, subsequent_indent=" " * 6),
+        ]
+    return "\n\n".join("\n".join([family, *lines]) for family, lines in sections.items())
 
 
 def _named(name: str) -> type[Disturbance]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import re
 import shlex
 import signal
 import sys
@@ -19,7 +18,7 @@ from dm_control.rl import control
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.ledger import Ledger, asked
-from octarm.disturbances.spelling import from_dict
+from octarm.disturbances.spelling import from_entry
 from octarm.errors import OctarmError, closest
 from octarm.interfaces import Controller
 from octarm.references import REFERENCES
@@ -144,11 +143,6 @@ class Experiment:
                 f"the run followed a custom reference, {reference!r}, which its folder does not "
                 f"hold{closest(str(reference), REFERENCES)}"
             )
-        disturbances = [
-            # noise-2 is the second noise
-            from_dict({"name": re.sub(r"-\d+$", "", entry["name"]), **entry["asked"]})
-            for entry in description["disturbances"]
-        ]
         gains = description["controller"]["gains"]
         return cls(
             controller=description["controller"]["name"],
@@ -156,7 +150,7 @@ class Experiment:
             nominal=ArmParameters.from_dict(description["nominal"]),
             parameters=ArmParameters.from_dict(description["parameters"]),
             reference=reference,
-            disturbances=tuple(disturbances),
+            disturbances=tuple(map(from_entry, description["disturbances"])),
             seed=description["seed"],
             spawn_key=tuple(description.get("spawn_key", ())),
             duration=float(description["duration"]),
