@@ -218,7 +218,7 @@ def test_an_option_takes_one_value_and_a_flag_none(
         assert flag in refused(command, *operands, flag, "--nowhere")
     if kind and default != "..":
         again = refused(command, *operands, flag, "1", f"{flag}=2")
-        assert again == f"{flag} is given twice: '1' and '2'"
+        assert again.startswith(f"{flag} is given twice")
     if kind in ("S", "X", "N", "HZ"):
         needed = "a whole number" if kind == "N" else "a number"
         for word in ("some", "1.5.1", "1e", *(["1.5", "0x10"] if kind == "N" else [])):
@@ -345,7 +345,7 @@ def imported(*words: str) -> set[str]:
     ids=" ".join,
 )
 def test_nothing_heavy_is_imported_before_the_words_are_understood(words: list[str]):
-    assert imported(*words) <= {"numpy"}
+    assert imported(*words) == set()
 
 
 def test_the_help_of_a_command_does_not_wait_for_the_simulation():

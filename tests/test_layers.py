@@ -13,7 +13,8 @@ CONTROLLERS = Path(controllers.__file__).parent
 
 # From the bottom up: a package imports from itself and from those before it.
 LAYERS = [
-    "errors files",
+    "errors interrupts",
+    "files",
     "arrays",
     "interfaces",
     "arm",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from octarm.errors import ExitCode, OctarmError
 from octarm.files import whole_file, write_text
@@ -16,41 +16,39 @@ from octarm.reports.findings import TABLES, Report, make_report, tables
 from octarm.reports.page import Source, page
 from octarm.sweeps.folder import SPEC
 
-if TYPE_CHECKING:
-    from octarm.options import sweeps
-
 PAGE = "report.html"
 FIGURES = "figures"
 
 
-def report(options: sweeps.Report) -> int:
+def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Path | None) -> int:
     """`octarm report`: a page, tables and figures on a sweep."""
-    out = options.sweep / "report" if options.out is None else options.out
-    _check_place(out, options.sweep)
-    episodes = read_episodes(options.sweep, options.metric)
-    numbers = make_report(episodes, options.baseline)
-    found = findings(episodes)
+    folder = out or sweep / "report"
+    _check_place(folder, sweep)
+    episodes = read_episodes(sweep, metrics)
+    numbers = make_report(episodes, baseline)
+    warnings = findings(episodes)
     drawn = list(pictures(numbers))
     files = tables(numbers)
     source = Source(
-        name=options.sweep.resolve().name,
-        spec=(options.sweep / SPEC).read_text(encoding="utf-8"),
-        commands=_commands(options),
+        name=sweep.resolve().name,
+        spec=(sweep / SPEC).read_text(encoding="utf-8"),
+        commands=_commands(sweep, baseline, metrics, out),
         files=list(files),
     )
-    _write(out, page(numbers, found, drawn, source), files, drawn)
-    _say(numbers, found, out)
+    _write(folder, page(numbers, warnings, drawn, source), files, drawn)
+    _print_summary(numbers, warnings)
+    print(f"wrote {folder / PAGE}")
     return ExitCode.FINE
 
 
 def _check_place(out: Path, sweep: Path) -> None:
-    """Raises ValueError if the folder holds something else; an earlier report is replaced."""
+    """Raises OctarmError if the folder holds something else; an earlier report is replaced."""
     if out.exists() and not out.is_dir():
         raise OctarmError(f"{out} is not a folder; choose another --out")
     if out.resolve() == sweep.resolve():
         raise OctarmError(f"{out} is the sweep itself; choose another --out")
-    found = {entry.name for entry in (out.iterdir() if out.is_dir() else ())}
-    if PAGE not in found and found - {FIGURES, *TABLES}:
+    present = {entry.name for entry in (out.iterdir() if out.is_dir() else ())}
+    if PAGE not in present and present - {FIGURES, *TABLES}:
         raise OctarmError(f"{out} exists and is not a report; choose another --out")
 
 
@@ -58,7 +56,7 @@ def _write(out: Path, text: str, files: dict[str, str], drawn: list[Picture]) ->
     """Writes the report; the page, last, makes it one.
 
     Raises:
-        OSError: if it cannot be written.
+        FileError: if it cannot be written.
     """
     (out / FIGURES).mkdir(parents=True, exist_ok=True)
     earlier = [out / name for name in TABLES]
@@ -75,24 +73,25 @@ def _write(out: Path, text: str, files: dict[str, str], drawn: list[Picture]) ->
     write_text(out / PAGE, text)
 
 
-def _commands(options: sweeps.Report) -> list[str]:
-    """That make the sweep and the report again."""
-    words = ["octarm", "report", str(options.sweep)]
-    words += ["--baseline", options.baseline] if options.baseline is not None else []
-    words += [word for name in options.metric for word in ("--metric", name)]
-    words += ["--out", str(options.out)] if options.out is not None else []
-    spec, again = str(options.sweep / SPEC), f"{os.path.normpath(options.sweep)}-again"
-    return [shlex.join(["octarm", "sweep", spec, "--out", again]), shlex.join(words)]
+def _commands(
+    sweep: Path, baseline: str | None, metrics: Sequence[str], out: Path | None
+) -> list[str]:
+    """The command lines that make the sweep and the report again."""
+    words = ["octarm", "report", str(sweep)]
+    words += ["--baseline", baseline] if baseline is not None else []
+    words += [word for name in metrics for word in ("--metric", name)]
+    words += ["--out", str(out)] if out is not None else []
+    again = ["octarm", "sweep", str(sweep / SPEC), "--out", f"{os.path.normpath(sweep)}-again"]
+    return [shlex.join(again), shlex.join(words)]
 
 
-def _say(numbers: Report, found: list[Finding], out: Path) -> None:
-    """A row a controller, the warnings, and where to look."""
+def _print_summary(numbers: Report, warnings: list[Finding]) -> None:
+    """A row a controller, and the warnings."""
     measure = numbers.episodes.measures[0]
     print(f"controller            episodes  diverged  median {measure.name} [{measure.unit}]")
     for entry in numbers.of(None):
         middle, low, high = (float(x[0]) for x in entry.medians)
-        told = f"{middle:.3e}  ({low:.3e} .. {high:.3e})"
-        print(f"{entry.controller:<20} {entry.episodes:>9} {entry.failed:>9}  {told}")
-    for finding in found:
+        median = f"{middle:.3e}  ({low:.3e} .. {high:.3e})"
+        print(f"{entry.controller:<20} {entry.episodes:>9} {entry.failed:>9}  {median}")
+    for finding in warnings:
         print(f"{'warning' if finding.warning else 'note'}: {finding.text}")
-    print(f"wrote {out / PAGE}")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import shlex
 import sys
 from collections.abc import Callable, Generator
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from tqdm import tqdm
@@ -16,7 +16,7 @@ from tqdm import tqdm
 from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
 from octarm.checks.verify_episode import FinishedSweep
-from octarm.errors import ExitCode, OctarmError
+from octarm.errors import ExitCode, FileError, OctarmError
 from octarm.sweeps.bar import ProgressBar, digits
 from octarm.sweeps.chosen import COLUMNS, choose, record_chosen
 from octarm.sweeps.execute import estimate
@@ -32,19 +32,21 @@ from octarm.toml_table import Source
 _SHOWN = "tip_rms_error"  # by it episodes are worst and median ones, too
 _RECORDED = 2000  # [byte] a control period; from 1000 without signals to 4000 with rules
 
-if TYPE_CHECKING:
-    from octarm.options.sweeps import Sweep
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """What a sweep is run with: the spec's file, the folder to write, workers or a cluster."""
+
+    spec: Path
+    out: Path | None
+    workers: int | None
+    resume: bool
+    cluster: str | None
 
 
-def sweep(options: Sweep) -> int:
-    """`octarm sweep`: runs a spec into a folder, or says what that would take."""
-    if options.workers is not None and options.workers < 1:
-        raise OctarmError(f"workers is {options.workers}; it must be at least 1")
-    spec = read_spec(options.spec)
-    _check_controllers(spec, options.spec)
-    _check_recorded(spec, options.spec)
-    if options.dry_run:
-        return _dry_run(spec, options.workers or cores())
+def sweep(options: Options) -> int:
+    """`octarm sweep`: runs a spec into a folder."""
+    spec = _checked_spec(options)
     if options.out is None:
         raise OctarmError("there is no folder to write to; give --out DIR, or --dry-run")
     _run(spec, options, options.out)
@@ -55,7 +57,44 @@ def sweep(options: Sweep) -> int:
     return ExitCode.FINE if alike else ExitCode.CHECK_FAILED
 
 
-def _record(spec: SweepSpec, options: Sweep, out: Path) -> bool:
+def dry_run(options: Options) -> int:
+    """`octarm sweep --dry-run`: prints what the sweep will take."""
+    spec = _checked_spec(options)
+    workers = options.workers or cores()
+    expected = estimate(spec, make_controller)
+    print(f"{expected.episodes} episodes of {spec.duration:g} s in {expected.shards} shards")
+    for axis in spec.axes:
+        print(f"  {axis.name}: {', '.join(str(value) for value in axis.values)}")
+    for axis in spec.random:
+        print(f"  {axis.name}: {axis.low:g} .. {axis.high:g}, {axis.method}")
+    print(f"  seeds: {spec.episodes} a cell")
+    busy = min(workers, expected.shards)
+    simulated = expected.episodes * spec.duration / expected.seconds * busy
+    print(
+        f"about {_span(expected.seconds / busy)} on {busy} workers "
+        f"({digits(simulated)} simulated s/s), at most {_size(expected.size)} on disk"
+    )
+    if spec.record:
+        words = sum(isinstance(which, str) for which in spec.record)
+        count = words * len(spec.controllers) + len(spec.record) - words
+        size = _size(_RECORDED * expected.periods)
+        print(f"then up to {count} recorded episodes, each about {size} and run alone")
+    if expected.shards < workers:
+        print(f"a batch below {spec.batch} would make more shards, for all {workers} workers")
+    return ExitCode.FINE
+
+
+def _checked_spec(options: Options) -> SweepSpec:
+    """The spec, whose controllers can be made and whose recorded episodes there are."""
+    if options.workers is not None and options.workers < 1:
+        raise OctarmError(f"workers is {options.workers}; it must be at least 1")
+    spec = read_spec(options.spec)
+    _check_controllers(spec, options.spec)
+    _check_recorded(spec, options.spec)
+    return spec
+
+
+def _record(spec: SweepSpec, options: Options, out: Path) -> bool:
     """Records the episodes that the spec chooses; whether they are what the table says."""
     if not spec.record:
         return True
@@ -85,7 +124,7 @@ def _record(spec: SweepSpec, options: Sweep, out: Path) -> bool:
     return not different
 
 
-def _run(spec: SweepSpec, options: Sweep, out: Path) -> None:
+def _run(spec: SweepSpec, options: Options, out: Path) -> None:
     """The sweep, with a bar on its progress."""
     plan = Plan(spec)
     with _pool(options, plan) as (executor, in_flight), ProgressBar(spec) as bar:
@@ -104,13 +143,13 @@ def _run(spec: SweepSpec, options: Sweep, out: Path) -> None:
         except KeyboardInterrupt as interrupt:
             raise KeyboardInterrupt(*interrupt.args, _resume(options)) from None
         except OSError as error:
-            raise OSError(
+            raise FileError(
                 f"{_reason(error)}; finished shards are kept: {_resume(options)}"
             ) from None
 
 
 @contextlib.contextmanager
-def _pool(options: Sweep, plan: Plan) -> Generator[tuple[Executor, int | Callable[[], int]]]:
+def _pool(options: Options, plan: Plan) -> Generator[tuple[Executor, int | Callable[[], int]]]:
     """The executor that was asked for, and how many shards it should be given at a time."""
     workers = options.workers or cores()
     if options.cluster is not None:
@@ -123,53 +162,28 @@ def _pool(options: Sweep, plan: Plan) -> Generator[tuple[Executor, int | Callabl
 
 
 def _check_controllers(spec: SweepSpec, file: Path) -> None:
-    """Raises ValueError, with the line, unless every controller can be made."""
+    """Raises OctarmError, with the line, unless every controller can be made."""
     source = Source(spec.text, str(file))
     for name in spec.controllers:
         gains, gain_set = spec.gains.get(name, {}), spec.gain_sets.get(name)
         try:
             make_controller(name, nominal_parameters(), gains, gain_set=gain_set)
-        except ValueError as error:
+        except OctarmError as error:
             keys = ("gain_set", name) if gain_set else ("grid", "controller")
             keys = ("gains", name) if gains else keys
             raise OctarmError(f"{source.where(*keys)}: {error}") from None
 
 
 def _check_recorded(spec: SweepSpec, file: Path) -> None:
-    """Raises ValueError, with the line, for the number of an episode that there is not."""
+    """Raises OctarmError, with the line, for the number of an episode that there is not."""
     plan = Plan(spec)
     for episode in spec.record:
         if isinstance(episode, int):
             try:
                 plan.episode(episode)
-            except ValueError as error:
+            except OctarmError as error:
                 where = Source(spec.text, str(file)).where("record", "episodes")
                 raise OctarmError(f"{where}: {error}") from None
-
-
-def _dry_run(spec: SweepSpec, workers: int) -> int:
-    """Prints what the sweep will take."""
-    expected = estimate(spec, make_controller)
-    print(f"{expected.episodes} episodes of {spec.duration:g} s in {expected.shards} shards")
-    for axis in spec.axes:
-        print(f"  {axis.name}: {', '.join(str(value) for value in axis.values)}")
-    for axis in spec.random:
-        print(f"  {axis.name}: {axis.low:g} .. {axis.high:g}, {axis.method}")
-    print(f"  seeds: {spec.episodes} a cell")
-    busy = min(workers, expected.shards)
-    simulated = expected.episodes * spec.duration / expected.seconds * busy
-    print(
-        f"about {_span(expected.seconds / busy)} on {busy} workers "
-        f"({digits(simulated)} simulated s/s), at most {_size(expected.size)} on disk"
-    )
-    if spec.record:
-        words = sum(isinstance(which, str) for which in spec.record)
-        count = words * len(spec.controllers) + len(spec.record) - words
-        size = _size(_RECORDED * expected.periods)
-        print(f"then up to {count} recorded episodes, each about {size} and run alone")
-    if expected.shards < workers:
-        print(f"a batch below {spec.batch} would make more shards, for all {workers} workers")
-    return ExitCode.FINE
 
 
 def _print_summary(folder: Path) -> None:
@@ -180,13 +194,13 @@ def _print_summary(folder: Path) -> None:
     print(f"controller            episodes  diverged  median {_SHOWN} [mm]")
     for name in dict.fromkeys(names.tolist()):
         diverged = status[names == name] == "diverged"
-        own = np.where(diverged, np.inf, errors[names == name])
-        known = own[~np.isnan(own)]  # a short episode has none
+        values = np.where(diverged, np.inf, errors[names == name])
+        known = values[~np.isnan(values)]  # a short episode has none
         median = f"{1e3 * np.median(known):.3g}" if known.size else "-"
-        print(f"{name:<20} {own.size:>9} {diverged.sum():>9}  {median}")
+        print(f"{name:<20} {values.size:>9} {diverged.sum():>9}  {median}")
 
 
-def _resume(options: Sweep) -> str:
+def _resume(options: Options) -> str:
     words = ["octarm", "sweep", str(options.spec), "--out", str(options.out)]
     words += ["--workers", str(options.workers)] if options.workers else []
     words += ["--cluster", options.cluster] if options.cluster else []

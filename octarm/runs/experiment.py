@@ -5,10 +5,8 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import shlex
-import signal
 import sys
-import threading
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,10 +19,10 @@ from octarm.disturbances.ledger import Ledger, asked
 from octarm.disturbances.spelling import from_entry
 from octarm.errors import OctarmError, closest
 from octarm.interfaces import Controller
+from octarm.interrupts import ignored_interrupts
 from octarm.references import REFERENCES
 from octarm.runs import folder as runs
 from octarm.runs.archive import Archive, Ending, mapped
-from octarm.runs.interrupts import SIGNALS
 from octarm.runs.versions import host, versions
 from octarm.simulation.environment import TrackingTask, load, whole_periods
 from octarm.simulation.rollout import joined, stream
@@ -265,7 +263,7 @@ def run_into(
                 interrupted = archive.ending.status == "interrupted"
                 if interrupted and (not partial or folder != out.resolve()):
                     raise KeyboardInterrupt  # the earlier run stays
-                peace.enter_context(_without_interrupts())
+                peace.enter_context(ignored_interrupts())
                 recorder.finish(description)
             runs.write_run(folder, archive, description)
     return mapped(out / runs.ARRAYS), description
@@ -275,17 +273,3 @@ def _recorder(path: Path, announced: Mapping[str, Any]) -> Recorder:
     from octarm.recordings.recording import Recorder  # imports rerun, which takes half a second
 
     return Recorder(path, announced)
-
-
-@contextlib.contextmanager
-def _without_interrupts() -> Generator[None]:
-    """A run that is over is closed although the user may press Ctrl-C, perhaps again."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # signals do not come here
-        return
-    before = {n: signal.signal(n, signal.SIG_IGN) for n in SIGNALS}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

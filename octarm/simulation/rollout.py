@@ -17,8 +17,8 @@ from dm_control.rl import control
 from octarm.arm.mjcf import coordinate_names
 from octarm.errors import OctarmError
 from octarm.interfaces import Controller, Instant, Measurement, Reference
+from octarm.interrupts import held_interrupts
 from octarm.runs.archive import BLOCK, Ending
-from octarm.runs.interrupts import held_interrupts
 from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.environment import AnyPhysics, TrackingTask, whole_periods
 from octarm.simulation.physics import ArmPhysics
