@@ -69,7 +69,7 @@ def read_only(name: str, value: npt.ArrayLike, *, unbounded: bool = False) -> np
         unbounded: whether +infinity is allowed.
 
     Raises:
-        ValueError: if the value is not made of finite numbers.
+        OctarmError: if the value is not made of finite numbers.
     """
     try:
         array = np.array(value, dtype=np.float64)

@@ -17,12 +17,12 @@ from octarm.arm.parameters import ArmParameters
 from octarm.commands import margin as margin_commands
 from octarm.commands.cli import main
 from octarm.disturbances.forces import PulseForce
-from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
+from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_disturbance
 from octarm.interfaces import Command
 from octarm.sweeps.margin import Brackets, Outcome, estimate, search
 from octarm.sweeps.margin_trial import (
     NOMINAL,
-    RANGES,
+    NOMINAL_RANGE,
     Bound,
     Trial,
     is_varied,
@@ -282,8 +282,14 @@ def test_a_measure_that_a_run_cannot_have_is_refused():
 
 @pytest.mark.parametrize("name", [NOMINAL, *DISTURBANCES])
 def test_anything_can_vary(name):
-    low, high = RANGES.get(name, (9.0, 1.0))
-    varied = parse_varied(name, low, high)
+    usual = NOMINAL_RANGE
+    if name != NOMINAL:
+        usual = first_field(DISTURBANCES[name])[1].usual
+    if usual is None:
+        with pytest.raises(ValueError, match=f"{name} has no usual range; give --low"):
+            parse_varied(name, None, None)
+    low, high = usual or (9.0, 1.0)
+    varied = parse_varied(name, *((9.0, 1.0) if usual is None else (None, None)))
     assert (varied.name, varied.low, varied.high) == (name, low, high)
     what = dataclasses.replace(noisy(), varied=varied)
     what.rehearse()

@@ -20,7 +20,8 @@ import octarm
 from octarm.errors import ExitCode
 from octarm.sweeps.workers import WorkerProcesses, dask_cluster
 
-KILLS = 20 if "OCTARM_LONG_TESTS" in os.environ else 1
+KILLS = 20
+pytestmark = pytest.mark.slow
 LONGER = SPEC.replace("episodes = 3", "episodes = 12")  # 24 shards
 
 

@@ -5,7 +5,7 @@ import datetime
 import functools
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
@@ -13,17 +13,21 @@ import pytest
 import controllers.gains
 from controllers import CONTROLLERS, make_controller
 from controllers.gain_sets import SHIPPED, GainSet, read_gain_set
+from controllers.gains import Gain, GainField, Switch
+from controllers.law import Law
 from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.nominal import LagrangeModel
 from octarm.commands import cli
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.disturbances.streams import stream
+from octarm.interfaces import Knob
 from octarm.metrics.chattering import Chattering
 from octarm.references import named_reference
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout
 from octarm.sweeps.tune import Effort, State, StateFile, initial_population, next_generation, tune
 from octarm.sweeps.tune_objective import LONG, SCENARIOS, SHORT, EachItsOwn, Scenario, Trial, costs
-from octarm.sweeps.tune_space import KNOBS, Space, gains_of
+from octarm.sweeps.tune_space import Space, gains_of
 
 P = nominal_parameters()
 N = P.modules
@@ -159,29 +163,29 @@ def test_a_knob_turns_its_gains_by_a_factor():
     assert space.at_bounds(candidate[1]) == ["premises"]
 
 
-def test_a_gain_has_one_knob():
-    gains = [gain for knob in KNOBS for gain in knob.gains]
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_a_gain_has_one_knob(name: str):
+    gains = [gain for knob in by_hand(name)(P).knobs() for gain in knob.gains]
     assert len(gains) == len(set(gains))
 
 
-def test_a_new_controller_is_tuned_by_the_names_of_its_gains():
-    @dataclasses.dataclass(frozen=True)
-    class New:
-        nominal: object = P
-        K_p: float = 2.0
-        colour: float = 1.0
-        safe: bool = True
+def test_a_new_controller_is_tuned_by_the_knobs_of_its_gains():
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class New(Law):
+        stiffness: Annotated[Gain, GainField("how hard", "N/m", knob=Knob("how stiff", apart=True))]
+        colour: Annotated[Gain, GainField("to look at", "1")]
+        safe: Annotated[bool, Switch("for those who fear", "1")] = True
 
-    space = Space(New(), N)  # pyright: ignore[reportArgumentType]
-    assert [unknown.name for unknown in space.unknowns] == ["K_p of slides", "K_p of bends"]
+    space = Space(New(nominal=LagrangeModel(P), stiffness=2.0, colour=1.0), N)  # pyright: ignore
+    assert [u.name for u in space.unknowns] == ["how stiff of slides", "how stiff of bends"]
     assert space.fixed() == {"colour": 1.0}
 
     @dataclasses.dataclass(frozen=True)
-    class Untunable:
-        colour: float = 1.0
+    class Untunable(Law):
+        pass
 
-    with pytest.raises(ValueError, match="Untunable has no gain that can be tuned; those are lam"):
-        Space(Untunable(), N)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="Untunable has no gain that can be tuned"):
+        Space(Untunable(nominal=LagrangeModel(P)), N)  # pyright: ignore[reportArgumentType]
 
 
 # The search
@@ -373,7 +377,7 @@ def test_bad_input_is_refused_in_one_sentence(arguments, sentence, tmp_path, mon
     assert not list(tmp_path.iterdir())
 
 
-def test_a_gain_set_survives_the_file():
+def test_a_gain_set_survives_the_file(tmp_path):
     whole = GainSet(
         controller="smc",
         modules=3,
@@ -383,7 +387,9 @@ def test_a_gain_set_survives_the_file():
             "search": {"good": True, "rows": [{"name": "x", "n": 1}, {"name": "y", "n": -2.5e-9}]},
         },
     )
-    assert GainSet.from_toml(whole.to_toml(), "x.toml") == whole
+    path = tmp_path / "x.toml"
+    path.write_text(whole.to_toml(), encoding="utf-8")
+    assert read_gain_set(path) == whole
 
 
 GIVEN = GainSet(controller="smc", modules=3, gains={"lambda": 33.0, "K": [1, 2, 3, 4, 5, 6]})
@@ -422,14 +428,17 @@ def test_a_set_that_does_not_fit_is_refused(tmp_path, changes, sentence):
 
 def test_what_is_no_gain_set_is_refused(tmp_path):
     path = tmp_path / "x.toml"
-    for text, sentence in {"a = ": "x.toml: ", "a = 1": "x.toml holds no gains; it needs"}.items():
+    for text, sentence in {
+        "a = ": "x.toml: ",
+        "a = 1": "x.toml: it needs a value of controller",
+    }.items():
         path.write_text(text)
         with pytest.raises(ValueError, match=sentence):
             read_gain_set(path)
     path.write_bytes(b"\xff\xfe")
-    with pytest.raises(ValueError, match="holds no gains: it is not text"):
+    with pytest.raises(ValueError, match="is not a text file"):
         read_gain_set(path)
-    with pytest.raises(ValueError, match="holds no gains: No such file"):
+    with pytest.raises(ValueError, match="cannot be read: No such file"):
         make_controller("smc", P, gain_set=tmp_path / "none.toml")
     with pytest.raises(ValueError, match="unknown gains 'tuend'; they are tuned, recommended, or"):
         make_controller("smc", P, gain_set="tuend")

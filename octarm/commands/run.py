@@ -22,6 +22,7 @@ from octarm.arm.mjcf import nominal_parameters, template_model
 from octarm.arm.parameters import ArmParameters
 from octarm.commands.summary import Swing, summary
 from octarm.errors import ExitCode, OctarmError, closest
+from octarm.recordings.recording import Recorder
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
@@ -38,7 +39,13 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
     started, swing = time.perf_counter(), Swing()
     with tqdm(total=periods, unit=" periods", disable=None, leave=False) as bar:
         trajectory, description = run_into(
-            out, environment, controller, announced, progress=bar.update, keep=swing.add
+            out,
+            environment,
+            controller,
+            announced,
+            recording=Recorder,
+            progress=bar.update,
+            keep=swing.add,
         )
     elapsed = time.perf_counter() - started
     print(summary(len(trajectory), swing.amplitude(), description, elapsed))

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octarm.errors import OctarmError
+from octarm.interfaces import Rows
 
 SETTLED_AFTER = 2.0  # [s]; what is said of the steady regime counts from here on
 
@@ -43,6 +44,12 @@ class Block(NamedTuple):
     tau: np.ndarray
     force: np.ndarray
     signals: Mapping[str, np.ndarray] = MappingProxyType({})
+
+    @classmethod
+    def of(cls, rows: Rows) -> Block:
+        """A block of the fields that metrics know."""
+        signals = {name: rows[name] for name in ("s", "reaching_bound") if name in rows}
+        return cls(*(rows[name] for name in ("t", "q", "q_d", "tau", "force")), signals)
 
 
 def parts(block: Block, rows: int) -> Iterator[tuple[Block, bool]]:

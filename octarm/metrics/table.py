@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octarm.errors import OctarmError
+from octarm.interfaces import Rows
 from octarm.metrics.blocks import SETTLED_AFTER as SETTLED_AFTER
 from octarm.metrics.blocks import Block as Block
 from octarm.metrics.blocks import parts
@@ -104,6 +105,7 @@ class Metrics:
         control_period: float,
         input_limit: npt.ArrayLike = math.inf,
         phi: npt.ArrayLike | None = None,
+        layer: npt.ArrayLike | None = None,
         band: npt.ArrayLike | None = None,
         corner: float = CORNER,
     ) -> None:
@@ -114,6 +116,7 @@ class Metrics:
             input_limit: bound on |tau|, broadcasts to (..., 2N) [N].
             phi: half width of the boundary layer, broadcasts to (..., 2N) [m/s], [rad/s]; zero
                 where there is none.
+            layer: the same as phi.
             band: |q - q_d| within it counts as settled, broadcasts to (..., 2N) [m], [rad];
                 `default_band` when not given.
             corner: of what counts as chattering [Hz].
@@ -122,6 +125,7 @@ class Metrics:
             ValueError: if one of them is not positive (phi: negative), or not finite (the input
                 limit aside).
         """
+        phi = phi if layer is None else layer
         self._settings = _Settings(control_period, input_limit, phi, band, corner)
         for name, value in zip(_Settings._fields, self._settings, strict=True):
             if value is not None:
@@ -130,12 +134,13 @@ class Metrics:
                 _check(spoken, value, zero_allowed=name == "phi", largest=largest)
         self._measures: _Measures | None = None
 
-    def update(self, block: Block) -> None:
+    def update(self, rows: Block | Rows) -> None:
         """Takes up the next control instants.
 
         Raises:
             ValueError: if a limit, phi or the band does not fit the arms.
         """
+        block = rows if isinstance(rows, Block) else Block.of(rows)
         if len(block.t) == 0:
             return
         if self._measures is None:

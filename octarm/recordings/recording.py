@@ -20,9 +20,10 @@ from rerun.experimental import ViewerClient as ViewerClient  # for octarm.record
 
 from octarm.errors import OctarmError
 from octarm.files import piped, whole_file
+from octarm.interfaces import Rows
 from octarm.recordings.recorded_run import RecordedRun
 from octarm.runs.archive import BLOCK
-from octarm.simulation.trajectory import Trajectory
+from octarm.simulation.trajectory import Ending, Trajectory
 
 
 def write_recording(
@@ -167,14 +168,15 @@ class Recorder:
         """Closes the file; it takes its name unless there was an error."""
         self._file.__exit__(kind, error, trace)
 
-    def add(self, rows: Trajectory) -> None:
+    def add(self, rows: Trajectory | Rows) -> None:
         """Records further rows; what was added is on disk afterwards.
 
         Raises:
             ValueError: if the rows are not those of an arm with these parameters.
         """
         with recording_errors(self._path):
-            self._run.add(rows)
+            run = rows if isinstance(rows, Trajectory) else Trajectory.from_rows(rows, Ending())
+            self._run.add(run)
             self._stream.flush(timeout_sec=60.0)  # bounds what waits in memory; raises errors
 
     def finish(self, description: Mapping[str, Any]) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from octarm.disturbances.episode import field_kinds
+from octarm.disturbances.fields import field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError
 from octarm.metrics.table import SETTLED_AFTER

@@ -8,7 +8,7 @@ import shlex
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from dm_control.rl import control
@@ -18,24 +18,39 @@ from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.ledger import Ledger, asked
 from octarm.disturbances.spelling import from_entry
 from octarm.errors import OctarmError, closest
-from octarm.interfaces import Controller
+from octarm.formats import Array, Document, Model
+from octarm.interfaces import Controller, Rows
 from octarm.interrupts import ignored_interrupts
+from octarm.metrics.table import Metrics
 from octarm.references import REFERENCES
 from octarm.runs import folder as runs
-from octarm.runs.archive import Archive, Ending, mapped
+from octarm.runs.archive import Archive, mapped
 from octarm.runs.versions import host, versions
 from octarm.simulation.environment import TrackingTask, load, whole_periods
-from octarm.simulation.rollout import joined, stream
-from octarm.simulation.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from octarm.recordings.recording import Recorder
+from octarm.simulation.rollout import ArmRecorder, copied, stream
+from octarm.simulation.stepping import AnyPhysics
+from octarm.simulation.trajectory import Ending, Trajectory, joined
 
 # Name, nominal model and gains to controller; `controllers.make_controller` is one.
 Factory = Callable[[str, ArmParameters, Mapping[str, Any]], Controller]
 
-_INPUTS = ("controller", "parameters", "nominal", "reference", "disturbances", "seed", "duration",
-           "timestep", "control_period", "actuation")  # fmt: skip
+
+class Recording(Protocol):
+    """A recording that is written while the run goes on."""
+
+    def add(self, rows: Rows) -> None:
+        """Records further rows."""
+        ...
+
+    def finish(self, description: Mapping[str, Any]) -> None:
+        """Records what is known when the run is over; `description` is now complete."""
+        ...
+
+
+# File and announced description to an open recording; `octarm.recordings.recording.Recorder`.
+OpenRecording = Callable[
+    [Path, Mapping[str, Any]], contextlib.AbstractContextManager[Recording, bool | None]
+]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,7 +89,7 @@ class Experiment:
         """The environment and the controller.
 
         Raises:
-            ValueError: if one of them cannot be made.
+            OctarmError: if one of them cannot be made.
         """
         seed = self.seed
         if self.spawn_key:
@@ -95,16 +110,19 @@ class Experiment:
     ) -> dict[str, Any]:
         """The content of `run.json` before the run, given what `begin` made."""
         task: TrackingTask = environment.task
+        physics: AnyPhysics = environment.physics
+        coordinates = zip(physics.coordinates.names, physics.coordinates.unit_of_each, strict=True)
         return {
             "controller": {"name": self.controller, "gains": runs.gains_of(controller)},
             "parameters": self.parameters.to_dict(),
+            "coordinates": [{"name": name, "unit": unit} for name, unit in coordinates],
             "nominal": self.nominal.to_dict(),
             "reference": {"name": self.reference, **runs.describe_fields(task.reference)},
             "disturbances": asked(task.disturbances),
             "seed": self.seed,
             "spawn_key": list(self.spawn_key),
             "duration": self.duration,
-            "timestep": environment.physics.timestep(),
+            "timestep": physics.timestep(),
             "control_period": environment.control_timestep(),
             "actuation": self.actuation,
             "metrics": {},
@@ -121,41 +139,64 @@ class Experiment:
         """What was run, from the content of `run.json`; its factory is to be given all the gains.
 
         Raises:
-            ValueError: if something is missing or not allowed, or the reference is a custom one.
+            OctarmError: if something is missing or not allowed, or the reference is a custom one.
         """
-        missing = [key for key in _INPUTS if key not in description]
-        if missing:
-            raise OctarmError(f"{runs.DESCRIPTION} lacks {', '.join(missing)}: no run to repeat")
-        try:
-            return cls._of(description)
-        except (AttributeError, IndexError, KeyError, TypeError) as error:
-            raise OctarmError(
-                f"{runs.DESCRIPTION} does not say what was run: {type(error).__name__}, {error}"
-            ) from None
-
-    @classmethod
-    def _of(cls, description: Mapping[str, Any]) -> Experiment:
-        reference = description["reference"]["name"]
+        inputs = Document(runs.DESCRIPTION, description).read(_Inputs)
+        reference = inputs.reference.name
         if reference not in REFERENCES:
             raise OctarmError(
                 f"the run followed a custom reference, {reference!r}, which its folder does not "
-                f"hold{closest(str(reference), REFERENCES)}"
+                f"hold{closest(reference, REFERENCES)}"
             )
-        gains = description["controller"]["gains"]
+        gains = inputs.controller.gains
         return cls(
-            controller=description["controller"]["name"],
+            controller=inputs.controller.name,
             gains={name.rstrip("_"): value for name, value in gains.items()},
-            nominal=ArmParameters.from_dict(description["nominal"]),
-            parameters=ArmParameters.from_dict(description["parameters"]),
+            nominal=ArmParameters.from_dict(inputs.nominal),
+            parameters=ArmParameters.from_dict(inputs.parameters),
             reference=reference,
-            disturbances=tuple(map(from_entry, description["disturbances"])),
-            seed=description["seed"],
-            spawn_key=tuple(description.get("spawn_key", ())),
-            duration=float(description["duration"]),
-            timestep=float(description["timestep"]),
-            control_period=float(description["control_period"]),
-            actuation=description["actuation"],
+            disturbances=tuple(from_entry(entry.model_dump()) for entry in inputs.disturbances),
+            seed=inputs.seed,
+            spawn_key=inputs.spawn_key,
+            duration=inputs.duration,
+            timestep=inputs.timestep,
+            control_period=inputs.control_period,
+            actuation=inputs.actuation,
         )
+
+
+class _Table(Model, extra="ignore"):
+    """A table of `run.json`, of which more is there than is read."""
+
+
+class _Controller(_Table):
+    name: str
+    gains: dict[str, Any]
+
+
+class _Reference(_Table):
+    name: str
+
+
+class _Disturbance(_Table):
+    name: str
+    asked: dict[str, Any]
+
+
+class _Inputs(_Table):
+    """What of `run.json` says what was run; see `Experiment`."""
+
+    controller: _Controller
+    parameters: dict[str, Any]
+    nominal: dict[str, Any]
+    reference: _Reference
+    disturbances: Array[_Disturbance]
+    seed: int
+    spawn_key: Array[int] = ()
+    duration: float
+    timestep: float
+    control_period: float
+    actuation: str
 
 
 def perform(
@@ -176,41 +217,14 @@ def perform(
     Returns:
         The trajectory, and the content of `run.json`: also what came of the run.
     """
-    blocks: list[Trajectory] = []
-    ending, description = _perform(environment, controller, announced, blocks.append, progress)
+    blocks: list[Rows] = []
+
+    def keep(rows: Rows, layer: np.ndarray | None) -> None:
+        del layer
+        blocks.append(copied(rows))
+
+    ending, description = _perform(environment, controller, announced, keep, progress)
     return joined(blocks, ending), description
-
-
-def _perform(
-    environment: control.Environment,
-    controller: Controller,
-    announced: Mapping[str, Any],
-    keep: Callable[[Trajectory], object],
-    progress: Callable[[], object] | None,
-) -> tuple[Ending, dict[str, Any]]:
-    """Runs an experiment of any length, whose rows are handed to `keep`."""
-    task, physics = environment.task, environment.physics
-    ledger = Ledger(task.disturbances, physics) if task.disturbances else None
-    if ledger is not None:
-        physics.watch = ledger.step
-    measured = runs.Measured(
-        control_period=environment.control_timestep(),
-        input_limit=physics.input_limit(),
-        phi=getattr(controller, "phi", None),
-    )
-
-    def take_up(rows: Trajectory) -> None:
-        keep(rows)
-        measured.add(rows)
-
-    duration = announced["duration"]
-    ending = stream(environment, controller, duration, keep=take_up, progress=progress)
-    return ending, {
-        **announced,
-        "disturbances": ledger.rows() if ledger is not None else [],
-        "metrics": measured.numbers(diverged=ending.status == "diverged"),
-        **ending._asdict(),
-    }
 
 
 def run_into(
@@ -219,8 +233,9 @@ def run_into(
     controller: Controller,
     announced: Mapping[str, Any],
     *,
+    recording: OpenRecording,
     progress: Callable[[], object] | None = None,
-    keep: Callable[[Trajectory], object] | None = None,
+    keep: Callable[[Rows], object] | None = None,
     partial: bool = True,
 ) -> tuple[Trajectory, dict[str, Any]]:
     """Runs an experiment of any length into a run folder: recording, arrays and description.
@@ -230,6 +245,7 @@ def run_into(
         environment: from `Experiment.begin`.
         controller: likewise.
         announced: from `Experiment.announcement`.
+        recording: opens the recording.
         progress: called after every control period.
         keep: called with every block of rows, when it is on disk.
         partial: whether a run that is interrupted is kept up to there, with the status
@@ -240,19 +256,18 @@ def run_into(
         `run.json`.
 
     Raises:
-        ValueError: if the place is taken by something else.
-        OSError: if it cannot be written.
-        RuntimeError: if the run cannot be recorded.
+        OctarmError: if the place is taken by something else.
+        FileError: if it cannot be written.
         KeyboardInterrupt: if interrupted, and nothing was kept.
     """
     rows = whole_periods(announced["duration"], environment.control_timestep())
     with contextlib.ExitStack() as peace, runs.new_folder(out) as folder:
         runs.announce(folder, announced)
         with Archive(folder / runs.BLOCKS, rows=rows) as archive:
-            with _recorder(folder / runs.RECORDING, announced) as recorder:
+            with recording(folder / runs.RECORDING, announced) as recorder:
 
-                def take_up(block: Trajectory) -> None:
-                    archive.add(block)
+                def take_up(block: Rows, layer: np.ndarray | None) -> None:
+                    archive.add(block, layer)
                     recorder.add(block)
                     if keep is not None:
                         keep(block)
@@ -269,7 +284,45 @@ def run_into(
     return mapped(out / runs.ARRAYS), description
 
 
-def _recorder(path: Path, announced: Mapping[str, Any]) -> Recorder:
-    from octarm.recordings.recording import Recorder  # imports rerun, which takes half a second
+def _perform(
+    environment: control.Environment,
+    controller: Controller,
+    announced: Mapping[str, Any],
+    keep: Callable[[Rows, np.ndarray | None], object],
+    progress: Callable[[], object] | None,
+) -> tuple[Ending, dict[str, Any]]:
+    """Runs an experiment of any length, whose rows and layer are handed to `keep`."""
+    task, physics = environment.task, environment.physics
+    ledger = Ledger(task.disturbances, physics) if task.disturbances else None
+    if ledger is not None:
+        physics.watch = ledger.step
+    measured: list[Metrics] = []
 
-    return Recorder(path, announced)
+    def take_up(rows: Rows) -> None:
+        keep(rows, recorder.layer)
+        if not measured:
+            measured.append(
+                Metrics(
+                    control_period=environment.control_timestep(),
+                    input_limit=physics.input_limit(),
+                    layer=recorder.layer,
+                )
+            )
+        measured[0].update(rows)
+
+    recorder = ArmRecorder(environment, take_up)
+    ending = stream(environment, controller, announced["duration"], recorder, progress=progress)
+    metrics = measured[0].result(diverged=ending.status == "diverged")
+    return ending, {
+        **announced,
+        "disturbances": ledger.rows() if ledger is not None else [],
+        "metrics": {name: _numbers(values) for name, values in metrics.items()},
+        **ending.texts(),
+    }
+
+
+def _numbers(values: np.ndarray) -> Any:
+    """A number or a list, ready for JSON: None for what there is no number for."""
+    out = values.astype(object)
+    out[~np.isfinite(values)] = None
+    return out.tolist()

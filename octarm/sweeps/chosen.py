@@ -120,6 +120,8 @@ def record_chosen(
         OSError: if a folder cannot be written.
         KeyboardInterrupt: if interrupted; finished folders stay.
     """
+    from octarm.recordings.recording import Recorder  # imports rerun, which takes half a second
+
     different: dict[int, str] = {}
     for episode, words in reasons.items():
         folder = sweep.path / RECORDED / f"{episode}-{'-'.join(words)}"
@@ -131,8 +133,9 @@ def record_chosen(
         periods = whole_periods(experiment.duration, environment.control_timestep())
         begin(periods, f"recording episode {episode} ({', '.join(words)})")
         trajectory, _ = run_into(
-            folder, environment, controller, announced, progress=progress, partial=False
-        )
+            folder, environment, controller, announced, recording=Recorder, progress=progress,
+            partial=False,
+        )  # fmt: skip
         difference = _difference(sweep, episode, trajectory, periods)
         if difference:
             different[episode] = difference

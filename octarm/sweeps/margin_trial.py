@@ -13,9 +13,8 @@ from dm_control.rl import control
 
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
-from octarm.disturbances.episode import Disturbance, field_kinds
-from octarm.disturbances.fields import Quantity
-from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_disturbance
 from octarm.errors import OctarmError, closest
 from octarm.interfaces import Controller, Instant
 from octarm.simulation.environment import load
@@ -25,27 +24,7 @@ from octarm.sweeps.shards import Observer
 
 NOMINAL = "nominal-mismatch"  # of the controller's model, as --mismatch of octarm run
 
-# Where the search begins and ends when it is not said, in the units of the values.
-RANGES: dict[str, tuple[float, float]] = {
-    NOMINAL: (0.0, 3.0),
-    "noise": (0.0, 5.0),
-    "sine": (0.0, 5.0),
-    "pulse": (0.0, 5.0),
-    "step": (0.0, 5.0),
-    "mismatch": (0.0, 3.0),
-    "random-mismatch": (0.0, 0.95),
-    "drift": (0.0, 0.5),
-    "cyclic-drift": (0.0, 0.95),
-    "payload": (0.0, 1.0),
-    "tilt": (0.0, 1.5),
-    "actuation-delay": (0.0, 0.05),
-    "dead-zone": (0.0, 5.0),
-    "lag": (0.0, 0.2),
-    "loss": (0.0, 1.0),
-    "measurement-delay": (0.0, 0.05),
-    "measurement-noise": (0.0, 0.05),
-    "quantisation": (0.0, 0.05),
-}
+NOMINAL_RANGE = (0.0, 3.0)  # where its search begins and ends when nothing else is said
 
 # Not finite also for an arm that has done nothing wrong but be slow.
 _NEVER = ("settling_time", "reaching_time")
@@ -101,7 +80,7 @@ class Varied:
         """The disturbance with a value an arm, shape (n,), if it is one."""
         if self.disturbance is None:
             return []
-        field, kind = _first(type(self.disturbance))
+        field, kind = first_field(type(self.disturbance))
         own = values[:, None] if kind.each else values
         return [dataclasses.replace(self.disturbance, **{field: own})]  # pyright: ignore
 
@@ -121,7 +100,7 @@ def parse_varied(text: str, low: float | None, high: float | None) -> Varied:
     name, _, rest = text.partition(":")
     if name not in (NOMINAL, *DISTURBANCES):
         raise OctarmError(f"unknown disturbance {name!r}{closest(name, (NOMINAL, *DISTURBANCES))}")
-    usual = RANGES.get(name)
+    usual = NOMINAL_RANGE if name == NOMINAL else first_field(DISTURBANCES[name])[1].usual
     if usual is None and None in (low, high):
         raise OctarmError(f"{name} has no usual range; give --low, a value to bear, and --high")
     low, high = (
@@ -138,15 +117,8 @@ def parse_varied(text: str, low: float | None, high: float | None) -> Varied:
         return Varied(name=name, low=low, high=high)
     texts = [f"{name}:{value!r}{',' + rest if rest else ''}" for value in (low, high)]
     at_low, _ = (parse_disturbance(text) for text in texts)
-    _, kind = _first(type(at_low))
+    _, kind = first_field(type(at_low))
     return Varied(name=name, low=low, high=high, unit=kind.unit, disturbance=at_low)
-
-
-def _first(cls: type[Disturbance]) -> tuple[str, Quantity]:
-    """The field that stands without a key."""
-    field, kind = next(iter(field_kinds(cls).items()))
-    assert isinstance(kind, Quantity)
-    return field, kind
 
 
 def _ignore(seconds: float) -> None:

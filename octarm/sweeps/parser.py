@@ -31,8 +31,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from octarm.arm.actuation import ACTUATIONS
-from octarm.disturbances.episode import field_kinds
-from octarm.disturbances.fields import Words
+from octarm.disturbances.fields import Words, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError, closest
 from octarm.references import REFERENCES

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import qmc
 
-from octarm.disturbances.episode import Disturbance, field_kinds
-from octarm.disturbances.fields import Amount, Quantity
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.fields import Amount, Quantity, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.disturbances.streams import stream
 from octarm.errors import OctarmError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from octarm.disturbances.episode import field_kinds
+from octarm.disturbances.fields import field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.sweeps.spec import Axis, RandomAxis, SweepSpec, which
 from octarm.toml_table import items

@@ -31,9 +31,9 @@ from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.errors import OctarmError
 from octarm.files import write_text
-from octarm.interfaces import Controller
-from octarm.sweeps.tune_objective import FORMULA, LONG, SHORT, Factory, Trial, costs
-from octarm.sweeps.tune_space import KNOBS, Space
+from octarm.interfaces import Controller, Tunable
+from octarm.sweeps.tune_objective import FORMULA, LONG, SHORT, Trial, costs
+from octarm.sweeps.tune_space import Space
 
 _PACKAGES = ("octarm", "mujoco", "dm-control", "numpy", "scipy")
 
@@ -119,7 +119,7 @@ class Tuned:
 
 
 def tune(
-    factory: Factory,
+    factory: Callable[[ArmParameters, Mapping[str, npt.ArrayLike]], Tunable],
     effort: Effort,
     *,
     seed: int = 0,
@@ -130,7 +130,8 @@ def tune(
     """Searches gains; the same bits for the same arguments, wherever it went on from.
 
     Args:
-        factory: makes the controller; gains that it is not given are the hand-set ones.
+        factory: makes the controller from gains of shape (..., 2N); those that it is not given
+            are the hand-set ones.
         effort: how much is tried.
         seed: of the search. The scenarios do not depend on it.
         state: where an earlier search stopped; the beginning when not given.
@@ -282,7 +283,7 @@ def settings(controller: str, space: Space, effort: Effort, seed: int) -> dict[s
         "seed": seed,
         "budget": dataclasses.asdict(effort),
         "gains": {name: gain.tolist() for name, gain in space.gains.items()},
-        "range": [dataclasses.asdict(knob) for knob in KNOBS],
+        "range": [knob._asdict() for knob in space.knobs],
         "objective": FORMULA,
         "versions": versions(),
     }

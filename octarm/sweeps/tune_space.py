@@ -1,9 +1,8 @@
 """What may be tuned, and how far.
 
-A gain has one meaning in all controllers, so this stands in one table by the names of gains,
-`KNOBS`: a new controller is tuned by the names that its gains have. A knob multiplies the hand-set
-values of its gains by a factor, one for slides and one for bends where it says so. Factors go by
-their logarithms.
+A controller says itself what tuning may turn, `knobs()`: a knob multiplies the hand-set values of
+its gains by a factor, one for slides and one for bends where it says so. Factors go by their
+logarithms.
 """
 
 from __future__ import annotations
@@ -14,45 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octarm.errors import OctarmError
-from octarm.interfaces import Controller
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Knob:
-    """What is turned.
-
-    Attributes:
-        name: of the knob.
-        gains: that it multiplies, those of them that a controller has.
-        low: smallest factor [1].
-        high: largest factor [1].
-        apart: whether slides and bends have a factor each.
-    """
-
-    name: str
-    gains: tuple[str, ...]
-    low: float = 0.1
-    high: float = 10.0
-    apart: bool = False
-
-
-KNOBS = (
-    Knob(name="lambda", gains=("lambda",), low=0.25, high=4.0),
-    Knob(name="K_p", gains=("K_p",), apart=True),
-    Knob(name="K_d", gains=("K_d",), apart=True),
-    Knob(name="K", gains=("K",), apart=True),
-    Knob(name="K_v", gains=("K_v",)),
-    # All that says how large an |s| is: the hand-set values are multiples of one width.
-    Knob(name="width", gains=("phi", "scale", "dead_zone", "s_max"), apart=True),
-    Knob(name="k_1", gains=("k_1",), apart=True),
-    Knob(name="k_2", gains=("k_2",), apart=True),
-    Knob(name="force_scale", gains=("force_scale",), apart=True),
-    Knob(name="e_scale", gains=("e_scale",), apart=True),
-    Knob(name="rate_scale", gains=("rate_scale",), apart=True),
-    Knob(name="learning", gains=("eta1", "eta2")),
-    Knob(name="premises", gains=("eta3", "eta4")),
-    Knob(name="bound", gains=("theta_max", "E_max"), apart=True),
-)
+from octarm.interfaces import Controller, Knob, Tunable
 
 
 class Unknown(NamedTuple):
@@ -77,11 +38,12 @@ class Space:
 
     Attributes:
         gains: the hand-set ones, by name.
+        knobs: what the controller lets be turned.
         unknowns: what is searched.
         bounds: smallest and largest entry of a candidate, shape (d, 2).
     """
 
-    def __init__(self, controller: Controller, modules: int) -> None:
+    def __init__(self, controller: Tunable, modules: int) -> None:
         """The space around a controller with its hand-set gains.
 
         Raises:
@@ -89,16 +51,14 @@ class Space:
         """
         self.gains = gains_of(controller)
         slides, every = np.repeat([1.0, 0.0], modules), np.ones(2 * modules)
+        self.knobs = controller.knobs()
         self.unknowns: list[Unknown] = []
-        for knob in KNOBS:
-            if not self._turns(knob):
-                continue
+        for knob in self.knobs:
             parts = {" of slides": slides, " of bends": 1.0 - slides} if knob.apart else {"": every}
             self.unknowns += [Unknown(knob.name + part, knob, x) for part, x in parts.items()]
         if not self.unknowns:
-            known = ", ".join(name for knob in KNOBS for name in knob.gains)
             raise OctarmError(
-                f"{type(controller).__name__} has no gain that can be tuned; those are {known}"
+                f"{type(controller).__name__} has no gain that can be tuned; give one a knob"
             )
         self.bounds = np.log10([(u.knob.low, u.knob.high) for u in self.unknowns])
 
@@ -107,7 +67,7 @@ class Space:
         table: dict[str, np.ndarray] = {}
         for unknown, logarithms in zip(self.unknowns, candidates.T, strict=True):
             factors = 10.0 ** (unknown.share[:, None] * logarithms)
-            for name in self._turns(unknown.knob):
+            for name in unknown.knob.gains:
                 table[name] = table.get(name, self.gains[name].reshape(-1, 1)) * factors
         return {name: rounded(columns).T for name, columns in table.items()}
 
@@ -125,9 +85,6 @@ class Space:
         low, high = self.bounds.T
         ends = np.minimum(candidate - low, high - candidate) < 0.01 * (high - low)
         return [u.name for u, at_end in zip(self.unknowns, ends, strict=True) if at_end]
-
-    def _turns(self, knob: Knob) -> list[str]:
-        return [name for name in knob.gains if name in self.gains]
 
 
 def gains_of(controller: Controller) -> dict[str, np.ndarray]:

@@ -9,7 +9,7 @@ import string
 from collections.abc import Iterable, Mapping, Sequence
 
 from octarm.reports.page import inline_svg
-from octarm.runs.folder import versions
+from octarm.runs.versions import versions
 from paper.claims import Claim, Verdict
 from paper.drawing import Picture
 from paper.evidence import Evidence

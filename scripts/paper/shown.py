@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from octarm.arm.mjcf import nominal_parameters
+from octarm.recordings.recording import Recorder
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from paper.effort import Effort
@@ -62,4 +63,4 @@ def record(request: Shown, factory: Factory, folder: Path) -> None:
     )
     environment, controller = experiment.begin(factory)
     announced = experiment.announcement(environment, controller)
-    run_into(folder, environment, controller, announced, partial=False)
+    run_into(folder, environment, controller, announced, recording=Recorder, partial=False)

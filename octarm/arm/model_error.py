@@ -1,4 +1,4 @@
-"""How wrong the nominal model can be: the bound (40) from a declared share, and what follows.
+"""How wrong a nominal model can be: the bound (40) from a declared share.
 
 The generalised force is linear in masses, inertias, stiffnesses and dampings. With F_p for what
 the nominal parameter p^ alone contributes to it, the error of the model is
@@ -18,7 +18,6 @@ bound, so that no smaller gain will do.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -30,7 +29,7 @@ from octarm.arrays import Entry, cos_sin, entry, join, split
 _Terms = tuple[list[Entry], list[Entry]]
 
 
-def largest_model_error(
+def largest_error(
     nominal: ArmParameters,
     uncertainty: np.ndarray,
     q: np.ndarray,
@@ -53,10 +52,10 @@ def largest_model_error(
     """
     n = nominal.modules
     x, rates = split(q), split(v_r)
-    stretches = [x[i] - rest for i, rest in enumerate(split(nominal.rest_length))]
+    stretches = [x[i] - rest for i, rest in enumerate(nominal.entries.rest_length)]
     inertial = _inertial_terms(nominal, x, split(v), split(a_r), rates)
-    damping = _column_terms(nominal, nominal.damping, rates[:n], rates[n:])
-    elastic = _column_terms(nominal, nominal.stiffness, stretches, x[n:])
+    damping = _column_terms(nominal, nominal.entries.damping, rates[:n], rates[n:])
+    elastic = _column_terms(nominal, nominal.entries.stiffness, stretches, x[n:])
     u = _one_an_arm(uncertainty)
     middle, half_width = _interval(u)
     middle_k, half_width_k = _interval(0.5 * u)  # stiffness is known twice as well
@@ -67,38 +66,6 @@ def largest_model_error(
         largest.append(abs(mean) + spread)
     batch = np.broadcast_shapes(nominal.batch_shape, np.shape(u))
     return join(largest, q, v.shape, a_r.shape, v_r.shape, (*batch, 2 * n))
-
-
-def reaching_time_bound(
-    nominal: ArmParameters, uncertainty: np.ndarray, eta: np.ndarray, q: np.ndarray, V: np.ndarray
-) -> np.ndarray:
-    """Longest time until s = 0, eqs (14) and (15) for a vector, shape (..., 1) [s].
-
-    By (42) V' <= -y with y = sum eta_i |s_i|. On the set of all s with the same y, the convex
-    V = 1/2 s^T D s is largest at a corner, where only one s_i differs from zero: V <= 1/2 L y^2
-    with L = max D_ii / eta_i^2. Hence V' <= -sqrt(2 V / L), and V is zero after sqrt(2 L V) at
-    most; for one coordinate this is D |s| / eta.
-
-    D is neither known nor constant. All its entries and V are sums over masses and inertias,
-    hence at most 1 / (1 - u) times the nominal ones. D_ii is taken at the straight arm, where it
-    is largest for modules of these lengths. Only modules that lengthen on the way are not
-    foreseen: the bound grows at most by the share by which they do. The bound is one of continuous
-    time: under sampling the force is late, and s ends in the chattering about zero.
-
-    Args:
-        nominal: the model that the controller believes.
-        uncertainty: share u in [0, 1), shape () or (..., 1) [1].
-        eta: reaching gain, broadcasts to (..., 2N) [N], [N m].
-        q: coordinates, shape (..., 2N) [m], [rad].
-        V: 1/2 s^T D^ s, shape (..., 1) [J].
-    """
-    inertia = _straight_inertia(nominal, split(q))
-    gains = split(eta) if eta.shape[-1:] == (len(inertia),) else [_one_an_arm(eta)] * len(inertia)
-    L = functools.reduce(
-        np.maximum, [D_ii / (eta_i * eta_i) for D_ii, eta_i in zip(inertia, gains, strict=True)]
-    )
-    known = np.asarray(1.0 - _one_an_arm(uncertainty))
-    return np.sqrt(2.0 * np.asarray(L)[..., None] * V) / known[..., None]
 
 
 def _one_an_arm(value: np.ndarray) -> Entry:
@@ -124,12 +91,12 @@ def _inertial_terms(
     Outwards as in `lagrange.inverse_dynamics`; then each mass alone hangs on the modules below it.
     """
     n = p.modules
-    mass, inertia = split(p.mass), split(p.inertia)
+    mass, inertia = p.entries.mass, p.entries.inertia
     sums: list[Entry] = [0.0] * (2 * n)
     sizes: list[Entry] = [0.0] * (2 * n)
     axes: list[tuple[Entry, Entry]] = [(1.0, 0.0)]
     phi = w = w_r = alpha = 0.0
-    ax, ay = -entry(p.gravity), 0.0
+    ax, ay = -p.entries.gravity, 0.0
     for b in range(n):
         cos, sin = axes[b]
         along = a[b] - x[b] * (w * w_r)
@@ -154,11 +121,13 @@ def _inertial_terms(
 
 
 def _column_terms(
-    p: ArmParameters, coefficient: np.ndarray, along: Sequence[Entry], bend: Sequence[Entry]
+    p: ArmParameters,
+    coefficients: tuple[Sequence[Entry], Sequence[Entry]],
+    along: Sequence[Entry],
+    bend: Sequence[Entry],
 ) -> _Terms:
     """What the springs or dampers of the columns contribute, eqs (4) and (5)."""
-    half = 0.5 * entry(p.width)
-    left, right = (split(coefficient[..., a, :]) for a in (0, 1))
+    half, (left, right) = p.entries.half_width, coefficients
     pushes: list[Entry] = []
     couples: list[Entry] = []
     push_sizes: list[Entry] = []
@@ -174,10 +143,13 @@ def _column_terms(
     return pushes + couples, push_sizes + couple_sizes
 
 
-def _straight_inertia(p: ArmParameters, x: Sequence[Entry]) -> list[Entry]:
-    """The diagonal of D^ for modules of these lengths in one straight line."""
+def straight_inertia(p: ArmParameters, q: np.ndarray) -> np.ndarray:
+    """The diagonal of D for the modules of q in one straight line, shape (..., 2N).
+
+    No bend of modules of these lengths makes an entry larger.
+    """
     n = p.modules
-    mass, inertia = split(p.mass), split(p.inertia)
+    x, mass, inertia = split(q), p.entries.mass, p.entries.inertia
     slides: list[Entry] = []
     bends: list[Entry] = []
     for k in range(n):
@@ -188,4 +160,4 @@ def _straight_inertia(p: ArmParameters, x: Sequence[Entry]) -> list[Entry]:
             turned = turned + (inertia[b] + mass[b] * (lever * lever))
         slides.append(total)
         bends.append(turned)
-    return slides + bends
+    return join(slides + bends, q, (*p.batch_shape, 2 * n))

@@ -1,9 +1,10 @@
-"""The disturbances of one episode at work together."""
+"""The disturbances of one episode, all of them active."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from operator import is_
+from typing import Any
 
 import numpy as np
 
@@ -21,21 +22,23 @@ from octarm.disturbances.episode import (
     PlantProcess,
     SensorFault,
     SensorProcess,
+    numbered,
+    occurrences,
 )
-from octarm.disturbances.sensors import MeasurementDelay
 from octarm.errors import OctarmError
 
 _SIMULATED = (1e-14, 1e14)  # masses [kg] and inertias [kg m^2]; beyond, MuJoCo divides by zero
 
 
-class Acting:
-    """The disturbances of one episode at work.
+class ActiveDisturbances:
+    """The disturbances that act during one episode.
 
     Those of one family act in the order of `DISTURBANCES`. The second one of a class has streams
     and a name of its own, such as `noise-2`. Everything is asked for at every physics step from 0
-    on, in order; asking again for the same step gives the same, but for `received`.
+    on, in order; asking again for the same step gives the same, except for `received`.
 
     Attributes:
+        episode: that they act in.
         forces: names and processes, in order.
         plant_changes: likewise.
         actuators: likewise.
@@ -44,43 +47,34 @@ class Acting:
         inputs: what came out of each actuator fault in the last `received`, by name, shape
             (..., 2N) [N].
         readings: what came out of each sensor fault in the last `sensed`, by name.
-        undisturbed: the arm as it is without plant changes.
     """
 
     def __init__(self, disturbances: Sequence[Disturbance], episode: Episode) -> None:
         """Starts them all.
 
         Raises:
-            ValueError: if one does not suit the arm, the batch or the timestep, or two measurement
-                delays are given.
+            OctarmError: if one does not suit the arm, the batch or the timestep, or is given twice
+                although it may be given only once.
         """
-        self.forces: list[tuple[str, ForceProcess]] = []
-        self.plant_changes: list[tuple[str, PlantProcess]] = []
-        self.actuators: list[tuple[str, ActuatorProcess]] = []
-        self.sensors: list[tuple[str, SensorProcess]] = []
+        self.episode = episode
         self.shares: dict[str, np.ndarray] = {}
         self.inputs: dict[str, np.ndarray] = {}
         self.readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self._total = np.empty(0)
-        self.undisturbed = Plant(episode.parameters)
-        families = {
-            Force: self.forces,
-            PlantChange: self.plant_changes,
-            ActuatorFault: self.actuators,
-            SensorFault: self.sensors,
-        }
+        families = (Force, PlantChange, ActuatorFault, SensorFault)
+        started: dict[str, list[tuple[str, Any]]] = {cls.family: [] for cls in families}
         place = {cls: i for i, cls in enumerate(DISTURBANCES.values())}
-        counts: dict[type, int] = {}
-        for disturbance in sorted(disturbances, key=lambda d: place.get(type(d), len(place))):
-            cls = type(disturbance)
-            count = counts[cls] = counts.get(cls, 0) + 1
-            if count > 1 and cls is MeasurementDelay:
-                raise OctarmError("measurement-delay is given twice; give the sum of both delays")
-            name = disturbance.name if count == 1 else f"{disturbance.name}-{count}"
+        listed = zip(disturbances, occurrences(disturbances), strict=True)
+        for disturbance, count in sorted(listed, key=lambda x: place.get(type(x[0]), len(place))):
+            name = disturbance.name
+            if count > 1 and disturbance.instead_of_two:
+                raise OctarmError(f"{name} is given twice; {disturbance.instead_of_two}")
             process = disturbance.start(episode if count == 1 else episode.again(count))
-            next(own for family, own in families.items() if issubclass(cls, family)).append(
-                (name, process)
-            )
+            started[disturbance.family].append((numbered(name, count), process))
+        self.forces: list[tuple[str, ForceProcess]] = started[Force.family]
+        self.plant_changes: list[tuple[str, PlantProcess]] = started[PlantChange.family]
+        self.actuators: list[tuple[str, ActuatorProcess]] = started[ActuatorFault.family]
+        self.sensors: list[tuple[str, SensorProcess]] = started[SensorFault.family]
 
     def received(self, step: int, tau: np.ndarray) -> np.ndarray:
         """The input forces that the plant receives at a physics step, shape (..., 2N) [N].
@@ -108,17 +102,21 @@ class Acting:
             self.shares = shares
         return self._total
 
+    def plant_changes_at(self, step: int) -> bool:
+        """Whether `plant` at this physics step differs from the one before it."""
+        return any([process.changes_at(step) for _, process in self.plant_changes])
+
     def plant(self, step: int) -> Plant | None:
         """The true arm from this physics step on; None when it is the one of the step before.
 
         At step 0 it is None only when nothing ever changes it.
 
         Raises:
-            ValueError: at step 0, for an arm so light or so heavy that it cannot be simulated.
+            OctarmError: at step 0, for an arm so light or so heavy that it cannot be simulated.
         """
-        if not any([process.changes_at(step) for _, process in self.plant_changes]):
+        if not self.plant_changes_at(step):
             return None
-        plant = self.undisturbed
+        plant = Plant(self.episode.parameters)
         for _, process in self.plant_changes:
             plant = process.apply(step, plant)
         if step == 0:
@@ -164,7 +162,7 @@ def _check_plant(p: ArmParameters) -> None:
 
 
 def _sum(shares: Sequence[np.ndarray]) -> np.ndarray:
-    """Forces added in their order; 0.0 where nothing acts, never -0.0."""
+    """Forces added in their order, shape (..., 2N); 0.0 where nothing acts, never -0.0."""
     total = 0.0 + shares[0]
     for share in shares[1:]:
         total = total + share
