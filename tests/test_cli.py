@@ -199,7 +199,7 @@ def test_an_interrupt_leaves_nothing_half_written(monkeypatch, capsys):
 def test_an_interrupt_while_replacing_keeps_the_earlier_run(monkeypatch):
     assert short_run() == 0
     before = Path("a/run.npz").read_bytes()
-    monkeypatch.setattr(runs, "write_run", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    monkeypatch.setattr(runs, "write_run", lambda *_: (_ for _ in ()).throw(FileError("disk full")))
     assert short_run("--mismatch", "0.1") == 2
     assert Path("a/run.npz").read_bytes() == before
     assert [p.name for p in Path().iterdir()] == ["a"]

@@ -122,7 +122,7 @@ def test_a_shard_that_kills_its_workers_fails_alone(tmp_path, undisturbed):
             return future
 
     with pytest.raises(
-        RuntimeError, match=r"shard 2 failed: its worker died 4 times; shards left to do: 1"
+        OctarmError, match=r"shard 2 failed: its worker died 4 times; shards left to do: 1"
     ):
         run(tmp_path / "s", executor=Deadly())
     numbers = rows(tmp_path / "s")["episode"].to_pylist()

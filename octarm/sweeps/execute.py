@@ -20,6 +20,7 @@ from typing import NamedTuple
 import pyarrow as pa
 
 from octarm.arm.mjcf import nominal_parameters
+from octarm.errors import OctarmError
 from octarm.runs import folder as runs
 from octarm.simulation.environment import whole_periods
 from octarm.sweeps.gain_sets import of_sets
@@ -33,6 +34,7 @@ from octarm.sweeps.workers import WorkerProcesses, cores
 
 _TRIES = 4  # of a shard whose worker dies
 _GLANCE = 1.0  # [s]; after so long it looks how far the shards are, and at the number of workers
+_MENDABLE = (OctarmError, OSError, MemoryError, BrokenExecutor, CancelledError)  # others are bugs
 _FAILURES = 3  # shards that may fail before no new one is begun
 _MEASURED, _WARM = 60, 10  # control periods that an estimate runs, and those of them not counted
 
@@ -259,7 +261,8 @@ class _Run:
             raise KeyboardInterrupt(self._there())
         if self._failed:
             shard, error = next(iter(self._failed.items()))
-            raise RuntimeError(f"shard {shard} failed: {_told(error)}; {self._there()}") from error
+            failure = OctarmError if isinstance(error, _MENDABLE) else RuntimeError
+            raise failure(f"shard {shard} failed: {_told(error)}; {self._there()}") from error
 
     @property
     def _stopping(self) -> bool:

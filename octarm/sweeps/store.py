@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import pyarrow as pa
 
-from octarm.errors import OctarmError
+from octarm.errors import FileError, OctarmError
 from octarm.files import write_text
 from octarm.runs.versions import host, versions
 from octarm.sweeps.folder import (
@@ -91,7 +91,7 @@ class SweepFolder:
             (self.path / EPISODES).mkdir(parents=True, exist_ok=True)
             file = open(self.path / _LOCK, "w")
         except OSError as error:
-            raise OSError(f"{self.path} cannot be written: {error.strerror}") from None
+            raise FileError(f"{self.path} cannot be written: {error.strerror}") from None
         with file:
             try:
                 _lock(file.fileno())
