@@ -76,7 +76,7 @@ class Command(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """One control instant as the loop shows it to its observers.
+    """One control instant as the loop hands it to its observers.
 
     Attributes:
         measurement: what the controller received.
@@ -84,7 +84,7 @@ class Instant(NamedTuple):
         command: what the controller answered.
         q: true coordinates, shape (..., 2N) [m], [rad].
         v: true velocities, shape (..., 2N) [m/s], [rad/s].
-        tau: input forces that were asked for until the next instant, shape (..., 2N) [N].
+        tau: input forces that are asked for until the next instant, shape (..., 2N) [N].
         disturbance: generalised force that was added, mean over the period, shape (..., 2N) [N],
             [N m].
     """
@@ -99,7 +99,8 @@ class Instant(NamedTuple):
 
 
 # k consecutive control instants as named fields, each of shape (k, ...): `t`, `q`, `v`, `q_d`,
-# `v_d`, `tau`, `force` and `disturbance` as in `Instant`, and the controller's signals by name.
+# `v_d`, `tau`, `force` and `disturbance` as in `Instant`, the controller's signals by name, and
+# `q_measured` and `v_measured` where one arm is recorded while sensors act.
 # The arrays are read-only for whoever gets them, and their memory may be used again afterwards.
 Rows = Mapping[str, np.ndarray]
 

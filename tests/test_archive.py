@@ -12,16 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from recordings import swinging
+from recordings import part_of, swinging
 
 from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
 from octarm.interfaces import Rows
-from octarm.recordings.recording import part_of
 from octarm.runs.archive import Archive, mapped, read_blocks
 from octarm.simulation.environment import load
-from octarm.simulation.rollout import ArmRecorder, copied, rollout, stream
-from octarm.simulation.trajectory import Trajectory, joined
+from octarm.simulation.rollout import ArmRecorder, copied, rollout
+from octarm.simulation.trajectory import Ending, Trajectory, joined
 
 ODD = {
     "a name/with: +é": np.ones((230, 2)),
@@ -53,8 +52,7 @@ def test_the_arrays_are_the_bytes_that_a_trajectory_saves(tmp_path, rows, layer)
     run = part_of(swinging(rows=230, **ODD), 0, rows)
     run = dataclasses.replace(run, status="diverged", message="too far", layer=layer)
     with archived(tmp_path / "blocks", run) as archive:
-        archive.ending = run.ending
-        archive.save(tmp_path / "a.npz")
+        archive.save(tmp_path / "a.npz", Ending(layer, "diverged", "too far", run.digest))
     run.save(tmp_path / "b.npz")
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
     assert not (tmp_path / "blocks").exists()
@@ -136,7 +134,7 @@ def test_a_run_in_blocks_is_the_run_in_memory(block):
     environment, controller = begun()
     blocks: list[Rows] = []
     recorder = ArmRecorder(environment, lambda rows: blocks.append(copied(rows)), rows=block)
-    ending = stream(environment, controller, 0.02, recorder)
+    ending = recorder.run(controller, 0.02)
     whole = rollout(environment, controller, 0.02)
     same(whole, joined(blocks, ending))
     assert (ending.status, ending.message, ending.digest) == ("ok", "", whole.digest)
@@ -149,7 +147,7 @@ def test_the_memory_a_run_takes_does_not_grow_with_it():
     peaks = []
     for duration in (0.02, 0.02, 0.4):  # the first one fills caches
         tracemalloc.start()
-        stream(environment, controller, duration, ArmRecorder(environment, len, rows=20))
+        ArmRecorder(environment, len, rows=20).run(controller, duration)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[2] < peaks[1] + 20_000  # 760 rows more are 300 kB
@@ -165,7 +163,7 @@ def test_an_interrupted_run_has_whole_blocks():
             signal.raise_signal(signal.SIGINT)
         blocks.append(copied(rows))
 
-    ending = stream(environment, controller, 0.5, ArmRecorder(environment, keep, rows=10))
+    ending = ArmRecorder(environment, keep, rows=10).run(controller, 0.5)
     assert ending.status == "interrupted" and "interrupted at t = 0.01 s" in ending.message
     whole = rollout(environment, controller, 0.01)
     same(whole, joined(blocks, ending))

@@ -1,7 +1,6 @@
 """The measures of whole runs: streaming, batches, divergence, and the control rate."""
 
 import itertools
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +9,6 @@ from hypothesis import strategies as st
 
 from octarm.metrics import table as metrics
 from octarm.metrics.table import METRICS, SETTLED_AFTER, Block, Metrics
-from octarm.runs import folder as runs
-from octarm.simulation.trajectory import Trajectory
 
 PERIOD = 1e-2
 ROWS = 420  # past SETTLED_AFTER, and past 255
@@ -293,28 +290,3 @@ def test_halving_the_period_of_a_force_that_switches_at_every_instant():
     steps = np.abs(np.diff(chattering))
     assert np.all(steps[1:] < 0.3 * steps[:-1]) and chattering[-1] == pytest.approx(1.0, abs=1e-3)
     np.testing.assert_allclose(variation[1:], 2.0 * variation[:-1])
-
-
-def trajectory(block: Block, **changes: Any) -> Trajectory:
-    rest: dict[str, Any] = {"v": block.q, "v_d": block.q_d, "disturbance": block.q}
-    return Trajectory(**block._asdict() | rest | changes)
-
-
-def test_a_run_is_measured_as_its_stream_would_be():
-    block = noisy()
-    found = runs.measure(trajectory(block), input_limit=1.5, phi=PHI)
-    expected = measure(*(take(block, slice(i, i + 1)) for i in range(ROWS)))
-    assert list(found) == list(expected)
-    for name, value in expected.items():
-        numbers = np.array(found[name], dtype=float)  # None becomes NaN
-        np.testing.assert_array_equal(numbers, value)
-    assert found["step_overshoot"] == [None] * 6 and isinstance(found["control_rate"], float)
-
-
-@pytest.mark.parametrize("rows", [1, ROWS])
-def test_a_diverged_run_has_no_numbers(rows):
-    block = take(noisy(), slice(0, rows))
-    block.tau[-1] = np.nan
-    found = runs.measure(trajectory(block, status="diverged"))
-    assert found["effort"] == found["settling_time"] == [None] * 6
-    assert found["tip_rms_error"] is None

@@ -17,6 +17,7 @@ import pytest
 import octarm
 from controllers import make_controller
 from octarm.checks.verify_episode import FinishedSweep
+from octarm.errors import OctarmError
 from octarm.sweeps.execute import estimate
 from octarm.sweeps.folder import MANIFEST, read_manifest, read_row, shard_name
 from octarm.sweeps.parser import parse_spec

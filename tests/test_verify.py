@@ -139,6 +139,8 @@ def test_a_run_that_diverged_comes_out_again(tmp_path):
     gains = {"K": [1600.0, 1000.0, 800.0, 400.0, 250.0, 30.0]}
     trajectory = write(tmp_path / "run", experiment(gains=gains, duration=0.5))
     assert trajectory.status == "diverged"
+    metrics = json.loads((tmp_path / "run/run.json").read_text())["metrics"]
+    assert metrics["effort"] == [None] * 6 and metrics["tip_rms_error"] is None
     assert check(tmp_path / "run").identical
     edit(tmp_path / "run", "message", to=lambda text: text.replace("theta1", "theta2"))
     found = check(tmp_path / "run")
@@ -315,11 +317,11 @@ def test_what_cannot_be_repeated_is_said_in_a_sentence(run, capsys, tmp_path):
     edit(run, "reference", "name", to=lambda _: "my-own")
     assert "the run followed a custom reference, 'my-own'" in sentence(run)
     edit(run, "reference", to=lambda _: None)
-    assert "run.json does not say what was run" in sentence(run)
+    assert "run.json: reference is null; it must be a table" in sentence(run)
     description = json.loads((run / "run.json").read_text())
     del description["nominal"]
     (run / "run.json").write_text(json.dumps(description))
-    assert "run.json lacks nominal" in sentence(run)
+    assert "run.json: it needs a value of nominal" in sentence(run)
     (run / "run.npz").unlink()
     assert "has no run.npz to compare with: it is incomplete" in sentence(run)
     edit(run, "status", to=lambda _: "running")

@@ -1,4 +1,4 @@
-"""Names and units of an arm's coordinates and inputs, for all that prints, plots or records them."""
+"""Names and units of an arm's coordinates and inputs, for printing, plotting and recording."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Coordinates(NamedTuple):
     Attributes:
         names: one for each coordinate, in the order of q.
         groups: where the coordinates of one kind stand in q, by the name of the group; they share a
-            unit and a scale, and are plotted together.
+            unit and a scale, and are plotted together, group below group.
         units: unit of the coordinates of each group, `m` or `rad`.
         inputs: one name for each input force, in the order of tau.
     """
@@ -27,16 +27,18 @@ class Coordinates(NamedTuple):
     @property
     def unit_of_each(self) -> tuple[str, ...]:
         """The unit of each coordinate, in the order of q."""
-        units = [[self.units[group]] * len(self.names[part]) for group, part in self.groups.items()]
-        return tuple(unit for group in units for unit in group)
+        units = [""] * len(self.names)
+        for group, part in self.groups.items():
+            units[part] = [self.units[group]] * len(self.names[part])
+        return tuple(units)
 
 
 def planar_coordinates(modules: int) -> Coordinates:
-    """The coordinates of the planar arm, q = [s1..sN, theta1..thetaN], with two columns a module."""
+    """Those of the planar arm: q = [s1..sN, theta1..thetaN], and two columns for each module."""
     columns = [f"column_{a}_{i}" for i in range(1, modules + 1) for a in (1, 2)]
     return Coordinates(
         names=tuple(coordinate_names(modules)),
-        groups={"slides": slice(modules), "bends": slice(modules, 2 * modules)},
-        units={"slides": "m", "bends": "rad"},
+        groups={"bends": slice(modules, 2 * modules), "slides": slice(modules)},
+        units={"bends": "rad", "slides": "m"},
         inputs=tuple(columns),
     )

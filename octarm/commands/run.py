@@ -22,7 +22,7 @@ from octarm.arm.mjcf import nominal_parameters, template_model
 from octarm.arm.parameters import ArmParameters
 from octarm.commands.summary import Swing, summary
 from octarm.errors import ExitCode, OctarmError, closest
-from octarm.recordings.recording import Recorder
+from octarm.recordings.recording import run_recording
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
@@ -43,7 +43,7 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
             environment,
             controller,
             announced,
-            recording=Recorder,
+            recording=run_recording,
             progress=bar.update,
             keep=swing.add,
         )

@@ -49,7 +49,7 @@ class Block(NamedTuple):
     def of(cls, rows: Rows) -> Block:
         """A block of the fields that metrics know."""
         signals = {name: rows[name] for name in ("s", "reaching_bound") if name in rows}
-        return cls(*(rows[name] for name in ("t", "q", "q_d", "tau", "force")), signals)
+        return cls(rows["t"], rows["q"], rows["q_d"], rows["tau"], rows["force"], signals)
 
 
 def parts(block: Block, rows: int) -> Iterator[tuple[Block, bool]]:

@@ -145,9 +145,9 @@ class Metrics:
             return
         if self._measures is None:
             self._measures = _Measures(block, self._settings)
-        rows = max(1, _NUMBERS_A_PART // block.q[0].size)
+        count = max(1, _NUMBERS_A_PART // block.q[0].size)
         with np.errstate(all="ignore"):  # a diverged arm may hold anything
-            for part, steady in parts(block, rows):
+            for part, steady in parts(block, count):
                 self._measures.update(part, steady)
 
     def result(self, diverged: npt.ArrayLike = False) -> dict[str, np.ndarray]:

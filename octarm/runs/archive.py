@@ -1,6 +1,6 @@
 """The arrays of a run on disk: appended block by block while it goes on, and mapped afterwards.
 
-A block is one structured number of NumPy's own format: its fields are the arrays of the block. So
+A block is one structured number in NumPy's own format, whose fields are the arrays of the block. So
 memory holds one block, however long the run is, and blocks can be read although the process was
 killed.
 """
@@ -23,7 +23,7 @@ from octarm.errors import FileError, OctarmError
 from octarm.files import whole_file
 from octarm.interfaces import Rows
 from octarm.simulation.trajectory import BLOCK as BLOCK
-from octarm.simulation.trajectory import LAYER, Ending, Trajectory, joined
+from octarm.simulation.trajectory import Ending, Trajectory, joined
 
 _NUMBER = np.dtype("<f8")
 _LONGEST_HEADER = 10_000_000  # [byte]
@@ -34,9 +34,6 @@ class Archive:
 
     Used with `with`: the file of blocks is gone afterwards. If the process is killed it stays, and
     `read_blocks` reads it.
-
-    Attributes:
-        ending: how the run ended, as far as it is known; it is saved with the rows.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, rows: int) -> None:
@@ -46,10 +43,10 @@ class Archive:
             path: of the file of blocks; its folder must exist.
             rows: number that is expected, for which there must be room.
         """
-        self.ending = Ending("interrupted")
         self._path, self._expected, self._count = Path(path), rows, 0
         self._file: IO[bytes] | None = None
-        self._blocks: list[tuple[int, np.dtype[Any]]] = []  # where each begins, and its fields
+        # For each block where each of its arrays begins, how many bytes it has, and its shape.
+        self._blocks: list[dict[str, tuple[int, int, tuple[int, ...]]]] = []
 
     def __enter__(self) -> Archive:
         """Makes the file; raises FileError if it cannot be written."""
@@ -78,37 +75,42 @@ class Archive:
         Raises:
             FileError: if the file cannot be written, or there is no room for all that is expected.
         """
-        fields = dict(rows) if layer is None else {**rows, LAYER: layer}
-        form = [(name, _NUMBER, np.shape(array)) for name, array in fields.items()]
-        block = np.empty((), form)
-        for name, array in fields.items():
+        arrays = dict(rows) if layer is None else {**rows, "layer": layer}
+        block = np.empty((), [(name, _NUMBER, np.shape(x)) for name, x in arrays.items()])
+        for name, array in arrays.items():
             block[name] = array
         with self._failures():
             if not self._count:
                 self._check_room(block.nbytes / len(rows["t"]))
             npy.write_array(self._opened, block, version=(3, 0), allow_pickle=False)
             self._opened.flush()
-            self._blocks.append((self._opened.tell() - block.nbytes, block.dtype))
+            place = self._opened.tell() - block.nbytes
+        self._blocks.append({})
+        for name, array in arrays.items():
+            size = array.size * _NUMBER.itemsize
+            self._blocks[-1][name] = place, size, array.shape
+            place += size
         self._count += len(rows["t"])
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: str | os.PathLike[str], ending: Ending) -> None:
         """Writes the `.npz`, whole or not at all, the same bytes as `Trajectory.save` would.
 
         Raises:
             FileError: if it cannot be written.
         """
-        shapes = {name: field[0].shape[1:] for name, field in self._fields.items()}
-        shapes.pop(LAYER, None)
         with whole_file(path) as part, zipfile.ZipFile(part, "w") as file:
-            for name, shape in shapes.items():
+            for name, (*_, shape) in self._blocks[0].items():
+                if name in Ending._fields:
+                    continue
                 with file.open(f"{name}.npy", "w", force_zip64=True) as member:
-                    header = {"descr": "<f8", "fortran_order": False, "shape": (len(self), *shape)}
+                    shape = (len(self), *shape[1:])
+                    header = {"descr": "<f8", "fortran_order": False, "shape": shape}
                     npy.write_array_header_1_0(member, header)
-                    for start, form in self._blocks:
-                        kind, offset = form.fields[name][:2]  # pyright: ignore[reportOptionalSubscript]
-                        self._opened.seek(start + offset)
-                        member.write(self._opened.read(kind.itemsize))
-            for name, array in self.ending.arrays().items():
+                    for places in self._blocks:
+                        place, size, _ = places[name]
+                        self._opened.seek(place)
+                        member.write(self._opened.read(size))
+            for name, array in ending.arrays().items():
                 with file.open(f"{name}.npy", "w", force_zip64=True) as member:
                     npy.write_array(member, array, allow_pickle=False)
 
@@ -117,11 +119,6 @@ class Archive:
         if self._file is None:
             raise OctarmError(f"{self._path} is not open")
         return self._file
-
-    @property
-    def _fields(self) -> dict[str, Any]:
-        """The fields of the first block."""
-        return dict(self._blocks[0][1].fields or {}) if self._blocks else {}
 
     def _check_room(self, row: float) -> None:
         """Raises FileError unless all rows of so many bytes fit twice: as blocks, and as arrays."""
@@ -152,9 +149,9 @@ def read_blocks(path: str | os.PathLike[str]) -> Trajectory:
             blocks.append({name: block[name] for name in block.dtype.names or ()})
     if not blocks or "t" not in blocks[0]:
         raise OctarmError(f"{path} holds no rows")
-    layers = [block.pop(LAYER, None) for block in blocks]
+    layers = [block.pop("layer", None) for block in blocks]
     end = f"killed after t = {blocks[-1]['t'][-1]:.6g} s"
-    return joined(blocks, Ending("interrupted", end, "", layers[0]))
+    return joined(blocks, Ending(layers[0], "interrupted", end))
 
 
 def mapped(path: str | os.PathLike[str]) -> Trajectory:
@@ -172,13 +169,13 @@ def mapped(path: str | os.PathLike[str]) -> Trajectory:
             for member in members:
                 with content.open(member):  # after which the file stands where the array begins
                     arrays[member.filename.removesuffix(".npy")] = _mapped_array(path, file)
-        return Trajectory.from_rows(arrays, Ending.taken_from(arrays))
-    except (KeyError, ValueError, zipfile.BadZipFile) as error:
+        return Trajectory.from_arrays(arrays)
+    except (KeyError, RuntimeError, ValueError, zipfile.BadZipFile) as error:
         raise OctarmError(f"{path} is not a trajectory file ({error})") from None
 
 
 def _mapped_array(path: str | os.PathLike[str], file: IO[bytes]) -> np.ndarray:
-    """The array at the present place of a file, mapped if it holds numbers of a run.
+    """The array at the present place of a file, mapped if it holds the numbers of a run.
 
     Any other one is read, which refuses Python objects: their mapped memory would be pointers.
 
@@ -192,4 +189,6 @@ def _mapped_array(path: str | os.PathLike[str], file: IO[bytes]) -> np.ndarray:
             order = "F" if fortran else "C"
             return np.asarray(np.memmap(path, kind, "r", file.tell(), shape, order))
     file.seek(start)
-    return npy.read_array(file, allow_pickle=False)
+    array: Any = npy.read_array(file, allow_pickle=False)
+    array.setflags(write=False)
+    return array

@@ -27,7 +27,7 @@ from octarm.runs import folder as runs
 from octarm.runs.archive import Archive, mapped
 from octarm.runs.versions import host, versions
 from octarm.simulation.environment import TrackingTask, load, whole_periods
-from octarm.simulation.rollout import ArmRecorder, copied, stream
+from octarm.simulation.rollout import ArmRecorder, copied
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.trajectory import Ending, Trajectory, joined
 
@@ -35,19 +35,18 @@ from octarm.simulation.trajectory import Ending, Trajectory, joined
 Factory = Callable[[str, ArmParameters, Mapping[str, Any]], Controller]
 
 
+_AS_THEY_ARE = {"seed", "spawn_key", "duration", "timestep", "control_period", "actuation"}
+
+
 class Recording(Protocol):
-    """A recording that is written while the run goes on."""
+    """A recording that is written while the run goes on; see `octarm.recordings.recording`."""
 
-    def add(self, rows: Rows) -> None:
-        """Records further rows."""
-        ...
+    def add(self, rows: Rows, layer: np.ndarray | None) -> None: ...  # noqa: D102
 
-    def finish(self, description: Mapping[str, Any]) -> None:
-        """Records what is known when the run is over; `description` is now complete."""
-        ...
+    def finish(self, description: Mapping[str, Any]) -> None: ...  # noqa: D102
 
 
-# File and announced description to an open recording; `octarm.recordings.recording.Recorder`.
+# Opens the file of a recording, given the description that announces the run.
 OpenRecording = Callable[
     [Path, Mapping[str, Any]], contextlib.AbstractContextManager[Recording, bool | None]
 ]
@@ -148,6 +147,7 @@ class Experiment:
                 f"the run followed a custom reference, {reference!r}, which its folder does not "
                 f"hold{closest(reference, REFERENCES)}"
             )
+        numbers = inputs.model_dump(include=_AS_THEY_ARE)
         gains = inputs.controller.gains
         return cls(
             controller=inputs.controller.name,
@@ -156,40 +156,33 @@ class Experiment:
             parameters=ArmParameters.from_dict(inputs.parameters),
             reference=reference,
             disturbances=tuple(from_entry(entry.model_dump()) for entry in inputs.disturbances),
-            seed=inputs.seed,
-            spawn_key=inputs.spawn_key,
-            duration=inputs.duration,
-            timestep=inputs.timestep,
-            control_period=inputs.control_period,
-            actuation=inputs.actuation,
+            **numbers,
         )
 
 
 class _Table(Model, extra="ignore"):
-    """A table of `run.json`, of which more is there than is read."""
+    """A table of `run.json` of which more is there than is read."""
 
 
-class _Controller(_Table):
+class _Named(_Table):
     name: str
+
+
+class _Controller(_Named):
     gains: dict[str, Any]
 
 
-class _Reference(_Table):
-    name: str
-
-
-class _Disturbance(_Table):
-    name: str
+class _Disturbance(_Named):
     asked: dict[str, Any]
 
 
 class _Inputs(_Table):
-    """What of `run.json` says what was run; see `Experiment`."""
+    """What says what was run; see `Experiment`."""
 
     controller: _Controller
     parameters: dict[str, Any]
     nominal: dict[str, Any]
-    reference: _Reference
+    reference: _Named
     disturbances: Array[_Disturbance]
     seed: int
     spawn_key: Array[int] = ()
@@ -220,7 +213,7 @@ def perform(
     blocks: list[Rows] = []
 
     def keep(rows: Rows, layer: np.ndarray | None) -> None:
-        del layer
+        del layer  # the ending has it
         blocks.append(copied(rows))
 
     ending, description = _perform(environment, controller, announced, keep, progress)
@@ -260,27 +253,28 @@ def run_into(
         FileError: if it cannot be written.
         KeyboardInterrupt: if interrupted, and nothing was kept.
     """
-    rows = whole_periods(announced["duration"], environment.control_timestep())
-    with contextlib.ExitStack() as peace, runs.new_folder(out) as folder:
-        runs.announce(folder, announced)
-        with Archive(folder / runs.BLOCKS, rows=rows) as archive:
+    expected = whole_periods(announced["duration"], environment.control_timestep())
+    with contextlib.ExitStack() as closing, runs.new_folder(out) as folder:
+        runs.write_description(folder, announced)  # it stays if the process is killed
+        with Archive(folder / runs.BLOCKS, rows=expected) as archive:
             with recording(folder / runs.RECORDING, announced) as recorder:
 
-                def take_up(block: Rows, layer: np.ndarray | None) -> None:
-                    archive.add(block, layer)
-                    recorder.add(block)
+                def take_up(rows: Rows, layer: np.ndarray | None) -> None:
+                    archive.add(rows, layer)
+                    recorder.add(rows, layer)
                     if keep is not None:
-                        keep(block)
+                        keep(rows)
 
-                archive.ending, description = _perform(
+                ending, description = _perform(
                     environment, controller, announced, take_up, progress
                 )
-                interrupted = archive.ending.status == "interrupted"
+                interrupted = ending.status == "interrupted"
                 if interrupted and (not partial or folder != out.resolve()):
                     raise KeyboardInterrupt  # the earlier run stays
-                peace.enter_context(ignored_interrupts())
+                closing.enter_context(ignored_interrupts())
                 recorder.finish(description)
-            runs.write_run(folder, archive, description)
+            archive.save(folder / runs.ARRAYS, ending)
+        runs.write_description(folder, description)
     return mapped(out / runs.ARRAYS), description
 
 
@@ -291,9 +285,9 @@ def _perform(
     keep: Callable[[Rows, np.ndarray | None], object],
     progress: Callable[[], object] | None,
 ) -> tuple[Ending, dict[str, Any]]:
-    """Runs an experiment of any length, whose rows and layer are handed to `keep`."""
-    task, physics = environment.task, environment.physics
-    ledger = Ledger(task.disturbances, physics) if task.disturbances else None
+    """Runs an experiment of any length, whose rows and boundary layer are handed to `keep`."""
+    disturbances, physics = environment.task.disturbances, environment.physics
+    ledger = Ledger(disturbances, physics) if disturbances else None
     if ledger is not None:
         physics.watch = ledger.step
     measured: list[Metrics] = []
@@ -301,23 +295,21 @@ def _perform(
     def take_up(rows: Rows) -> None:
         keep(rows, recorder.layer)
         if not measured:
-            measured.append(
-                Metrics(
-                    control_period=environment.control_timestep(),
-                    input_limit=physics.input_limit(),
-                    layer=recorder.layer,
-                )
-            )
+            period, limit = environment.control_timestep(), physics.input_limit()
+            layer = recorder.layer
+            measured.append(Metrics(control_period=period, input_limit=limit, layer=layer))
         measured[0].update(rows)
 
     recorder = ArmRecorder(environment, take_up)
-    ending = stream(environment, controller, announced["duration"], recorder, progress=progress)
+    ending = recorder.run(controller, announced["duration"], progress)
     metrics = measured[0].result(diverged=ending.status == "diverged")
     return ending, {
         **announced,
         "disturbances": ledger.rows() if ledger is not None else [],
         "metrics": {name: _numbers(values) for name, values in metrics.items()},
-        **ending.texts(),
+        "status": ending.status,
+        "message": ending.message,
+        "digest": ending.digest,
     }
 
 

@@ -19,7 +19,7 @@ from octarm.arrays import plain
 from octarm.errors import FileError, OctarmError
 from octarm.files import write_text
 from octarm.interfaces import Controller
-from octarm.runs.archive import Archive, mapped, read_blocks
+from octarm.runs.archive import mapped, read_blocks
 from octarm.simulation.trajectory import Trajectory
 
 RECORDING = "run.rrd"
@@ -27,7 +27,7 @@ ARRAYS = "run.npz"
 DESCRIPTION = "run.json"
 PARTIAL = RECORDING + ".part"  # what a killed run leaves of its recording
 BLOCKS = ARRAYS + ".blocks"  # and of its arrays
-RUNNING = "running"
+RUNNING = "running"  # status of a run that is still going on, or was killed
 
 _WHOLE = (RECORDING, ARRAYS, DESCRIPTION)
 _FILES = {BLOCKS, *_WHOLE, *(f"{name}.part" for name in _WHOLE)}
@@ -52,15 +52,7 @@ def _plain(value: Any) -> Any:
     return describe_fields(value) if dataclasses.is_dataclass(value) else plain(value)
 
 
-def announce(folder: Path, description: Mapping[str, Any]) -> None:
-    """Writes `run.json` before the run, with the status `running`.
-
-    That status stays if the process is killed; the run is then partial.
-    """
-    write_description(folder, {**description, "status": RUNNING})
-
-
-def write_run(folder: Path, rows: Trajectory | Archive, description: Mapping[str, Any]) -> None:
+def write_run(folder: Path, rows: Trajectory, description: Mapping[str, Any]) -> None:
     """Writes `run.npz`, then `run.json`, with which the run is complete, into a folder."""
     rows.save(folder / ARRAYS)
     write_description(folder, description)
@@ -72,9 +64,7 @@ def write_description(folder: Path, description: Mapping[str, Any]) -> None:
     Raises:
         FileError: if it cannot be written.
     """
-    write_text(
-        folder / DESCRIPTION, formats.to_json({"format": formats.FORMAT, **description})
-    )
+    write_text(folder / DESCRIPTION, formats.to_json({"format": formats.FORMAT, **description}))
 
 
 def read_description(folder: Path) -> dict[str, Any]:

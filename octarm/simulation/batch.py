@@ -9,10 +9,9 @@ import numpy as np
 from mujoco.batch import Batch
 
 from octarm.arm.actuation import Actuation
-from octarm.arm.kinematics import plate_entries
+from octarm.arm.kinematics import tip_position
 from octarm.arm.mjcf import build_slim_model
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import Entry, split
 from octarm.simulation.stepping import AnyPhysics, rest_of
 
 
@@ -89,17 +88,3 @@ class BatchPhysics(AnyPhysics):
 
     def _follow_inertias(self) -> None:
         self.batch.set_const()
-
-
-def tip_position(q: np.ndarray) -> np.ndarray:
-    """The tip of an arm at q, shape (..., 2N) [m], [rad], in the world frame, shape (..., 3) [m].
-
-    It is `world_position` of the last of `positions`, worked out entry by entry along the batch.
-    """
-    x: Entry = 0.0
-    y: Entry = 0.0
-    for length, (cos, sin) in zip(split(q), plate_entries(q), strict=False):
-        x, y = x + length * cos, y + length * sin
-    out = np.zeros_like(q, shape=(*q.shape[:-1], 3))
-    out[..., 0], out[..., 2] = y, -x
-    return out

@@ -13,6 +13,7 @@ from dm_control.rl import control
 from dm_env import specs
 
 from octarm.arm.actuation import ACTUATIONS
+from octarm.arm.kinematics import tip_position
 from octarm.arm.mjcf import build_model, build_slim_model, nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import split
@@ -21,7 +22,7 @@ from octarm.disturbances.episode import Disturbance, Episode
 from octarm.errors import OctarmError, closest
 from octarm.interfaces import Motion, Reference
 from octarm.references import named_reference
-from octarm.simulation.batch import BatchPhysics, tip_position
+from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.physics import ArmPhysics
 from octarm.simulation.stepping import AnyPhysics
 

@@ -9,12 +9,11 @@ import numpy as np
 from octarm.errors import OctarmError
 from octarm.interfaces import Instant, Rows
 from octarm.interrupts import held_interrupts
+from octarm.simulation.trajectory import Ending
 
 # Of a coordinate array. A few instants at a time are faster than one by one: the physics between
 # two of them leaves the processor's caches cold.
 NUMBERS_A_BLOCK = 50_000
-# What a record holds beside rows, see `octarm.simulation.trajectory.Ending`.
-RESERVED = ("layer", "status", "message", "digest")
 
 
 class Recorder:
@@ -26,8 +25,8 @@ class Recorder:
 
     Attributes:
         count: number of rows so far, those included that were handed on.
-        layer: half width of the boundary layer that the first command says, broadcasts to
-            (..., 2N) [m/s], [rad/s]; None if it says none. It is known before the first block.
+        layer: half width of the boundary layer that the first command says, shape (..., 2N) [m/s],
+            [rad/s]; None if it says none. It is known before the first block.
     """
 
     def __init__(
@@ -62,7 +61,8 @@ class Recorder:
         if not self._columns:
             size = self._rows or max(1, NUMBERS_A_BLOCK // instant.q.size)
             self._columns = {name: _stacked(np.asarray(x), size) for name, x in row.items()}
-            self.layer = instant.command.layer
+            layer = instant.command.layer
+            self.layer = None if layer is None else np.broadcast_to(layer, instant.q.shape)
         for name, column in self._columns.items():
             column[self._used] = row[name]
         self._used, self.count = self._used + 1, self.count + 1
@@ -108,7 +108,7 @@ class Recorder:
         Raises:
             OctarmError: if the record has one of this name.
         """
-        if name in row or name in RESERVED:
+        if name in row or name in Ending._fields:
             raise OctarmError(f"a signal cannot be called {name!r}: the record has that field")
         row[name] = value
 

@@ -1,8 +1,7 @@
 """The only simulation loop: a controller against the arm.
 
 `simulate` serves one arm and a batch, and keeps nothing: what happens is handed to observers.
-`stream` is the loop with a record of one arm, block by block, however long the run is; `rollout`
-returns that record as a trajectory.
+`ArmRecorder` is the one that records an arm; `rollout` returns such a record as a trajectory.
 """
 
 from __future__ import annotations
@@ -109,17 +108,16 @@ def rollout(
     """
     blocks: list[Rows] = []
     recorder = ArmRecorder(environment, lambda rows: blocks.append(copied(rows)))
-    ending = stream(environment, controller, duration, recorder, progress=progress)
+    ending = recorder.run(controller, duration, progress)
     if ending.status == "interrupted":
         raise KeyboardInterrupt
     return joined(blocks, ending)
 
 
 class ArmRecorder(Recorder):
-    """The record of one arm: all fields at every instant, the readings if sensors act, the states.
+    """Records one arm, however long it runs: all fields of every instant, with what was read.
 
-    Attributes:
-        digest: SHA-256 over MuJoCo's integration states of the rows that were handed on.
+    `q_measured` and `v_measured`, the readings, are there when sensors act.
     """
 
     def __init__(
@@ -134,71 +132,61 @@ class ArmRecorder(Recorder):
         Raises:
             OctarmError: if the environment holds a batch of arms.
         """
-        physics = environment.physics
-        if physics.batch_shape:
+        self._environment = environment
+        self._physics: ArmPhysics = environment.physics
+        if self._physics.batch_shape:
             raise OctarmError(
-                f"a trajectory records one arm; this environment has {physics.batch_shape[0]}"
+                f"a trajectory records one arm; this environment has {self._physics.batch_shape[0]}"
             )
-        self._physics: ArmPhysics = physics
-        self.digest = hashlib.sha256()
+        self._digest = hashlib.sha256()
 
         def take_up(block: Rows) -> None:
             fields = dict(block)
-            self.digest.update(fields.pop(_STATE))
+            self._digest.update(fields.pop(_STATE).data)
             hand_on(fields)
 
         super().__init__(take_up, rows=rows)
 
     def row(self, instant: Instant) -> dict[str, np.ndarray]:
-        """The recorded fields of one instant; see `Recorder.row`."""
+        """The recorded fields of one instant, and what the digest is made of."""
         row = super().row(instant)
         row[_STATE] = self._physics.integration_state()
         acting = self._physics.acting
         if acting is not None and acting.sensors:
-            for name, reading in zip(("q_measured", "v_measured"), instant.measurement[1:]):
-                self.add_field(row, name, reading)
+            self.add_field(row, "q_measured", instant.measurement.q)
+            self.add_field(row, "v_measured", instant.measurement.v)
         return row
 
+    def run(
+        self,
+        controller: Controller,
+        duration: float,
+        progress: Callable[[], object] | None = None,
+    ) -> Ending:
+        """Runs one episode from the start, as `rollout` does; to be called once.
 
-def stream(
-    environment: control.Environment,
-    controller: Controller,
-    duration: float,
-    recorder: ArmRecorder,
-    *,
-    progress: Callable[[], object] | None = None,
-) -> Ending:
-    """Runs one episode of one arm from the start into a recorder, however long it is.
+        An interrupt ends the run.
 
-    An interrupt ends the run; a block of rows that is being handed on is handed on whole before.
-
-    Args:
-        environment: what `octarm.load` returns, possibly wrapped.
-        controller: see `octarm.interfaces`.
-        duration: length of the run [s], rounded up to whole control periods.
-        recorder: made for this environment.
-        progress: called after every control period.
-
-    Returns:
-        How it ended.
-
-    Raises:
-        OctarmError: if the duration is not positive, or the controller's force has a wrong shape.
-        KeyboardInterrupt: if interrupted before there was a row.
-    """
-    more = [] if progress is None else [lambda instant: progress()]
-    interrupted = False
-    try:
-        message = simulate(environment, controller, duration, recorder, *more)
-    except KeyboardInterrupt:
-        if not recorder.count:
-            raise
-        interrupted = True
-        message = f"interrupted at t = {environment.physics.time():.6g} s"
-    with contextlib.suppress(KeyboardInterrupt):  # the run is over, there is nothing to end
-        recorder.flush()
-    status = "interrupted" if interrupted else "diverged" if message else "ok"
-    return Ending(status, message, recorder.digest.hexdigest(), recorder.layer)
+        Raises:
+            OctarmError: if the duration is not positive, or the controller's force has a wrong
+                shape.
+            KeyboardInterrupt: if interrupted before there was a row.
+        """
+        observers: list[Observer] = [self]
+        if progress is not None:
+            observers.append(lambda instant: progress())
+        interrupted = False
+        try:
+            message = simulate(self._environment, controller, duration, *observers)
+        except KeyboardInterrupt:
+            if not self.count:
+                raise
+            interrupted = True
+            message = f"interrupted at t = {self._physics.time():.6g} s"
+        with contextlib.suppress(KeyboardInterrupt):  # the run is over, there is nothing to end
+            self.flush()
+        status = "interrupted" if interrupted else "diverged" if message else "ok"
+        return Ending(self.layer, status, message, self._digest.hexdigest())
 
 
 def copied(rows: Rows) -> Rows:

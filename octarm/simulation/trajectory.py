@@ -11,43 +11,27 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from octarm.errors import OctarmError
+from octarm.errors import FileError, OctarmError
 from octarm.files import whole_file
 from octarm.interfaces import Rows
-from octarm.simulation.recorder import RESERVED
 
 BLOCK = 5000  # rows: fewer cost space in a recording, more cost memory and what a crash loses
 _ARRAYS = ("t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance")
-LAYER = "layer"
+
+Status = Literal["ok", "diverged", "interrupted"]
 
 
 class Ending(NamedTuple):
-    """What is known of a run beside its rows; see the fields of these names in `Trajectory`."""
+    """What a run holds beside its rows; see the fields of these names in `Trajectory`."""
 
-    status: Literal["ok", "diverged", "interrupted"] = "ok"
+    layer: np.ndarray | None = None
+    status: Status = "ok"
     message: str = ""
     digest: str = ""
-    layer: np.ndarray | None = None
-
-    def texts(self) -> dict[str, str]:
-        """All but the layer, by name."""
-        return {"status": self.status, "message": self.message, "digest": self.digest}
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All that there is as arrays by name, in the order of the file."""
-        layer = {} if self.layer is None else {LAYER: np.asarray(self.layer, dtype=np.float64)}
-        return layer | {name: np.array(text) for name, text in self.texts().items()}
-
-    @classmethod
-    def taken_from(cls, arrays: dict[str, np.ndarray]) -> Ending:
-        """The inverse of `arrays`; what it takes is removed from the dictionary.
-
-        Raises:
-            KeyError: if a text is missing.
-        """
-        layer = arrays.pop(LAYER, None)
-        texts: list[Any] = [str(arrays.pop(name)) for name in cls().texts()]
-        return cls(*texts, layer)
+        """What there is, by name, as it is saved."""
+        return {name: np.asarray(x) for name, x in self._asdict().items() if x is not None}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,13 +72,13 @@ class Trajectory:
     disturbance: np.ndarray
     signals: Mapping[str, np.ndarray]
     layer: np.ndarray | None = None
-    status: Literal["ok", "diverged", "interrupted"] = "ok"
+    status: Status = "ok"
     message: str = ""
     digest: str = ""
 
     def __post_init__(self) -> None:
         for name in self.signals:
-            if name in (*_ARRAYS, *RESERVED):
+            if name in (*_ARRAYS, *Ending._fields):
                 raise OctarmError(f"a signal cannot be called {name!r}: the trajectory has that")
         for name, array in self.arrays():
             if len(array) != len(self.t):
@@ -104,8 +88,8 @@ class Trajectory:
         signals = {name: _read_only(array) for name, array in self.signals.items()}
         object.__setattr__(self, "signals", MappingProxyType(signals))
         if self.layer is not None:
-            layer = np.broadcast_to(np.asarray(self.layer, dtype=np.float64), self.q.shape[1:])
-            object.__setattr__(self, "layer", _read_only(layer.copy()))
+            layer = np.broadcast_to(self.layer, self.q.shape[1:])
+            object.__setattr__(self, "layer", _read_only(np.array(layer)))
 
     def __len__(self) -> int:
         """Number of rows T."""
@@ -116,11 +100,6 @@ class Trajectory:
         """Tracking error e = q - q_d, shape (T, 2N) [m], [rad]."""
         return self.q - self.q_d
 
-    @property
-    def ending(self) -> Ending:
-        """What is known beside the rows."""
-        return Ending(self.status, self.message, self.digest, self.layer)
-
     def arrays(self) -> Iterator[tuple[str, np.ndarray]]:
         """Name and array, shape (T, ...), of what has a row an instant, signals included."""
         for name in _ARRAYS:
@@ -129,26 +108,38 @@ class Trajectory:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the twin `.npz`, whole or not at all; equal trajectories give equal bytes."""
-        arrays = dict(self.arrays()) | self.ending.arrays()
+        ending = Ending(self.layer, self.status, self.message, self.digest)
         with whole_file(path) as part, open(part, "wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
+            np.savez(file, allow_pickle=False, **dict(self.arrays()), **ending.arrays())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
         """Reads what `save` wrote.
 
         Raises:
-            OctarmError: if the file is not a trajectory.
+            OctarmError: if the file is not a trajectory, or cannot be read.
         """
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = dict(file)
             for array in arrays.values():
                 array.setflags(write=False)
-            ending = Ending.taken_from(arrays)
-            return cls.from_rows(arrays, ending)
-        except (KeyError, ValueError, zipfile.BadZipFile) as error:
+            return cls.from_arrays(arrays)
+        except OSError as error:
+            raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
+        except (EOFError, KeyError, RuntimeError, ValueError, zipfile.BadZipFile) as error:
             raise OctarmError(f"{path} is not a trajectory file ({error})") from None
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Trajectory:
+        """A trajectory of all that `save` writes, by name.
+
+        Raises:
+            KeyError: if something is missing.
+        """
+        texts: dict[str, Any] = {name: str(arrays[name]) for name in Ending._fields[1:]}
+        rows = {name: array for name, array in arrays.items() if name not in Ending._fields}
+        return cls.from_rows(rows, Ending(arrays.get("layer"), **texts))
 
     @classmethod
     def from_rows(cls, rows: Rows, ending: Ending) -> Trajectory:

@@ -120,7 +120,7 @@ def record_chosen(
         OSError: if a folder cannot be written.
         KeyboardInterrupt: if interrupted; finished folders stay.
     """
-    from octarm.recordings.recording import Recorder  # imports rerun, which takes half a second
+    from octarm.recordings.recording import run_recording  # the import takes half a second
 
     different: dict[int, str] = {}
     for episode, words in reasons.items():
@@ -133,7 +133,7 @@ def record_chosen(
         periods = whole_periods(experiment.duration, environment.control_timestep())
         begin(periods, f"recording episode {episode} ({', '.join(words)})")
         trajectory, _ = run_into(
-            folder, environment, controller, announced, recording=Recorder, progress=progress,
+            folder, environment, controller, announced, recording=run_recording, progress=progress,
             partial=False,
         )  # fmt: skip
         difference = _difference(sweep, episode, trajectory, periods)

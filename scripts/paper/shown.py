@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from octarm.arm.mjcf import nominal_parameters
-from octarm.recordings.recording import Recorder
+from octarm.recordings.recording import run_recording
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from paper.effort import Effort
@@ -63,4 +63,4 @@ def record(request: Shown, factory: Factory, folder: Path) -> None:
     )
     environment, controller = experiment.begin(factory)
     announced = experiment.announcement(environment, controller)
-    run_into(folder, environment, controller, announced, recording=Recorder, partial=False)
+    run_into(folder, environment, controller, announced, recording=run_recording, partial=False)

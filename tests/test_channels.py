@@ -1,41 +1,50 @@
-"""Channels, states, notes and pictures of what a run holds."""
+"""Channels, phases, notes and pictures of what a run holds."""
 
 import numpy as np
-from recordings import described, swinging
+import pytest
+from recordings import described, layer, swinging
 
-from octarm.recordings.channels import bounds_of, channels_of, values_of
+from octarm.recordings.channels import bounds_of, channels_of
 from octarm.recordings.heat_map import HeatMap
 from octarm.recordings.notes import notes_of, title_of
-from octarm.recordings.states import Event, States, events
+from octarm.recordings.phases import Phases
+
+LIMITS = [("saturation", 20.0), ("saturation-2", 15.0)]
 
 
-def test_channels_and_values_have_the_same_names_and_widths():
-    run = swinging(theta=np.zeros((2500, 6, 5)), odd=np.zeros((2500, 4)))
-    channels = channels_of(run, disturbed=True)
-    values = values_of(run, disturbed=True)
-    assert set(channels) == set(values)
-    for name, channel in channels.items():
-        assert values[name].shape == (2500, len(channel.names))
+def channels_and_rows(**signals):
+    rows = dict(swinging(**signals).arrays())
+    return channels_of(rows, described(), None, disturbed=True), rows
+
+
+def test_channels_have_a_name_for_each_number():
+    channels, rows = channels_and_rows(theta=np.zeros((2500, 6, 5)), odd=np.zeros((2500, 4)))
+    for channel in channels.values():
+        assert channel.values(rows).shape == (2500, len(channel.names))
     assert channels["theta"].names[5] == "s2_1"
-    assert channels["tau"].names == [f"column_{a}_{i}" for i in (1, 2, 3) for a in (1, 2)]
-    assert channels["q"].unit("bends") == " [rad]"
+    assert channels["tau"].names == tuple(f"column_{a}_{i}" for i in (1, 2, 3) for a in (1, 2))
+    assert channels["q"].units == {"slides": " [m]", "bends": " [rad]"}
+    assert channels["s"].units == {"slides": " [m/s]", "bends": " [rad/s]"}
 
 
-def test_bounds_are_those_of_the_gains_and_the_saturation():
-    limits = [{"name": "saturation", "asked": {"limit": 15.0}}]
-    bounds = bounds_of(described(disturbances=limits), 6)
-    np.testing.assert_allclose(bounds["error"], [0.005] * 3 + [0.08] * 3)
-    np.testing.assert_array_equal(bounds["tau"], 15.0)
-    assert bounds_of({}, 6) == {}
+def test_bounds_are_those_of_the_layer_and_the_saturation():
+    limits = [{"name": name, "asked": {"limit": x}} for name, x in LIMITS]
+    bounds = bounds_of(described(disturbances=limits), layer())
+    np.testing.assert_array_equal(bounds["s"].values, [0.05] * 3 + [0.8] * 3)
+    np.testing.assert_allclose(bounds["error"].values, [0.005] * 3 + [0.08] * 3)
+    assert bounds["error"].lines(slice(3, 6)) == pytest.approx([0.08, -0.08])
+    np.testing.assert_array_equal(bounds["tau"].values, 15.0)
+    unlimited = [{"name": "saturation", "asked": {"limit": "inf"}}]
+    assert bounds_of(described(disturbances=unlimited), np.zeros(6)) == {}
 
 
 def states_at(watch, s, tau=None):
     tau = np.zeros((len(s), 2)) if tau is None else tau
-    return watch.changes(tau, {"s": s, "switching": -s})
+    return watch.changes({"tau": tau, "s": s, "switching": -s})
 
 
 def test_a_coordinate_slides_inside_its_layer():
-    watch = States(["s1", "theta1"], np.array([0.1, 0.1]), None)
+    watch = Phases(["s1", "theta1"], np.array([0.1, 0.1]), None)
     s = np.array([[0.3, 0.0], [0.1, 0.0], [0.05, 0.2]])
     found = states_at(watch, s)
     assert found["each/s1"] == [(0, "reaching"), (1, "sliding")]
@@ -45,7 +54,7 @@ def test_a_coordinate_slides_inside_its_layer():
 
 
 def test_without_a_layer_it_slides_once_s_has_changed_its_sign():
-    watch = States(["s1", "theta1"], None, None)
+    watch = Phases(["s1", "theta1"], None, None)
     found = states_at(watch, np.array([[2.0, 1.0], [1.0, 1.0], [-0.1, 1.0]]))
     assert found["each/s1"] == [(0, "reaching"), (2, "sliding")]
     found = states_at(watch, np.array([[5.0, -1.0]]))
@@ -53,34 +62,19 @@ def test_without_a_layer_it_slides_once_s_has_changed_its_sign():
 
 
 def test_without_a_robust_part_nothing_slides():
-    watch = States(["s1", "theta1"], None, None)
-    assert watch.changes(np.zeros((3, 2)), {"s": np.ones((3, 2))}) == {}
+    watch = Phases(["s1", "theta1"], None, None)
+    assert watch.changes({"tau": np.zeros((3, 2)), "s": np.ones((3, 2))}) == {}
 
 
 def test_inputs_are_saturated_at_their_limit():
-    watch = States(["s1", "theta1"], None, np.array([1.0, 2.0]))
+    watch = Phases(["s1", "theta1"], None, np.array([1.0, 2.0]))
     tau = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.9]])
-    found = watch.changes(tau, {})
+    found = watch.changes({"tau": tau})
     assert found == {"inputs": [(0, "free"), (1, "saturated"), (2, "free")]}
 
 
-def test_events_come_and_go_in_the_order_of_time():
-    listed = [
-        {"name": "pulse", "asked": {"amplitude": 2.0, "at": 3.0, "length": 0.5}},
-        {"name": "payload", "asked": {"mass": 0.2, "at": 1.0}},
-        {"name": "noise", "asked": {"ratio": 0.4}},
-        {"name": "step", "asked": {"amplitude": 1.0, "at": 2.0, "length": "inf"}},
-    ]
-    assert events(listed) == [
-        Event(1.0, "payload", "payload 0.2"),
-        Event(2.0, "step", "step 1"),
-        Event(3.0, "pulse", "pulse 2"),
-        Event(3.5, "pulse", ""),
-    ]
-
-
 def test_a_heat_map_of_a_long_run_keeps_few_instants_and_shows_the_change():
-    channel = channels_of(swinging(theta=np.zeros((2500, 6, 2))), disturbed=False)["theta"]
+    channel = channels_and_rows(theta=np.zeros((2500, 6, 2)))[0]["theta"]
     heat = HeatMap(channel, 6)
     for k in range(40):
         t = (np.arange(500) + 500 * k) * 1e-3
