@@ -39,6 +39,9 @@ for title, functions in {
     for function in functions:
         APP.command(function, group=group)
 
+# What makes the script work at the end of ~/.zshrc; the function is named by cyclopts.
+_AFTER = {"zsh": "autoload -U +X compinit && compinit\ncompdef _cyclopts_octarm octarm"}
+
 
 def parse(words: Sequence[str]) -> Work:
     """What a command line asks for, with the modules that it needs imported.
@@ -68,7 +71,7 @@ def print_completion(shell: str) -> int:
     """
     for known in SHELLS:
         if shell == known:
-            return _show(APP.generate_completion(shell=known))
+            return _show(APP.generate_completion(shell=known) + _AFTER.get(shell, ""))
     raise OctarmError(f"unknown shell {shell!r}{closest(shell, SHELLS)}")
 
 

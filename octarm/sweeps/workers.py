@@ -169,7 +169,9 @@ def dask_cluster(address: str, workers: int) -> Generator[tuple[Executor, Callab
             try:
                 threads = sum(client.nthreads().values())
             except OSError:
-                raise OctarmError(f"the dask scheduler at {address} does not answer any more") from None
+                raise OctarmError(
+                    f"the dask scheduler at {address} does not answer any more"
+                ) from None
             return max(8, 2 * threads)  # for a cluster that grows with the demand
 
         yield executor, useful
