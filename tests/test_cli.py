@@ -18,6 +18,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.commands import cli
 from octarm.commands.app import APP, parse
 from octarm.commands.pages import commands
+from octarm.errors import FileError
 from octarm.runs import experiment
 from octarm.runs import folder as runs
 
@@ -112,7 +113,7 @@ BAD = [
     (["run", "--gain", "K:nan"], "K holds nan; it must be finite"),
     (["run", "--gain", "K:1,2"], "K has 2 values; it needs 1 or 6"),
     (["run", "--gain", "lambda:-1"], "lambda holds -1; it must be above 0"),
-    (["run", "--gain", "Q:1"], "smc-boundary has no gain 'Q'.* known are lambda, K_v, K"),
+    (["run", "--gain", "Q:1"], "smc-boundary has no gain 'Q'.* known are lambda, K"),
     (["run", "--gain", "K"], "--gain is 'K'; it must read NAME:NUMBER"),
     (["run", "--parameter", "mass:1,2"], r"inertia has shape \(3,\).* the 2 modules that mass has"),
     (["run", "--parameter", "mass:1,1,-1"], "mass holds -1; it must be above 0"),

@@ -11,7 +11,7 @@ import pytest
 from controllers import CONTROLLERS
 from octarm.commands import cli
 from octarm.commands.app import APP
-from octarm.commands.declaration import SHELLS
+from octarm.commands.kinds import SHELLS
 from octarm.commands.pages import arguments_of, commands, is_operand
 
 BIN = Path(sys.executable).parent  # where the installed command is

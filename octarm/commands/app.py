@@ -18,7 +18,7 @@ from cyclopts.exceptions import (
 )
 
 from octarm.commands import checks, many_runs, one_run
-from octarm.commands.declaration import SHELLS, Work
+from octarm.commands.kinds import SHELLS, Work
 from octarm.commands.pages import arguments_of, commands, is_operand, overview, page, spelling
 from octarm.errors import ExitCode, OctarmError, closest
 

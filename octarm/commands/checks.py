@@ -6,17 +6,18 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-from octarm.commands.declaration import FILE, RUN, SHELL, N, Work
+from octarm.commands import kinds
+from octarm.commands.kinds import Work
 
 
 def validate(
     *,
     controllers: bool = False,
-    modules: Annotated[int, N] = 3,
-    random_parameters: Annotated[int, N] = 0,
-    states: Annotated[int | None, N] = None,
-    seed: Annotated[int, N] = 0,
-    json: Annotated[Path | None, FILE] = None,
+    modules: Annotated[int, kinds.COUNT] = 3,
+    random_parameters: Annotated[int, kinds.N] = 0,
+    states: Annotated[int | None, kinds.COUNT] = None,
+    seed: Annotated[int, kinds.N] = 0,
+    json: Annotated[Path | None, kinds.file()] = None,
 ) -> Work:
     """Check MuJoCo against the analytic model.
 
@@ -45,9 +46,9 @@ def validate(
 
 
 def verify(
-    *runs: Annotated[Path, RUN],
-    episode: Annotated[tuple[int, ...], N] = (),
-    sample: Annotated[int | None, N] = None,
+    *runs: Annotated[Path, kinds.RUN],
+    episode: Annotated[tuple[int, ...], kinds.N] = (),
+    sample: Annotated[int | None, kinds.COUNT] = None,
 ) -> Work:
     """Run again what a folder says was run, and compare every bit.
 
@@ -84,7 +85,7 @@ def doctor() -> Work:
     return work.doctor
 
 
-def completion(shell: Annotated[str, SHELL], /) -> Work:
+def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
     """Print a script by which a shell completes commands.
 
     Commands, options, names of controllers and references, files and folders.

@@ -6,33 +6,19 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-from octarm.commands.declaration import (
-    CONTROLLER,
-    DIR,
-    DISTURBANCE,
-    FILE,
-    GAINS,
-    OUTPUT,
-    REFERENCE,
-    RUNS,
-    SOUGHT,
-    N,
-    S,
-    Work,
-    X,
-    value,
-)
+from octarm.commands import kinds
+from octarm.commands.kinds import Work
 
 
 def sweep(
-    spec: Annotated[Path, value("SPEC.toml")],
+    spec: Annotated[Path, kinds.text("SPEC.toml")],
     /,
     *,
-    out: Annotated[Path | None, DIR] = None,
-    workers: Annotated[int | None, N] = None,
+    out: Annotated[Path | None, kinds.DIR] = None,
+    workers: Annotated[int | None, kinds.COUNT] = None,
     resume: bool = False,
     dry_run: bool = False,
-    cluster: Annotated[str | None, value("ADDRESS")] = None,
+    cluster: Annotated[str | None, kinds.text("ADDRESS")] = None,
 ) -> Work:
     """Run thousands of episodes as a spec has it.
 
@@ -65,12 +51,12 @@ def sweep(
 
 
 def report(
-    sweep: Annotated[Path, value("SWEEP")],
+    sweep: Annotated[Path, kinds.text("SWEEP")],
     /,
     *,
-    baseline: Annotated[str | None, CONTROLLER] = None,
-    metric: Annotated[tuple[str, ...], value("METRIC")] = (),
-    out: Annotated[Path | None, DIR] = None,
+    baseline: Annotated[str | None, kinds.CONTROLLER] = None,
+    metric: Annotated[tuple[str, ...], kinds.text("METRIC")] = (),
+    out: Annotated[Path | None, kinds.DIR] = None,
 ) -> Work:
     """Turn a sweep into a page with tables and figures.
 
@@ -95,22 +81,22 @@ def report(
 
 
 def margin(
-    *controllers: Annotated[str, CONTROLLER],
-    disturbance: Annotated[tuple[str, ...], DISTURBANCE, SOUGHT] = (),
-    bound: Annotated[tuple[str, ...], value("METRIC:VALUE"), SOUGHT] = (),
-    low: Annotated[float | None, X, SOUGHT] = None,
-    high: Annotated[float | None, X, SOUGHT] = None,
-    seeds: Annotated[int, N, SOUGHT] = 16,
-    share: Annotated[float, X, SOUGHT] = 0.9,
-    mismatch: Annotated[float, X, RUNS] = 0.0,
-    reference: Annotated[str, REFERENCE, RUNS] = "sine",
-    duration: Annotated[float, S, RUNS] = 6.0,
-    timestep: Annotated[float | None, S, RUNS] = None,
-    control_period: Annotated[float | None, S, RUNS] = None,
-    gains: Annotated[str | None, GAINS, RUNS] = None,
-    seed: Annotated[int, N, RUNS] = 0,
-    csv: Annotated[Path | None, FILE, OUTPUT] = None,
-    json: Annotated[Path | None, FILE, OUTPUT] = None,
+    *controllers: Annotated[str, kinds.CONTROLLER],
+    disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.SOUGHT] = (),
+    bound: Annotated[tuple[str, ...], kinds.text("METRIC:VALUE"), kinds.SOUGHT] = (),
+    low: Annotated[float | None, kinds.X, kinds.SOUGHT] = None,
+    high: Annotated[float | None, kinds.X, kinds.SOUGHT] = None,
+    seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 16,
+    share: Annotated[float, kinds.X, kinds.SOUGHT] = 0.9,
+    mismatch: Annotated[float, kinds.X, kinds.RUNS] = 0.0,
+    reference: Annotated[str, kinds.REFERENCE, kinds.RUNS] = "sine",
+    duration: Annotated[float, kinds.S, kinds.RUNS] = 6.0,
+    timestep: Annotated[float | None, kinds.S, kinds.RUNS] = None,
+    control_period: Annotated[float | None, kinds.S, kinds.RUNS] = None,
+    gains: Annotated[str | None, kinds.GAINS, kinds.RUNS] = None,
+    seed: Annotated[int, kinds.N, kinds.RUNS] = 0,
+    csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
+    json: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
 ) -> Work:
     r"""Find how much of a disturbance controllers bear.
 
@@ -163,12 +149,12 @@ def margin(
 
 
 def tune(
-    controller: Annotated[str, CONTROLLER],
+    controller: Annotated[str, kinds.CONTROLLER],
     /,
     *,
-    out: Annotated[Path | None, value("FILE.toml")] = None,
-    budget: Annotated[float, S] = 8000.0,
-    seed: Annotated[int, N] = 0,
+    out: Annotated[Path | None, kinds.file(".toml")] = None,
+    budget: Annotated[float, kinds.S] = 8000.0,
+    seed: Annotated[int, kinds.N] = 0,
     resume: bool = False,
 ) -> Work:
     """Find gains for one controller.

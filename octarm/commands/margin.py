@@ -54,10 +54,6 @@ class Settings:
         """Raises OctarmError for settings that cannot be meant."""
         if not self.bound:
             raise OctarmError("no bound is given; --bound METRIC:VALUE, such as tip_rms_error:0.01")
-        if self.seeds < 1:
-            raise OctarmError(f"seeds is {self.seeds}; it must be at least 1")
-        if self.seed < 0:
-            raise OctarmError(f"seed is {self.seed}; it must be at least 0")
         if not 0.0 < self.share <= 1.0:
             raise OctarmError(f"share is {self.share:g}; it must be above 0 and at most 1")
 
@@ -103,9 +99,6 @@ def margin(
     if not controllers:
         raise OctarmError("no controller is given; octarm run --help names them")
     settings.check()
-    for file in (csv_file, json_file):
-        if file is not None and not file.resolve().parent.is_dir():
-            raise OctarmError(f"{file} cannot be written: there is no folder for it")
     varied = settings.varied(low, high)
     trials = {name: settings.trial(name, varied) for name in controllers}
     for trial in trials.values():

@@ -6,45 +6,27 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-from octarm.commands.declaration import (
-    ACTUATION,
-    CONTROLLER,
-    DIR,
-    DISTURBANCE,
-    EXPERIMENT,
-    GAIN,
-    GAINS,
-    HZ,
-    MODEL,
-    OUTPUT,
-    REFERENCE,
-    RUN,
-    SIMULATION,
-    N,
-    S,
-    Work,
-    X,
-    value,
-)
+from octarm.commands import kinds
+from octarm.commands.kinds import Work
 
 
 def run(
     *,
-    controller: Annotated[str, CONTROLLER, EXPERIMENT] = "smc-boundary",
-    reference: Annotated[str, REFERENCE, EXPERIMENT] = "sine",
-    disturbance: Annotated[tuple[str, ...], DISTURBANCE, EXPERIMENT] = (),
-    duration: Annotated[float, S, EXPERIMENT] = 10.0,
-    seed: Annotated[int, N, EXPERIMENT] = 0,
-    mismatch: Annotated[float, X, MODEL] = 0.0,
-    nominal: Annotated[tuple[str, ...], value("NAME:FACTOR"), MODEL] = (),
-    parameter: Annotated[tuple[str, ...], value("NAME:VALUES"), MODEL] = (),
-    gains: Annotated[str | None, GAINS, GAIN] = None,
-    gain: Annotated[tuple[str, ...], value("NAME:VALUES"), GAIN] = (),
-    timestep: Annotated[float | None, S, SIMULATION] = None,
-    control_period: Annotated[float | None, S, SIMULATION] = None,
-    actuation: Annotated[str, ACTUATION, SIMULATION] = "f-coeff",
-    out: Annotated[Path | None, DIR, OUTPUT] = None,
-    view: Annotated[bool, OUTPUT] = False,
+    controller: Annotated[str, kinds.CONTROLLER, kinds.EXPERIMENT] = "smc-boundary",
+    reference: Annotated[str, kinds.REFERENCE, kinds.EXPERIMENT] = "sine",
+    disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = (),
+    duration: Annotated[float, kinds.S, kinds.EXPERIMENT] = 10.0,
+    seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
+    mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0,
+    nominal: Annotated[tuple[str, ...], kinds.text("NAME:FACTOR"), kinds.MODEL] = (),
+    parameter: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.MODEL] = (),
+    gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None,
+    gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = (),
+    timestep: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
+    control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
+    actuation: Annotated[str, kinds.ACTUATION, kinds.SIMULATION] = "f-coeff",
+    out: Annotated[Path | None, kinds.DIR, kinds.OUTPUT] = None,
+    view: Annotated[bool, kinds.OUTPUT] = False,
 ) -> Work:
     """Run one controller on the arm and record it.
 
@@ -104,9 +86,9 @@ def run(
 
 
 def replay(
-    *runs: Annotated[Path, RUN],
-    screenshot: Annotated[Path | None, value("FILE.png")] = None,
-    time: Annotated[float | None, S] = None,
+    *runs: Annotated[Path, kinds.RUN],
+    screenshot: Annotated[Path | None, kinds.file(".png")] = None,
+    time: Annotated[float | None, kinds.S] = None,
     web: bool = False,
 ) -> Work:
     """Open recorded runs in the rerun viewer.
@@ -131,7 +113,7 @@ def replay(
 
 
 def record(
-    run: Annotated[Path, RUN], /, *, out: Annotated[Path | None, value("FILE.rrd")] = None
+    run: Annotated[Path, kinds.RUN], /, *, out: Annotated[Path | None, kinds.file(".rrd")] = None
 ) -> Work:
     """Rebuild the recording of a run from its arrays.
 
@@ -149,7 +131,9 @@ def record(
     return partial(work.record, run, out)
 
 
-def plot(run: Annotated[Path, RUN], /, *, out: Annotated[Path | None, DIR] = None) -> Work:
+def plot(
+    run: Annotated[Path, kinds.RUN], /, *, out: Annotated[Path | None, kinds.DIR] = None
+) -> Work:
     """Draw the standard figures of a run, as PNG and SVG.
 
     Args:
@@ -165,14 +149,14 @@ def plot(run: Annotated[Path, RUN], /, *, out: Annotated[Path | None, DIR] = Non
 
 
 def video(
-    run: Annotated[Path, RUN],
+    run: Annotated[Path, kinds.RUN],
     /,
     *,
-    out: Annotated[Path | None, value("FILE.mp4")] = None,
-    width: Annotated[int, N] = 960,
-    height: Annotated[int, N] = 720,
-    rate: Annotated[float, HZ] = 30.0,
-    speed: Annotated[float, X] = 1.0,
+    out: Annotated[Path | None, kinds.file(".mp4")] = None,
+    width: Annotated[int, kinds.N] = 960,
+    height: Annotated[int, kinds.N] = 720,
+    rate: Annotated[float, kinds.HZ] = 30.0,
+    speed: Annotated[float, kinds.X] = 1.0,
 ) -> Work:
     """Film a run with MuJoCo's renderer.
 

@@ -9,7 +9,7 @@ from typing import Any, get_origin
 
 from cyclopts import App, Argument, Parameter
 
-from octarm.commands.declaration import known_words
+from octarm.commands.kinds import known_words
 
 _WIDTH = 80  # also where a page is piped
 _COLUMN = 24  # where the text on an option begins

@@ -22,8 +22,6 @@ def replay(folders: Sequence[Path], screenshot: Path | None, time: float | None,
     """`octarm replay`: the viewer on runs, or a picture of it."""
     if screenshot is not None and web:
         raise OctarmError("--screenshot and --web exclude each other")
-    if screenshot is not None and screenshot.suffix != ".png":
-        raise OctarmError(f"screenshot is {str(screenshot)!r}; its name must end in .png")
     with _recordings(folders) as files:
         if screenshot is not None:
             _picture(files, screenshot, time)

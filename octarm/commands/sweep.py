@@ -86,8 +86,6 @@ def dry_run(options: Options) -> int:
 
 def _checked_spec(options: Options) -> SweepSpec:
     """The spec, whose controllers can be made and whose recorded episodes there are."""
-    if options.workers is not None and options.workers < 1:
-        raise OctarmError(f"workers is {options.workers}; it must be at least 1")
     spec = read_spec(options.spec)
     _check_controllers(spec, options.spec)
     _check_recorded(spec, options.spec)

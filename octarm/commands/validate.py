@@ -14,7 +14,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.checks.report import Report
 from octarm.checks.validation import arm_with, random_arm
 from octarm.checks.validation import validate as plant
-from octarm.errors import ExitCode, OctarmError
+from octarm.errors import ExitCode
 from octarm.files import write_text
 
 Compare = Callable[[ArmParameters, int, int, Callable[[str], None]], Report]
@@ -26,15 +26,6 @@ def validate(
     compare: Compare, modules: int, random_arms: int, states: int, seed: int, file: Path | None
 ) -> int:
     """`octarm validate`: MuJoCo against the analytic model, or the controllers' Lyapunov ledger."""
-    if modules < 1 or random_arms < 0 or states < 1:
-        raise OctarmError(
-            f"modules is {modules}, states {states}, random parameters {random_arms}; they must "
-            "be at least 1, 1 and 0"
-        )
-    if seed < 0:
-        raise OctarmError(f"seed is {seed}; it must be at least 0")
-    if file is not None and not file.parent.is_dir():
-        raise OctarmError(f"{file} cannot be written: there is no folder for it")
     draw = np.random.default_rng(seed)
     arms = [random_arm(draw, modules) for _ in range(random_arms)] or [arm_with(modules)]
     reports: list[Report] = []

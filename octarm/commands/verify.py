@@ -21,11 +21,6 @@ def verify(folders: Sequence[Path], episodes: Sequence[int], sample: int | None)
     """`octarm verify`: runs again what was run, and says whether every bit is the same."""
     if not folders:
         raise OctarmError("there is nothing to verify; give a run folder or a sweep folder")
-    for episode in episodes:
-        if episode < 0:
-            raise OctarmError(f"episode is {episode}; it must be at least 0")
-    if sample is not None and sample < 1:
-        raise OctarmError(f"sample is {sample}; it must be at least 1")
     identical: list[bool] = []
     for folder in folders:
         if (folder / MANIFEST).is_file():
