@@ -14,12 +14,14 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import json
+import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast
 
+import numpy as np
 import pydantic
 from pydantic_core import ErrorDetails, PydanticCustomError
 
@@ -217,10 +219,9 @@ def to_toml(content: Mapping[str, Any]) -> str:
 def to_json(content: Mapping[str, Any]) -> str:
     """A JSON text with a line for each key, and for each table in a list.
 
-    Raises:
-        ValueError: if a number is not finite; `octarm.arrays.plain` makes words of these.
+    Arrays become lists, infinity the word that `octarm.arrays.read_only` understands, NaN null.
     """
-    return _json(content, "") + "\n"
+    return _json(_ready(content), "") + "\n"
 
 
 def spelt(value: Any) -> str:
@@ -274,6 +275,19 @@ def _given(value: Any) -> Any:
     return value
 
 
+def _ready(value: Any) -> Any:
+    """A value in the types that JSON has."""
+    if isinstance(value, Mapping):
+        return {key: _ready(item) for key, item in cast(Mapping[str, Any], value).items()}
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_ready(item) for item in cast(list[Any], value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else str(value)
+    return value
+
+
 def _json(value: Any, indent: str) -> str:
     inner = indent + " "
     rows: list[str] = []
@@ -282,10 +296,10 @@ def _json(value: Any, indent: str) -> str:
         rows = [f"{json.dumps(key)}: {_json(item, inner)}" for key, item in table.items()]
         ends = "{}"
     elif isinstance(value, list) and any(isinstance(x, Mapping) for x in cast(list[Any], value)):
-        rows = [json.dumps(item, allow_nan=False) for item in cast(list[Any], value)]
+        rows = [json.dumps(item) for item in cast(list[Any], value)]
         ends = "[]"
     else:
-        return json.dumps(value, allow_nan=False)
+        return json.dumps(value)
     lines = ",\n".join(inner + row for row in rows)
     return f"{ends[0]}\n{lines}\n{indent}{ends[1]}" if rows else ends
 

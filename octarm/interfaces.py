@@ -21,7 +21,7 @@ against the batch. SI units: slides in m, angles in rad.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
@@ -205,6 +205,11 @@ class Controller(Protocol):
     ) -> tuple[Command, Any]:
         """The command for this instant, and the state to pass in at the next one."""
         ...
+
+
+# Makes a controller: from its name, its nominal model of the arm and the gains that differ from
+# those of its gain set, which a keyword `gain_set` names. `controllers.make_controller` is one.
+ControllerFactory = Callable[..., Controller]
 
 
 class Knob(NamedTuple):

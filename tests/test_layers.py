@@ -14,8 +14,8 @@ CONTROLLERS = Path(controllers.__file__).parent
 # From the bottom up: a package imports from itself and from those before it.
 LAYERS = [
     "errors interrupts",
-    "files formats",
-    "arrays",
+    "arrays files",
+    "formats",
     "interfaces",
     "arm",
     "lagrange",

@@ -18,9 +18,9 @@ from octarm.disturbances.catalogue import DISTURBANCES
 from octarm.disturbances.episode import Event
 from octarm.disturbances.ledger import Ledger, in_words
 from octarm.disturbances.spelling import from_entry, help_text, parse_disturbance, spelling
-from octarm.sweeps.margin_trial import parse_varied
-from octarm.sweeps.parser import parse_spec
+from octarm.sweeps.margin import parse_varied
 from octarm.sweeps.plan import Plan
+from octarm.sweeps.spec_file import parse_spec
 
 FILE = '''
 """A gust against the arm."""

@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 
-from octarm.errors import ExitCode, FileError, OctarmError
+from octarm.errors import ExitCode, FileError, OctarmError, sentence_of
 
 
 def main(arguments: Sequence[str] | None = None, *, begin: Callable[[], None] | None = None) -> int:
@@ -48,7 +48,7 @@ def _mendable(error: Exception) -> OctarmError:
         case OctarmError():
             return error
         case OSError() if error.strerror:
-            return FileError(f"{error.filename or 'standard output'}: {error.strerror}")
+            return FileError(sentence_of(error))
         case MemoryError():
             return OctarmError(f"there is not enough memory: {error}")
         case ModuleNotFoundError():

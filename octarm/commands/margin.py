@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import functools
-import io
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -20,10 +17,21 @@ from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.spelling import parse_disturbance, spelling
 from octarm.errors import ExitCode, OctarmError
 from octarm.files import write_text
+from octarm.formats import to_json
 from octarm.interfaces import Controller
 from octarm.runs.versions import host, versions
-from octarm.sweeps.margin import Brackets, Outcome, estimate, search
-from octarm.sweeps.margin_trial import NOMINAL, Trial, Varied, is_varied, parse_bound, parse_varied
+from octarm.sweeps.margin import (
+    NOMINAL,
+    Attempt,
+    Brackets,
+    MarginRuns,
+    Varied,
+    is_varied,
+    margin_of,
+    parse_bound,
+    parse_varied,
+    search,
+)
 from octarm.sweeps.workers import cores
 
 _NUMBERS = ("margin", "interval_low", "interval_high", "least", "median", "most")
@@ -70,9 +78,9 @@ class Settings:
             raise OctarmError(f"--mismatch is given, but {NOMINAL} is what varies")
         return varied
 
-    def trial(self, controller: str, varied: Varied) -> Trial:
+    def runs(self, controller: str, varied: Varied) -> MarginRuns:
         """The runs of a controller."""
-        return Trial(
+        return MarginRuns(
             factory=functools.partial(_controller, controller, self.gains),
             varied=varied,
             bounds=[parse_bound(text) for text in self.bound],
@@ -100,19 +108,19 @@ def margin(
         raise OctarmError("no controller is given; octarm run --help names them")
     settings.check()
     varied = settings.varied(low, high)
-    trials = {name: settings.trial(name, varied) for name in controllers}
-    for trial in trials.values():
-        trial.rehearse()
+    runs = {name: settings.runs(name, varied) for name in controllers}
+    for run in runs.values():
+        run.rehearse()
     print("\n".join(_heading(settings, varied)), flush=True)
     rows: list[Mapping[str, Any]] = []
-    for name, trial in trials.items():
-        rows.append(_row(name, _search(name, trial, settings.seeds), settings.share, varied))
+    for name, run in runs.items():
+        rows.append(_row(name, _search(name, run, settings.seeds), settings.share, varied))
         print(_line(rows[-1], varied), flush=True)
     _print_notes(rows, varied, settings.seeds)
     if csv_file is not None:
         write_text(csv_file, _csv(rows))
     if json_file is not None:
-        write_text(json_file, json.dumps(_report(settings, varied, rows), indent=1) + "\n")
+        write_text(json_file, to_json(_report(settings, varied, rows)))
     return ExitCode.FINE
 
 
@@ -120,16 +128,16 @@ def _controller(name: str, gain_set: str | None, nominal: ArmParameters) -> Cont
     return make_controller(name, nominal, gain_set=gain_set)
 
 
-def _search(name: str, trial: Trial, seeds: int) -> Brackets:
+def _search(name: str, run: MarginRuns, seeds: int) -> Brackets:
     """The brackets of one controller, with a bar on the progress."""
     with tqdm(
         desc=name, total=0, unit=" simulated s", unit_scale=True, disable=None, leave=False
     ) as bar:
-        counted = dataclasses.replace(trial, progress=bar.update)
+        counted = dataclasses.replace(run, progress=bar.update)
 
-        def attempt(arms: np.ndarray, shares: np.ndarray) -> Outcome:
-            bar.total = (bar.total or 0.0) + len(arms) * trial.duration
-            values = trial.varied.at(np.array([shares.min(), shares.max()]))
+        def attempt(arms: np.ndarray, shares: np.ndarray) -> Attempt:
+            bar.total = (bar.total or 0.0) + len(arms) * run.duration
+            values = run.varied.at(np.array([shares.min(), shares.max()]))
             bar.set_postfix_str(f"{len(arms)} arms, {values[0]:.4g} .. {values[1]:.4g}")
             return counted(arms, shares)
 
@@ -138,7 +146,7 @@ def _search(name: str, trial: Trial, seeds: int) -> Brackets:
 
 def _row(name: str, brackets: Brackets, share: float, varied: Varied) -> dict[str, Any]:
     """What is known of one controller; inf: beyond the high value, -inf: not even the low one."""
-    estimated = estimate(brackets, share)
+    estimated = margin_of(brackets, share)
     margins = np.sort(brackets.margins)
     middle = margins[(len(margins) - 1) // 2]
     shares = dict(zip(_NUMBERS, (*estimated, margins[0], middle, margins[-1]), strict=True))
@@ -210,38 +218,22 @@ def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, seeds: int) 
 
 def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
     """The table; inf and -inf as above, nothing where there is no interval."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("controller", *_NUMBERS, "met_again"))
+    lines = [["controller", *_NUMBERS, "met_again"]]
     for row in rows:
         numbers = ["" if math.isnan(row[key]) else repr(row[key]) for key in _NUMBERS]
-        writer.writerow((row["controller"], *numbers, row["met_again"]))
-    return text.getvalue()
+        lines.append([row["controller"], *numbers, str(row["met_again"])])
+    return "".join(",".join(line) + "\n" for line in lines)
 
 
 def _report(
     settings: Settings, varied: Varied, rows: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Everything, ready for JSON: infinity as a word, None for NaN."""
+    """Everything, for a JSON file."""
+    limits = {key: getattr(varied, key) for key in ("name", "low", "high", "unit")}
     return {
-        "varied": {
-            "name": varied.name,
-            "low": varied.low,
-            "high": varied.high,
-            "unit": varied.unit,
-        },
+        "varied": limits,
         "settings": dataclasses.asdict(settings),
-        "controllers": [_plain(row) for row in rows],
+        "controllers": list(rows),
         "versions": versions(),
         "host": host(),
     }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in cast(Mapping[str, Any], value).items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in cast(list[Any], value)]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else str(value)
-    return value

@@ -9,12 +9,13 @@ from pathlib import Path
 
 from octarm.errors import ExitCode, OctarmError
 from octarm.files import whole_file, write_text
-from octarm.reports.checks import Finding, findings
-from octarm.reports.episodes import read_episodes
-from octarm.reports.figures import Picture, pictures
-from octarm.reports.findings import TABLES, Report, make_report, tables
+from octarm.reports.charts import pictures
+from octarm.reports.comparisons import TABLES, Comparisons, compare, tables
+from octarm.reports.consistency import Remark, remarks
+from octarm.reports.figures import Picture
+from octarm.reports.frame import read_episodes
 from octarm.reports.page import Source, page
-from octarm.sweeps.folder import SPEC
+from octarm.sweeps.store import SPEC
 
 PAGE = "report.html"
 FIGURES = "figures"
@@ -25,8 +26,8 @@ def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Pat
     folder = out or sweep / "report"
     _check_place(folder, sweep)
     episodes = read_episodes(sweep, metrics)
-    numbers = make_report(episodes, baseline)
-    warnings = findings(episodes)
+    numbers = compare(episodes, baseline)
+    remarked = remarks(episodes)
     drawn = list(pictures(numbers))
     files = tables(numbers)
     source = Source(
@@ -35,8 +36,8 @@ def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Pat
         commands=_commands(sweep, baseline, metrics, out),
         files=list(files),
     )
-    _write(folder, page(numbers, warnings, drawn, source), files, drawn)
-    _print_summary(numbers, warnings)
+    _write(folder, page(numbers, remarked, drawn, source), files, drawn)
+    _print_summary(numbers, remarked)
     print(f"wrote {folder / PAGE}")
     return ExitCode.FINE
 
@@ -85,13 +86,13 @@ def _commands(
     return [shlex.join(again), shlex.join(words)]
 
 
-def _print_summary(numbers: Report, warnings: list[Finding]) -> None:
+def _print_summary(numbers: Comparisons, remarked: list[Remark]) -> None:
     """A row a controller, and the warnings."""
     measure = numbers.episodes.measures[0]
     print(f"controller            episodes  diverged  median {measure.name} [{measure.unit}]")
-    for entry in numbers.of(None):
-        middle, low, high = (float(x[0]) for x in entry.medians)
+    for group in numbers.of(None):
+        middle, low, high = (float(x[0]) for x in group.medians)
         median = f"{middle:.3e}  ({low:.3e} .. {high:.3e})"
-        print(f"{entry.controller:<20} {entry.episodes:>9} {entry.failed:>9}  {median}")
-    for finding in warnings:
-        print(f"{'warning' if finding.warning else 'note'}: {finding.text}")
+        print(f"{group.controller:<20} {group.episodes:>9} {group.failed:>9}  {median}")
+    for remark in remarked:
+        print(f"{'warning' if remark.warning else 'note'}: {remark.text}")

@@ -15,21 +15,19 @@ from tqdm import tqdm
 
 from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
-from octarm.checks.verify_episode import FinishedSweep
-from octarm.errors import ExitCode, FileError, OctarmError
-from octarm.sweeps.bar import ProgressBar, digits
-from octarm.sweeps.chosen import COLUMNS, choose, record_chosen
+from octarm.errors import ExitCode, OctarmError, sentence_of
+from octarm.formats import read_toml
+from octarm.sweeps.episodes import COLUMNS, FinishedSweep, record_episodes, select
 from octarm.sweeps.execute import estimate
 from octarm.sweeps.execute import sweep as run_sweep
-from octarm.sweeps.folder import RECORDED, read_sweep
-from octarm.sweeps.parser import read_spec
 from octarm.sweeps.plan import Plan
+from octarm.sweeps.progress import ProgressBar, digits
 from octarm.sweeps.spec import SweepSpec
-from octarm.sweeps.store import SweepFolder
+from octarm.sweeps.spec_file import read_spec
+from octarm.sweeps.store import RECORDED, SweepFolder, read_sweep
 from octarm.sweeps.workers import WorkerProcesses, cores, dask_cluster
-from octarm.toml_table import Source
 
-_SHOWN = "tip_rms_error"  # by it episodes are worst and median ones, too
+_MEASURE = "tip_rms_error"  # by it episodes are worst and median ones, too
 _RECORDED = 2000  # [byte] a control period; from 1000 without signals to 4000 with rules
 
 
@@ -87,18 +85,34 @@ def dry_run(options: Options) -> int:
 def _checked_spec(options: Options) -> SweepSpec:
     """The spec, whose controllers can be made and whose recorded episodes there are."""
     spec = read_spec(options.spec)
-    _check_controllers(spec, options.spec)
-    _check_recorded(spec, options.spec)
+    plan = Plan(spec)
+    for name in spec.controllers:
+        keys = ("gain_set", name) if name in spec.gain_sets else ("grid", "controller")
+        with _in_file(options.spec, *(("gains", name) if name in spec.gains else keys)):
+            spec.controller(name, nominal_parameters(), make_controller)
+    for episode in spec.record:
+        if isinstance(episode, int):
+            with _in_file(options.spec, "record", "episodes"):
+                plan.episode(episode)
     return spec
 
 
+@contextlib.contextmanager
+def _in_file(file: Path, *keys: str) -> Generator[None]:
+    """Lets an error name the line of these keys."""
+    try:
+        yield
+    except OctarmError as error:
+        raise read_toml(file).error(str(error), *keys) from None
+
+
 def _record(spec: SweepSpec, options: Options, out: Path) -> bool:
-    """Records the episodes that the spec chooses; whether they are what the table says."""
+    """Records the episodes that the spec selects; whether they are what the table says."""
     if not spec.record:
         return True
     done = FinishedSweep(out)
-    chosen = choose(read_sweep(out, COLUMNS), spec.record)
-    for note in chosen.notes:
+    selection = select(read_sweep(out, COLUMNS), spec.record)
+    for note in selection.notes:
         print(f"octarm: {note}", file=sys.stderr)
     with (
         SweepFolder(out, done.plan).locked(),
@@ -110,14 +124,14 @@ def _record(spec: SweepSpec, options: Options, out: Path) -> bool:
             bar.set_description(label)
 
         try:
-            different = record_chosen(
-                done, chosen.reasons, make_controller, begin=begin, progress=bar.update
+            different = record_episodes(
+                done, selection.reasons, make_controller, begin=begin, progress=bar.update
             )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"all rows are there; {_resume(options)} goes on") from None
     for sentence in different.values():
         print(f"octarm: {sentence}", file=sys.stderr)
-    names = [f"{episode} ({', '.join(why)})" for episode, why in chosen.reasons.items()]
+    names = [f"{episode} ({', '.join(why)})" for episode, why in selection.reasons.items()]
     print(f"recorded in {out / RECORDED}/: {', '.join(names) or 'none'}")
     return not different
 
@@ -135,15 +149,14 @@ def _run(spec: SweepSpec, options: Options, out: Path) -> None:
                 in_flight=in_flight,
                 resume=options.resume,
                 progress=bar.update,
-                under_way=bar.go_on,
+                partial=bar.go_on,
                 say=bar.say,
             )
         except KeyboardInterrupt as interrupt:
             raise KeyboardInterrupt(*interrupt.args, _resume(options)) from None
         except OSError as error:
-            raise FileError(
-                f"{_reason(error)}; finished shards are kept: {_resume(options)}"
-            ) from None
+            reason = sentence_of(error)
+            raise OctarmError(f"{reason}; finished shards are kept: {_resume(options)}") from None
 
 
 @contextlib.contextmanager
@@ -159,37 +172,12 @@ def _pool(options: Options, plan: Plan) -> Generator[tuple[Executor, int | Calla
         yield processes, workers
 
 
-def _check_controllers(spec: SweepSpec, file: Path) -> None:
-    """Raises OctarmError, with the line, unless every controller can be made."""
-    source = Source(spec.text, str(file))
-    for name in spec.controllers:
-        gains, gain_set = spec.gains.get(name, {}), spec.gain_sets.get(name)
-        try:
-            make_controller(name, nominal_parameters(), gains, gain_set=gain_set)
-        except OctarmError as error:
-            keys = ("gain_set", name) if gain_set else ("grid", "controller")
-            keys = ("gains", name) if gains else keys
-            raise OctarmError(f"{source.where(*keys)}: {error}") from None
-
-
-def _check_recorded(spec: SweepSpec, file: Path) -> None:
-    """Raises OctarmError, with the line, for the number of an episode that there is not."""
-    plan = Plan(spec)
-    for episode in spec.record:
-        if isinstance(episode, int):
-            try:
-                plan.episode(episode)
-            except OctarmError as error:
-                where = Source(spec.text, str(file)).where("record", "episodes")
-                raise OctarmError(f"{where}: {error}") from None
-
-
 def _print_summary(folder: Path) -> None:
     """A row a controller; who diverged is worse than all others."""
     names, status, errors = (
-        column.to_numpy() for column in read_sweep(folder, ["controller", "status", _SHOWN])
+        column.to_numpy() for column in read_sweep(folder, ["controller", "status", _MEASURE])
     )
-    print(f"controller            episodes  diverged  median {_SHOWN} [mm]")
+    print(f"controller            episodes  diverged  median {_MEASURE} [mm]")
     for name in dict.fromkeys(names.tolist()):
         diverged = status[names == name] == "diverged"
         values = np.where(diverged, np.inf, errors[names == name])
@@ -203,12 +191,6 @@ def _resume(options: Options) -> str:
     words += ["--workers", str(options.workers)] if options.workers else []
     words += ["--cluster", options.cluster] if options.cluster else []
     return shlex.join([*words, "--resume"])
-
-
-def _reason(error: OSError) -> str:
-    if error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    return str(error)
 
 
 def _span(seconds: float) -> str:

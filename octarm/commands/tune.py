@@ -18,51 +18,50 @@ from controllers.gain_sets import GainSet, read_gain_set, shortest
 from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import ExitCode, OctarmError
 from octarm.files import write_text
-from octarm.sweeps.tune import Effort, State, StateFile, Tuned, settings, versions
+from octarm.sweeps.tune import Budget, SearchState, Space, StateFile, Tuned, settings, versions
 from octarm.sweeps.tune import tune as tune_gains
-from octarm.sweeps.tune_objective import FORMULA, Trial
-from octarm.sweeps.tune_space import Space
+from octarm.sweeps.tune_cost import FORMULA, Examination
 
 
 def tune(controller: str, out: Path, seconds: float, seed: int, resume: bool) -> int:
     """`octarm tune`: gains for one controller, as a TOML file."""
-    effort = Effort.within(seconds)
+    budget = Budget.within(seconds)
     command = shlex.join(
         ["octarm", "tune", controller, "--budget", f"{seconds:g}", "--seed", str(seed)]
     )
     more = shlex.join(["--out", str(out), "--resume"])
-    tuned = _search(controller, effort, out, seed, resume, f"{command} {more}")
+    tuned = _search(controller, budget, out, seed, resume, f"{command} {more}")
     origin = {"command": command, "date": datetime.date.today(), "seed": seed, "budget": seconds}
-    write_text(out, gain_set(controller, origin, effort, tuned).to_toml())
+    write_text(out, gain_set(controller, origin, budget, tuned).to_toml())
     state_file(out).unlink(missing_ok=True)
-    _print_summary(controller, effort, tuned)
+    _print_summary(controller, budget, tuned)
     print(f"wrote {out}")
     print(f"try it: octarm run --controller {controller} --gains {shlex.quote(str(out))}")
     return ExitCode.FINE
 
 
 def _search(
-    controller: str, effort: Effort, out: Path, seed: int, resume: bool, again: str
+    controller: str, budget: Budget, out: Path, seed: int, resume: bool, again: str
 ) -> Tuned:
     """The search, with a bar on its progress and its state on disk; `again` goes on with it."""
     factory = functools.partial(make_controller, controller, gain_set="recommended")
     nominal = nominal_parameters()
     space = Space(factory(nominal), nominal.modules)
-    file = StateFile(state_file(out), settings(controller, space, effort, seed))
+    file = StateFile(state_file(out), settings(controller, space, budget, seed))
     _check_place(out, file, controller, resume)
     state = file.read() if resume else None
     bar = tqdm(
-        total=effort.seconds, unit=" simulated s", unit_scale=True, disable=None, leave=False
+        total=budget.seconds, unit=" simulated s", unit_scale=True, disable=None, leave=False
     )
 
-    def keep(state: State) -> None:
+    def keep(state: SearchState) -> None:
         file.write(state)
         bar.set_postfix_str(f"generation {state.generation + 1}, cost {state.costs[0]:.4g}")
 
     try:
         with bar:
             return tune_gains(
-                factory, effort, seed=seed, state=state, keep=keep, progress=bar.update
+                factory, budget, seed=seed, state=state, keep=keep, progress=bar.update
             )
     except KeyboardInterrupt:
         if not file.path.exists():
@@ -94,14 +93,14 @@ def state_file(out: Path) -> Path:
     return out.with_name(out.name + ".state")
 
 
-def gain_set(controller: str, origin: Mapping[str, Any], effort: Effort, tuned: Tuned) -> GainSet:
+def gain_set(controller: str, origin: Mapping[str, Any], budget: Budget, tuned: Tuned) -> GainSet:
     """The result, with all that is needed to find it again."""
     tuning = {
         **origin,
-        "candidates": effort.generations * effort.population,
-        "simulated_seconds": effort.seconds,
+        "candidates": budget.generations * budget.population,
+        "simulated_seconds": budget.seconds,
         "objective": FORMULA,
-        "selection": f"the best of the last generation's best {effort.finalists} and the "
+        "selection": f"the best of the last generation's best {budget.finalists} and the "
         "recommended gains in the long trial",
         "at_bounds": tuned.at_bounds,
     }
@@ -112,39 +111,39 @@ def gain_set(controller: str, origin: Mapping[str, Any], effort: Effort, tuned: 
         origin={
             "tuning": tuning,
             "versions": versions(),
-            "search": _outcome(effort.short, tuned.short, tuned.short_by_hand),
-            "long_trial": _outcome(effort.long, tuned.long, tuned.long_by_hand),
+            "search": _outcome(budget.short, tuned.short, tuned.short_by_hand),
+            "long_trial": _outcome(budget.long, tuned.long, tuned.long_by_hand),
         },
     )
 
 
-def _outcome(trial: Trial, tuned: np.ndarray, by_hand: np.ndarray) -> dict[str, Any]:
+def _outcome(examination: Examination, tuned: np.ndarray, by_hand: np.ndarray) -> dict[str, Any]:
     """What the gains cost, in all and in each scenario."""
     rows = [
         {**dataclasses.asdict(scenario), "cost": cost, "recommended": other}
         for scenario, cost, other in zip(
-            trial.scenarios, tuned.tolist(), by_hand.tolist(), strict=True
+            examination.scenarios, tuned.tolist(), by_hand.tolist(), strict=True
         )
     ]
     return {
         "cost": tuned.mean().item(),
         "recommended": by_hand.mean().item(),
-        "measured_from": trial.begin,
-        "duration": trial.duration,
+        "measured_from": examination.begin,
+        "duration": examination.duration,
         "scenarios": rows,
     }
 
 
-def _print_summary(controller: str, effort: Effort, tuned: Tuned) -> None:
+def _print_summary(controller: str, budget: Budget, tuned: Tuned) -> None:
     print(
-        f"{controller}: {effort.generations * effort.population} candidates, "
-        f"{effort.seconds:.0f} simulated s"
+        f"{controller}: {budget.generations * budget.population} candidates, "
+        f"{budget.seconds:.0f} simulated s"
     )
     print("  cost                     tuned  recommended")
-    for name, trial, cost, other in (
-        ("search", effort.short, tuned.short, tuned.short_by_hand),
-        ("long trial", effort.long, tuned.long, tuned.long_by_hand),
+    for name, duration, cost, other in (
+        ("search", budget.short.duration, tuned.short, tuned.short_by_hand),
+        ("long trial", budget.long.duration, tuned.long, tuned.long_by_hand),
     ):
-        print(f"  {name:<10} of {trial.duration:>4g} s {cost.mean():>11.5f} {other.mean():>12.5f}")
+        print(f"  {name:<10} of {duration:>4g} s {cost.mean():>11.5f} {other.mean():>12.5f}")
     if tuned.at_bounds:
         print(f"  as small or large as allowed: {', '.join(tuned.at_bounds)}")

@@ -11,10 +11,11 @@ from tqdm import tqdm
 
 from controllers import make_controller
 from octarm.checks.verify import check_run
-from octarm.checks.verify_episode import FinishedSweep
+from octarm.checks.verify_episode import check_episode
 from octarm.errors import ExitCode, OctarmError
 from octarm.runs import folder as runs
-from octarm.sweeps.folder import MANIFEST
+from octarm.sweeps.episodes import FinishedSweep
+from octarm.sweeps.store import MANIFEST
 
 
 def verify(folders: Sequence[Path], episodes: Sequence[int], sample: int | None) -> int:
@@ -52,7 +53,7 @@ def _sweep(folder: Path, named: Sequence[int], sample: int | None) -> bool:
     identical = True
     with tqdm(episodes, unit=" episodes", disable=None, leave=False) as bar:
         for episode in bar:
-            check = sweep.check(episode, make_controller)
+            check = check_episode(sweep, episode, make_controller)
             bar.clear()
             _print_lines(folder, check.lines())
             identical = identical and check.identical

@@ -77,8 +77,7 @@ def _meaning(metric: str) -> tuple[str, str]:
     meaning = METRICS.get(metric)
     if meaning is None:
         return "", ""
-    units = dict.fromkeys(unit for unit in (meaning.slide_unit, meaning.bend_unit) if unit)
-    return ", ".join(units), re.sub(r"\|([^|]+)\|", r"abs(\1)", meaning.text)
+    return ", ".join(meaning.units), re.sub(r"\|([^|]+)\|", r"abs(\1)", meaning.text)
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -70,7 +70,8 @@ class Archive:
 
         Args:
             rows: a block of them.
-            layer: half width of the boundary layer, if there is one, see `Trajectory`.
+            layer: half width of the boundary layer, shape (2N,) [m/s], [rad/s]; None if there is
+                none.
 
         Raises:
             FileError: if the file cannot be written, or there is no room for all that is expected.

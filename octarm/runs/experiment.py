@@ -19,9 +19,9 @@ from octarm.disturbances.ledger import Ledger, asked
 from octarm.disturbances.spelling import from_entry
 from octarm.errors import OctarmError, closest
 from octarm.formats import Array, Document, Model
-from octarm.interfaces import Controller, Rows
+from octarm.interfaces import Controller, ControllerFactory, Rows
 from octarm.interrupts import ignored_interrupts
-from octarm.metrics.table import Metrics
+from octarm.metrics.table import Metrics, as_json
 from octarm.references import REFERENCES
 from octarm.runs import folder as runs
 from octarm.runs.archive import Archive, mapped
@@ -31,19 +31,19 @@ from octarm.simulation.rollout import ArmRecorder, copied
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.trajectory import Ending, Trajectory, joined
 
-# Name, nominal model and gains to controller; `controllers.make_controller` is one.
-Factory = Callable[[str, ArmParameters, Mapping[str, Any]], Controller]
-
-
 _AS_THEY_ARE = {"seed", "spawn_key", "duration", "timestep", "control_period", "actuation"}
 
 
 class Recording(Protocol):
     """A recording that is written while the run goes on; see `octarm.recordings.recording`."""
 
-    def add(self, rows: Rows, layer: np.ndarray | None) -> None: ...  # noqa: D102
+    def add(self, rows: Rows, layer: np.ndarray | None) -> None:
+        """Takes further rows, and the half width of the boundary layer, shape (2N,)."""
+        ...
 
-    def finish(self, description: Mapping[str, Any]) -> None: ...  # noqa: D102
+    def finish(self, description: Mapping[str, Any]) -> None:
+        """Takes the complete description, with which the recording ends."""
+        ...
 
 
 # Opens the file of a recording, given the description that announces the run.
@@ -84,7 +84,7 @@ class Experiment:
     control_period: float | None = None
     actuation: str = "f-coeff"
 
-    def begin(self, factory: Factory) -> tuple[control.Environment, Controller]:
+    def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
         """The environment and the controller.
 
         Raises:
@@ -211,12 +211,9 @@ def perform(
         The trajectory, and the content of `run.json`: also what came of the run.
     """
     blocks: list[Rows] = []
-
-    def keep(rows: Rows, layer: np.ndarray | None) -> None:
-        del layer  # the ending has it
-        blocks.append(copied(rows))
-
-    ending, description = _perform(environment, controller, announced, keep, progress)
+    ending, description = _perform(
+        environment, controller, announced, lambda rows, _: blocks.append(copied(rows)), progress
+    )
     return joined(blocks, ending), description
 
 
@@ -306,15 +303,8 @@ def _perform(
     return ending, {
         **announced,
         "disturbances": ledger.rows() if ledger is not None else [],
-        "metrics": {name: _numbers(values) for name, values in metrics.items()},
+        "metrics": as_json(metrics),
         "status": ending.status,
         "message": ending.message,
         "digest": ending.digest,
     }
-
-
-def _numbers(values: np.ndarray) -> Any:
-    """A number or a list, ready for JSON: None for what there is no number for."""
-    out = values.astype(object)
-    out[~np.isfinite(values)] = None
-    return out.tolist()

@@ -103,7 +103,7 @@ class Recorder:
 
     @staticmethod
     def add_field(row: dict[str, np.ndarray], name: str, value: np.ndarray) -> None:
-        """Adds a field to a row.
+        """Adds a field, shape (...), to a row.
 
         Raises:
             OctarmError: if the record has one of this name.

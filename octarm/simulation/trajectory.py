@@ -22,7 +22,14 @@ Status = Literal["ok", "diverged", "interrupted"]
 
 
 class Ending(NamedTuple):
-    """What a run holds beside its rows; see the fields of these names in `Trajectory`."""
+    """What a run holds in addition to its rows; see the same fields of `Trajectory`.
+
+    Attributes:
+        layer: half width of the boundary layer, shape (2N,) [m/s], [rad/s]; None if there is none.
+        status: how it ended.
+        message: one sentence on that.
+        digest: of all states.
+    """
 
     layer: np.ndarray | None = None
     status: Status = "ok"
@@ -30,7 +37,7 @@ class Ending(NamedTuple):
     digest: str = ""
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What there is, by name, as it is saved."""
+        """What there is, by name, as it is saved: `layer`, shape (2N,), and texts, shape ()."""
         return {name: np.asarray(x) for name, x in self._asdict().items() if x is not None}
 
 
@@ -132,7 +139,7 @@ class Trajectory:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Trajectory:
-        """A trajectory of all that `save` writes, by name.
+        """A trajectory of all that `save` writes, by name: rows of shape (T, ...), and the ending.
 
         Raises:
             KeyError: if something is missing.

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure as NewFigure
 
+from octarm.reports.figures import (
+    COLORS,
+    INK,
+    MARKERS,
+    Axes,
+    Figure,
+    figure_style,
+    logarithmic_ticks,
+    save_figure,
+)
 from octarm.reports.figures import Picture as Picture
-from octarm.reports.panels import COLORS, INK, MARKERS, STYLE, Axes, Figure, logarithmic_ticks
 from paper.variants import (
     AS_PRINTED,
     CONTROLLERS,
@@ -60,14 +67,8 @@ def title_of(label: str) -> str:
 
 def draw(name: str, caption: str, make: Callable[[], Figure]) -> Picture:
     """A figure, drawn in the style of all; without anything that differs from run to run."""
-    own = {k: v for k, v in matplotlib.rcParamsDefault.items() if not k.startswith("backend")}
-    with cast(Any, matplotlib).rc_context({**own, **STYLE}):
-        figure = make()
-        vector, raster = io.BytesIO(), io.BytesIO()
-        figure.savefig(vector, format="svg", metadata={"Date": None, "Creator": None})
-        figure.set_layout_engine("none")
-        figure.savefig(raster, format="png", dpi=200, metadata={"Software": None})
-    return Picture(name, caption, vector.getvalue().decode(), raster.getvalue())
+    with figure_style():
+        return save_figure(name, caption, make())
 
 
 def panels(

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from octarm.reports.panels import Axes, Figure
+from octarm.reports.figures import Axes, Figure
 from octarm.reports.statistics import Interval
 from paper.claims import percent
 from paper.drawing import (

@@ -11,8 +11,8 @@ import pyarrow as pa
 
 from octarm.arm.mjcf import coordinate_names, nominal_parameters
 from octarm.reports.statistics import Interval, medians
-from octarm.sweeps.folder import read_sweep
-from octarm.sweeps.tune_objective import BEND_SCALE, SLIDE_SCALE, root_mean_square, weight
+from octarm.sweeps.store import read_sweep
+from octarm.sweeps.tune_cost import BEND_SCALE, SLIDE_SCALE, root_mean_square, weight
 from paper.studies import BENDS, SLIDES, TIME, Part
 
 # What a part has in all its episodes where it does not vary it.

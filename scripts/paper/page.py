@@ -8,7 +8,7 @@ import json
 import string
 from collections.abc import Iterable, Mapping, Sequence
 
-from octarm.reports.page import inline_svg
+from octarm.reports.figures import inline_svg
 from octarm.runs.versions import versions
 from paper.claims import Claim, Verdict
 from paper.drawing import Picture

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.spec import SweepSpec
+from octarm.sweeps.spec_file import parse_spec
 from paper.effort import Effort
 from paper.variants import (
     AS_PRINTED,

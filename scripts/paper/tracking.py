@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from octarm.arm.mjcf import coordinate_names, nominal_parameters
-from octarm.reports.panels import INK, Axes, Figure
+from octarm.reports.figures import INK, Axes, Figure
 from paper.claims import percent
 from paper.drawing import Picture, draw, legend, look, panels, title_of, zero_line
 from paper.evidence import Evidence

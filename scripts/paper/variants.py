@@ -17,7 +17,7 @@ import numpy.typing as npt
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.interfaces import Controller
-from octarm.sweeps.tune_space import gains_of
+from octarm.sweeps.tune import gains_of
 
 CONTROLLERS = (
     "pd", "computed-torque", "fuzzy",

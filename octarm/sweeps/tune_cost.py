@@ -33,7 +33,6 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import nominal_parameters, template_model
@@ -41,16 +40,15 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arrays import split
 from octarm.disturbances.actuators import Saturation
 from octarm.disturbances.forces import BandLimitedNoise
-from octarm.interfaces import Controller, Instant, Motion, Reference
+from octarm.interfaces import ControllerFactory, Instant, Motion, Reference
 from octarm.metrics.chattering import Chattering
+from octarm.metrics.metric import Settings
 from octarm.metrics.tracking import TrackingError
 from octarm.references import named_reference
 from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import simulate
-
-# Nominal model and gains to controller; gains that are not given are the hand-set ones.
-Factory = Callable[[ArmParameters, Mapping[str, npt.ArrayLike]], Controller]
+from octarm.sweeps.progress import ArmSeconds
 
 SLIDE_SCALE = 0.0175  # A [m]
 BEND_SCALE = 0.3  # A [rad]
@@ -95,7 +93,7 @@ SCENARIOS = (
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Trial:
+class Examination:
     """The scenarios, for how long, and with which noise.
 
     Attributes:
@@ -123,14 +121,14 @@ class Trial:
         ]
 
 
-SHORT = Trial()
+SHORT = Examination()
 # Tells gains that drift, and those that suit one realisation of the noise only.
-LONG = Trial(begin=2.0, duration=10.0, noise=1)
+LONG = Examination(begin=2.0, duration=10.0, noise=1)
 
 
 def costs(
-    trial: Trial,
-    factory: Factory,
+    examination: Examination,
+    factory: ControllerFactory,
     candidates: Mapping[str, np.ndarray],
     progress: Callable[[float], object] = lambda seconds: None,
 ) -> np.ndarray:
@@ -139,19 +137,20 @@ def costs(
     A cost does not depend on the other candidates.
 
     Args:
-        trial: what is tried.
-        factory: makes the controller.
+        examination: what is tried.
+        factory: makes the controller from its nominal model and gains; gains that it is not given
+            are the hand-set ones.
         candidates: gains with a row for each of them, shapes (n, 1) or (n, 2N).
         progress: called with the seconds that have been simulated since the last call, all arms
             counted.
 
     Raises:
-        ValueError: if a controller cannot be made.
+        OctarmError: if a controller cannot be made.
     """
-    n, scenarios = len(next(iter(candidates.values()))), trial.scenarios
-    arms = n * len(scenarios)  # the scenarios of a candidate side by side
+    n, scenarios = len(next(iter(candidates.values()))), examination.scenarios
 
     def each(values: Sequence[float]) -> np.ndarray:
+        """Values of the scenarios for each arm: the scenarios of a candidate side by side."""
         return np.tile(values, n)
 
     true = nominal_parameters()
@@ -166,13 +165,20 @@ def costs(
             BandLimitedNoise(ratio=each([s.noise for s in scenarios])[:, None]),
             Saturation(limit=template_model().actuator_ctrlrange[:, 1]),
         ],
-        batch=arms,
-        seed=trial.seeds() * n,
+        batch=n * len(scenarios),
+        seed=examination.seeds() * n,
     )
     nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
     gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}
-    observer = _Observer(trial, environment.control_timestep(), environment.physics, progress)
-    simulate(environment, factory(nominal, gains), trial.duration, observer)
+    seconds = ArmSeconds(environment, examination.duration, progress)
+    observer = _Observer(examination, environment.control_timestep(), environment.physics)
+
+    def observe(instant: Instant) -> None:
+        observer(instant)
+        seconds(instant)
+
+    simulate(environment, factory(nominal, gains), examination.duration, observe)
+    seconds.finish()
     return observer.costs(true).reshape(n, len(scenarios))
 
 
@@ -197,47 +203,37 @@ class EachItsOwn:
 class _Observer:
     """Measures the arms while they run."""
 
-    def __init__(
-        self,
-        trial: Trial,
-        period: float,
-        physics: BatchPhysics,
-        progress: Callable[[float], object],
-    ) -> None:
-        self._trial, self._period, self._physics = trial, period, physics
-        self._progress, self._left = progress, trial.duration
+    def __init__(self, examination: Examination, period: float, physics: BatchPhysics) -> None:
+        self._examination, self._period, self._physics = examination, period, physics
         like = np.zeros_like(physics.q())
-        self._error, self._chattering = TrackingError(like), Chattering(like, period)
+        first, settings = {"q": like, "force": like}, Settings(control_period=period)
+        self._error, self._chattering = TrackingError(first, settings), Chattering(first, settings)
 
     def __call__(self, instant: Instant) -> None:
-        steady = instant.measurement.t > self._trial.begin - 0.5 * self._period
+        steady = instant.measurement.t > self._examination.begin - 0.5 * self._period
         with np.errstate(all="ignore"):  # an arm that is lost may hold anything
-            self._chattering.update(instant.tau[None], steady)
-            if steady:
-                error = (instant.q - instant.reference.q)[None]
-                self._error.update(error, error * error)
-        self._left -= self._period
-        self._progress(self._physics.arms * self._period)
+            self._chattering.update({"force": instant.tau[None]}, steady)
+            error = (instant.q - instant.reference.q)[None]
+            self._error.update({"error": error, "squared_error": error * error}, steady)
 
     def costs(self, true: ArmParameters) -> np.ndarray:
-        """Of each arm, shape (n,)."""
-        self._progress(self._physics.arms * max(self._left, 0.0))  # when no arm was left
+        """The cost of each arm, shape (n,)."""
         with np.errstate(all="ignore"):
             rms, rattle = self._error.result()["rms_error"], self._chattering.result()["chattering"]
             e = root_mean_square(rms / np.repeat([SLIDE_SCALE, BEND_SCALE], true.modules))
             c = root_mean_square(rattle) / weight(true)
             kept = np.minimum(e + CHATTERING_WEIGHT * c, LARGEST)
-        lost_at = self._physics.diverged_at() / self._trial.duration
+        lost_at = self._physics.diverged_at() / self._examination.duration
         return np.where(self._physics.intact(), kept, LARGEST * (2.0 - lost_at))
 
 
 def root_mean_square(x: np.ndarray) -> np.ndarray:
-    """Over the last axis, shape (..., 2N) to (...)."""
+    """The root mean square over the last axis, shape (..., 2N) to (...)."""
     squares = (part * part for part in split(x))
     return np.sqrt(sum(squares) / x.shape[-1])
 
 
 def weight(p: ArmParameters) -> float:
-    """Of the whole arm [N]."""
+    """The weight of the whole arm [N]."""
     *_, total = itertools.accumulate(p.mass.tolist())
     return total * float(p.gravity)

@@ -1,69 +1,31 @@
-"""Rows of a run, a block at a time, and the small tools with which accumulators take them up.
+"""Small tools with which accumulators take a run, a few rows at a time.
 
-Whatever is said of a run must not depend on how the run was cut into blocks, nor on how many arms
-were run side by side, not even in the last bit. Hence arithmetic is elementwise, largest values
-and counts may be taken in any order, but sums over time are added up row after row. Accumulators
-take up one row or more at a time.
+A result must not depend on how the run was cut into blocks of rows, nor on how many arms were run
+side by side, not even in the last bit. Hence arithmetic is elementwise, largest values and counts
+may be taken in any order, but sums over time are added row after row.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from types import MappingProxyType
-from typing import NamedTuple
+import math
+from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
 
 from octarm.errors import OctarmError
 from octarm.interfaces import Rows
-
-SETTLED_AFTER = 2.0  # [s]; what is said of the steady regime counts from here on
-
-
-class Block(NamedTuple):
-    """k consecutive control instants of one arm or a batch; row i is the instant t[i].
-
-    The arrays are only read, and nothing keeps a reference to them: a loop may reuse their memory.
-    For one arm the rows of all arrays have the shape (2N,); those of `q_d` may as well have the
-    shape (1, 2N) when the arms of a batch share their reference.
-
-    Attributes:
-        t: time, shape (k,) [s].
-        q: true coordinates, shape (k, ..., 2N) [m], [rad].
-        q_d: desired coordinates, shape (k, ..., 2N) [m], [rad].
-        tau: input forces that the actuators are asked for in the period that begins at t, shape
-            (k, ..., 2N) [N].
-        force: the controller's generalised force Q in that period, shape (k, ..., 2N) [N], [N m].
-        signals: the controller's own quantities by name, each of shape (k, ..., its own axes).
-    """
-
-    t: np.ndarray
-    q: np.ndarray
-    q_d: np.ndarray
-    tau: np.ndarray
-    force: np.ndarray
-    signals: Mapping[str, np.ndarray] = MappingProxyType({})
-
-    @classmethod
-    def of(cls, rows: Rows) -> Block:
-        """A block of the fields that metrics know."""
-        signals = {name: rows[name] for name in ("s", "reaching_bound") if name in rows}
-        return cls(rows["t"], rows["q"], rows["q_d"], rows["tau"], rows["force"], signals)
+from octarm.metrics.metric import SETTLED_AFTER
 
 
-def parts(block: Block, rows: int) -> Iterator[tuple[Block, bool]]:
-    """The block in parts of a few rows at most, each with whether it is past `SETTLED_AFTER`."""
-    settled = int(np.searchsorted(block.t, SETTLED_AFTER))
-    for begin, end, steady in ((0, settled, False), (settled, len(block.t), True)):
-        for start in range(begin, end, rows):
-            yield _rows(block, slice(start, min(start + rows, end))), steady
-
-
-def _rows(block: Block, cut: slice) -> Block:
-    t, q, q_d, tau, force, signals = block
-    part = {name: array[cut] for name, array in signals.items()}
-    return Block(t[cut], q[cut], q_d[cut], tau[cut], force[cut], part)
+def parts(rows: Rows, most: int) -> Iterator[tuple[Rows, bool]]:
+    """Parts of at most so many rows, each with whether it is past `SETTLED_AFTER`."""
+    count = len(rows["t"])
+    settled = int(np.searchsorted(rows["t"], SETTLED_AFTER))
+    for begin, end, steady in ((0, settled, False), (settled, count, True)):
+        for start in range(begin, end, most):
+            cut = slice(start, min(start + most, end))
+            yield {name: array[cut] for name, array in rows.items()}, steady
 
 
 def add_rows(total: np.ndarray, rows: np.ndarray) -> None:
@@ -73,10 +35,10 @@ def add_rows(total: np.ndarray, rows: np.ndarray) -> None:
 
 
 def filled(name: str, value: npt.ArrayLike, like: np.ndarray) -> np.ndarray:
-    """A value as an array of the shape and memory order of a row.
+    """A value as an array of the shape and memory order of a row, shape (...).
 
     Raises:
-        ValueError: if it does not broadcast to that shape; `name` says whose it is.
+        OctarmError: if it does not broadcast to that shape; the sentence begins with `name`.
     """
     out = np.empty_like(like)
     try:
@@ -89,7 +51,7 @@ def filled(name: str, value: npt.ArrayLike, like: np.ndarray) -> np.ndarray:
 
 
 class Before:
-    """The row before each row, across blocks; the first of all counts as its own.
+    """The row before each row, across blocks; the first row of all stands before itself.
 
     Attributes:
         last: a copy of the last row so far; 0 before the first.
@@ -111,6 +73,39 @@ class Before:
         return out
 
 
+class MeanSquare:
+    """Root mean square of rows, from their squares."""
+
+    def __init__(self, like: np.ndarray) -> None:
+        self._rows = 0
+        self._sum = np.zeros_like(like)
+
+    def update(self, squares: np.ndarray) -> None:
+        """Takes the squares of rows, shape (k, ...)."""
+        self._rows += len(squares)
+        add_rows(self._sum, squares)
+
+    def root(self) -> np.ndarray:
+        """The root mean square so far, shape of a row; NaN without a row."""
+        return np.sqrt(self._sum / (self._rows or math.nan))
+
+
+class Size(MeanSquare):
+    """Root mean square and largest absolute value of rows, from their squares."""
+
+    def __init__(self, like: np.ndarray) -> None:
+        super().__init__(like)
+        self._largest = np.zeros_like(like)
+
+    def update(self, squares: np.ndarray) -> None:  # noqa: D102
+        super().update(squares)
+        keep_largest(self._largest, squares)
+
+    def peak(self) -> np.ndarray:
+        """The largest so far, shape of a row; NaN without a row. sqrt(x^2) is exactly |x|."""
+        return np.sqrt(self._largest * (1.0 if self._rows else math.nan))
+
+
 class Extremes:
     """Largest and smallest value so far.
 
@@ -124,7 +119,7 @@ class Extremes:
         self.smallest = np.full_like(like, np.inf)
 
     def update(self, rows: np.ndarray) -> None:
-        """Takes up rows of shape (k, ...)."""
+        """Takes rows of shape (k, ...)."""
         keep_largest(self.largest, rows)
         one = rows[0] if len(rows) == 1 else np.min(rows, axis=0)
         np.minimum(self.smallest, one, out=self.smallest)
@@ -146,7 +141,7 @@ class Count:
         self._pending = 0
 
     def update(self, rows: np.ndarray) -> None:
-        """Takes up rows of bool, shape (k, ...)."""
+        """Takes rows of bool, shape (k, ...)."""
         for row in rows.view(np.uint8):
             self._recent += row
             self._pending += 1
