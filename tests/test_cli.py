@@ -1,5 +1,6 @@
 """The commands as a user meets them."""
 
+import errno
 import importlib.metadata
 import json
 import os
@@ -336,3 +337,45 @@ def test_a_package_that_is_missing_is_one_sentence(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "octarm.disturbances.spelling", None)
     assert cli.main(["run"]) == 2
     assert re.search("octarm doctor says what to install", capsys.readouterr().err)
+
+
+def test_a_bug_shows_its_traceback(monkeypatch):
+    def broken(*_args, **_options):
+        return np.zeros(2) + np.zeros(3)  # a ValueError of NumPy
+
+    monkeypatch.setattr(experiment.ArmRecorder, "run", broken)
+    with pytest.raises(ValueError, match="broadcast"):
+        short_run()
+    assert list(Path().iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device", "a/x"), "a/x: No space left on device"),
+        (OSError(errno.ENOSPC, "No space left on device"), "standard output: No space left"),
+        (MemoryError("3 TiB"), "there is not enough memory: 3 TiB"),
+    ],
+)
+def test_what_the_machine_refuses_is_one_sentence(error, sentence, monkeypatch, capsys):
+    def refused(*_args, **_options):
+        raise error
+
+    monkeypatch.setattr(experiment.Experiment, "begin", refused)
+    assert short_run() == 2
+    assert capsys.readouterr().err.startswith(f"octarm: {sentence}")
+
+
+def test_a_second_interrupt_within_a_moment_changes_nothing():
+    code = (
+        "import os, signal\n"
+        "from octarm.interrupts import held_interrupts, raise_interrupts\n"
+        "raise_interrupts()\n"
+        "try:\n"
+        "    with held_interrupts():\n"
+        "        os.kill(os.getpid(), signal.SIGINT); print('held')\n"
+        "except KeyboardInterrupt:\n"
+        "    os.kill(os.getpid(), signal.SIGTERM); print('closing')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "held\nclosing\n", "")

@@ -130,8 +130,8 @@ def dask_cluster(address: str, workers: int) -> Generator[tuple[Executor, Callab
         workers: number of processes of a local cluster.
 
     Raises:
-        ValueError: if the package distributed is not installed.
-        OSError: if there is no scheduler at the address.
+        OctarmError: if the package distributed is not installed, or there is no scheduler at the
+            address.
     """
     try:
         import distributed
