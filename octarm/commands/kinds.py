@@ -6,6 +6,7 @@ the text of the help page. Called, it imports the modules that it needs and retu
 
 from __future__ import annotations
 
+import pkgutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -18,31 +19,21 @@ Shell = Literal["bash", "zsh", "fish"]
 SHELLS: tuple[Shell, ...] = get_args(Shell)
 
 
+# Where the words of a kind of value stand that has a list of them.
+_WORDS = {
+    "CONTROLLER": "controllers:CONTROLLERS",
+    "REFERENCE": "octarm.references:REFERENCES",
+    "DISTURBANCE": "octarm.disturbances.catalogue:DISTURBANCES",
+    "ACTUATION": "octarm.arm.actuation:ACTUATIONS",
+    "SHELL": "octarm.commands.kinds:SHELLS",
+}
+
+
 def known_words(kind: str) -> list[str]:
-    """The words that a kind of value can be, such as CONTROLLER; none when there is no list."""
-    match kind:
-        case "CONTROLLER":
-            from controllers import CONTROLLERS
-
-            return list(CONTROLLERS)
-        case "REFERENCE":
-            from octarm.references import REFERENCES
-
-            return list(REFERENCES)
-        case "DISTURBANCE":
-            from octarm.disturbances.catalogue import DISTURBANCES
-
-            return list(DISTURBANCES)
-        case "ACTUATION":
-            from octarm.arm.actuation import ACTUATIONS
-
-            return list(ACTUATIONS)
-        case "SHELL":
-            return list(SHELLS)
-        case "GAINS":
-            return ["tuned", "recommended", *map(str, sorted(Path().glob("*.toml")))]
-        case _:
-            return []
+    """The words that a kind of value can be, such as CONTROLLER; imports what holds them."""
+    if kind == "GAINS":
+        return ["tuned", "recommended", *map(str, sorted(Path().glob("*.toml")))]
+    return list(pkgutil.resolve_name(_WORDS[kind]))
 
 
 def text(metavar: str) -> Parameter:
