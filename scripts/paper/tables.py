@@ -65,7 +65,8 @@ class Table(NamedTuple):
 
     def csv(self) -> str:
         """The text of a CSV file; an interval takes three columns."""
-        wide = [any(isinstance(x, Interval) for x in column) for column in zip(*self.rows, strict=True)]
+        columns = zip(*self.rows, strict=True)
+        wide = [any(isinstance(x, Interval) for x in column) for column in columns]
         head = [
             name + end
             for name, intervals in zip(self.columns, wide, strict=True)
