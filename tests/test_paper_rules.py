@@ -142,7 +142,7 @@ def test_numbers_in_words():
     ]  # fmt: skip
     assert number(math.inf) == "∞"
     assert span([math.nan, 0.5, 0.25, math.inf], "%") == "0.250 to 0.500 %"
-    assert Row.of("", Interval(50.0, 25.0, 75.0), "%").text == "50 (25 .. 75) %"
+    assert Row("", Interval(50.0, 25.0, 75.0), "%").text == "50 (25 .. 75) %"
 
 
 def test_a_table_as_csv():

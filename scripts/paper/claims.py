@@ -12,7 +12,7 @@ import importlib.resources
 import math
 import tomllib
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jinja2
 
@@ -28,46 +28,25 @@ class Verdict(enum.StrEnum):
     FAILS = "does not hold"
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Row:
+class Row(NamedTuple):
     """A number that a verdict rests on.
 
     Attributes:
         name: what was measured.
-        value: median over seeds, or the number itself where nothing is random.
-        low: lower end of the 95 % interval; as large as the value where nothing is random.
-        high: upper end.
-        unit: of the three; empty for ratios.
+        value: median over seeds with its 95 % interval, or a number where nothing is random.
+        unit: empty for ratios.
         varies: whether it differs from run to run, as timings do.
     """
 
     name: str
-    value: float
-    low: float
-    high: float
+    value: Interval | float
     unit: str = ""
     varies: bool = False
-
-    @classmethod
-    def of(cls, name: str, interval: Interval, unit: str = "") -> Row:
-        """A row of an interval."""
-        value, low, high = (float(x) for x in interval)
-        return cls(name=name, value=value, low=low, high=high, unit=unit)
-
-    @classmethod
-    def exact(cls, name: str, value: float, unit: str = "", varies: bool = False) -> Row:
-        """A row of a number that is not random."""
-        return cls(name=name, value=value, low=value, high=value, unit=unit, varies=varies)
 
     @property
     def text(self) -> str:
         """The number, its interval and its unit."""
-        return f"{in_words(Interval(self.value, self.low, self.high))} {self.unit}".rstrip()
-
-    @property
-    def pair(self) -> tuple[str, str]:
-        """Name and number, a row of a table."""
-        return self.name, self.text
+        return f"{in_words(self.value)} {self.unit}".rstrip()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -117,6 +96,11 @@ class Claim:
         return cls(letter=letter, verdict=verdict, rows=tuple(rows), **words)
 
     @property
+    def numbers(self) -> list[tuple[str, str]]:
+        """Names and texts of the rows."""
+        return [(row.name, row.text) for row in self.rows]
+
+    @property
     def outcome(self) -> str:
         """The verdict and its condition."""
         return f"{self.verdict} {self.condition}".strip()
@@ -129,7 +113,11 @@ class Claim:
         """
         content = dataclasses.asdict(self) | {"verdict": str(self.verdict)}
         content["rows"] = [
-            {"name": row.name, **_rounded(row), "unit": row.unit}
+            {
+                "name": row.name,
+                **dict(zip(("value", "low", "high"), rounded(row.value), strict=True)),
+                "unit": row.unit,
+            }
             for row in self.rows
             if timings or not row.varies
         ]
@@ -159,9 +147,14 @@ def environment(**options: Any) -> jinja2.Environment:
     return made
 
 
-def rounded(value: float) -> float | str:
-    """To six digits, more than any of them is good for."""
-    return float(f"{value:.6g}") if math.isfinite(value) else str(value)
+def ends(entry: Interval | float) -> tuple[float, float, float]:
+    """A median and its interval; thrice the same where there is none."""
+    return tuple(entry) if isinstance(entry, Interval) else (entry, entry, entry)
+
+
+def rounded(entry: Interval | float) -> list[float | str]:
+    """These three to six digits, more than any of them is good for; words if not finite."""
+    return [float(f"{x:.6g}") if math.isfinite(x) else str(x) for x in map(float, ends(entry))]
 
 
 def number(value: float) -> str:
@@ -178,15 +171,15 @@ def number(value: float) -> str:
 
 def spread(interval: Interval) -> str:
     """The ends of an interval; empty where it has no width."""
-    low, high = float(interval.low), float(interval.high)
-    return "" if low == high or math.isnan(low) else f"{number(low)} .. {number(high)}"
+    same = interval.low == interval.high or math.isnan(interval.low)
+    return "" if same else f"{number(interval.low)} .. {number(interval.high)}"
 
 
 def in_words(entry: str | float | Interval) -> str:
-    """An entry of a table."""
+    """An entry of a table, or a number behind a verdict."""
     if isinstance(entry, Interval):
-        ends = spread(entry)
-        return number(float(entry.value)) + (f" ({ends})" if ends else "")
+        limits = spread(entry)
+        return number(entry.value) + (f" ({limits})" if limits else "")
     return number(entry) if isinstance(entry, float) else str(entry)
 
 
@@ -208,7 +201,3 @@ def listed(words: Sequence[str]) -> str:
     """a, b and c."""
     *first, last = words or ("none",)
     return f"{', '.join(first)} and {last}" if first else last
-
-
-def _rounded(row: Row) -> dict[str, float | str]:
-    return {"value": rounded(row.value), "low": rounded(row.low), "high": rounded(row.high)}

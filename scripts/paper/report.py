@@ -32,7 +32,6 @@ _SECTIONS = {  # of the page: tables by name
     "ranking": ("ranking", "ablations", "gain-sets", "tuning"),
     "beyond": ("payload", "delay", "loss", "degradation", "rates", "correlation", "drift"),
 }
-_NUMBERS = ("", "measured")  # headings
 _BEYOND = ("beyond", "degradation", "rates", "drift")  # figures
 
 
@@ -61,8 +60,8 @@ class Report:
             "ranking": [
                 {
                     "controller": row[0],
-                    "error_with_noise": _triple(row[1]),
-                    "error": _triple(row[5]),
+                    "error_with_noise": rounded(row[1]),
+                    "error": rounded(row[5]),
                 }
                 for row in ranking.rows
             ],
@@ -93,7 +92,7 @@ class Report:
             others=others,
             kinds=KINDS,
             as_cells=_as_cells,
-            numbers=lambda claim: _as_cells(Table("", _NUMBERS, [r.pair for r in claim.rows])),
+            numbers=lambda rows: _as_cells(Table("", ("", "measured"), rows)),
             gains={
                 label: json.dumps(dict(v.gains)) for label, v in self._evidence.variants.items()
             },
@@ -209,11 +208,6 @@ def _as_cells(table: Table) -> pages.Table:
         for row in table.rows
     ]
     return pages.Table(head, rows, len(rows))
-
-
-def _triple(entry: Any) -> list[float | str]:
-    values = list(entry) if isinstance(entry, tuple) else [entry] * 3
-    return [rounded(float(x)) for x in values]
 
 
 def _write_bytes(path: Path, content: bytes) -> None:

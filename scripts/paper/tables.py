@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octarm.reports.statistics import Interval
-from paper.claims import Claim, filled, in_words, percent, texts
+from paper.claims import Claim, ends, filled, in_words, percent, texts
 from paper.evidence import Cell, Evidence, interval
 from paper.runs import EVERY, LONG
 from paper.studies import (
@@ -78,8 +78,7 @@ class Table(NamedTuple):
         for row in self.rows:
             parts: list[str | float] = []
             for entry, intervals in zip(row, wide, strict=True):
-                values = list(entry) if isinstance(entry, Interval) else [entry]
-                parts += values if len(values) == 3 or not intervals else 3 * values
+                parts += ends(entry) if intervals else [entry]
             writer.writerow(map(_plain, parts))
         return text.getvalue()
 
@@ -316,7 +315,7 @@ def cells(evidence: Evidence) -> Table:
 def numbers(claims: Sequence[Claim]) -> Table:
     """All numbers of all claims but timings."""
     rows = [
-        (c.letter, str(c.verdict), c.condition, row.name, row.value, row.low, row.high, row.unit)
+        (c.letter, str(c.verdict), c.condition, row.name, *ends(row.value), row.unit)
         for c in claims
         for row in c.rows
         if not row.varies

@@ -6,6 +6,7 @@ A rule is a function of numbers alone. The words of a claim, its rule in words a
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from octarm.metrics.table import SETTLED_AFTER
 from octarm.reports.statistics import Interval
-from paper.claims import Claim, Row, Verdict, percent
+from paper.claims import Claim, Row, Verdict, ends, percent
 from paper.evidence import NAMES, Cell, Evidence, interval
 from paper.lyapunov import Outcome
 from paper.runs import ARMS, Series, name_of
@@ -55,6 +56,15 @@ def claims(evidence: Evidence) -> list[Claim]:
     return [claim(evidence) for claim in made]
 
 
+def less(ratio: Interval, limit: float) -> bool:
+    """Whether an error ratio is small enough, and its interval below 1."""
+    return bool(ratio.value <= limit and ratio.high < 1.0)
+
+
+helps = functools.partial(less, limit=HELPS)
+better = functools.partial(less, limit=BETTER)
+
+
 def overshoot_verdict(smc: Sequence[float], proposed: Sequence[float]) -> Verdict:
     """Overshoots of SMC, over joints, model errors and gain sets, and of the proposed law [%]."""
     if not proposed or max(map(abs, proposed)) >= DIGIT:
@@ -75,11 +85,11 @@ def overshoot(evidence: Evidence) -> Claim:
     rows = [
         _largest("afsmc: overshoot furthest from 0", proposed),
         *(
-            Row.exact(f"{label}: {end} overshoot", pick(overshoots.values()), "%")
+            Row(f"{label}: {end} overshoot", pick(overshoots.values()), "%")
             for label, overshoots in ((SMC, tuned), (by_hand(SMC), hand))
             for end, pick in (("smallest", min), ("largest", max))
         ),
-        Row.exact(f"{by_hand(SMC)}: model error with {SAID:g} % on theta1", 100.0 * crossing, "%"),
+        Row(f"{by_hand(SMC)}: model error with {SAID:g} % on theta1", 100.0 * crossing, "%"),
         _largest(f"{by_hand(PROPOSED)}: furthest from 0", proposed_by_hand),
     ]
     smc = [*tuned.items(), *hand.items()]
@@ -111,7 +121,7 @@ def _overshoots(evidence: Evidence, label: str) -> dict[str, float]:
 
 def _largest(name: str, overshoots: dict[str, float]) -> Row:
     where, value = max(overshoots.items(), key=lambda pair: abs(pair[1]))
-    return Row.exact(f"{name} ({where})", value, "%")
+    return Row(f"{name} ({where})", value, "%")
 
 
 def crossing_at(models: np.ndarray, overshoots: np.ndarray) -> float:
@@ -148,12 +158,12 @@ def oscillation(evidence: Evidence) -> Claim:
     ratios = [interval(a / b).value for a, b in zip(by_label[PROPOSED], by_label[SMC], strict=True)]
     rows = [
         *(
-            Row.of(f"{label}: mean of all joints and models", interval(mean), "%")
+            Row(f"{label}: mean of all joints and models", interval(mean), "%")
             for label, mean in means.items()
         ),
-        Row.of("afsmc over smc-boundary, mean of all", interval(means[PROPOSED] / means[SMC])),
+        Row("afsmc over smc-boundary, mean of all", interval(means[PROPOSED] / means[SMC])),
         *(
-            Row.of(f"{label}: {joint}, model {percent(m)}", interval(value), "% of amplitude")
+            Row(f"{label}: {joint}, model {percent(m)}", interval(value), "% of amplitude")
             for label, values in by_label.items()
             for (_, joint, m), value in zip(places, values, strict=True)
         ),
@@ -164,9 +174,9 @@ def oscillation(evidence: Evidence) -> Claim:
         oscillation_verdict(smc, ratios),
         rows,
         smc=together[SMC].value,
-        smc_row=Row.of("", together[SMC], "% of the amplitude").text,
+        smc_row=Row("", together[SMC], "% of the amplitude").text,
         proposed=together[PROPOSED].value,
-        proposed_row=Row.of("", together[PROPOSED], "%").text,
+        proposed_row=Row("", together[PROPOSED], "%").text,
         low=min(ratios),
         high=max(ratios),
         VISIBLE=VISIBLE,
@@ -196,9 +206,7 @@ def chattering(evidence: Evidence) -> Claim:
     quiet, noisy = (
         {
             label: [
-                Row.of(
-                    f"{label}: {_where(cell)}", evidence.measured.percent(cell, "chattering"), "%"
-                )
+                Row(f"{label}: {_where(cell)}", evidence.measured.percent(cell, "chattering"), "%")
                 for cell in _known(evidence, label, noise)
             ]
             for label in labels
@@ -217,11 +225,11 @@ def chattering(evidence: Evidence) -> Claim:
     }
     rows = [row for rows in (*quiet.values(), *noisy.values()) for row in rows]
     rows += [
-        Row.exact(f"afsmc at {rate:g} Hz, model {percent(WRONG)}, no noise", value, "%")
+        Row(f"afsmc at {rate:g} Hz, model {percent(WRONG)}, no noise", value, "%")
         for rate, value in by_rate.items()
     ]
     calm, restless = (
-        {label: [row.value for row in rows] for label, rows in table.items()}
+        {label: [ends(row.value)[0] for row in rows] for label, rows in table.items()}
         for table in (quiet, noisy)
     )
     return Claim.written(
@@ -237,11 +245,6 @@ def chattering(evidence: Evidence) -> Claim:
         bad_rates=[f"{rate:g} Hz" for rate, value in by_rate.items() if not value < NONE],
         NONE=NONE,
     )
-
-
-def helps(ratio: Interval) -> bool:
-    """Whether an error ratio says that adapting the premises helps."""
-    return bool(ratio.value <= HELPS and ratio.high < 1.0)
 
 
 def premises_verdict(
@@ -272,7 +275,7 @@ def premises(evidence: Evidence) -> Claim:
     ]
     ratios = {pair: measured.ratio(*pair) for pair in pairs if measured.has(*pair)}
     rows = [
-        Row.of(f"{cell.label} over {other.label}: {_where(cell)}", ratio)
+        Row(f"{cell.label} over {other.label}: {_where(cell)}", ratio)
         for (cell, other), ratio in ratios.items()
     ]
 
@@ -346,16 +349,11 @@ def _growth(o: Outcome) -> list[Row]:
     where = f"{o.label}, {o.rate:g} Hz, model {percent(o.mismatch)}"
     shares = (("inside", o.share_inside, o.inside), ("outside", o.share_outside, o.outside))
     grown = [
-        Row.exact(f"{where}: V grew {side} the layer, of {periods} periods", 100.0 * share, "%")
+        Row(f"{where}: V grew {side} the layer, of {periods} periods", 100.0 * share, "%")
         for side, share, periods in shares
         if periods
     ]
-    return [*grown, Row.exact(f"{where}: largest 1/2 s^T D s after 2 s", 1e3 * o.bound, "mJ")]
-
-
-def better(ratio: Interval) -> bool:
-    """Whether an error ratio says that the proposed controller is better."""
-    return bool(ratio.value <= BETTER and ratio.high < 1.0)
+    return [*grown, Row(f"{where}: largest 1/2 s^T D s after 2 s", 1e3 * o.bound, "mJ")]
 
 
 def uncertainty_verdict(ratios: Sequence[Interval]) -> Verdict:
@@ -376,7 +374,7 @@ def uncertainty(evidence: Evidence) -> Claim:
         for rival in (SMC, INTEGRAL, MATCHED)
     }
     rows = [
-        Row.of(f"afsmc over {rival}: {name}", ratio)
+        Row(f"afsmc over {rival}: {name}", ratio)
         for rival, cases in ratios.items()
         for name, _, ratio in cases
     ]
@@ -422,17 +420,17 @@ def computation(evidence: Evidence) -> Claim:
     costs, rules = evidence.costs, len(evidence.variants[PROPOSED].gains["alpha0"])
     many, ratio = costs[PROPOSED].many, costs[PROPOSED].many / costs[SMC].many
     rows = [
-        Row.exact("rules of afsmc, one input each, a joint", rules),
-        Row.exact("rules of fuzzy, two inputs each, a joint", 49.0),
+        Row("rules of afsmc, one input each, a joint", rules),
+        Row("rules of fuzzy, two inputs each, a joint", 49.0),
         *(
-            Row.exact(f"{label}: a step, an arm of {ARMS}", 1e6 * cost.many, "us", varies=True)
+            Row(f"{label}: a step, an arm of {ARMS}", 1e6 * cost.many, "us", varies=True)
             for label, cost in costs.items()
         ),
         *(
-            Row.exact(f"{label}: a step, one arm alone", 1e6 * cost.alone, "us", varies=True)
+            Row(f"{label}: a step, one arm alone", 1e6 * cost.alone, "us", varies=True)
             for label, cost in costs.items()
         ),
-        Row.exact("afsmc over smc-boundary", ratio, varies=True),
+        Row("afsmc over smc-boundary", ratio, varies=True),
     ]
     verdict = computation_verdict(many * RATE)
     return Claim.written("g", verdict, rows, many=many, ratio=ratio, rules=rules, MODERATE=MODERATE)
