@@ -19,13 +19,7 @@ from paper.runs import SWEEPS, Cost, Series, series_requests
 from paper.studies import BENDS, MODELS, PROPOSED, TIME, Cast, Effort, Part
 
 # What a part has in all its episodes where it does not vary it.
-NEUTRAL = {
-    "noise": 0.0,
-    "noise.time": TIME,
-    "payload": 0.0,
-    "actuation-delay": 0.0,
-    "loss": 0.0,
-}
+NEUTRAL = {"noise": 0.0, "noise.time": TIME, "payload": 0.0, "actuation-delay": 0.0, "loss": 0.0}
 _METRICS = ("rms_error", "overshoot", "chattering")
 NAMES = tuple(coordinate_names(nominal_parameters().modules))  # of the coordinates
 
