@@ -122,7 +122,7 @@ BAD = [
     (["run", "--gain", "K:nan"], "K holds nan; it must be finite"),
     (["run", "--gain", "K:1,2"], "K has 2 values; it needs 1 or 6"),
     (["run", "--gain", "lambda:-1"], "lambda holds -1; it must be above 0"),
-    (["run", "--gain", "Q:1"], "smc-boundary has no gain 'Q'.* known are lambda, K_v, K"),
+    (["run", "--gain", "Q:1"], "smc-boundary has no gain 'Q'.* known are lambda, K, K_v"),
     (["run", "--gain", "K"], "--gain is 'K'; it must read NAME:NUMBER"),
     (["run", "--parameter", "mass:1,2"], r"inertia has shape \(3,\).* the 2 modules that mass has"),
     (["run", "--parameter", "mass:1,1,-1"], "mass holds -1; it must be above 0"),

@@ -306,7 +306,7 @@ def test_chosen_columns_are_read_alone(tmp_path):
     run(tmp_path / "s")
     table = octarm.read_sweep(tmp_path / "s", ["controller", "effort_tau1"])
     assert table.column_names == ["controller", "effort_tau1"]
-    assert table.schema.field("effort_tau1").metadata == {b"unit": b"N"}
+    assert table.schema.field("effort_tau1").metadata[b"unit"] == b"N"
 
 
 def test_an_estimate_counts_episodes_and_writes_nothing(tmp_path, monkeypatch):

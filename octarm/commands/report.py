@@ -45,13 +45,13 @@ def report(options: sweeps.Report) -> int:
 
 
 def _check_place(out: Path, sweep: Path) -> None:
-    """Raises ValueError if the folder holds something else; an earlier report is replaced."""
+    """Raises OctarmError if the folder holds something else; an earlier report is replaced."""
     if out.exists() and not out.is_dir():
         raise OctarmError(f"{out} is not a folder; choose another --out")
     if out.resolve() == sweep.resolve():
         raise OctarmError(f"{out} is the sweep itself; choose another --out")
-    found = {entry.name for entry in (out.iterdir() if out.is_dir() else ())}
-    if PAGE not in found and found - {FIGURES, *TABLES}:
+    names = {entry.name for entry in (out.iterdir() if out.is_dir() else ())}
+    if PAGE not in names and names - {FIGURES, *TABLES}:
         raise OctarmError(f"{out} exists and is not a report; choose another --out")
 
 

@@ -37,9 +37,13 @@ _AS_THEY_ARE = {"seed", "spawn_key", "duration", "timestep", "control_period", "
 class Recording(Protocol):
     """A recording that is written while the run goes on; see `octarm.recordings.recording`."""
 
-    def add(self, rows: Rows, layer: np.ndarray | None) -> None: ...  # noqa: D102
+    def add(self, rows: Rows, layer: np.ndarray | None) -> None:
+        """Takes further rows, and the half width of the boundary layer, shape (2N,)."""
+        ...
 
-    def finish(self, description: Mapping[str, Any]) -> None: ...  # noqa: D102
+    def finish(self, description: Mapping[str, Any]) -> None:
+        """Takes the complete description, with which the recording ends."""
+        ...
 
 
 # Opens the file of a recording, given the description that announces the run.
