@@ -147,12 +147,12 @@ def environment(**options: Any) -> jinja2.Environment:
     return made
 
 
-def ends(entry: Interval | float) -> tuple[float, float, float]:
+def ends(entry: Any) -> tuple[Any, Any, Any]:
     """A median and its interval; thrice the same where there is none."""
     return tuple(entry) if isinstance(entry, Interval) else (entry, entry, entry)
 
 
-def rounded(entry: Interval | float) -> list[float | str]:
+def rounded(entry: Any) -> list[float | str]:
     """These three to six digits, more than any of them is good for; words if not finite."""
     return [float(f"{x:.6g}") if math.isfinite(x) else str(x) for x in map(float, ends(entry))]
 

@@ -54,7 +54,7 @@ from paper.tables import by_error
 GREY = "#5f6b77"
 HEADLINE = "paper"  # name of the README's picture
 
-_COLORS = dict(zip(
+_COLORS: dict[str, str] = dict(zip(
     (PROPOSED, SMC, SIGN, INTEGRAL, TWISTING, CONSEQUENT, "fsmc", "pd", "computed-torque", "fuzzy"),
     COLORS, strict=True,
 ))  # fmt: skip

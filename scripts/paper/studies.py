@@ -52,7 +52,7 @@ class Stress(NamedTuple):
     Attributes:
         values: that it takes, in SI units, 0 first.
         tested: the one that claim (f) takes.
-        unit: that it is shown in.
+        unit: for tables and figures.
         factor: from SI to that unit.
     """
 

@@ -9,7 +9,7 @@ import tomllib
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -76,7 +76,7 @@ class Table(NamedTuple):
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(head)
         for row in self.rows:
-            parts: list[str | float] = []
+            parts: list[Any] = []
             for entry, intervals in zip(row, wide, strict=True):
                 parts += ends(entry) if intervals else [entry]
             writer.writerow(map(_plain, parts))
