@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from octarm.sweeps.parser import parse_spec
+from octarm.sweeps.spec_file import parse_spec
 
 import octarm
 from controllers import make_controller
