@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from controllers import make_controller
-from controllers.fuzzy_sliding_mode import FuzzySlidingMode
+from controllers.fuzzy_rules import FuzzySlidingMode
 from controllers.integral_sliding_mode import IntegralState
 from controllers.proofs.adaptive_ledger import adaptive, along_a_run
 from controllers.proofs.lyapunov import (

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from controllers import AdaptiveConsequents, AdaptiveFuzzy
-from controllers.gains import Gain
+from controllers.law import Gain
 from controllers.recommended import boundary_width, linear_gain
 from controllers.sliding_mode import Surface
 from octarm.arm.lagrange import (
