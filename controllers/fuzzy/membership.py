@@ -55,29 +55,15 @@ class _Straight(Membership):
         left, top_left, top_right, right = self.corners
         y = 1.0  # what lies under both slopes; a slope with no foot is not there
         with np.errstate(over="ignore"):  # a slope that overflows is below 0 or above 1
-            if math.isfinite(left):
-                rising = (x - left) / (top_left - left) if left < top_left else _step(x - left)
-                y = np.minimum(rising, y)
-            if math.isfinite(right):
-                width = right - top_right
-                falling = (right - x) / width if top_right < right else _step(right - x)
-                y = np.minimum(falling, y)
+            for rise, width in ((x - left, top_left - left), (right - x, right - top_right)):
+                if math.isfinite(width):  # a vertical slope keeps NaN
+                    y = np.minimum(rise / width if width > 0.0 else np.heaviside(rise, 1.0), y)
         return np.maximum(y, np.zeros_like(x))
-
-
-def _step(x: np.ndarray) -> np.ndarray:
-    """A vertical slope; NaN stays NaN."""
-    return np.heaviside(x, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
 class Triangular(_Straight):
     """Straight from 0 at `left` up to 1 at `peak`, and down to 0 at `right`.
-
-    Attributes:
-        left: where it begins; -inf for an open left shoulder.
-        peak: where it is 1.
-        right: where it ends; inf for an open right shoulder.
 
     Raises:
         OctarmError: unless left <= peak <= right and the peak is finite.
@@ -101,12 +87,6 @@ class Triangular(_Straight):
 @dataclasses.dataclass(frozen=True)
 class Trapezoidal(_Straight):
     """Straight from 0 at `left` up to 1 on [top_left, top_right], and down to 0 at `right`.
-
-    Attributes:
-        left: where it begins; -inf for an open left shoulder.
-        top_left: where it reaches 1.
-        top_right: where it leaves 1.
-        right: where it ends; inf for an open right shoulder.
 
     Raises:
         OctarmError: unless left <= top_left <= top_right <= right and the top is finite.
@@ -163,12 +143,11 @@ class Gaussian(Membership):
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Membership of x [1], of the shape of x."""
+        z = np.zeros_like(x)
         with np.errstate(over="ignore"):  # beyond all numbers the membership is 0
-            z = np.zeros_like(x)
-            if math.isfinite(self.left):
-                z = z + np.maximum(self.center - x, 0.0) / self.left
-            if math.isfinite(self.right):
-                z = z + np.maximum(x - self.center, 0.0) / self.right
+            for distance, width in ((self.center - x, self.left), (x - self.center, self.right)):
+                if math.isfinite(width):
+                    z = z + np.maximum(distance, 0.0) / width
             return self.profile(z)
 
     def profile(self, z: np.ndarray) -> np.ndarray:
