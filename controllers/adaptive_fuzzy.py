@@ -111,14 +111,9 @@ def compensation_bound(nominal: NominalModel) -> np.ndarray:
     return hand_set(nominal, *values, scaled=lambda: 0.6 * switching_gain(nominal))
 
 
-def compensation_rate(nominal: NominalModel) -> np.ndarray:
-    """eta1, shape (..., 2N) [N/m], [N m/rad], from (E / F)' = 5 |z| with z = s / scale."""
-    return 5.0 * force_scale(nominal) / boundary_width(nominal)
-
-
-def consequent_rate(nominal: NominalModel) -> np.ndarray:
-    """eta2, shape (..., 2N) [N/m], [N m/rad], from (theta / F)' = 200 z phi."""
-    return 200.0 * force_scale(nominal) / boundary_width(nominal)
+def rate(times: float, nominal: NominalModel) -> np.ndarray:
+    """eta1 or eta2, shape (..., 2N) [N/m], [N m/rad], for x' = eta s with (x / F)' = times z."""
+    return times * force_scale(nominal) / boundary_width(nominal)
 
 
 def premise_rate(nominal: NominalModel) -> np.ndarray:
@@ -134,8 +129,14 @@ CONSEQUENT_BOUND = GainField(
 COMPENSATION_BOUND = dataclasses.replace(
     CONSEQUENT_BOUND, meaning="bound on E", recommended=compensation_bound
 )
+# (E / F)' = 5 |z| and (theta / F)' = 200 z phi, with z = s / scale.
 COMPENSATION_RATE = GainField(
-    "adaptation rate of E", "N/m, N m/rad", compensation_rate, LEARNING, zero=True
+    "adaptation rate of E", "N/m, N m/rad", functools.partial(rate, 5.0), LEARNING, zero=True
+)
+CONSEQUENT_RATE = dataclasses.replace(
+    COMPENSATION_RATE,
+    meaning="adaptation rate of theta",
+    recommended=functools.partial(rate, 200.0),
 )
 PREMISE_RATE = GainField(
     "adaptation rate of alpha", "1/(N m), 1/(N m rad)", premise_rate, PREMISES, zero=True
@@ -172,12 +173,7 @@ class AdaptiveLaw(SlidingLaw):
         ),
     ]
     eta1: Annotated[Gain, COMPENSATION_RATE]
-    eta2: Annotated[
-        Gain,
-        dataclasses.replace(
-            COMPENSATION_RATE, meaning="adaptation rate of theta", recommended=consequent_rate
-        ),
-    ]
+    eta2: Annotated[Gain, CONSEQUENT_RATE]
     alpha0: Annotated[
         np.ndarray,
         RuleField(

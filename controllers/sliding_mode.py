@@ -136,7 +136,8 @@ class SwitchingLaw(SlidingLaw):
         if self.uncertainty is not None:
             u, (_, q, v) = np.asarray(self.uncertainty), measurement
             F = self.nominal.largest_error(u, q, v, surface.a_r, surface.v_r)
-            signals["K"] = gain = np.asarray(self.eta) + F
+            gain = np.asarray(self.eta) + F
+            signals = {"K": gain, **signals}
         switching = -gain * switch - self.K_v * surface.s
         return self.command(measurement, surface, switching, layer=layer, **signals)
 

@@ -55,10 +55,15 @@ class _Straight(Membership):
         left, top_left, top_right, right = self.corners
         y = 1.0  # what lies under both slopes; a slope with no foot is not there
         with np.errstate(over="ignore"):  # a slope that overflows is below 0 or above 1
-            for rise, width in ((x - left, top_left - left), (right - x, right - top_right)):
-                if math.isfinite(width):  # a vertical slope keeps NaN
-                    y = np.minimum(rise / width if width > 0.0 else np.heaviside(rise, 1.0), y)
+            if math.isfinite(left):
+                y = np.minimum(_slope(x - left, top_left - left), y)
+            if math.isfinite(right):
+                y = np.minimum(_slope(right - x, right - top_right), y)
         return np.maximum(y, np.zeros_like(x))
+
+
+def _slope(rise: np.ndarray, width: float) -> np.ndarray:
+    return rise / width if width > 0.0 else np.heaviside(rise, 1.0)  # NaN stays NaN
 
 
 @dataclasses.dataclass(frozen=True)
