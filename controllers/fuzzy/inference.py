@@ -154,8 +154,10 @@ class FuzzySystem:
         labels = {v.name: v(x) for v, x in zip(self.inputs, inputs, strict=True)}
         weights: dict[str, list[np.ndarray]] = {}
         for rule in self.rules:
-            clauses = ([labels[name][label] for name, label in case] for case in rule.cases)
-            cases = (functools.reduce(self.conjunction, grades) for grades in clauses)
+            cases = [
+                functools.reduce(self.conjunction, [labels[name][label] for name, label in case])
+                for case in rule.cases
+            ]
             weight = functools.reduce(self.disjunction, cases)
             weights.setdefault(rule.conclusion, []).append(weight)
         return weights

@@ -56,14 +56,17 @@ class _Straight(Membership):
         y = 1.0  # what lies under both slopes; a slope with no foot is not there
         with np.errstate(over="ignore"):  # a slope that overflows is below 0 or above 1
             if math.isfinite(left):
-                y = np.minimum(_slope(x - left, top_left - left), y)
+                rising = (x - left) / (top_left - left) if left < top_left else _step(x - left)
+                y = np.minimum(rising, y)
             if math.isfinite(right):
-                y = np.minimum(_slope(right - x, right - top_right), y)
+                width = right - top_right
+                falling = (right - x) / width if top_right < right else _step(right - x)
+                y = np.minimum(falling, y)
         return np.maximum(y, np.zeros_like(x))
 
 
-def _slope(rise: np.ndarray, width: float) -> np.ndarray:
-    return rise / width if width > 0.0 else np.heaviside(rise, 1.0)  # NaN stays NaN
+def _step(x: np.ndarray) -> np.ndarray:
+    return np.heaviside(x, 1.0)  # a vertical slope; NaN stays NaN
 
 
 @dataclasses.dataclass(frozen=True)
