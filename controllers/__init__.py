@@ -2,8 +2,7 @@
 
 To add one, write its file, import its class here, and add its line to `CONTROLLERS`. The class is a
 `controllers.law.Law` with a field for each gain, which declares its units, what is allowed, its
-recommended value and its tuning; see `controllers.gains`. `octarm.interfaces` says what a
-controller does.
+recommended value and its tuning. `octarm.interfaces` says what a controller does.
 
 Tuned gains take the place of recommended ones where `controllers/gains/` holds some for the
 controller and for arms of as many modules. `octarm tune` finds gains.
@@ -19,13 +18,13 @@ import numpy.typing as npt
 
 from controllers.adaptive_fuzzy import AdaptiveConsequents as AdaptiveConsequents
 from controllers.adaptive_fuzzy import AdaptiveFuzzy as AdaptiveFuzzy
-from controllers.computed_torque import ComputedTorque as ComputedTorque
-from controllers.fuzzy_sliding_mode import FuzzySlidingMode as FuzzySlidingMode
+from controllers.feedback import ComputedTorque as ComputedTorque
+from controllers.feedback import ProportionalDerivative as ProportionalDerivative
+from controllers.fuzzy_rules import FuzzyController as FuzzyController
+from controllers.fuzzy_rules import FuzzySlidingMode as FuzzySlidingMode
 from controllers.gain_sets import starting_gains
-from controllers.gains import gain_fields, spelled
 from controllers.integral_sliding_mode import IntegralSlidingMode as IntegralSlidingMode
-from controllers.model_free_fuzzy import FuzzyController as FuzzyController
-from controllers.pd import ProportionalDerivative as ProportionalDerivative
+from controllers.law import gain_fields, spelled
 from controllers.sliding_mode import BoundaryLayer as BoundaryLayer
 from controllers.sliding_mode import SlidingMode as SlidingMode
 from controllers.super_twisting import SuperTwisting as SuperTwisting
@@ -74,16 +73,19 @@ def make_controller(
         raise OctarmError(f"unknown controller {name!r}{closest(name, CONTROLLERS)}")
     law = CONTROLLERS[name]
     model = LagrangeModel(nominal) if isinstance(nominal, ArmParameters) else nominal
-    given = dict(gains or {})
-    declared = gain_fields(law)
+    given, declared = dict(gains or {}), gain_fields(law)
     fields = {spelled(field): field for field in declared}
-    starting = {n: f for n, f in declared.items() if f.replaced_by not in given}
-    values: dict[str, Any] = {
-        n: f.start(model) for n, f in starting.items() if f.recommended is not None
+    starting: dict[str, Any] = {
+        gain: declared[field].start(model)
+        for gain, field in fields.items()
+        if declared[field].recommended is not None
     }
-    tuned = starting_gains(name, model.modules, gain_set)
-    wanted = {n: x for n, x in tuned.items() if fields.get(n) not in declared.keys() - starting}
-    for gain, value in {**wanted, **given}.items():
+    starting |= starting_gains(name, model.modules, gain_set)
+    for gain, field in fields.items():
+        if declared[field].replaced_by in given:
+            starting.pop(gain, None)
+    values: dict[str, Any] = {}
+    for gain, value in {**starting, **given}.items():
         if gain not in fields:
             raise OctarmError(f"{name} has no gain {gain!r}{closest(gain, fields)}")
         values[fields[gain]] = value

@@ -37,19 +37,19 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from controllers.adaptive_gains import (
-    COMPENSATION_BOUND,
-    CONSEQUENT_BOUND,
-    PREMISES,
-    AdaptiveLaw,
-    premise_rate,
-)
 from controllers.fuzzy.estimators import first_type, second_type, strengths
-from controllers.gains import Gain, GainField
-from controllers.law import elapsed
-from controllers.sliding_mode import Surface, saturation
+from controllers.law import Gain, GainField, RuleField, Switch, elapsed
+from controllers.recommended import (
+    LAYER_WIDTH,
+    LINEAR_GAIN,
+    WIDTH,
+    boundary_width,
+    hand_set,
+    switching_gain,
+)
+from controllers.sliding_mode import SlidingLaw, Surface, saturation
 from octarm.errors import OctarmError
-from octarm.interfaces import Command, Measurement, Reference
+from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
 
 
 class ConsequentState(NamedTuple):
@@ -84,9 +84,152 @@ class FuzzyState(NamedTuple):
     E: np.ndarray
 
 
+def force_scale(nominal: NominalModel) -> np.ndarray:
+    """F, about what theta may have to be, shape (..., 2N) [N], [N m]: the unit it adapts in.
+
+    1 N and 0.1 N m for three modules. For other arms half the switching gain, which scales with
+    mass and size.
+    """
+    values = (1.0, 1.0, 1.0, 0.1, 0.1, 0.1)
+    return hand_set(nominal, *values, scaled=lambda: 0.5 * switching_gain(nominal))
+
+
+def consequent_bound(nominal: NominalModel) -> np.ndarray:
+    """theta_max, shape (..., 2N) [N], [N m]: hand-set for three modules, else `switching_gain`.
+
+    It is what sampling allows. With all theta at their bounds and the premises as they start, the
+    slope of f^ at s = 0 is 3.24 theta_max / scale. With a control period dt, the product
+    dt [D^-1]_jj (K_v + E_max / phi + 3.24 theta_max / scale) should stay below about 0.6.
+    """
+    values = (1.0, 1.0, 1.0, 0.6, 0.25, 0.04)
+    return hand_set(nominal, *values, scaled=lambda: switching_gain(nominal))
+
+
+def compensation_bound(nominal: NominalModel) -> np.ndarray:
+    """E_max, shape (..., 2N) [N], [N m]: about 0.6 `consequent_bound`; see there."""
+    values = (0.6, 0.6, 0.6, 0.3, 0.15, 0.02)
+    return hand_set(nominal, *values, scaled=lambda: 0.6 * switching_gain(nominal))
+
+
+def rate(times: float, nominal: NominalModel) -> np.ndarray:
+    """eta1 or eta2, shape (..., 2N) [N/m], [N m/rad], for x' = eta s with (x / F)' = times z."""
+    return times * force_scale(nominal) / boundary_width(nominal)
+
+
+def premise_rate(nominal: NominalModel) -> np.ndarray:
+    """eta3, eta4, shape (..., 2N) [1/(N m)], [1/(N m rad)], from alpha' = 0.1 z B^T (theta / F)."""
+    return 0.1 / (force_scale(nominal) * boundary_width(nominal))
+
+
+LEARNING, BOUND, PREMISES = Knob("learning"), Knob("bound", apart=True), Knob("premises")
+
+CONSEQUENT_BOUND = GainField(
+    "bound on |theta|", "N, N m", consequent_bound, BOUND, zero=True, infinite=True
+)
+COMPENSATION_BOUND = dataclasses.replace(
+    CONSEQUENT_BOUND, meaning="bound on E", recommended=compensation_bound
+)
+# (E / F)' = 5 |z| and (theta / F)' = 200 z phi, with z = s / scale.
+COMPENSATION_RATE = GainField(
+    "adaptation rate of E", "N/m, N m/rad", functools.partial(rate, 5.0), LEARNING, zero=True
+)
+CONSEQUENT_RATE = dataclasses.replace(
+    COMPENSATION_RATE,
+    meaning="adaptation rate of theta",
+    recommended=functools.partial(rate, 200.0),
+)
 PREMISE_RATE = GainField(
     "adaptation rate of alpha", "1/(N m), 1/(N m rad)", premise_rate, PREMISES, zero=True
 )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class AdaptiveLaw(SlidingLaw):
+    """Law (63) with an estimate f^ that a subclass adapts.
+
+    Raises:
+        OctarmError: if alpha0 and sigma0 are for different numbers of rules.
+    """
+
+    K_v: Annotated[Gain, LINEAR_GAIN]
+    phi: Annotated[  # 0 gives sgn(s), as the proof has it
+        Gain,
+        dataclasses.replace(LAYER_WIDTH, meaning="half width of the layer of the compensation"),
+    ]
+    scale: Annotated[
+        Gain,
+        dataclasses.replace(
+            LAYER_WIDTH, meaning="the membership functions see z = s / scale", zero=False
+        ),
+    ]
+    dead_zone: Annotated[
+        Gain,
+        GainField(
+            "E rests while |s| is below this",
+            "m/s, rad/s",
+            lambda nominal: 0.05 * boundary_width(nominal),
+            WIDTH,
+            zero=True,
+        ),
+    ]
+    eta1: Annotated[Gain, COMPENSATION_RATE]
+    eta2: Annotated[Gain, CONSEQUENT_RATE]
+    alpha0: Annotated[
+        np.ndarray,
+        RuleField(
+            "centres of the membership functions at the start, in units of z",
+            "1",
+            [-1.0, -0.5, 0.0, 0.5, 1.0],
+            zero=True,
+        ),
+    ]
+    sigma0: Annotated[  # a function is at exp(-1) on its neighbours' centres
+        np.ndarray, RuleField("their inverse widths at the start", "1", 2.0)
+    ]
+    safeguards: Annotated[
+        bool, Switch("whether bounds and dead zone act; else the law is as printed", "1")
+    ] = True
+    normalised: Annotated[
+        bool, Switch("whether the strengths of a joint's rules are divided by their sum", "1")
+    ] = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        widths, centres = self.sigma0.shape[-1], self.alpha0.shape[-1]
+        if widths not in (1, centres) and centres != 1:
+            raise OctarmError(
+                f"sigma0 is for {widths} rules and alpha0 for {centres}; they must fit"
+            )
+
+    def rule_table(self, value: np.ndarray, batch_shape: tuple[int, ...]) -> np.ndarray:
+        """A new array with one value a rule, shape (..., 2N, M), the batch contiguous."""
+        rules = np.broadcast_shapes(self.alpha0.shape, self.sigma0.shape)[-1]
+        shape = np.broadcast_shapes((*batch_shape, self.nominal.coordinates, rules), value.shape)
+        table = np.empty_like(value, shape=shape[::-1]).T
+        table[...] = value
+        return table
+
+    def compensated(
+        self,
+        measurement: Measurement,
+        surface: Surface,
+        f_hat: np.ndarray,
+        E: np.ndarray,
+        **rules: np.ndarray,
+    ) -> Command:
+        """Eqs (63) and (78): Q and its signals, from f^ and E of shape (..., 2N) [N], [N m]."""
+        s = surface.s
+        switching = -(f_hat + E * saturation(s, self.phi)) - self.K_v * s
+        signals = {"f_hat": f_hat, "E": E, **rules}
+        return self.command(measurement, surface, switching, layer=self.phi, **signals)
+
+    def grown(self, E: np.ndarray, s: np.ndarray, dt: float, E_max: np.ndarray) -> np.ndarray:
+        """E after dt [s], eq (79), shape (..., 2N) [N], [N m]."""
+        size = np.abs(s)
+        if not self.safeguards:
+            return E + dt * self.eta1 * size
+        size = size * (size >= self.dead_zone)
+        return np.minimum(E + dt * self.eta1 * size, E_max)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,11 +251,7 @@ class AdaptiveConsequents(AdaptiveLaw):
     def __call__(
         self, state: ConsequentState, measurement: Measurement, reference: Reference
     ) -> tuple[Command, ConsequentState]:
-        """The generalised force for this instant, shape (..., 2N) [N], [N m].
-
-        Raises:
-            OctarmError: if time went back since the last call.
-        """
+        """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
         before, theta, E = state
         surface = self.surface(measurement, reference)
         s = surface.s
@@ -120,13 +259,13 @@ class AdaptiveConsequents(AdaptiveLaw):
         alpha, sigma = self.alpha0[..., None, :], self.sigma0[..., None, :]
         phi = strengths(z, alpha, sigma, normalised=self.normalised)
         f_hat = first_type(theta, phi)
-        command = _command(self, measurement, surface, f_hat, E, theta=theta)
+        command = self.compensated(measurement, surface, f_hat, E, theta=theta)
 
-        dt = 0.0 if before is None else elapsed(before, measurement.t)
-        theta = theta + _each_rule(dt * self.eta2 * s) * phi
+        dt = elapsed(before, measurement.t)
+        theta = theta + (dt * self.eta2 * s)[..., None] * phi
         if self.safeguards:
             _keep_near(0.0, theta, self.theta_max)
-        return command, ConsequentState(measurement.t, theta, _grown(self, E, s, dt, self.E_max))
+        return command, ConsequentState(measurement.t, theta, self.grown(E, s, dt, self.E_max))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -167,11 +306,7 @@ class AdaptiveFuzzy(AdaptiveLaw):
     def __call__(
         self, state: FuzzyState, measurement: Measurement, reference: Reference
     ) -> tuple[Command, FuzzyState]:
-        """The generalised force for this instant, shape (..., 2N) [N], [N m].
-
-        Raises:
-            OctarmError: if time went back since the last call.
-        """
+        """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
         before, theta, alpha, sigma, E = state
         surface = self.surface(measurement, reference)
         s = surface.s
@@ -180,18 +315,18 @@ class AdaptiveFuzzy(AdaptiveLaw):
             theta, alpha[..., None, :], sigma[..., None, :], z, normalised=self.normalised
         )
         rules = {"theta": theta, "alpha": alpha, "sigma": sigma}
-        command = _command(self, measurement, surface, f_hat, E, **rules)
+        command = self.compensated(measurement, surface, f_hat, E, **rules)
 
-        dt = 0.0 if before is None else elapsed(before, measurement.t)
-        theta = theta + _each_rule(dt * self.eta2 * s) * phi
-        alpha = alpha + _each_rule(dt * self.eta3 * s) * B_theta[..., 0, :]
-        sigma = sigma + _each_rule(dt * self.eta4 * s) * C_theta[..., 0, :]
+        dt = elapsed(before, measurement.t)
+        theta = theta + (dt * self.eta2 * s)[..., None] * phi
+        alpha = alpha + (dt * self.eta3 * s)[..., None] * B_theta[..., 0, :]
+        sigma = sigma + (dt * self.eta4 * s)[..., None] * C_theta[..., 0, :]
         if self.safeguards:
             _keep_near(0.0, theta, self.theta_max)
             _keep_near(self.alpha0, alpha, self.alpha_max)
-            _keep_between(self._sigma_low, sigma, _each_rule(self.sigma_max))
+            _keep_between(self._sigma_low, sigma, self.sigma_max[..., None])
         return command, FuzzyState(
-            measurement.t, theta, alpha, sigma, _grown(self, E, s, dt, self.E_max)
+            measurement.t, theta, alpha, sigma, self.grown(E, s, dt, self.E_max)
         )
 
     @functools.cached_property
@@ -199,45 +334,14 @@ class AdaptiveFuzzy(AdaptiveLaw):
         """The lower bound on sigma, shape (..., 2N, 1); none where sigma_min is 0."""
         # A sigma projected onto 0 would stay there, as sigma' ~ sigma. One that passes 0 does not
         # matter: exp(-(sigma ..)^2) is even.
-        return _each_rule(np.where(np.equal(self.sigma_min, 0.0), -np.inf, self.sigma_min))
-
-
-def _command(
-    law: AdaptiveLaw,
-    measurement: Measurement,
-    surface: Surface,
-    f_hat: np.ndarray,
-    E: np.ndarray,
-    **rules: np.ndarray,
-) -> Command:
-    """Eqs (63) and (78): Q and its signals."""
-    s = surface.s
-    switching = -(f_hat + E * saturation(s, law.phi)) - law.K_v * s
-    return law.command(measurement, surface, switching, layer=law.phi, f_hat=f_hat, E=E, **rules)
-
-
-def _grown(
-    law: AdaptiveLaw, E: np.ndarray, s: np.ndarray, dt: float, E_max: np.ndarray
-) -> np.ndarray:
-    """E after dt, eq (79), shape (..., 2N) [N], [N m]."""
-    size = np.abs(s)
-    if not law.safeguards:
-        return E + dt * law.eta1 * size
-    size = size * (size >= law.dead_zone)
-    return np.minimum(E + dt * law.eta1 * size, E_max)
+        return np.where(np.equal(self.sigma_min, 0.0), -np.inf, self.sigma_min)[..., None]
 
 
 def _keep_near(centre: Gain, x: np.ndarray, reach: np.ndarray) -> None:
     """Projects x, shape (..., 2N, M), onto |x - centre| <= reach."""
-    reach = _each_rule(reach)
-    _keep_between(centre - reach, x, centre + reach)
+    _keep_between(centre - reach[..., None], x, centre + reach[..., None])
 
 
 def _keep_between(low: np.ndarray, x: np.ndarray, high: np.ndarray) -> None:
     np.maximum(x, low, out=x)
     np.minimum(x, high, out=x)
-
-
-def _each_rule(x: np.ndarray) -> np.ndarray:
-    """The same value for each of a joint's rules: shape (..., 2N) to (..., 2N, 1)."""
-    return x[..., None]

@@ -6,7 +6,6 @@ A file holds a controller's name, the number of modules of the arm that it is fo
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,8 +20,14 @@ from octarm.formats import Model, read_toml, to_toml
 SHIPPED = Path(__file__).resolve().parent / "gains"
 
 
-class _GainFile(Model):
-    """The keys of a file; further ones are tables that say where the gains come from."""
+class GainSet(Model):
+    """Gains of one controller for arms of one size, and how they were found.
+
+    Attributes:
+        controller: its name.
+        modules: number of modules N of the arm.
+        gains: by the names under which `make_controller` takes them, as numbers or lists.
+    """
 
     model_config = pydantic.ConfigDict(extra="allow")
 
@@ -30,27 +35,14 @@ class _GainFile(Model):
     modules: int
     gains: dict[str, Any]
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class GainSet:
-    """Gains of one controller for arms of one size, and how they were found.
-
-    Attributes:
-        controller: its name.
-        modules: number of modules N of the arm.
-        gains: by the names under which `make_controller` takes them, as numbers or lists.
-        origin: how they were found: words, numbers, dates, lists and tables.
-    """
-
-    controller: str
-    modules: int
-    gains: Mapping[str, Any]
-    origin: Mapping[str, Any] = dataclasses.field(default_factory=dict[str, Any])
+    @property
+    def origin(self) -> Mapping[str, Any]:
+        """How they were found, all other keys: words, numbers, dates, lists and tables."""
+        return self.model_extra or {}
 
     def to_toml(self) -> str:
         """The text of a file; `read_gain_set` is the inverse."""
-        head = {"controller": self.controller, "modules": self.modules, "gains": self.gains}
-        return to_toml({**head, **self.origin})
+        return to_toml(self.model_dump())
 
 
 def read_gain_set(path: str | Path) -> GainSet:
@@ -60,9 +52,7 @@ def read_gain_set(path: str | Path) -> GainSet:
         FileError: if it cannot be read.
         OctarmError: if it is not TOML, or does not hold a set of gains.
     """
-    file = read_toml(path).read(_GainFile)
-    name, origin = file.controller, file.model_extra or {}
-    return GainSet(controller=name, modules=file.modules, gains=file.gains, origin=origin)
+    return read_toml(path).read(GainSet)
 
 
 @functools.cache

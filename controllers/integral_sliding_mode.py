@@ -15,8 +15,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from controllers.gains import Gain, GainField
-from controllers.law import elapsed
+from controllers.law import Gain, GainField, elapsed
 from controllers.recommended import LAYER_WIDTH, WIDTH, boundary_width
 from controllers.sliding_mode import Surface, SwitchingLaw, saturation
 from octarm.interfaces import Command, Measurement, Reference
@@ -61,27 +60,17 @@ class IntegralSlidingMode(SwitchingLaw):
         self, state: IntegralState | None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, IntegralState]:
         """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
-        self.check(measurement, reference)
-        e, e_dot = measurement.q - reference.q, measurement.v - reference.v
-        s, integral = self._sliding_variable(state, e, e_dot)
-        surface = Surface(
-            s=s,
-            v_r=measurement.v - s,
-            a_r=reference.a - 2.0 * self.lambda_ * e_dot - self.lambda_ * self.lambda_ * e,
-        )
-        switch = saturation(s, self.phi)
-        command = self.switched(measurement, surface, switch, layer=self.phi, integral=integral)
-        dt = 0.0 if state is None else elapsed(state.t, measurement.t)
-        return command, IntegralState(measurement.t, integral + e * dt)
-
-    def _sliding_variable(
-        self, state: IntegralState | None, e: np.ndarray, e_dot: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Eq (24) with + lambda^2, within s_max, and the integral that belongs to it."""
+        e, e_dot = self.errors(measurement, reference)
         lambda_squared = self.lambda_ * self.lambda_
         proportional = e_dot + 2.0 * self.lambda_ * e
         if state is None:
-            return np.zeros_like(proportional), -proportional / lambda_squared
-        s = proportional + lambda_squared * state.integral
-        held = np.clip(s, -self.s_max, self.s_max)
-        return held, state.integral + (held - s) / lambda_squared
+            s, integral, dt = np.zeros_like(proportional), -proportional / lambda_squared, 0.0
+        else:
+            asked = proportional + lambda_squared * state.integral
+            s = np.clip(asked, -self.s_max, self.s_max)
+            integral = state.integral + (s - asked) / lambda_squared
+            dt = elapsed(state.t, measurement.t)
+        a_r = reference.a - 2.0 * self.lambda_ * e_dot - lambda_squared * e
+        surface, switch = Surface(s, measurement.v - s, a_r), saturation(s, self.phi)
+        command = self.switched(measurement, surface, switch, layer=self.phi, integral=integral)
+        return command, IntegralState(measurement.t, integral + e * dt)

@@ -6,9 +6,11 @@ arms with another number of modules scale with mass and size.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from controllers.gains import GainField
+from controllers.law import GainField
 from octarm.interfaces import Knob, NominalModel
 
 
@@ -17,9 +19,9 @@ def by_unit(nominal: NominalModel, m: float, rad: float) -> np.ndarray:
     return np.array([{"m": m, "rad": rad}[unit] for unit in nominal.units])
 
 
-def hand_set(nominal: NominalModel, *values: float) -> np.ndarray | None:
-    """The values, shape (2N,), for an arm of as many coordinates; None for another one."""
-    return np.array(values) if len(values) == nominal.coordinates else None
+def hand_set(nominal: NominalModel, *values: float, scaled: Callable[[], np.ndarray]) -> np.ndarray:
+    """The values for an arm of as many coordinates, else the scaled ones; shape (..., 2N)."""
+    return np.array(values) if len(values) == nominal.coordinates else scaled()
 
 
 def apparent_mass(nominal: NominalModel) -> np.ndarray:
@@ -41,21 +43,17 @@ def switching_gain(nominal: NominalModel) -> np.ndarray:
     other arms K = 300 1/s phi_j / [D^-1]_jj at the equilibrium, the bandwidth that the hand-set
     value of theta2 has; it scales with mass and size.
     """
-    values = hand_set(nominal, 1.6, 1.0, 0.8, 0.4, 0.25, 0.03)
-    if values is not None:
-        return values
-    return 300.0 * boundary_width(nominal) * apparent_mass(nominal)
-
-
-def reaching_gain(nominal: NominalModel) -> np.ndarray:
-    """Reaching gain eta, shape (..., 2N) [N], [N m]: a quarter of the recommended K."""
-    return 0.25 * switching_gain(nominal)
+    return hand_set(
+        nominal,
+        *(1.6, 1.0, 0.8, 0.4, 0.25, 0.03),
+        scaled=lambda: 300.0 * boundary_width(nominal) * apparent_mass(nominal),
+    )
 
 
 def linear_gain(nominal: NominalModel) -> np.ndarray:
     """Gain K_v of the linear term, shape (..., 2N) [N s/m], [N m s/rad]; see `switching_gain`."""
-    values = hand_set(nominal, 10.0, 10.0, 10.0, 0.15, 0.05, 0.01)
-    return 30.0 * apparent_mass(nominal) if values is None else values
+    values = (10.0, 10.0, 10.0, 0.15, 0.05, 0.01)
+    return hand_set(nominal, *values, scaled=lambda: 30.0 * apparent_mass(nominal))
 
 
 def layer_slope(nominal: NominalModel) -> np.ndarray:

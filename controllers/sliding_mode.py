@@ -18,14 +18,13 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from controllers.gains import Gain, GainField, ShareField
-from controllers.law import Law
+from controllers.law import Gain, GainField, Law, ShareField
 from controllers.recommended import (
     DECAY_RATE,
     LAYER_WIDTH,
     LINEAR_GAIN,
     SWITCHING_GAIN,
-    reaching_gain,
+    switching_gain,
 )
 from octarm.errors import OctarmError
 from octarm.interfaces import Command, Measurement, NominalModel, Reference
@@ -45,14 +44,6 @@ class Surface(NamedTuple):
     a_r: np.ndarray
 
 
-def sliding_surface(lambda_: Gain, measurement: Measurement, reference: Reference) -> Surface:
-    """Eqs (17) and (18), for a lambda [1/s] that broadcasts to (..., 2N)."""
-    e, e_dot = measurement.q - reference.q, measurement.v - reference.v
-    return Surface(
-        s=e_dot + lambda_ * e, v_r=reference.v - lambda_ * e, a_r=reference.a - lambda_ * e_dot
-    )
-
-
 def saturation(s: np.ndarray, phi: Gain) -> np.ndarray:
     """sat(s / phi), eq (53), shape (..., 2N) [1]; where phi is 0 it is sgn(s), eq (22)."""
     return np.clip(s / np.maximum(phi, 1e-150), -1.0, 1.0)  # a smaller s than that is no motion
@@ -65,13 +56,13 @@ class SlidingLaw(Law):
     lambda_: Annotated[Gain, DECAY_RATE]
 
     def surface(self, measurement: Measurement, reference: Reference) -> Surface:
-        """Eqs (17) and (18).
-
-        Raises:
-            OctarmError: if the measurement or the reference has a wrong shape.
-        """
-        self.check(measurement, reference)
-        return sliding_surface(self.lambda_, measurement, reference)
+        """Eqs (17) and (18)."""
+        e, e_dot = self.errors(measurement, reference)
+        return Surface(
+            s=e_dot + self.lambda_ * e,
+            v_r=reference.v - self.lambda_ * e,
+            a_r=reference.a - self.lambda_ * e_dot,
+        )
 
     def command(
         self,
@@ -84,15 +75,9 @@ class SlidingLaw(Law):
     ) -> Command:
         """D^ q_r'' + (C^ + B^) q_r' + G^, eqs (28) and (55) corrected, and the robust part.
 
-        Its signals are s, the parts `equivalent` and `switching`, V = 1/2 s^T D^ s of shape
-        (..., 1) [J], and those that are given.
-
-        Args:
-            measurement: what the sensors report.
-            surface: the sliding surface there.
-            switching: the robust part, shape (..., 2N) [N], [N m].
-            layer: half width of the boundary layer, broadcasts to (..., 2N) [m/s], [rad/s].
-            **signals: more quantities to record.
+        The robust part `switching` has the shape (..., 2N) [N], [N m]; `layer`, the half width of
+        the boundary layer, broadcasts to that [m/s], [rad/s]. The signals are s, the parts
+        `equivalent` and `switching`, V = 1/2 s^T D^ s of shape (..., 1) [J], and those given.
         """
         s, (_, q, v) = surface.s, measurement
         equivalent = self.nominal.inverse_dynamics(q, v, surface.a_r, surface.v_r)
@@ -130,7 +115,7 @@ class SwitchingLaw(SlidingLaw):
         if self.eta is not None and self.uncertainty is None:
             raise OctarmError("eta is given without uncertainty; only a derived K has that part")
         if self.eta is None and self.uncertainty is not None:
-            object.__setattr__(self, "eta", reaching_gain(self.nominal))
+            object.__setattr__(self, "eta", 0.25 * switching_gain(self.nominal))
         super().__post_init__()
 
     def switched(
@@ -144,20 +129,17 @@ class SwitchingLaw(SlidingLaw):
     ) -> Command:
         """The command with the robust part -K switch - K_v s; K is a signal when it is derived.
 
-        The switch, shape (..., 2N) [1], is sgn(s) or what takes its place.
+        The switch, shape (..., 2N) [1], is sgn(s) or what takes its place. A derived K is
+        max |F| + eta by eq (40).
         """
-        K = self._switching_gain(measurement, surface)
-        switching = -K * switch - self.K_v * surface.s
-        derived = {} if self.uncertainty is None else {"K": K}
-        return self.command(measurement, surface, switching, layer=layer, **derived, **signals)
-
-    def _switching_gain(self, measurement: Measurement, surface: Surface) -> np.ndarray:
-        """The given K, or max |F| + eta by eq (40), broadcasts to (..., 2N) [N], [N m]."""
-        if self.uncertainty is None:
-            return np.asarray(self.K)
-        u, (_, q, v) = np.asarray(self.uncertainty), measurement
-        F = self.nominal.largest_error(u, q, v, surface.a_r, surface.v_r)
-        return np.asarray(self.eta) + F
+        gain = np.asarray(self.K)
+        if self.uncertainty is not None:
+            u, (_, q, v) = np.asarray(self.uncertainty), measurement
+            F = self.nominal.largest_error(u, q, v, surface.a_r, surface.v_r)
+            gain = np.asarray(self.eta) + F
+            signals = {"K": gain, **signals}
+        switching = -gain * switch - self.K_v * surface.s
+        return self.command(measurement, surface, switching, layer=layer, **signals)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -196,9 +178,9 @@ class BoundaryLayer(SwitchingLaw):
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
         """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
-        surface, phi = self.surface(measurement, reference), self.phi
-        switch = saturation(surface.s, phi)
-        return self.switched(measurement, surface, switch, layer=phi), state
+        surface = self.surface(measurement, reference)
+        switch = saturation(surface.s, self.phi)
+        return self.switched(measurement, surface, switch, layer=self.phi), state
 
 
 def reaching_time_bound(

@@ -17,8 +17,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from controllers.gains import Gain, GainField
-from controllers.law import elapsed
+from controllers.law import Gain, GainField, elapsed
 from controllers.recommended import LINEAR_GAIN, SWITCHING_GAIN, apparent_mass, switching_gain
 from controllers.sliding_mode import SlidingLaw
 from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference

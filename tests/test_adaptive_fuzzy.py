@@ -10,7 +10,7 @@ import pytest
 from arm_states import REST, P, hand_set, random_instant
 from scipy import stats
 
-from controllers.adaptive_gains import premise_rate
+from controllers.adaptive_fuzzy import premise_rate
 from controllers.fuzzy.estimators import first_type, second_type, strengths
 from controllers.recommended import boundary_width
 from octarm.arm.lagrange import (

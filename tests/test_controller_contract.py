@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from controllers import CONTROLLERS, make_controller
-from controllers.gains import gain_fields
+from controllers.law import gain_fields
 from octarm.arm.lagrange import equilibrium, mass_matrix
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters

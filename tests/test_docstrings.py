@@ -23,8 +23,7 @@ import pytest
 
 import controllers
 import octarm
-from controllers.gains import gain_fields
-from controllers.law import Law
+from controllers.law import Law, gain_fields
 
 ARRAYS = re.compile(r"np\.ndarray|npt\.ArrayLike|npt\.NDArray")
 SHAPE = re.compile(

@@ -11,8 +11,7 @@ from arm_states import hand_set
 
 from controllers.fuzzy.inference import Mamdani, Variable
 from controllers.fuzzy.membership import Triangular
-from controllers.fuzzy_sliding_mode import SWITCHING
-from controllers.model_free_fuzzy import LEVELS, RULES, FuzzyController, error_scale
+from controllers.fuzzy_rules import LEVELS, RULES, SWITCHING, FuzzyController, error_scale
 from controllers.recommended import apparent_mass
 from octarm.arm.lagrange import (
     damping_matrix,

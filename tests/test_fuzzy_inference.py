@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from controllers.fuzzy.inference import Mamdani, Sugeno, Variable, linear, probabilistic_sum
 from controllers.fuzzy.membership import Gaussian, GeneralisedBell, Trapezoidal, Triangular
 from controllers.fuzzy.rule_base import RuleBase
-from controllers.model_free_fuzzy import LEVELS, RULES, SURFACE
+from controllers.fuzzy_rules import LEVELS, RULES, SURFACE
 
 FAMILIES = [Triangular, Trapezoidal, GeneralisedBell, Gaussian]
 LABELS = tuple(LEVELS)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from controllers.fuzzy.inference import Sugeno, Variable
 from controllers.fuzzy.membership import Gaussian, GeneralisedBell, Trapezoidal, Triangular
 from controllers.fuzzy.rule_base import RuleBase
-from controllers.model_free_fuzzy import RULES
+from controllers.fuzzy_rules import RULES
 
 FAMILIES = [Triangular, Trapezoidal, GeneralisedBell, Gaussian]
 ANYTHING = st.floats(allow_nan=False)  # also infinite, denormal, 1e308

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from arm_states import REST, UNCERTAIN, P, U, hand_set, random_box, random_instant, simulated
 
-from controllers.sliding_mode import reaching_time_bound, sliding_surface
+from controllers.sliding_mode import reaching_time_bound
 from octarm.arm.lagrange import (
     coriolis_matrix,
     damping_matrix,
@@ -103,7 +103,7 @@ def test_the_gain_as_printed_is_too_small(mismatch: float):
     assert np.all(F <= LagrangeModel(nominal).largest_error(np.array(U), q, v, a, v) * (1.0 + 1e-9))
 
     measurement, reference = random_instant(3000)
-    surface = sliding_surface(15.0, measurement, reference)
+    surface = hand_set("smc", P).surface(measurement, reference)
     _, q, v = measurement
     arguments = (q, v, surface.a_r, surface.v_r)
     F = np.abs(inverse_dynamics(nominal, *arguments) - inverse_dynamics(P, *arguments))

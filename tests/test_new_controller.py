@@ -12,7 +12,7 @@ import pytest
 
 import octarm
 from controllers import CONTROLLERS, make_controller
-from controllers.gains import gain_fields
+from controllers.law import gain_fields
 from octarm.commands import cli
 from octarm.sweeps.tune import Space
 
@@ -26,8 +26,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Annotated
 
-from controllers.gains import Gain, GainField
-from controllers.law import Law
+from controllers.law import Gain, GainField, Law
 from controllers.recommended import by_unit, linear_gain
 from octarm.interfaces import Command, Knob
 

@@ -16,7 +16,7 @@ from arm_states import (
     simulated,
 )
 
-from controllers.sliding_mode import saturation, sliding_surface
+from controllers.sliding_mode import saturation
 from octarm.arm.lagrange import damping_matrix, inverse_dynamics
 from octarm.references import SetPoint, named_reference
 from octarm.simulation.environment import load
@@ -27,7 +27,7 @@ from octarm.simulation.rollout import rollout
 
 def test_the_surface_is_an_exponential_decay_of_the_error():
     measurement, reference = random_instant(5)
-    surface = sliding_surface(15.0, measurement, reference)
+    surface = hand_set("smc", P).surface(measurement, reference)
     e, e_dot = measurement.q - reference.q, measurement.v - reference.v
     np.testing.assert_allclose(surface.s, e_dot + 15.0 * e)
     np.testing.assert_allclose(surface.s, measurement.v - surface.v_r)

@@ -31,9 +31,6 @@ from octarm.errors import OctarmError
 
 Operator = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
-# A variable covers x when some label has at least this membership there.
-_COVERED = 1e-3
-
 
 def probabilistic_sum(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a + b - a b of memberships [1] of any shape, the OR that belongs to AND as a product."""
@@ -69,11 +66,11 @@ class Variable:
         high: float = 1.0,
         family: type[Membership] = Triangular,
     ) -> Variable:
-        """Labels at equal distances from `low` to `high`, the first and the last open shoulders.
+        """Labels that peak at equal distances from `low` to `high`, with open shoulders.
 
         Args:
             name: what rules call it.
-            labels: in rising order, such as "NB NM NS ZE PS PM PB"; at least two.
+            labels: in rising order, such as "NB NM NS ZE PS PM PB".
             low: where the first label peaks.
             high: where the last label peaks.
             family: the kind of membership functions.
@@ -90,10 +87,7 @@ class Variable:
         if not (math.isfinite(high - low) and low < high):
             raise OctarmError(f"{name} goes from {low:g} to {high:g}; low must be below high")
         peaks = [-math.inf, *np.linspace(low, high, len(labels)).tolist(), math.inf]
-        return cls(
-            name,
-            {label: family.between(*peaks[i : i + 3]) for i, label in enumerate(labels)},
-        )
+        return cls(name, {x: family.between(*peaks[i : i + 3]) for i, x in enumerate(labels)})
 
     def __call__(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """Membership of x in each label [1], arrays of the shape of x."""
@@ -104,7 +98,7 @@ class Variable:
         corners = {x for label in self.sets.values() for x in label.corners if math.isfinite(x)}
         spans = [np.linspace(a, b, 101) for a, b in itertools.pairwise(sorted(corners))]
         x = np.concatenate([[-math.inf], *spans, [math.inf]])
-        bare = x[np.max(list(self(x).values()), axis=0) < _COVERED]
+        bare = x[np.max(list(self(x).values()), axis=0) < 1e-3]
         return float(bare[0]) if bare.size else None
 
 
@@ -145,8 +139,7 @@ class FuzzySystem:
                 raise OctarmError(
                     f"two inputs are called {variable.name!r}; they need different names"
                 )
-            hole = variable.hole()
-            if hole is not None:
+            if (hole := variable.hole()) is not None:
                 raise OctarmError(
                     f"{variable.name} = {hole:g} belongs to no label; known are "
                     f"{', '.join(variable.sets)}, which must overlap and be open at both ends"
@@ -231,21 +224,19 @@ class Mamdani(FuzzySystem):
                     f"belongs to {rule.conclusion} of {self.output.name}"
                 )
 
-    def __call__(self, *inputs: np.ndarray) -> np.ndarray:
-        """The crisp output by COA, of the broadcast shape of the inputs."""
-        return self.coa(*inputs)
-
     def coa(self, *inputs: np.ndarray) -> np.ndarray:
-        """Centre of area (50): of the aggregated set, sum_i U_i mu(U_i) / sum_i mu(U_i).
+        """Centre of area (50) of the aggregated set, of the broadcast shape of the inputs.
 
-        Of the broadcast shape of the inputs.
+        It is sum_i U_i mu(U_i) / sum_i mu(U_i), and what a call of the system gives.
         """
         return self._centre(inputs, self.aggregation)
 
-    def cog(self, *inputs: np.ndarray) -> np.ndarray:
-        """Centre of gravity (49): of all rules' sets, which is COA under sum-min (48).
+    __call__ = coa
 
-        Of the broadcast shape of the inputs.
+    def cog(self, *inputs: np.ndarray) -> np.ndarray:
+        """Centre of gravity (49) of all rules' sets, of the broadcast shape of the inputs.
+
+        It is COA under sum-min (48).
         """
         return self._centre(inputs, np.add)
 

@@ -66,18 +66,12 @@ class _Straight(Membership):
 
 
 def _step(x: np.ndarray) -> np.ndarray:
-    """A vertical slope; NaN stays NaN."""
-    return np.heaviside(x, 1.0)
+    return np.heaviside(x, 1.0)  # a vertical slope; NaN stays NaN
 
 
 @dataclasses.dataclass(frozen=True)
 class Triangular(_Straight):
     """Straight from 0 at `left` up to 1 at `peak`, and down to 0 at `right`.
-
-    Attributes:
-        left: where it begins; -inf for an open left shoulder.
-        peak: where it is 1.
-        right: where it ends; inf for an open right shoulder.
 
     Raises:
         OctarmError: unless left <= peak <= right and the peak is finite.
@@ -101,12 +95,6 @@ class Triangular(_Straight):
 @dataclasses.dataclass(frozen=True)
 class Trapezoidal(_Straight):
     """Straight from 0 at `left` up to 1 on [top_left, top_right], and down to 0 at `right`.
-
-    Attributes:
-        left: where it begins; -inf for an open left shoulder.
-        top_left: where it reaches 1.
-        top_right: where it leaves 1.
-        right: where it ends; inf for an open right shoulder.
 
     Raises:
         OctarmError: unless left <= top_left <= top_right <= right and the top is finite.
@@ -163,12 +151,11 @@ class Gaussian(Membership):
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Membership of x [1], of the shape of x."""
+        z = np.zeros_like(x)
         with np.errstate(over="ignore"):  # beyond all numbers the membership is 0
-            z = np.zeros_like(x)
-            if math.isfinite(self.left):
-                z = z + np.maximum(self.center - x, 0.0) / self.left
-            if math.isfinite(self.right):
-                z = z + np.maximum(x - self.center, 0.0) / self.right
+            for distance, width in ((self.center - x, self.left), (x - self.center, self.right)):
+                if math.isfinite(width):
+                    z = z + np.maximum(distance, 0.0) / width
             return self.profile(z)
 
     def profile(self, z: np.ndarray) -> np.ndarray:

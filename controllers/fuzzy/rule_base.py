@@ -65,13 +65,14 @@ class RuleBase:
         if not self.rules:
             raise OctarmError("a rule base has no rules; it needs at least one")
         seen: dict[frozenset[Clause], str] = {}
-        for rule, case in self._cases():
-            if frozenset(case) in seen:
-                raise OctarmError(
-                    f"two rules are for {_words(case)}, one concludes {seen[frozenset(case)]} and "
-                    f"the other {rule.conclusion}; there may be only one"
-                )
-            seen[frozenset(case)] = rule.conclusion
+        for rule in self.rules:
+            for case in rule.cases:
+                if frozenset(case) in seen:
+                    raise OctarmError(
+                        f"two rules are for {_words(case)}, one concludes {seen[frozenset(case)]} "
+                        f"and the other {rule.conclusion}; there may be only one"
+                    )
+                seen[frozenset(case)] = rule.conclusion
 
     def __iter__(self) -> Iterator[Rule]:
         return iter(self.rules)
@@ -129,25 +130,19 @@ class RuleBase:
         Raises:
             OctarmError: for an unknown variable or label, or a combination without a rule.
         """
-        for rule, case in self._cases():
-            for variable, label in case:
+        for rule in self.rules:
+            for variable, label in itertools.chain(*rule.cases):
                 _check_known(f"variable {variable!r}", rule, variable, inputs)
                 _check_known(f"label {label!r} of {variable}", rule, label, inputs[variable])
             word = rule.conclusion
             _check_known(f"conclusion {word!r}", rule, word, conclusions)
-        cases = [frozenset(case) for _, case in self._cases()]
+        cases = [frozenset(case) for rule in self.rules for case in rule.cases]
         clauses = ([Clause(name, label) for label in labels] for name, labels in inputs.items())
-        combinations = [frozenset(x) for x in itertools.product(*clauses)]
-        covered = {x for x in combinations for case in cases if case <= x}
-        missing = [x for x in combinations if x not in covered]
+        combinations = itertools.product(*clauses)
+        missing = [x for x in combinations if not any(case <= {*x} for case in cases)]
         if missing:
             more = f", and {len(missing) - 1} other combinations" if missing[1:] else ""
-            first = sorted(missing[0], key=lambda clause: [*inputs].index(clause.variable))
-            raise OctarmError(f"no rule is for {_words(first)}{more}; there must be one")
-
-    def _cases(self) -> Iterator[tuple[Rule, tuple[Clause, ...]]]:
-        """Each case of each rule."""
-        return ((rule, case) for rule in self.rules for case in rule.cases)
+            raise OctarmError(f"no rule is for {_words(missing[0])}{more}; there must be one")
 
 
 def _lines(text: str) -> list[str]:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from controllers import make_controller
-from controllers.fuzzy_sliding_mode import FuzzySlidingMode
+from controllers.fuzzy_rules import FuzzySlidingMode
 from controllers.integral_sliding_mode import IntegralState
 from controllers.proofs.adaptive_ledger import adaptive, along_a_run
 from controllers.proofs.lyapunov import (
@@ -29,7 +29,6 @@ from controllers.proofs.lyapunov import (
     noticed,
     proved,
     random_instants,
-    random_nominal,
     rms,
     sliding,
 )
@@ -39,7 +38,6 @@ from controllers.super_twisting import SuperTwistingState
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.report import Check, Report, gathered
 from octarm.errors import OctarmError
-from octarm.interfaces import Command
 
 FEWEST_STATES = 100
 UNCERTAINTY = 0.3  # share by which a nominal model may be off when K is derived
@@ -67,15 +65,15 @@ def ledger(
             f"the number of states is {states}; the controllers need at least {FEWEST_STATES}"
         )
     rng = np.random.default_rng(seed)
+    randomly = parameters, states, rng
     parts = {
-        "sliding mode": _sliding_mode(parameters, states, rng),
-        "derived gain": _derived_gain(parameters, states, rng),
-        "boundary layer": _boundary_layer(parameters, states, rng),
-        "integral surface": _integral_surface(parameters, states, rng),
-        "fuzzy sliding mode": _fuzzy_switching(parameters, states, rng),
-        "super-twisting": _super_twisting(parameters, states, rng),
-        "adaptive fuzzy": adaptive(parameters, states, rng),
-        "misprints": misprints(parameters, states, rng),
+        "sliding mode": _sliding_mode(*randomly),
+        "derived gain": _derived_gain(*randomly),
+        "boundary layer": _boundary_layers(*randomly),
+        "integral surface": _integral_surface(*randomly),
+        "super-twisting": _super_twisting(*randomly),
+        "adaptive fuzzy": adaptive(*randomly),
+        "misprints": misprints(*randomly),
         "a run": along_a_run(parameters, rng),
     }
     checks = gathered(parts, progress)
@@ -106,11 +104,12 @@ class SwitchingTrial(NamedTuple):
     K: np.ndarray
     K_v: np.ndarray
 
-    def answer(self, name: str, state: Any = None, **gains: Any) -> tuple[Command, Any]:
-        """What the shipped controller of this name does at these instants."""
+    def answer(self, name: str, state: Any = None, **gains: Any) -> tuple[np.ndarray, Any]:
+        """The force of the shipped controller of this name, shape (n, 2N), and its next state."""
         given = {"lambda": LAMBDA, "K": self.K, "K_v": self.K_v} | gains
         controller = make_controller(name, self.at.nominal, given)
-        return controller(state, self.at.measurement, self.at.reference)
+        command, after = controller(state, self.at.measurement, self.at.reference)
+        return command.force, after
 
     def rate(self, force: np.ndarray) -> np.ndarray:
         """V' by the chain rule through the true arm, shape (n,) [W]."""
@@ -141,21 +140,16 @@ def _trial(at: Instants, surface: Surface) -> SwitchingTrial:
     return SwitchingTrial(at, surface, F, eta, np.abs(F) + eta, linear_gain_of(at.true))
 
 
-def _random_trial(
-    p: ArmParameters,
-    states: int,
-    rng: np.random.Generator,
-    surface_of: Callable[[Instants, float], Surface] = sliding,
-) -> SwitchingTrial:
-    at = random_instants(p, random_nominal(p, states, rng), LAMBDA, rng)
-    return _trial(at, surface_of(at, LAMBDA))
+def _random_trial(p: ArmParameters, states: int, rng: np.random.Generator) -> SwitchingTrial:
+    at = random_instants(p, states, rng)
+    return _trial(at, sliding(at))
 
 
 def _sliding_mode(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
     """V' = s^T F - sum K |s| - s^T (K_v + B) s <= -sum eta |s| - s^T (K_v + B) s, (38)-(42)."""
     t = _random_trial(p, states, rng)
     robust = -t.K * np.sign(t.surface.s)
-    force = t.answer("smc")[0].force
+    force, _ = t.answer("smc")
     rate, claim = t.rate(force), t.claim(robust)
     yield from proved("smc", rate, claim, t.reaching)
     yield noticed("+K sgn(s) as in (31)", t.rate(force - 2.0 * robust), claim)
@@ -167,13 +161,13 @@ def _derived_gain(p: ArmParameters, states: int, rng: np.random.Generator) -> It
     At states with one s_j that is not zero, with the model that drives it outwards most: for such
     a model K is as large as it must be, and no larger.
     """
-    at = random_instants(p, random_nominal(p, states, rng), LAMBDA, rng)
+    at = random_instants(p, states, rng)
     only = rng.integers(p.coordinates, size=states)[:, None] == np.arange(p.coordinates)
-    s = only * sliding(at, LAMBDA).s
-    e = at.measurement.q - at.reference.q
-    at = at._replace(reference=at.reference._replace(v=at.measurement.v - s + LAMBDA * e))
-    at = at._replace(nominal=_worst_model(at, sliding(at, LAMBDA)))
-    t = _trial(at, sliding(at, LAMBDA))
+    s = only * sliding(at).s
+    v_d = at.measurement.v - s + LAMBDA * at.errors[0]
+    at = at._replace(reference=at.reference._replace(v=v_d))
+    at = at._replace(nominal=_worst_model(at, sliding(at)))
+    t = _trial(at, sliding(at))
     gains = {"lambda": LAMBDA, "K_v": t.K_v, "uncertainty": UNCERTAINTY}
     controller: Any = make_controller("smc", at.nominal, gains)
     rate = t.rate(controller(None, at.measurement, at.reference)[0].force)
@@ -199,43 +193,38 @@ def _worst_model(at: Instants, surface: Surface) -> ArmParameters:
     return at.true.scaled(**factors)
 
 
-def _boundary_layer(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
-    """V' = s^T F - sum K s sat(s / phi) - s^T (K_v + B) s, at most (42) + sum K phi / 4."""
+def _boundary_layers(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
+    """V' = s^T F - sum K s f(s / phi) - s^T (K_v + B) s, at most (42) + sum K phi / 4.
+
+    f is a saturation, or fuzzy: on the far side of sat(s / phi) from zero it pushes back at least
+    as hard.
+    """
     phi = layer_of(p)
     t = _random_trial(p, states, rng)
-    s = t.surface.s
-    rate = t.rate(t.answer("smc-boundary", phi=phi)[0].force)
-    claim = t.claim(-t.K * np.clip(s / phi, -1.0, 1.0))
+    rate = t.rate(t.answer("fsmc", phi=phi)[0])
+    claim = t.claim(-t.K * FuzzySlidingMode.fuzzy(t.surface.s / phi))
+    yield from proved("fsmc", rate, claim, t.within(phi))
+    t = _random_trial(p, states, rng)
+    rate = t.rate(t.answer("smc-boundary", phi=phi)[0])
+    claim = t.claim(-t.K * np.clip(t.surface.s / phi, -1.0, 1.0))
     yield from proved("smc-boundary", rate, claim, t.within(phi))
-    inside = np.all(np.abs(s) < phi, axis=-1)
+    inside = np.all(np.abs(t.surface.s) < phi, axis=-1)
     rising = float(np.mean(rate[inside] > 0.0))
     yield Check("smc-boundary inside the layer: share of V' > 0", rising, 1.0, 1e-3)
 
 
 def _integral_surface(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
     """The same theorem on the surface (24), corrected, whose q_r' holds the integral of e."""
-    t = _random_trial(p, states, rng, integral_sliding)
+    at = random_instants(p, states, rng)
+    t = _trial(at, integral_sliding(at))
     state = IntegralState(t.at.measurement.t - 1.0, t.at.integral.copy())
-    command, after = t.answer("smc-integral", state, phi=0.0, s_max=1e3)
+    force, after = t.answer("smc-integral", state, phi=0.0, s_max=1e3)
     # The chain rule takes the rate at which the controller integrates, over its step of 1 s.
     integrated = after.integral - t.at.integral
-    expected = t.at.measurement.q - t.at.reference.q
-    actual = t.surface.a_r - LAMBDA**2 * (integrated - expected)
-    rate = energy_rate(t.at, t.surface._replace(a_r=actual), command.force)
+    actual = t.surface.a_r - LAMBDA**2 * (integrated - t.at.errors[0])
+    rate = energy_rate(t.at, t.surface._replace(a_r=actual), force)
     claim = t.claim(-t.K * np.sign(t.surface.s))
     yield from proved("smc-integral", rate, claim, t.reaching)
-
-
-def _fuzzy_switching(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
-    """V' = s^T F - sum K s f(s / phi) - s^T (K_v + B) s, below the bound of the boundary layer.
-
-    A fuzzy f(s / phi) on the far side of sat(s / phi) from zero pushes back at least as hard.
-    """
-    phi = layer_of(p)
-    t = _random_trial(p, states, rng)
-    rate = t.rate(t.answer("fsmc", phi=phi)[0].force)
-    claim = t.claim(-t.K * FuzzySlidingMode.fuzzy(t.surface.s / phi))
-    yield from proved("fsmc", rate, claim, t.within(phi))
 
 
 def _super_twisting(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
@@ -250,8 +239,7 @@ def _super_twisting(p: ArmParameters, states: int, rng: np.random.Generator) -> 
     # A root gain that balances the model error somewhere among these |s|.
     k_1 = np.sqrt(np.mean(t.F * t.F, axis=0) / layer_of(p))
     state = SuperTwistingState(t.at.measurement.t, w.copy())
-    command, _ = t.answer("super-twisting", state, k_1=k_1)
-    rate = t.rate(command.force)
+    rate = t.rate(t.answer("super-twisting", state, k_1=k_1)[0])
     claim = t.claim(w - k_1 * np.sqrt(size) * np.sign(t.surface.s))
     bound = np.sum(4.0 * np.abs(t.F + w) ** 3 / (27.0 * k_1**2), axis=-1)
     yield from proved("super-twisting", rate, claim, bound - t.taken)

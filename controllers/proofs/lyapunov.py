@@ -25,8 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controllers import AdaptiveConsequents, AdaptiveFuzzy
-from controllers.gains import Gain
+from controllers.law import Gain
 from controllers.recommended import boundary_width, linear_gain
 from controllers.sliding_mode import Surface
 from octarm.arm.lagrange import (
@@ -44,7 +43,7 @@ from octarm.interfaces import Measurement, Reference
 COMPLEX_STEP = 1e-30  # f(x + i h d) = f(x) + i h (derivative of f along d) + O(h^2): no rounding
 EXACT = 1e-10  # what rounding may do to V', as a share of its rms
 NOTICED = 1e-4  # the least that a wrong law must do to V', as a share of its rms
-LAMBDA = 15.0  # [1/s]
+LAMBDA = 15.0  # of all trials [1/s]
 
 
 class Instants(NamedTuple):
@@ -64,31 +63,36 @@ class Instants(NamedTuple):
     reference: Reference
     integral: np.ndarray
 
+    @property
+    def errors(self) -> tuple[np.ndarray, np.ndarray]:
+        """e and e', each of shape (..., 2N)."""
+        return self.measurement.q - self.reference.q, self.measurement.v - self.reference.v
 
-class Adapted(NamedTuple):
-    """Values of all that an adaptive controller adapts; or their rates, per s.
 
-    Attributes:
-        theta: consequents, shape (..., 2N, M) [N], [N m].
-        alpha: centres of the membership functions, shape (..., 2N, M), in units of z.
-        sigma: their inverse widths, shape (..., 2N, M), in units of 1/z.
-        E: gain of the compensation, shape (..., 2N) [N], [N m].
+def random_instants(true: ArmParameters, states: int, rng: np.random.Generator) -> Instants:
+    """Uniform states far beyond what the arm does under control, with a nominal model for each.
+
+    Modules are 0.4 to 2 times their rest length and bent by up to 1.5 rad. |s| goes up to 2.5
+    boundary layers, where the fuzzy rules are, and is inside the layer in a third of the states.
     """
+    nominal, n = _random_nominal(true, states, rng), true.modules
 
-    theta: np.ndarray
-    alpha: np.ndarray
-    sigma: np.ndarray
-    E: np.ndarray
+    def within(slide: float, bend: float) -> np.ndarray:
+        return rng.uniform(-1.0, 1.0, (states, 2 * n)) * np.repeat([slide, bend], n)
+
+    q = within(0.0, 1.5)
+    q[:, :n] = true.rest_length * rng.uniform(0.4, 2.0, (states, n))
+    v, e, a_d = within(1.0, 6.0), within(0.05, 0.5), within(20.0, 200.0)
+    layer = layer_of(true)
+    s = within(2.5, 2.5) * layer * rng.uniform(0.0, 1.0, (states, 1))
+    reference = Reference(q - e, v - (s - LAMBDA * e), a_d)
+    # The integral surface then differs from the plain one by less than a layer.
+    integral = (within(1.0, 1.0) * layer - LAMBDA * e) / LAMBDA**2
+    return Instants(true, nominal, Measurement(1.0, q, v), reference, integral)
 
 
-AdaptiveLaw = AdaptiveConsequents | AdaptiveFuzzy
-
-
-def random_nominal(true: ArmParameters, count: int, rng: np.random.Generator) -> ArmParameters:
-    """Models that are wrong by log-uniform factors, one for each instant.
-
-    0.6 to 1.6 on mass, inertia, stiffness and damping, 0.75 to 1.35 on rest lengths.
-    """
+def _random_nominal(true: ArmParameters, count: int, rng: np.random.Generator) -> ArmParameters:
+    """Models that are wrong by log-uniform factors, those of rest lengths nearer to 1."""
     n = true.modules
 
     def factor(*shape: int, low: float = 0.6, high: float = 1.6) -> np.ndarray:
@@ -103,30 +107,6 @@ def random_nominal(true: ArmParameters, count: int, rng: np.random.Generator) ->
     )
 
 
-def random_instants(
-    true: ArmParameters, nominal: ArmParameters, lambda_: Gain, rng: np.random.Generator
-) -> Instants:
-    """Uniform states far beyond what the arm does under control, one for each nominal model.
-
-    Modules are 0.4 to 2 times their rest length and bent by up to 1.5 rad. |s| goes up to 2.5
-    boundary layers, where the fuzzy rules are, and is inside the layer in a third of the states.
-    """
-    n, (count,) = true.modules, nominal.batch_shape
-
-    def within(slide: float, bend: float) -> np.ndarray:
-        return rng.uniform(-1.0, 1.0, (count, 2 * n)) * np.repeat([slide, bend], n)
-
-    q = within(0.0, 1.5)
-    q[:, :n] = true.rest_length * rng.uniform(0.4, 2.0, (count, n))
-    v, e, a_d = within(1.0, 6.0), within(0.05, 0.5), within(20.0, 200.0)
-    layer = layer_of(true)
-    s = within(2.5, 2.5) * layer * rng.uniform(0.0, 1.0, (count, 1))
-    reference = Reference(q - e, v - (s - lambda_ * e), a_d)
-    # The integral surface then differs from the plain one by less than a layer.
-    integral = (within(1.0, 1.0) * layer - lambda_ * e) / np.square(lambda_)
-    return Instants(true, nominal, Measurement(1.0, q, v), reference, integral)
-
-
 def layer_of(true: ArmParameters) -> np.ndarray:
     """The recommended boundary layer phi, shape (2N,) [m/s], [rad/s]."""
     return boundary_width(LagrangeModel(true))
@@ -137,18 +117,18 @@ def linear_gain_of(true: ArmParameters) -> np.ndarray:
     return linear_gain(LagrangeModel(true)) * np.any(true.damping > 0.0)
 
 
-def sliding(at: Instants, lambda_: Gain) -> Surface:
+def sliding(at: Instants) -> Surface:
     """s = e' + lambda e and what follows from it, eqs (17), (18)."""
-    e, e_dot = _errors(at)
-    s = e_dot + lambda_ * e
-    return Surface(s, at.measurement.v - s, at.reference.a - lambda_ * e_dot)
+    e, e_dot = at.errors
+    s = e_dot + LAMBDA * e
+    return Surface(s, at.measurement.v - s, at.reference.a - LAMBDA * e_dot)
 
 
-def integral_sliding(at: Instants, lambda_: Gain) -> Surface:
+def integral_sliding(at: Instants) -> Surface:
     """s = e' + 2 lambda e + lambda^2 int e, eq (24) corrected."""
-    e, e_dot = _errors(at)
-    s = e_dot + 2.0 * lambda_ * e + np.square(lambda_) * at.integral
-    a_r = at.reference.a - 2.0 * lambda_ * e_dot - np.square(lambda_) * e
+    e, e_dot = at.errors
+    s = e_dot + 2.0 * LAMBDA * e + LAMBDA**2 * at.integral
+    a_r = at.reference.a - 2.0 * LAMBDA * e_dot - LAMBDA**2 * e
     return Surface(s, at.measurement.v - s, a_r)
 
 
@@ -177,69 +157,6 @@ def damped(at: Instants, s: np.ndarray, K_v: Gain) -> np.ndarray:
     return _product(s, damping_matrix(at.true), s) + np.sum(K_v * s * s, axis=-1)
 
 
-def rates_of(law: AdaptiveLaw) -> tuple[Gain, Gain, Gain, Gain]:
-    """eta1 to eta4, the rates of adaptation of E, theta, alpha and sigma, each (..., 2N)."""
-    eta3, eta4 = (law.eta3, law.eta4) if isinstance(law, AdaptiveFuzzy) else (0.0, 0.0)
-    return law.eta1, law.eta2, eta3, eta4
-
-
-def membership(law: AdaptiveLaw, s: np.ndarray, now: Adapted) -> np.ndarray:
-    """phi of eqs (66), (88), or of (58) when normalised, shape (..., 2N, M)."""
-    z = (s / law.scale)[..., None]
-    mu = np.exp(-np.square(now.sigma * (z - now.alpha)))
-    return mu / np.sum(mu, axis=-1, keepdims=True) if law.normalised else mu
-
-
-def membership_along(law: AdaptiveLaw, s: np.ndarray, now: Adapted, step: Adapted) -> np.ndarray:
-    """B alpha + C sigma of eq (71): phi's derivative along step's alpha and sigma, (..., 2N, M)."""
-    moved = now._replace(
-        alpha=now.alpha + 1j * COMPLEX_STEP * step.alpha,
-        sigma=now.sigma + 1j * COMPLEX_STEP * step.sigma,
-    )
-    return np.imag(membership(law, s, moved)) / COMPLEX_STEP
-
-
-def estimate(law: AdaptiveLaw, s: np.ndarray, now: Adapted) -> np.ndarray:
-    """The estimated model error f^ = theta^T phi, eq (67), shape (..., 2N) [N], [N m]."""
-    return np.sum(now.theta * membership(law, s, now), axis=-1)
-
-
-def approximation_error(
-    law: AdaptiveLaw, s: np.ndarray, error: np.ndarray, now: Adapted, best: Adapted
-) -> np.ndarray:
-    """eps of eq (73): what of F - f^ is not linear in the parameters' errors, shape (..., 2N).
-
-    Args:
-        law: the adaptive controller's rates and scales.
-        s: sliding variable, shape (..., 2N).
-        error: the model error F, shape (..., 2N).
-        now: the parameters of the estimator.
-        best: theta*, alpha*, sigma*.
-    """
-    tilde = difference(best, now)
-    phi, phi_best = membership(law, s, now), membership(law, s, best)
-    change = phi_best - phi
-    higher_order = change - membership_along(law, s, now, tilde)
-    beyond_estimator = error - np.sum(best.theta * phi_best, axis=-1)
-    return np.sum(now.theta * higher_order + tilde.theta * change, axis=-1) + beyond_estimator
-
-
-def parameter_energy(law: AdaptiveLaw, now: Adapted, best: Adapted) -> np.ndarray:
-    """The part of V, eq (80), that lies in the parameters' errors, shape (...) [J]."""
-    tilde = difference(best, now)
-    return 0.5 * _weighted(law, tilde, tilde)
-
-
-def parameter_rate(law: AdaptiveLaw, now: Adapted, best: Adapted, rates: Adapted) -> np.ndarray:
-    """Its time derivative at these rates: x~' = -x', eq (84) corrected, shape (...) [W]."""
-    return -_weighted(law, difference(best, now), rates)
-
-
-def difference(a: Adapted, b: Adapted) -> Adapted:
-    """a - b, part by part."""
-    return Adapted(*(x - y for x, y in zip(a, b, strict=True)))
-
-
 def as_claimed(name: str, rate: np.ndarray, claim: np.ndarray) -> Check:
     """The row for a V' that is to equal its claim."""
     return Check(f"{name}: V' - claim", _largest(rate - claim) / rms(claim), EXACT)
@@ -251,14 +168,12 @@ def noticed(name: str, rate: np.ndarray, claim: np.ndarray) -> Check:
     return Check(what, _largest(rate - claim) / rms(claim), np.inf, NOTICED)
 
 
-def below(name: str, rate: np.ndarray, bound: np.ndarray | float, scale: float) -> Check:
+def below(name: str, rate: np.ndarray, bound: np.ndarray, scale: float) -> Check:
     """The row for a V' that is never to exceed a bound."""
     return Check(f"{name}: largest V' - bound", float(np.max(rate - bound)) / scale, EXACT)
 
 
-def proved(
-    name: str, rate: np.ndarray, claim: np.ndarray, bound: np.ndarray | float
-) -> Iterator[Check]:
+def proved(name: str, rate: np.ndarray, claim: np.ndarray, bound: np.ndarray) -> Iterator[Check]:
     """The rows for a right law: V' equals its claim, and never exceeds its bound."""
     yield as_claimed(name, rate, claim)
     yield below(name, rate, bound, rms(claim))
@@ -271,19 +186,6 @@ def rms(x: np.ndarray) -> float:
 
 def _largest(x: np.ndarray) -> float:
     return float(np.max(np.abs(x)))
-
-
-def _weighted(law: AdaptiveLaw, a: Adapted, b: Adapted) -> np.ndarray:
-    """sum of a b / eta; where eta is 0, nothing adapts and any weight does: 1."""
-    eta1, eta2, eta3, eta4 = (np.where(np.equal(eta, 0.0), 1.0, eta) for eta in rates_of(law))
-    rules = a.theta * b.theta / eta2[..., None]
-    rules = rules + a.alpha * b.alpha / eta3[..., None] + a.sigma * b.sigma / eta4[..., None]
-    return np.sum(a.E * b.E / eta1 + np.sum(rules, axis=-1), axis=-1)
-
-
-def _errors(at: Instants) -> tuple[np.ndarray, np.ndarray]:
-    """e and e', each of shape (..., 2N)."""
-    return at.measurement.q - at.reference.q, at.measurement.v - at.reference.v
 
 
 def _product(x: np.ndarray, matrix: np.ndarray, y: np.ndarray) -> np.ndarray:

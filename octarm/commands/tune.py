@@ -104,16 +104,16 @@ def gain_set(controller: str, origin: Mapping[str, Any], budget: Budget, tuned: 
         "recommended gains in the long trial",
         "at_bounds": tuned.at_bounds,
     }
-    return GainSet(
-        controller=controller,
-        modules=nominal_parameters().modules,
-        gains={name: shortest(gain) for name, gain in tuned.gains.items()},
-        origin={
+    return GainSet.model_validate(
+        {
+            "controller": controller,
+            "modules": nominal_parameters().modules,
+            "gains": {name: shortest(gain) for name, gain in tuned.gains.items()},
             "tuning": tuning,
             "versions": versions(),
             "search": _outcome(budget.short, tuned.short, tuned.short_by_hand),
             "long_trial": _outcome(budget.long, tuned.long, tuned.long_by_hand),
-        },
+        }
     )
 
 

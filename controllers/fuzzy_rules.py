@@ -1,4 +1,4 @@
-"""The pure fuzzy controller: rules on the error and its rate, and no model of the arm."""
+"""Controllers with given fuzzy rules: the pure fuzzy controller, and fuzzy sliding mode."""
 
 from __future__ import annotations
 
@@ -10,10 +10,19 @@ import numpy as np
 
 from controllers.fuzzy.inference import Sugeno, Variable
 from controllers.fuzzy.rule_base import RuleBase
-from controllers.gains import Gain, GainField
-from controllers.law import Law
-from controllers.recommended import apparent_mass, by_unit, hand_set
+from controllers.law import Gain, GainField, Law
+from controllers.recommended import (
+    LAYER_WIDTH,
+    LINEAR_GAIN,
+    SWITCHING_GAIN,
+    apparent_mass,
+    by_unit,
+    hand_set,
+)
+from controllers.sliding_mode import SlidingLaw
 from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
+
+LEVELS = {"NB": -1.0, "NM": -2 / 3, "NS": -1 / 3, "ZE": 0.0, "PS": 1 / 3, "PM": 2 / 3, "PB": 1.0}
 
 # Too far and moving away: push back hard. Too far but on its way back fast enough: let it come.
 RULES = RuleBase.from_table("""
@@ -27,12 +36,17 @@ RULES = RuleBase.from_table("""
     PB         ZE  PS  PM  PB  PB  PB  PB
 """)
 
-LEVELS = {"NB": -1.0, "NM": -2 / 3, "NS": -1 / 3, "ZE": 0.0, "PS": 1 / 3, "PM": 2 / 3, "PB": 1.0}
-
 SURFACE = Sugeno(
     inputs=(Variable.uniform("e", tuple(LEVELS)), Variable.uniform("rate", tuple(LEVELS))),
     rules=RULES,
     consequents=LEVELS,
+)
+
+# Steeper than s / phi near s = 0, where accuracy is decided, and gentler towards the edge.
+SWITCHING = Sugeno(
+    inputs=(Variable.uniform("s", tuple(LEVELS)),),
+    rules=RuleBase.from_sentences("\n".join(f"if s is {label} then {label}" for label in LEVELS)),
+    consequents=LEVELS | {"NM": -0.85, "NS": -0.5, "PS": 0.5, "PM": 0.85},
 )
 
 
@@ -44,10 +58,11 @@ def force_scale(nominal: NominalModel) -> np.ndarray:
     highest mode of the springs, it leaves an error of a few per cent of the motion; a sampling rate
     of 2 kHz would bear more.
     """
-    values = hand_set(nominal, 80.0, 40.0, 30.0, 12.0, 2.5, 0.9)
-    if values is not None:
-        return values
-    return 300.0**2 * apparent_mass(nominal) * error_scale(nominal)
+    return hand_set(
+        nominal,
+        *(80.0, 40.0, 30.0, 12.0, 2.5, 0.9),
+        scaled=lambda: 300.0**2 * apparent_mass(nominal) * error_scale(nominal),
+    )
 
 
 def error_scale(nominal: NominalModel) -> np.ndarray:
@@ -101,13 +116,35 @@ class FuzzyController(Law):
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
-        """The generalised force for this instant, shape (..., 2N) [N], [N m].
-
-        Raises:
-            OctarmError: if the measurement or the reference has a wrong shape.
-        """
-        self.check(measurement, reference)
-        e, e_dot = measurement.q - reference.q, measurement.v - reference.v
+        """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
+        e, e_dot = self.errors(measurement, reference)
         fuzzy = self.surface(e / self.e_scale, e_dot / self.rate_scale)
         s = e_dot + self.rate_scale / self.e_scale * e
         return Command(-self.force_scale * fuzzy, {"s": s, "fuzzy": fuzzy}), state
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class FuzzySlidingMode(SlidingLaw):
+    """Q = D^ q_r'' + (C^ + B^) q_r' + G^ - K f(s / phi) - K_v s, with a fuzzy function f.
+
+    f is odd, rises, and is +-1 outside |s| <= phi: there this is `SlidingMode`. Inside, the rules
+    say how hard to push back; nothing is adapted. As s f(s / phi) is never negative, V falls
+    wherever the model is exact, and outside the layer under eq (40); inside it a model error leaves
+    a bounded error, as with `BoundaryLayer`.
+
+    A subclass may set another function `fuzzy`.
+    """
+
+    fuzzy: ClassVar[Callable[[np.ndarray], np.ndarray]] = SWITCHING
+
+    K: Annotated[Gain, SWITCHING_GAIN]
+    K_v: Annotated[Gain, LINEAR_GAIN]
+    phi: Annotated[Gain, dataclasses.replace(LAYER_WIDTH, zero=False)]
+
+    def __call__(
+        self, state: None, measurement: Measurement, reference: Reference
+    ) -> tuple[Command, None]:
+        """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
+        surface = self.surface(measurement, reference)
+        switching = -self.K * self.fuzzy(surface.s / self.phi) - self.K_v * surface.s
+        return self.command(measurement, surface, switching, layer=self.phi), state
