@@ -8,7 +8,7 @@ from operator import le
 import numpy as np
 
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import Entry, coordinate_names, split
+from octarm.arrays import Entry, planar_coordinates, split
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,15 +61,9 @@ class Limits:
         return within
 
     def violation(self, q: np.ndarray, v: np.ndarray) -> str:
-        """Which coordinate of one arm has left them and how, as words; empty when none has.
-
-        Args:
-            q: coordinates, shape (2N,) [m], [rad].
-            v: velocities, shape (2N,) [m/s], [rad/s].
-        """
-        n = len(q) // 2
-        names, units = coordinate_names(n), ["m"] * n + ["rad"] * n
-        for j, (name, unit) in enumerate(zip(names, units, strict=True)):
+        """Which coordinate of one arm, q and v of shape (2N,), has left them; empty if none has."""
+        of = planar_coordinates(len(q) // 2)
+        for j, (name, unit) in enumerate(zip(of.names, of.units, strict=True)):
             low, high, top = self.low[j], self.high[j], self.speed[j]
             if not low <= q[j] <= high:
                 return f"{name} is {q[j]:.4g} {unit}, outside {low:.4g} .. {high:.4g} {unit}"
