@@ -54,14 +54,14 @@ class Mismatch(PlantChange):
 
     def start(self, episode: Episode) -> _Fixed:
         """The change of one episode."""
-        value = {name: episode.value(self, name) for name in ("mismatch", *SCALABLE, "tilt")}
+        value = episode.values(self)
         full, half = 1.0 + value["mismatch"], 1.0 + value["mismatch"] / 2.0
         common = {"mass": full, "inertia": full, "stiffness": half, "damping": full}
         factors = {n: _spread(n, common.get(n, 1.0) * value[n]) for n in SCALABLE}
         return _Fixed(factors, value["tilt"])
 
     def gravity_angle(self) -> float:
-        """The tilt, if it is one number [rad]."""
+        """The tilt [rad]; 0 if it is not one number."""
         return 0.0 if np.ndim(self.tilt) else float(self.tilt)
 
 
@@ -92,10 +92,10 @@ class RandomMismatch(PlantChange):
             for name, shape in shapes.items():
                 drawn[name].append(2.0 * np.asarray(generator.random(shape)) - 1.0)
         u = {name: np.stack(rows).reshape((*batch, *rows[0].shape)) for name, rows in drawn.items()}
-        shares = dict.fromkeys(SCALABLE, episode.value(self, "share"))
-        shares["rest_length"] = episode.value(self, "rest_length")
+        value = episode.values(self)
+        shares = dict.fromkeys(SCALABLE, value["share"]) | {"rest_length": value["rest_length"]}
         factors = {name: 1.0 + _spread(name, share) * u[name] for name, share in shares.items()}
-        return _Fixed(factors, episode.value(self, "tilt") * u["tilt"])
+        return _Fixed(factors, value["tilt"] * u["tilt"])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,7 +114,7 @@ class GravityTilt(PlantChange):
         return _Fixed({}, episode.value(self, "angle"))
 
     def gravity_angle(self) -> float:
-        """The angle, if it is one number [rad]."""
+        """The angle [rad]; 0 if it is not one number."""
         return 0.0 if np.ndim(self.angle) else float(self.angle)
 
 
@@ -151,8 +151,9 @@ class Payload(PlantChange):
 
     def start(self, episode: Episode) -> _Load:
         """The load of one episode."""
-        first = first_step(episode.value(self, "at"), episode.timestep)
-        return _Load(episode.value(self, "mass"), first, frozenset([0, *np.ravel(first).tolist()]))
+        value = episode.values(self)
+        first = first_step(value["at"], episode.timestep)
+        return _Load(value["mass"], first, frozenset([0, *np.ravel(first).tolist()]))
 
     def events(self) -> Sequence[Event]:
         """When it is picked up."""
@@ -205,11 +206,11 @@ class Drift(PlantChange):
 
     def start(self, episode: Episode) -> _Drift:
         """The drift of one episode."""
-        rate, limit = episode.value(self, "rate"), episode.value(self, "limit")
-        return _Drift(functools.partial(_ramp, rate, limit), self.of, episode.timestep)
+        ramp = functools.partial(_ramp, **episode.values(self))
+        return _Drift(ramp, self.of, episode.timestep)
 
 
-def _ramp(rate: Amount, limit: Amount, t: float) -> np.ndarray:
+def _ramp(t: float, rate: Amount, limit: Amount) -> np.ndarray:
     """1 + rate t, within 1 +- limit."""
     return 1.0 + np.clip(rate * t, -np.asarray(limit), limit)
 
@@ -235,14 +236,13 @@ class CyclicDrift(PlantChange):
 
     def start(self, episode: Episode) -> _Drift:
         """The drift of one episode."""
-        share, period, phase = (episode.value(self, n) for n in ("share", "period", "phase"))
-        swing = functools.partial(_swing, share, 2.0 * np.pi / period, phase)
+        swing = functools.partial(_swing, **episode.values(self))
         return _Drift(swing, self.of, episode.timestep)
 
 
-def _swing(share: Amount, omega: Amount, phase: Amount, t: float) -> np.ndarray:
-    """1 + share sin(omega t + phase)."""
-    return 1.0 + share * np.sin(omega * t + phase)
+def _swing(t: float, share: Amount, period: Amount, phase: Amount) -> np.ndarray:
+    """1 + share sin(2 pi t / period + phase)."""
+    return 1.0 + share * np.sin(2.0 * np.pi / period * t + phase)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -265,6 +265,6 @@ class _Drift:
         return int(periods_begun(step, self.timestep, _GRID))
 
 
-def _spread(name: str, factor: Amount) -> Amount:
+def _spread(name: str, factor: Amount) -> np.ndarray:
     """A factor for each arm, shape (...), with the further axes of the parameter of this name."""
     return np.asarray(factor)[(..., *(None,) * SCALABLE[name])]
