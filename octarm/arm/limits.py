@@ -45,11 +45,8 @@ class Limits:
     def hold(self, q: np.ndarray, v: np.ndarray) -> bool:
         """Whether one arm's state, q and v of shape (2N,), is within the limits; NaN never is."""
         place, speed = q.tolist(), map(abs, v.tolist())
-        return (
-            all(map(le, self.low, place))
-            and all(map(le, place, self.high))
-            and all(map(le, speed, self.speed))
-        )
+        inside = all(map(le, self.low, place)) and all(map(le, place, self.high))
+        return inside and all(map(le, speed, self.speed))
 
     def holding(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Which arms of a batch are within the limits, q and v of shape (n, 2N), shape (n,)."""

@@ -60,16 +60,14 @@ def build_model(
 ) -> mujoco.MjModel:
     """Compiles the arm with these parameters, for any number of modules.
 
+    Its keyframe `hanging` is the loaded equilibrium.
+
     Args:
         parameters: one arm's parameters (no batch axes); the nominal ones when not given.
-        timestep: physics step [s]; that of `models/octarm.xml` when not given.
-
-    Returns:
-        The compiled model. Its keyframe `hanging` is the loaded equilibrium.
+        timestep: physics step, 1e-7 to 0.1 [s]; that of `models/octarm.xml` when not given.
 
     Raises:
-        OctarmError: if the parameters have batch axes, the timestep is not between 1e-7 and
-            0.1 s, or there is no equilibrium.
+        OctarmError: if an argument is not allowed, or there is no equilibrium.
     """
     parameters = nominal_parameters() if parameters is None else parameters
     return _compiled(_arm_spec(parameters, timestep), parameters)
@@ -141,11 +139,7 @@ def _compiled(spec: mujoco.MjSpec, parameters: ArmParameters) -> mujoco.MjModel:
 
 
 def paper_order(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Where the paper's coordinates stand in MuJoCo's vectors.
-
-    Returns:
-        Indices into qpos and into qvel, each of shape (2N,), so that `qpos[index]` is q.
-    """
+    """Indices of the paper's coordinates in qpos and in qvel, each of shape (2N,)."""
     modules = range(1, model.nu // 2 + 1)
     joints = [model.joint(f"{kind}_{i}") for kind in ("s", "theta") for i in modules]
     return np.array([j.qposadr[0] for j in joints]), np.array([j.dofadr[0] for j in joints])

@@ -253,16 +253,16 @@ class Disturbance(abc.ABC):
 ForceProcess = ActuatorProcess = Callable[[int, np.ndarray], np.ndarray]
 
 
-class PlantProcess(Protocol):
-    """A change of the arm itself."""
+class PlantProcess(NamedTuple):
+    """A change of the arm itself.
 
-    def changes_at(self, step: int) -> bool:
-        """Whether `apply` at this physics step differs from the one before it."""
-        ...
+    Attributes:
+        changes_at: whether `apply` at a physics step differs from the one before it.
+        apply: the plant from a physics step on, given what it would be without this process.
+    """
 
-    def apply(self, step: int, plant: Plant) -> Plant:
-        """The plant from this physics step on, given what it would be without this process."""
-        ...
+    changes_at: Callable[[int], bool]
+    apply: Callable[[int, Plant], Plant]
 
 
 class SensorProcess(Protocol):
