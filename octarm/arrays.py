@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, cast
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -63,6 +63,33 @@ def coordinate_names(modules: int) -> list[str]:
 def coordinate_units(modules: int) -> list[str]:
     """Units of the coordinates in the same order: m for slides, rad for bends."""
     return ["m"] * modules + ["rad"] * modules
+
+
+class Coordinates(NamedTuple):
+    """Names and units of an arm's coordinates and inputs, for printing, plotting and recording.
+
+    Attributes:
+        names: one for each coordinate, in the order of q.
+        units: one for each coordinate, `m` or `rad`.
+        groups: where the coordinates of one kind stand in q, by the name of the group; they share a
+            unit and a scale, and are plotted together, group below group.
+        inputs: one name for each input force, in the order of tau.
+    """
+
+    names: Sequence[str]
+    units: Sequence[str]
+    groups: Mapping[str, slice]
+    inputs: Sequence[str]
+
+
+def planar_coordinates(modules: int) -> Coordinates:
+    """Those of the planar arm: q = [s1..sN, theta1..thetaN], and two columns for each module."""
+    return Coordinates(
+        names=coordinate_names(modules),
+        units=coordinate_units(modules),
+        groups={"bends": slice(modules, 2 * modules), "slides": slice(modules)},
+        inputs=[f"column_{a}_{i}" for i in range(1, modules + 1) for a in (1, 2)],
+    )
 
 
 def read_only(name: str, value: npt.ArrayLike, *, unbounded: bool = False) -> np.ndarray:

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from octarm.arm.kinematics import tip
 from octarm.arm.lagrange import positions
-from octarm.arm.tip import tip
 from octarm.metrics.metric import Settings, default_band
 from octarm.metrics.tracking import (
     DWELL,

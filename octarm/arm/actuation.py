@@ -8,9 +8,10 @@ depend on the batch it is in.
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from collections.abc import Sequence
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,84 +19,79 @@ from octarm.arm.kinematics import plate_entries
 from octarm.arrays import Entry, entry, join, split
 
 
-class Actuation(Protocol):
-    """How input forces act on the arm."""
-
-    name: ClassVar[str]
-
-    def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Q = F(q) tau: shapes (..., 2N) [m], [rad] and [N] to (..., 2N) [N], [N m]."""
-        ...
-
-    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """tau = F(q)^-1 Q: shapes (..., 2N) to (..., 2N) [N]."""
-        ...
-
-    def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """The column forces f with T f = F(q) tau, shape (..., 2N) [N]."""
-        ...
-
-
 @dataclasses.dataclass(frozen=True)
-class InternalActuation:
-    """A column pushes neighbouring modules apart: Q = T tau with T constant.
-
-    Column a of module i acts on s_i with its force and on theta_i with +-l/2 times it.
+class Actuation(abc.ABC):
+    """How input forces act on the arm. Q has shape (..., 2N) [N], [N m], tau (..., 2N) [N].
 
     Attributes:
         width: distance l between the two columns of a module, shape (...) [m].
     """
 
-    name: ClassVar[str] = "internal"
+    name: ClassVar[str]
     width: np.ndarray
 
+    @abc.abstractmethod
     def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Q = T tau, shape (..., 2N) [N], [N m]."""
+        """Q = F(q) tau, with q of shape (..., 2N) [m], [rad]."""
+
+    @abc.abstractmethod
+    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """tau = F(q)^-1 Q, with q of shape (..., 2N) [m], [rad]."""
+
+    @abc.abstractmethod
+    def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """The column forces f with T f = F(q) tau, shape (..., 2N) [N]."""
+
+    def _joined(self, entries: Sequence[Entry], like: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return join(entries, like, other.shape, (*np.shape(self.width), len(entries)))
+
+
+class InternalActuation(Actuation):
+    """A column pushes neighbouring modules apart: Q = T tau with T constant.
+
+    Column a of module i acts on s_i with its force and on theta_i with +-l/2 times it.
+    """
+
+    name: ClassVar[str] = "internal"
+
+    def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Q = T tau."""
         inputs, half = split(tau), 0.5 * entry(self.width)
         pairs = list(zip(inputs[0::2], inputs[1::2], strict=True))
         out = [left + right for left, right in pairs]
         out += [half * (left - right) for left, right in pairs]
-        return join(out, tau, q.shape, (*np.shape(self.width), len(out)))
+        return self._joined(out, tau, q)
 
     def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """tau = T^-1 Q, shape (..., 2N) [N]."""
-        out = _column_forces(split(force), entry(self.width))
-        return join(out, force, q.shape, (*np.shape(self.width), len(out)))
+        """tau = T^-1 Q."""
+        return self._joined(_column_forces(split(force), entry(self.width)), force, q)
 
     def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """The inputs are the column forces: shape (..., 2N) [N]."""
+        """The inputs are the column forces."""
         del q
         return tau
 
 
-@dataclasses.dataclass(frozen=True)
-class GroundedActuation:
+class GroundedActuation(Actuation):
     """The paper's F_coeff, eq (2): forces and couples that react on the ground.
 
     The two inputs of module i push its end along the axis of module i-1's plate, and turn it by
     +-l/2 times their force.
-
-    Attributes:
-        width: distance l between the two columns of a module, shape (...) [m].
     """
 
     name: ClassVar[str] = "f-coeff"
-    width: np.ndarray
 
     def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Q = F_coeff(q) tau, shape (..., 2N) [N], [N m]."""
-        out = self._forces(q, tau)
-        return join(out, q, tau.shape, (*np.shape(self.width), len(out)))
+        """Q = F_coeff(q) tau."""
+        return self._joined(self._forces(q, tau), q, tau)
 
     def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """tau = F_coeff(q)^-1 Q by back-substitution from the tip, shape (..., 2N) [N]."""
+        """tau = F_coeff(q)^-1 Q by back-substitution from the tip."""
         n: int = q.shape[-1] // 2
         s, axes = split(q), plate_entries(q)
         wanted, width = split(force), entry(self.width)
         out: list[Entry] = [0.0] * (2 * n)
-        fx: Entry = 0.0
-        fy: Entry = 0.0
-        carried: Entry = 0.0  # moment of the modules below
+        fx = fy = carried = 0.0  # force and moment of the modules below
         for i in reversed(range(n)):
             if i + 1 < n:
                 carried = _carried(wanted[n + i + 1], s[i + 1], axes[i + 1], fx, fy)
@@ -104,12 +100,11 @@ class GroundedActuation:
             couple = (wanted[n + i] - carried) / width
             fx, fy = fx + push * cos, fy + push * sin
             out[2 * i], out[2 * i + 1] = 0.5 * push + couple, 0.5 * push - couple
-        return join(out, q, force.shape, (*np.shape(self.width), 2 * n))
+        return self._joined(out, q, force)
 
     def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """f = T^-1 F_coeff(q) tau, shape (..., 2N) [N]."""
-        out = _column_forces(self._forces(q, tau), entry(self.width))
-        return join(out, q, tau.shape, (*np.shape(self.width), len(out)))
+        """f = T^-1 F_coeff(q) tau."""
+        return self._joined(_column_forces(self._forces(q, tau), entry(self.width)), q, tau)
 
     def _forces(self, q: np.ndarray, tau: np.ndarray) -> list[Entry]:
         """The entries of F_coeff(q) tau."""
@@ -147,6 +142,6 @@ def _column_forces(force: Sequence[Entry], width: Entry) -> list[Entry]:
     return out
 
 
-ACTUATIONS: dict[str, type[GroundedActuation] | type[InternalActuation]] = {
+ACTUATIONS: dict[str, type[Actuation]] = {
     kind.name: kind for kind in (GroundedActuation, InternalActuation)
 }

@@ -5,8 +5,8 @@ With u(a) = (cos a, sin a), n(a) = (-sin a, cos a) and phi_i = theta_1 + .. + th
 
     p_i = p_{i-1} + s_i u(phi_{i-1})
 
-Pure functions of the coordinates, which know no parameters. Positions are in the base frame: x
-along the hanging arm, y across it.
+Pure functions of the coordinates q, shape (..., 2N) [m], [rad], and velocities v, which know no
+parameters. Positions are in the base frame: x along the hanging arm, y across it.
 """
 
 from __future__ import annotations
@@ -17,27 +17,15 @@ from octarm.arrays import Entry, cos_sin, join, split
 
 
 def positions(q: np.ndarray) -> np.ndarray:
-    """Ends of the modules in the base frame, p_1 .. p_N.
-
-    Args:
-        q: coordinates, shape (..., 2N) [m], [rad].
-
-    Returns:
-        Shape (..., N, 2) [m]; x along the hanging arm. The last one is the tip.
-    """
+    """Ends of the modules in the base frame, p_1 .. p_N, shape (..., N, 2) [m]; tip last."""
     n = q.shape[-1] // 2
     return np.cumsum(q[..., :n, None] * plate_axes(q), axis=-2)
 
 
 def jacobian(q: np.ndarray) -> np.ndarray:
-    """J = dp_b/dq_j of the ends of the modules.
+    """J = dp_b/dq_j of the ends of the modules, shape (..., N, 2, 2N) [1], [m].
 
-    Args:
-        q: coordinates, shape (..., 2N) [m], [rad].
-
-    Returns:
-        Shape (..., N, 2, 2N) [1], [m]: end b, direction, coordinate j. J[..., -1, :, :] is that of
-        the tip.
+    Axes are end b, direction, coordinate j; J[..., -1, :, :] is that of the tip.
     """
     n = q.shape[-1] // 2
     u = plate_axes(q)
@@ -52,15 +40,7 @@ def jacobian(q: np.ndarray) -> np.ndarray:
 
 
 def jacobian_rate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """J' = d/dt dp_b/dq_j when q moves with v.
-
-    Args:
-        q: coordinates, shape (..., 2N) [m], [rad].
-        v: velocities, shape (..., 2N) [m/s], [rad/s].
-
-    Returns:
-        Shape (..., N, 2, 2N) [1/s], [m/s], as `jacobian`.
-    """
+    """J' = d/dt dp_b/dq_j when q moves with v, shape (..., N, 2, 2N) [1/s], [m/s]."""
     n = q.shape[-1] // 2
     u = plate_axes(q)
     normal = np.stack([-u[..., 1], u[..., 0]], axis=-1)
@@ -76,21 +56,15 @@ def jacobian_rate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def tip_force(q: np.ndarray, fx: Entry, fy: Entry) -> np.ndarray:
-    """The generalised force J(q)^T f of a force on the tip, by recursion from the tip.
+    """The generalised force J(q)^T f of a force f on the tip, shape (..., 2N) [N], [N m].
 
-    Args:
-        q: coordinates, shape (..., 2N) [m], [rad].
-        fx: along the x axis of the base frame, down the hanging arm, shape (...) [N].
-        fy: along its y axis, shape (...) [N].
-
-    Returns:
-        Generalised force, shape (..., 2N) [N], [N m].
+    By recursion from the tip; fx and fy are along the axes of the base frame, shape (...) [N].
     """
     n = q.shape[-1] // 2
     x, axes = split(q), plate_entries(q)
     pushes: list[Entry] = []
     couples: list[Entry] = []
-    moment: Entry = 0.0
+    moment = 0.0
     for i in reversed(range(n)):
         cos, sin = axes[i]
         pushes.append(fx * cos + fy * sin)
@@ -101,27 +75,13 @@ def tip_force(q: np.ndarray, fx: Entry, fy: Entry) -> np.ndarray:
 
 
 def plate_axes(q: np.ndarray) -> np.ndarray:
-    """u(phi_{i-1}), the axis of the plate that module i stands on.
-
-    Args:
-        q: coordinates, shape (..., 2N) [m], [rad].
-
-    Returns:
-        Unit vectors, shape (..., N, 2) [1].
-    """
+    """u(phi_{i-1}), the axes of the plates that the modules stand on, shape (..., N, 2) [1]."""
     angle = _plate_angles(q)
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 def plate_entries(q: np.ndarray) -> list[tuple[Entry, Entry]]:
-    """The same as pairs (cos, sin), for arithmetic along the arm entry by entry.
-
-    Args:
-        q: coordinates, shape (..., 2N) [m], [rad].
-
-    Returns:
-        N pairs of floats for one arm, of arrays of shape (...) for a batch [1].
-    """
+    """The same as N pairs (cos, sin) of entries of shape (...) [1]; see `octarm.arrays.split`."""
     n = q.shape[-1] // 2
     angle: Entry = 0.0
     axes: list[tuple[Entry, Entry]] = [(1.0, 0.0)]
@@ -132,17 +92,31 @@ def plate_entries(q: np.ndarray) -> list[tuple[Entry, Entry]]:
 
 
 def tip_position(q: np.ndarray) -> np.ndarray:
-    """The tip of an arm at q, shape (..., 2N) [m], [rad], in the world frame, shape (..., 3) [m].
-
-    It is the last of `positions`, worked out entry by entry along the batch.
-    """
-    x: Entry = 0.0
-    y: Entry = 0.0
+    """The tip in the world frame, shape (..., 3) [m], entry by entry along the batch."""
+    x = y = 0.0
     for length, (cos, sin) in zip(split(q), plate_entries(q), strict=False):
         x, y = x + length * cos, y + length * sin
     out = np.zeros_like(q, shape=(*q.shape[:-1], 3))
     out[..., 0], out[..., 2] = y, -x
     return out
+
+
+def tip(q: np.ndarray) -> tuple[Entry, Entry]:
+    """The tip p_N of arms side by side, x and y in the base frame, shape (...) [m].
+
+    It takes one tangent of half the angle, which NumPy computes several times as fast as a sine
+    and a cosine.
+    """
+    n = q.shape[-1] // 2
+    entries = split(q)
+    x, y, phi = entries[0], 0.0, 0.0
+    for i, theta in enumerate(entries[n:-1], 1):
+        phi = phi + theta
+        half = np.tan(0.5 * phi)
+        share = 2.0 / (1.0 + half * half)  # 1 + cos phi
+        x = x + entries[i] * (share - 1.0)
+        y = y + entries[i] * (share * half)
+    return x, y
 
 
 def _plate_angles(q: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ parameters. An array whose last axis is not 2N long raises OctarmError.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -42,52 +42,17 @@ def inverse_dynamics(
     A Newton-Euler recursion with two velocities: C(q, v) v_r is bilinear, and because C is in
     Christoffel form, it is the inertial force of the acceleration sum_jk d2p/dq_j dq_k v_j v_r_k.
 
-    Args:
-        p: parameters.
-        q: coordinates, shape (..., 2N) [m], [rad].
-        v: velocities, shape (..., 2N) [m/s], [rad/s].
-        a: accelerations, shape (..., 2N) [m/s^2], [rad/s^2].
-        v_r: second velocity, shape (..., 2N) [m/s], [rad/s]; v when not given.
-
-    Returns:
-        Generalised force, shape (..., 2N) [N], [N m].
-
-    Raises:
-        OctarmError: if the last axis of an array is not 2N long.
+    All have shape (..., 2N), the force in [N], [N m]; v_r is v when not given.
     """
-    if v_r is None:
-        v_r = v
+    v_r = v if v_r is None else v_r
     n = _modules(p, q=q, v=v, a=a, v_r=v_r)
 
-    # One entry a coordinate: a number for one arm, an array for a batch.
-    x, x_v, x_a, x_vr = split(q), split(v), split(a), split(v_r)
-    mass, inertia = p.entries.mass, p.entries.inertia
-    pushes, couples = _column_forces(p, x, x_vr)
-
-    # Outwards: axes and angular rates of the plates, accelerations and forces of the ends.
-    cos, sin = 1.0, 0.0
-    phi = w = w_r = alpha = 0.0
-    ax, ay = -p.entries.gravity, 0.0  # the ground accelerates against gravity
-    axes: list[tuple[Entry, Entry]] = []
-    forces: list[tuple[Entry, Entry, Entry]] = []
-    for i in range(n):
-        along = x_a[i] - x[i] * (w * w_r)
-        across = x[i] * alpha + (x_v[i] * w_r + x_vr[i] * w)
-        ax = ax + (along * cos - across * sin)
-        ay = ay + (along * sin + across * cos)
-        w = w + x_v[n + i]
-        w_r = w_r + x_vr[n + i]
-        alpha = alpha + x_a[n + i]
-        axes.append((cos, sin))
-        forces.append((mass[i] * ax, mass[i] * ay, inertia[i] * alpha))
-        if i + 1 < n:
-            phi = phi + x[n + i]
-            cos, sin = cos_sin(phi)
+    x = split(q)  # one entry a coordinate: a number for one arm, an array for a batch
+    pushes, couples = _column_forces(p, x, split(v_r))
+    axes, forces = inertial_forces(p, x, split(v), split(a), split(v_r))
 
     # Inwards: force and moment that each module carries, projected on its own axes.
-    fx: Entry = 0.0
-    fy: Entry = 0.0
-    moment: Entry = 0.0
+    fx = fy = moment = 0.0
     for i in reversed(range(n)):
         if i + 1 < n:
             cos, sin = axes[i + 1]
@@ -97,6 +62,38 @@ def inverse_dynamics(
         pushes[i] = fx * cos + fy * sin + pushes[i]
         couples[i] = moment + couples[i]
     return join(pushes + couples, q, v.shape, a.shape, v_r.shape, (*p.batch_shape, 2 * n))
+
+
+def inertial_forces(
+    p: ArmParameters,
+    x: Sequence[Entry],
+    v: Sequence[Entry],
+    a: Sequence[Entry],
+    v_r: Sequence[Entry],
+) -> tuple[list[tuple[Entry, Entry]], list[tuple[Entry, Entry, Entry]]]:
+    """What accelerates the masses and inertias against gravity, from the base outwards.
+
+    Arguments are those of `inverse_dynamics` as 2N entries of shape (...). For each module it gives
+    the axis (cos, sin) of the plate that the module stands on [1], and force along x, force along y
+    and couple on its end [N], [N], [N m].
+    """
+    n, mass, inertia = p.modules, p.entries.mass, p.entries.inertia
+    phi = w = w_r = alpha = 0.0
+    ax, ay = -p.entries.gravity, 0.0  # the ground accelerates against gravity
+    axes: list[tuple[Entry, Entry]] = [(1.0, 0.0)]
+    forces: list[tuple[Entry, Entry, Entry]] = []
+    for i in range(n):
+        cos, sin = axes[i]
+        along = a[i] - x[i] * (w * w_r)
+        across = x[i] * alpha + (v[i] * w_r + v_r[i] * w)
+        ax = ax + (along * cos - across * sin)
+        ay = ay + (along * sin + across * cos)
+        w, w_r, alpha = w + v[n + i], w_r + v_r[n + i], alpha + a[n + i]
+        forces.append((mass[i] * ax, mass[i] * ay, inertia[i] * alpha))
+        if i + 1 < n:
+            phi = phi + x[n + i]
+            axes.append(cos_sin(phi))
+    return axes, forces
 
 
 def mass_matrix(p: ArmParameters, q: np.ndarray) -> np.ndarray:
@@ -159,11 +156,7 @@ def force_coefficients(p: ArmParameters, q: np.ndarray) -> np.ndarray:
 def forward_dynamics(
     p: ArmParameters, q: np.ndarray, v: np.ndarray, force: np.ndarray
 ) -> np.ndarray:
-    """Generalised accelerations under a generalised force, shape (..., 2N) [m/s^2], [rad/s^2].
-
-    Raises:
-        OctarmError: if the last axis of an array is not 2N long.
-    """
+    """Generalised accelerations under a generalised force, shape (..., 2N) [m/s^2], [rad/s^2]."""
     _modules(p, q=q, v=v, force=force)
     rest = inverse_dynamics(p, q, v, np.zeros_like(q))
     return np.linalg.solve(mass_matrix(p, q), (force - rest)[..., None])[..., 0]
@@ -178,22 +171,15 @@ def energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, 
         p.mass * np.sum(velocity * velocity, axis=-1) + p.inertia * rate * rate, axis=-1
     )
     height = np.sum(p.mass * positions(q)[..., 0], axis=-1)
-    stretch = _column_lengths(p, q) - np.asarray(p.rest_length)[..., None, :]
+    bend = 0.5 * np.asarray(p.width)[..., None] * q[..., n:]
+    lengths = np.stack([q[..., :n] + bend, q[..., :n] - bend], axis=-2)  # L_ai
+    stretch = lengths - np.asarray(p.rest_length)[..., None, :]
     springs = 0.5 * np.sum(p.stiffness * stretch * stretch, axis=(-2, -1))
     return kinetic, springs - p.gravity * height
 
 
 def kinetic_energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """1/2 v^T D(q) v, shape (...) [J], in O(N) by recursion along the arm.
-
-    Args:
-        p: parameters.
-        q: coordinates, shape (..., 2N) [m], [rad].
-        v: velocities, shape (..., 2N) [m/s], [rad/s].
-
-    Raises:
-        OctarmError: if the last axis of an array is not 2N long.
-    """
+    """1/2 v^T D(q) v, shape (...) [J], in O(N) by recursion along the arm."""
     n = _modules(p, q=q, v=v)
     x, rate = split(q), split(v)
     mass, inertia = p.entries.mass, p.entries.inertia
@@ -214,21 +200,33 @@ def kinetic_energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray
 def equilibrium(p: ArmParameters) -> np.ndarray:
     """The coordinates at which the arm hangs still, G(q) = 0, shape (..., 2N) [m], [rad].
 
-    Newton's method from the unloaded arm.
+    By Newton's method from the unloaded arm; see `newton` for errors.
+    """
+    q = np.zeros((*p.batch_shape, p.coordinates))
+    q[..., : p.modules] = p.rest_length
+    return newton(lambda q: (potential_force(p, q), potential_hessian(p, q)), q, 1e-10)
+
+
+def newton(
+    linearised: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], q: np.ndarray, within: float
+) -> np.ndarray:
+    """Where the forces on an arm vanish, by Newton's method from q, shape (..., 2N).
+
+    Args:
+        linearised: gives the force at q and its slope, shapes (..., 2N) and (..., 2N, 2N).
+        q: coordinates to start from.
+        within: the last step, as a share of a coordinate or of 1; the next one would be about its
+            square.
 
     Raises:
         OctarmError: if it does not converge: the springs are too soft for this weight.
     """
-    n = p.modules
-    q = np.zeros((*p.batch_shape, 2 * n))
-    q[..., :n] = p.rest_length
     with contextlib.suppress(np.linalg.LinAlgError):
         for _ in range(50):
-            force, slope = potential_force(p, q), potential_hessian(p, q)
+            force, slope = linearised(q)
             step = np.linalg.solve(slope, force[..., None])[..., 0]
             q = q - step
-            # The next step would be about the square of this one.
-            if np.all(np.abs(step) < 1e-10 * np.maximum(1.0, np.abs(q))):
+            if np.all(np.abs(step) < within * np.maximum(1.0, np.abs(q))):
                 return q
     raise OctarmError("no static equilibrium was found: stiffness is too low for this weight")
 
@@ -264,8 +262,7 @@ def _column_forces(
     p: ArmParameters, q: Sequence[Entry], v: Sequence[Entry]
 ) -> tuple[list[Entry], list[Entry]]:
     """Forces on s_i and couples on theta_i of the springs and dampers, from unstacked q and v."""
-    n = p.modules
-    half, rest = p.entries.half_width, p.entries.rest_length
+    n, half, rest = p.modules, p.entries.half_width, p.entries.rest_length
     (k1, k2), (c1, c2) = p.entries.stiffness, p.entries.damping
     pushes: list[Entry] = []
     couples: list[Entry] = []
@@ -277,13 +274,6 @@ def _column_forces(
         pushes.append(first + second)
         couples.append(half * (first - second))
     return pushes, couples
-
-
-def _column_lengths(p: ArmParameters, q: np.ndarray) -> np.ndarray:
-    """L_ai = s_i +- (l/2) theta_i, shape (..., 2, N) [m]."""
-    n = p.modules
-    bend = 0.5 * np.asarray(p.width)[..., None] * q[..., n:]
-    return np.stack([q[..., :n] + bend, q[..., :n] - bend], axis=-2)
 
 
 def _column_matrix(p: ArmParameters, coefficient: np.ndarray) -> np.ndarray:

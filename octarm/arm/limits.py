@@ -8,7 +8,7 @@ from operator import le
 import numpy as np
 
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import Entry, coordinate_names, split
+from octarm.arrays import Entry, planar_coordinates, split
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,11 +45,8 @@ class Limits:
     def hold(self, q: np.ndarray, v: np.ndarray) -> bool:
         """Whether one arm's state, q and v of shape (2N,), is within the limits; NaN never is."""
         place, speed = q.tolist(), map(abs, v.tolist())
-        return (
-            all(map(le, self.low, place))
-            and all(map(le, place, self.high))
-            and all(map(le, speed, self.speed))
-        )
+        inside = all(map(le, self.low, place)) and all(map(le, place, self.high))
+        return inside and all(map(le, speed, self.speed))
 
     def holding(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Which arms of a batch are within the limits, q and v of shape (n, 2N), shape (n,)."""
@@ -61,15 +58,9 @@ class Limits:
         return within
 
     def violation(self, q: np.ndarray, v: np.ndarray) -> str:
-        """Which coordinate of one arm has left them and how, as words; empty when none has.
-
-        Args:
-            q: coordinates, shape (2N,) [m], [rad].
-            v: velocities, shape (2N,) [m/s], [rad/s].
-        """
-        n = len(q) // 2
-        names, units = coordinate_names(n), ["m"] * n + ["rad"] * n
-        for j, (name, unit) in enumerate(zip(names, units, strict=True)):
+        """Which coordinate of one arm, q and v of shape (2N,), has left them; empty if none has."""
+        of = planar_coordinates(len(q) // 2)
+        for j, (name, unit) in enumerate(zip(of.names, of.units, strict=True)):
             low, high, top = self.low[j], self.high[j], self.speed[j]
             if not low <= q[j] <= high:
                 return f"{name} is {q[j]:.4g} {unit}, outside {low:.4g} .. {high:.4g} {unit}"

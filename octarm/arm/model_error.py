@@ -22,11 +22,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from octarm.arm.lagrange import inertial_forces
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import Entry, cos_sin, entry, join, split
+from octarm.arrays import Entry, entry, join, split
 
 # For each coordinate: sum_p F_ip and sum_p |F_ip| over some of the parameters.
-_Terms = tuple[list[Entry], list[Entry]]
+_Terms = tuple[Sequence[Entry], Sequence[Entry]]
 
 
 def largest_error(
@@ -50,13 +51,13 @@ def largest_error(
     Returns:
         Generalised force, shape (..., 2N) [N], [N m].
     """
-    n = nominal.modules
+    n, entries = nominal.modules, nominal.entries
     x, rates = split(q), split(v_r)
-    stretches = [x[i] - rest for i, rest in enumerate(nominal.entries.rest_length)]
-    inertial = _inertial_terms(nominal, x, split(v), split(a_r), rates)
-    damping = _column_terms(nominal, nominal.entries.damping, rates[:n], rates[n:])
-    elastic = _column_terms(nominal, nominal.entries.stiffness, stretches, x[n:])
-    u = _one_an_arm(uncertainty)
+    stretches = [x[i] - rest for i, rest in enumerate(entries.rest_length)]
+    inertial = _inertial_terms(x, *inertial_forces(nominal, x, split(v), split(a_r), rates))
+    damping = _column_terms(entries.half_width, entries.damping, rates[:n], rates[n:])
+    elastic = _column_terms(entries.half_width, entries.stiffness, stretches, x[n:])
+    u = entry(uncertainty[..., 0] if uncertainty.ndim else uncertainty)
     middle, half_width = _interval(u)
     middle_k, half_width_k = _interval(0.5 * u)  # stiffness is known twice as well
     largest: list[Entry] = []
@@ -68,11 +69,6 @@ def largest_error(
     return join(largest, q, v.shape, a_r.shape, v_r.shape, (*batch, 2 * n))
 
 
-def _one_an_arm(value: np.ndarray) -> Entry:
-    """The number or the array of numbers in an array of shape () or (..., 1)."""
-    return entry(value if value.ndim == 0 else value[..., 0])
-
-
 def _interval(u: Entry) -> tuple[Entry, Entry]:
     """Middle and half width of the interval of p / p^ - 1."""
     rest = 1.0 - u * u
@@ -80,31 +76,15 @@ def _interval(u: Entry) -> tuple[Entry, Entry]:
 
 
 def _inertial_terms(
-    p: ArmParameters,
     x: Sequence[Entry],
-    v: Sequence[Entry],
-    a: Sequence[Entry],
-    v_r: Sequence[Entry],
+    axes: Sequence[tuple[Entry, Entry]],
+    forces: Sequence[tuple[Entry, Entry, Entry]],
 ) -> _Terms:
-    """What the masses, gravity included, and the inertias contribute; one pass outwards a mass.
-
-    Outwards as in `lagrange.inverse_dynamics`; then each mass alone hangs on the modules below it.
-    """
-    n = p.modules
-    mass, inertia = p.entries.mass, p.entries.inertia
+    """What each mass, gravity included, and each inertia contributes to the modules before it."""
+    n = len(axes)
     sums: list[Entry] = [0.0] * (2 * n)
     sizes: list[Entry] = [0.0] * (2 * n)
-    axes: list[tuple[Entry, Entry]] = [(1.0, 0.0)]
-    phi = w = w_r = alpha = 0.0
-    ax, ay = -p.entries.gravity, 0.0
-    for b in range(n):
-        cos, sin = axes[b]
-        along = a[b] - x[b] * (w * w_r)
-        across = x[b] * alpha + (v[b] * w_r + v_r[b] * w)
-        ax = ax + (along * cos - across * sin)
-        ay = ay + (along * sin + across * cos)
-        w, w_r, alpha = w + v[n + b], w_r + v_r[n + b], alpha + a[n + b]
-        fx, fy, couple = mass[b] * ax, mass[b] * ay, inertia[b] * alpha
+    for b, (fx, fy, couple) in enumerate(forces):
         moment, couple_size = 0.0, abs(couple)
         for j in reversed(range(b + 1)):
             cos, sin = axes[j]
@@ -114,33 +94,24 @@ def _inertial_terms(
             sums[n + j] = sums[n + j] + (moment + couple)
             sizes[n + j] = sizes[n + j] + (abs(moment) + couple_size)
             moment = moment + x[j] * (fy * cos - fx * sin)
-        if b + 1 < n:
-            phi = phi + x[n + b]
-            axes.append(cos_sin(phi))
     return sums, sizes
 
 
 def _column_terms(
-    p: ArmParameters,
+    half: Entry,
     coefficients: tuple[Sequence[Entry], Sequence[Entry]],
     along: Sequence[Entry],
     bend: Sequence[Entry],
 ) -> _Terms:
     """What the springs or dampers of the columns contribute, eqs (4) and (5)."""
-    half, (left, right) = p.entries.half_width, coefficients
-    pushes: list[Entry] = []
-    couples: list[Entry] = []
-    push_sizes: list[Entry] = []
-    couple_sizes: list[Entry] = []
-    for i in range(p.modules):
-        first = left[i] * (along[i] + half * bend[i])
-        second = right[i] * (along[i] - half * bend[i])
-        size = abs(first) + abs(second)
-        pushes.append(first + second)
-        push_sizes.append(size)
-        couples.append(half * (first - second))
-        couple_sizes.append(half * size)
-    return pushes + couples, push_sizes + couple_sizes
+    forces = [
+        (left * (push + half * turn), right * (push - half * turn))
+        for left, right, push, turn in zip(*coefficients, along, bend, strict=True)
+    ]
+    sizes = [abs(first) + abs(second) for first, second in forces]
+    pushes = [first + second for first, second in forces]
+    couples = [half * (first - second) for first, second in forces]
+    return pushes + couples, sizes + [half * size for size in sizes]
 
 
 def straight_inertia(p: ArmParameters, q: np.ndarray) -> np.ndarray:
@@ -148,8 +119,7 @@ def straight_inertia(p: ArmParameters, q: np.ndarray) -> np.ndarray:
 
     No bend of modules of these lengths makes an entry larger.
     """
-    n = p.modules
-    x, mass, inertia = split(q), p.entries.mass, p.entries.inertia
+    n, x, mass, inertia = p.modules, split(q), p.entries.mass, p.entries.inertia
     slides: list[Entry] = []
     bends: list[Entry] = []
     for k in range(n):

@@ -8,7 +8,7 @@ import numpy as np
 
 from octarm.arm import lagrange, model_error
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import coordinate_names
+from octarm.arrays import coordinate_names, coordinate_units
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class LagrangeModel:
     @property
     def units(self) -> tuple[str, ...]:
         """Slides in "m", bends in "rad"."""
-        return ("m",) * self.modules + ("rad",) * self.modules
+        return tuple(coordinate_units(self.modules))
 
     @property
     def scale(self) -> np.ndarray:
@@ -52,7 +52,7 @@ class LagrangeModel:
     @property
     def input_limit(self) -> np.ndarray:
         """The actuators' range in `models/octarm.xml`, shape (2N,) [N]."""
-        from octarm.arm.mjcf import nominal_input_limit
+        from octarm.arm.mjcf import nominal_input_limit  # controllers load no MuJoCo before
 
         return np.full(self.coordinates, nominal_input_limit())
 
@@ -94,9 +94,5 @@ class LagrangeModel:
         a: np.ndarray,
         v_r: np.ndarray,
     ) -> np.ndarray:
-        """The largest error of `inverse_dynamics`, shape (..., 2N) [N], [N m].
-
-        Masses, inertias and dampings lie within the share u of their true values, stiffnesses
-        within u/2; see `octarm.arm.model_error`.
-        """
+        """Of `inverse_dynamics`, shape (..., 2N) [N], [N m]; see `octarm.arm.model_error`."""
         return model_error.largest_error(self.parameters, uncertainty, q, v, a, v_r)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,33 +16,31 @@ from octarm.errors import OctarmError, closest
 if TYPE_CHECKING:
     import mujoco
 
-# field: (axes after the batch axes, smallest value allowed, may it equal that value)
-_RULES: dict[str, tuple[str, float, bool]] = {
-    "mass": ("N", 0.0, False),
-    "inertia": ("N", 0.0, False),
-    "width": ("", 0.0, False),
-    "stiffness": ("2N", 0.0, False),
-    "damping": ("2N", 0.0, True),
-    "rest_length": ("N", 0.0, False),
-    "gravity": ("", -np.inf, True),
+# field: (number of axes after the batch axes, smallest value allowed, may it equal that value)
+_RULES: dict[str, tuple[int, float, bool]] = {
+    "mass": (1, 0.0, False),
+    "inertia": (1, 0.0, False),
+    "width": (0, 0.0, False),
+    "stiffness": (2, 0.0, False),
+    "damping": (2, 0.0, True),
+    "rest_length": (1, 0.0, False),
+    "gravity": (0, -np.inf, True),
 }
-
-_AXES = {"N": 1, "2N": 2, "": 0}
 
 
 class Entries(NamedTuple):
     """Parameters entry by entry, for arithmetic along the arm; see `octarm.arrays.split`.
 
-    An entry is a number, or an array of shape (...).
+    An entry is a number, or an array of shape (...). Units are those of `ArmParameters`.
 
     Attributes:
-        mass: of each module, N entries of shape (...) [kg].
-        inertia: of each module, N entries of shape (...) [kg m^2].
-        half_width: half the distance between the columns, shape (...) [m].
-        stiffness: for columns 1 and 2, N entries of shape (...) [N/m].
-        damping: for columns 1 and 2, N entries of shape (...) [N s/m].
-        rest_length: of each module, N entries of shape (...) [m].
-        gravity: along the hanging arm, shape (...) [m/s^2].
+        mass: N entries.
+        inertia: N entries.
+        half_width: half the distance between the columns, one entry.
+        stiffness: for columns 1 and 2, N entries each.
+        damping: for columns 1 and 2, N entries each.
+        rest_length: N entries.
+        gravity: one entry.
     """
 
     mass: Sequence[Entry]
@@ -99,20 +97,19 @@ class ArmParameters:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        modules = read_only("mass", self.mass).shape[-1:] or (0,)
-        shapes = {"N": modules, "2N": (2, *modules), "": ()}
+        modules = (read_only("mass", self.mass).shape or (0,))[-1]
         for name, (axes, smallest, inclusive) in _RULES.items():
             value = read_only(name, getattr(self, name))
-            _check_shape(name, value, shapes[axes])
+            _check_shape(name, value, (2, modules)[2 - axes :])
             _check_bound(name, value, smallest, inclusive)
             object.__setattr__(self, name, value)
         _ = self.batch_shape  # raises when the batch axes do not fit together
 
-    def __reduce__(
-        self,
-    ) -> tuple[Callable[[], ArmParameters], tuple[()]]:  # copies and pickles stay read-only
-        fields = {name: getattr(self, name) for name in _RULES}
-        return functools.partial(ArmParameters, **fields), ()
+    def __reduce__(self) -> tuple[Any, ...]:  # copies and pickles stay read-only
+        return functools.partial(ArmParameters, **self._fields()), ()
+
+    def _fields(self) -> dict[str, np.ndarray]:
+        return {name: getattr(self, name) for name in _RULES}
 
     @property
     def modules(self) -> int:
@@ -127,12 +124,11 @@ class ArmParameters:
     @functools.cached_property
     def batch_shape(self) -> tuple[int, ...]:
         """Batch axes that the fields broadcast to; () for one arm."""
-        shapes = [getattr(self, n).shape for n in _RULES]
-        batch = [s[: len(s) - _AXES[r[0]]] for s, r in zip(shapes, _RULES.values(), strict=True)]
+        batch = {n: x.shape[: x.ndim - _RULES[n][0]] for n, x in self._fields().items()}
         try:
-            return np.broadcast_shapes(*batch)
+            return np.broadcast_shapes(*batch.values())
         except ValueError:
-            listed = ", ".join(f"{n} {b}" for n, b in zip(_RULES, batch, strict=True) if b)
+            listed = ", ".join(f"{name} {shape}" for name, shape in batch.items() if shape)
             raise OctarmError(f"the batch axes of the parameters do not fit: {listed}") from None
 
     @functools.cached_property
@@ -150,9 +146,8 @@ class ArmParameters:
 
     def arm(self, i: int) -> ArmParameters:
         """The parameters of arm i of a batch with one batch axis."""
-        fields = {name: getattr(self, name) for name in _RULES}
-        rows = {n: x[i] if x.ndim > _AXES[_RULES[n][0]] else x for n, x in fields.items()}
-        return ArmParameters(**rows)
+        fields = self._fields().items()
+        return ArmParameters(**{n: x[i] if x.ndim > _RULES[n][0] else x for n, x in fields})
 
     def scaled(self, **factors: npt.ArrayLike) -> ArmParameters:
         """A copy with the named fields multiplied.
@@ -195,12 +190,11 @@ class ArmParameters:
         half = (1.0 + wrong / 2.0)[..., None, None]
         arm = self.scaled(mass=factor, inertia=factor, damping=factor[..., None], stiffness=half)
         # Contiguous along the arms, as states are.
-        fields = {name: np.array(getattr(arm, name), order="F") for name in _RULES}
-        return dataclasses.replace(arm, **fields)
+        return ArmParameters(**{n: np.array(x, order="F") for n, x in arm._fields().items()})
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as numbers and nested lists, ready for JSON."""
-        return {name: getattr(self, name).tolist() for name in _RULES}
+        return {name: value.tolist() for name, value in self._fields().items()}
 
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any]) -> ArmParameters:
@@ -239,10 +233,9 @@ class ArmParameters:
 
 
 def _check_shape(name: str, value: np.ndarray, expected: tuple[int, ...]) -> None:
-    trailing = value.shape[value.ndim - len(expected) :]
     if 0 in expected:
         raise OctarmError(f"mass has shape {value.shape}; it must be (..., N) with N at least 1")
-    if value.ndim < len(expected) or trailing != expected:
+    if value.shape[max(0, value.ndim - len(expected)) :] != expected:
         wanted = f"(..., {', '.join(map(str, expected))})"
         raise OctarmError(
             f"{name} has shape {value.shape}; it must be {wanted} for the {expected[-1]} modules "

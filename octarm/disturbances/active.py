@@ -50,12 +50,7 @@ class ActiveDisturbances:
     """
 
     def __init__(self, disturbances: Sequence[Disturbance], episode: Episode) -> None:
-        """Starts them all.
-
-        Raises:
-            OctarmError: if one does not suit the arm, the batch or the timestep, or is given twice
-                although it may be given only once.
-        """
+        """Starts them all; `OctarmError` if one does not suit the episode or another one."""
         self.episode = episode
         self.shares: dict[str, np.ndarray] = {}
         self.inputs: dict[str, np.ndarray] = {}
@@ -77,11 +72,9 @@ class ActiveDisturbances:
         self.sensors: list[tuple[str, SensorProcess]] = started[SensorFault.family]
 
     def received(self, step: int, tau: np.ndarray) -> np.ndarray:
-        """The input forces that the plant receives at a physics step, shape (..., 2N) [N].
+        """What the plant receives of the input forces tau at a physics step, shapes (..., 2N) [N].
 
-        Args:
-            step: number of the physics step; each one is asked for once.
-            tau: commanded input forces, shape (..., 2N) [N].
+        Each step is asked for once.
         """
         for name, process in self.actuators:
             self.inputs[name] = tau = process(step, tau)
@@ -90,16 +83,15 @@ class ActiveDisturbances:
     def force(self, step: int, q: np.ndarray) -> np.ndarray:
         """The generalised force held over a physics step, shape (..., 2N) [N], [N m]; read-only.
 
-        Args:
-            step: number of the physics step.
-            q: true coordinates at its start, shape (..., 2N) [m], [rad].
+        q has the true coordinates at its start, shape (..., 2N) [m], [rad].
         """
         if not self.forces:
             return np.zeros_like(q)
         shares = {name: process(step, q) for name, process in self.forces}
         if not self.shares or not all(map(is_, shares.values(), self.shares.values())):
-            self._total = _sum(list(shares.values()))
             self.shares = shares
+            self._total = sum(shares.values(), start=np.zeros(()))  # 0.0, never -0.0
+            self._total.setflags(write=False)
         return self._total
 
     def plant_changes_at(self, step: int) -> bool:
@@ -124,27 +116,12 @@ class ActiveDisturbances:
         return plant
 
     def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
-        """Shows the sensors the true motion: at step 0, and when `step` physics steps are done.
-
-        Args:
-            step: how many are done.
-            q: true coordinates, shape (..., 2N) [m], [rad].
-            v: true velocities, shape (..., 2N) [m/s], [rad/s].
-        """
+        """Shows the sensors the true q and v, shapes (..., 2N), when `step` steps are done."""
         for _, process in self.sensors:
             process.record(step, q, v)
 
     def sensed(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What the sensors report at a control instant, given the true motion.
-
-        Args:
-            step: number of the physics step that begins.
-            q: true coordinates, shape (..., 2N) [m], [rad].
-            v: true velocities, shape (..., 2N) [m/s], [rad/s].
-
-        Returns:
-            q and v as they are read, of the same shapes and units.
-        """
+        """What is read of the true q and v, shapes (..., 2N), when a physics step begins."""
         for name, process in self.sensors:
             self.readings[name] = q, v = process(step, q, v)
         return q, v
@@ -159,12 +136,3 @@ def _check_plant(p: ArmParameters) -> None:
                 f"the disturbed arm has a module with {name} {values[~good].flat[0]:g} {unit}; "
                 f"it must be between {low:g} and {high:g} {unit}"
             )
-
-
-def _sum(shares: Sequence[np.ndarray]) -> np.ndarray:
-    """Forces added in their order, shape (..., 2N); 0.0 where nothing acts, never -0.0."""
-    total = 0.0 + shares[0]
-    for share in shares[1:]:
-        total = total + share
-    total.setflags(write=False)
-    return total

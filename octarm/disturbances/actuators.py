@@ -188,10 +188,8 @@ class LossOfEffectiveness(ActuatorFault):
 
     def start(self, episode: Episode) -> ActuatorProcess:
         """The loss in one episode."""
-        onset = first_step(episode.value(self, "at"), episode.timestep)
-        return functools.partial(
-            _weakened, 1.0 - _columns(self, "share", episode), onset[..., None]
-        )
+        onset = first_step(episode.value(self, "at"), episode.timestep)[..., None]
+        return functools.partial(_weakened, 1.0 - _columns(self, "share", episode), onset)
 
     def events(self) -> Sequence[Event]:
         """When it is lost."""

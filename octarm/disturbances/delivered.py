@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
+    from octarm.arm.parameters import ArmParameters
     from octarm.disturbances.episode import Episode, Plant
 
 _WINDOW = 65_536  # physics steps
@@ -83,11 +84,9 @@ class Record:
         return math.nan
 
     def band(self) -> dict[str, float]:
-        """What makes a noise: how long it holds, and its band.
+        """`hold`, the mean time between changes [s], and `corner`, the band of half density [Hz].
 
-        Returns:
-            `hold`, the mean time between changes [s], and `corner`, where the power density is
-            halved [Hz]; of a signal too short to tell, less or nothing.
+        There is less or nothing for a signal too short to tell.
         """
         rows, dt = np.stack(self._rows), self._timestep
         changes = np.flatnonzero(np.any(np.diff(rows, axis=0) != 0.0, axis=1))
@@ -113,13 +112,10 @@ class Record:
         return {"hold": dt * hold, "corner": corner}
 
     def line(self) -> dict[str, float]:
-        """What makes a sine: its frequency, and how pure it is.
+        """`frequency` of the strongest line [Hz], and `share_in_line`, the power around it [1].
 
         A force on the tip acts on each coordinate by a lever that moves; all of them count alike.
-
-        Returns:
-            `frequency` of the strongest line [Hz], and `share_in_line`, the power around it [1];
-            nothing for less than two periods.
+        There is nothing for less than two periods.
         """
         rows = np.stack(self._rows)
         moving = rows[:, np.std(rows, axis=0) > 0.0]
@@ -158,8 +154,8 @@ class Measured(NamedTuple):
 
         Each of them at some moments, and its extremes, of the parameter's own shape (...).
         """
-        arms = [_numbers(plant.parameters.to_dict(), plant.gravity_angle) for plant in self.plants]
-        undisturbed = _numbers(self.episode.parameters.to_dict(), 0.0)
+        arms = [_numbers(plant.parameters, plant.gravity_angle) for plant in self.plants]
+        undisturbed = _numbers(self.episode.parameters, 0.0)
         out: dict[str, dict[str, np.ndarray]] = {}
         for name, original in undisturbed.items():
             values = np.stack([arm[name] for arm in arms])
@@ -169,7 +165,7 @@ class Measured(NamedTuple):
         return out
 
 
-def _numbers(parameters: dict[str, Any], gravity_angle: Any) -> dict[str, np.ndarray]:
+def _numbers(parameters: ArmParameters, gravity_angle: Any) -> dict[str, np.ndarray]:
     """Parameters by name, with the angle of gravity [rad] for its size, which nothing changes."""
-    numbers = {name: value for name, value in parameters.items() if name != "gravity"}
-    return {name: np.asarray(x) for name, x in {**numbers, "gravity_angle": gravity_angle}.items()}
+    numbers = parameters.to_dict() | {"gravity_angle": gravity_angle}
+    return {name: np.asarray(x) for name, x in numbers.items() if name != "gravity"}

@@ -15,10 +15,11 @@ value (a ratio of 0, 0 kg, a factor of 1) leaves what it acts on exactly as it w
 from __future__ import annotations
 
 import abc
+import collections
 import copy
 import dataclasses
 import functools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
@@ -73,9 +74,6 @@ class Episode:
         seeds: one for each arm; a single one for a single arm.
         batch_shape: () for one arm, (n,) for a batch.
         occurrence: 1, or which one of several disturbances of the same class is started.
-
-    Raises:
-        OctarmError: if the number of seeds is not that of the arms.
     """
 
     parameters: ArmParameters
@@ -94,8 +92,7 @@ class Episode:
 
     @property
     def _seeds(self) -> Sequence[np.random.SeedSequence]:
-        one = isinstance(self.seeds, np.random.SeedSequence)
-        return [self.seeds] if one else self.seeds  # pyright: ignore
+        return [self.seeds] if isinstance(self.seeds, np.random.SeedSequence) else self.seeds
 
     @property
     def coordinates(self) -> int:
@@ -108,11 +105,7 @@ class Episode:
         return LagrangeModel(self.parameters)
 
     def selected(self, names: str) -> np.ndarray:
-        """Whether each coordinate is named in `names`, such as `s1+theta2` or `all`, shape (2N,).
-
-        Raises:
-            OctarmError: if the arm has no coordinate of one of these names.
-        """
+        """Whether a coordinate is named in `names`, such as `s1+theta2` or `all`, shape (2N,)."""
         known = self.model.names
         wanted = known if names == "all" else names.split("+")
         for name in wanted:
@@ -122,7 +115,7 @@ class Episode:
 
     def again(self, occurrence: int) -> Episode:
         """The same episode for a further disturbance of the same class."""
-        other = copy.copy(self)
+        other = copy.copy(self)  # with the input amplitude, if it is known already
         object.__setattr__(other, "occurrence", occurrence)
         return other
 
@@ -132,41 +125,34 @@ class Episode:
         return [stream(seed, name) for seed in self._seeds]
 
     def noise(self, disturbance: Disturbance, scale: np.ndarray) -> HeldNoise:
-        """Noise of a disturbance with a field `correlation_time`, times a scale, shape (..., k).
-
-        Raises:
-            OctarmError: if the correlation time is shorter than a physics step.
-        """
+        """Noise of a disturbance with a field `correlation_time`, times a scale, shape (..., k)."""
         time = self.value(disturbance, "correlation_time")
         return HeldNoise(self.streams(disturbance.name), scale, time, self.timestep)
 
     def value(self, disturbance: Disturbance, field: str) -> Amount:
-        """A field of numbers for the arms of this episode.
+        """A field of numbers for the arms of this episode, whose shape must suit them.
 
-        Returns:
-            Shape (..., 2N) if coordinates may have values of their own, otherwise shape () or the
-            batch's.
-
-        Raises:
-            OctarmError: if the shape of the field does not suit the arms.
+        It has shape (..., 2N) if coordinates may have values of their own, else () or the batch's.
         """
         kind = field_kinds(type(disturbance))[field]
         each = isinstance(kind, Quantity) and kind.each
         value = getattr(disturbance, field)
         shape = (*self.batch_shape, self.coordinates) if each else self.batch_shape
         try:
-            fits = np.broadcast_shapes(np.shape(value), shape) == shape
+            return np.broadcast_to(value, shape) if each or np.ndim(value) else value
         except ValueError:
-            fits = False
-        if not fits:
             wanted, arms = "one number", f"each of the {sum(self.batch_shape)} arms"
             if each:
                 wanted += f", or {self.coordinates}, one for each coordinate"
             if self.batch_shape:
                 wanted += f", for {arms} or for all" if each else f", or one for {arms}"
             name = f"{kind.key or field} of {disturbance.name}"
-            raise OctarmError(f"{name} has shape {np.shape(value)}; it must be {wanted}")
-        return np.broadcast_to(value, shape) if each or np.ndim(value) else value
+            raise OctarmError(f"{name} has shape {np.shape(value)}; it must be {wanted}") from None
+
+    def values(self, disturbance: Disturbance) -> dict[str, Amount]:
+        """All fields of numbers by name, as `value` gives them, shapes (...) or (..., 2N)."""
+        kinds = field_kinds(type(disturbance)).items()
+        return {n: self.value(disturbance, n) for n, kind in kinds if isinstance(kind, Quantity)}
 
     @functools.cached_property
     def input_amplitude(self) -> np.ndarray:
@@ -178,27 +164,22 @@ class Episode:
         Sums of differences from the first value, one instant after another: no cancellation, and
         the same bits for an arm and its row of a batch.
         """
-        forces = self._needed_forces()
-        first = next(forces)
-        total, square = np.zeros_like(first), np.zeros_like(first)
-        for force in forces:
-            change = force - first
-            total += change
-            square += change * change
-        mean = total / _SAMPLES
-        variance = square / _SAMPLES - mean * mean
-        return np.sqrt(2.0 * np.maximum(variance, 0.0))
-
-    def _needed_forces(self) -> Iterator[np.ndarray]:
-        """The force at each instant, shape (..., 2N); computed for many instants at once."""
-        size = max(1, _AT_ONCE // len(self._seeds))
+        first = total = square = np.zeros(())
+        size = max(1, _AT_ONCE // len(self._seeds))  # instants that are computed at once
         for k in range(0, _SAMPLES, size):
             grid = range(k, min(k + size, _SAMPLES))
             instants = [self.reference(i * (_WINDOW / _SAMPLES)) for i in grid]
             parts = [np.stack(part) for part in zip(*instants, strict=True)]
             if self.parameters.batch_shape:  # after the axis of time
                 parts = [part[:, None] if part.ndim == 2 else part for part in parts]
-            yield from self.model.inverse_dynamics(*parts)
+            forces = self.model.inverse_dynamics(*parts)
+            first = forces[0] if k == 0 else first
+            for force in forces:
+                change = force - first
+                total, square = total + change, square + change * change
+        mean = total / _SAMPLES
+        variance = square / _SAMPLES - mean * mean
+        return np.sqrt(2.0 * np.maximum(variance, 0.0))
 
 
 class Disturbance(abc.ABC):
@@ -214,9 +195,6 @@ class Disturbance(abc.ABC):
         family: what it acts on; a heading in the help.
         instead_of_two: what to give instead of two of this class; empty if two may act together.
         units: of what `delivered` returns, by name, where there is one unit for all coordinates.
-
-    Raises:
-        OctarmError: if a field is not of its kind.
     """
 
     name: ClassVar[str]
@@ -233,10 +211,9 @@ class Disturbance(abc.ABC):
 
     @abc.abstractmethod
     def start(self, episode: Episode) -> Any:
-        """A fresh process for one episode; the families say of which kind.
+        """A fresh process for one episode, of the kind of its family.
 
-        Raises:
-            OctarmError: if a field does not suit the arm, the batch or the timestep.
+        It raises an `OctarmError` if a field does not suit the arm, the batch or the timestep.
         """
 
     def delivered(self, measured: Measured) -> dict[str, Any]:
@@ -276,41 +253,29 @@ class Disturbance(abc.ABC):
 ForceProcess = ActuatorProcess = Callable[[int, np.ndarray], np.ndarray]
 
 
-class PlantProcess(Protocol):
-    """A change of the arm itself."""
+class PlantProcess(NamedTuple):
+    """A change of the arm itself.
 
-    def changes_at(self, step: int) -> bool:
-        """Whether `apply` at this physics step differs from the one before it."""
-        ...
+    Attributes:
+        changes_at: whether `apply` at a physics step differs from the one before it.
+        apply: the plant from a physics step on, given what it would be without this process.
+    """
 
-    def apply(self, step: int, plant: Plant) -> Plant:
-        """The plant from this physics step on, given what it would be without this process."""
-        ...
+    changes_at: Callable[[int], bool]
+    apply: Callable[[int, Plant], Plant]
 
 
 class SensorProcess(Protocol):
     """Something between the true motion and what the controller reads."""
 
     def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
-        """Takes note of the true motion, at step 0 and after every physics step, in order.
+        """Takes note of the true motion, q and v of shape (..., 2N), after so many physics steps.
 
-        Args:
-            step: number of physics steps that are done.
-            q: true coordinates, shape (..., 2N) [m], [rad].
-            v: true velocities, shape (..., 2N) [m/s], [rad/s].
+        It is called at step 0 and after every physics step, in order.
         """
 
     def __call__(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The readings at a control instant.
-
-        Args:
-            step: number of the physics step that begins.
-            q: coordinates as read so far, shape (..., 2N) [m], [rad].
-            v: velocities as read so far, shape (..., 2N) [m/s], [rad/s].
-
-        Returns:
-            q and v as the controller gets them, of the same shapes and units.
-        """
+        """What is read of q and v as read so far, shapes (..., 2N), as a physics step begins."""
         ...
 
 
@@ -325,9 +290,6 @@ class Force(Disturbance):
     family: ClassVar[str] = "forces"
     units: ClassVar[Mapping[str, str]] = {"from": "s", "until": "s"}
 
-    @abc.abstractmethod
-    def start(self, episode: Episode) -> ForceProcess: ...  # noqa: D102
-
     def delivered(self, measured: Measured) -> dict[str, Any]:
         """How strong it was, when it acted, and the largest force that no disturbance explains."""
         sizes = measured.signal.sizes() | measured.signal.presence()
@@ -335,12 +297,9 @@ class Force(Disturbance):
 
 
 class PlantChange(Disturbance):
-    """A disturbance that makes the arm another one."""
+    """A disturbance that makes the arm another one; its process is a `PlantProcess`."""
 
     family: ClassVar[str] = "the arm"
-
-    @abc.abstractmethod
-    def start(self, episode: Episode) -> PlantProcess: ...  # noqa: D102
 
     def delivered(self, measured: Measured) -> dict[str, Any]:
         """The parameters of the arm that were not always what they are undisturbed."""
@@ -356,25 +315,19 @@ class ActuatorFault(Disturbance):
 
     family: ClassVar[str] = "the inputs"
 
-    @abc.abstractmethod
-    def start(self, episode: Episode) -> ActuatorProcess: ...  # noqa: D102
-
 
 class SensorFault(Disturbance):
-    """A disturbance of the readings on their way to the controller."""
+    """A disturbance of the readings; its process is a `SensorProcess`."""
 
     family: ClassVar[str] = "the readings"
-
-    @abc.abstractmethod
-    def start(self, episode: Episode) -> SensorProcess: ...  # noqa: D102
 
 
 def occurrences(disturbances: Iterable[Disturbance]) -> list[int]:
     """For each disturbance, which one of its name it is: 1, 2 and so on."""
-    counts: dict[str, int] = {}
+    counts = collections.Counter[str]()
     out: list[int] = []
     for disturbance in disturbances:
-        counts[disturbance.name] = counts.get(disturbance.name, 0) + 1
+        counts[disturbance.name] += 1
         out.append(counts[disturbance.name])
     return out
 

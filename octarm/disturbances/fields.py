@@ -44,11 +44,7 @@ class Quantity:
     usual: tuple[float, float] | None = None
 
     def check(self, name: str, value: Any) -> Amount:
-        """A float, or a read-only array of the shape of the value.
-
-        Raises:
-            OctarmError: if it is not made of finite numbers in the range; `name` says whose it is.
-        """
+        """A float, or a read-only array of the shape of the value; `name` is for errors."""
         array = read_only(name, value, unbounded=self.unbounded)
         for bound, words, good in (
             (self.at_least, "at least", array >= self.at_least),
@@ -81,11 +77,7 @@ class Words:
     key: ClassVar[str] = ""
 
     def check(self, name: str, value: Any) -> str:
-        """The words as they are.
-
-        Raises:
-            OctarmError: if one of them is unknown or given twice; `name` says whose they are.
-        """
+        """The words as they are, if they are known and given once; `name` is for errors."""
         words = str(value).split("+")
         for word in words if value not in self.alone else []:
             coordinate = self.coordinates and re.fullmatch(r"[a-z_]+[1-9]\d*", word)

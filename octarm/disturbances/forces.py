@@ -38,9 +38,6 @@ class BandLimitedNoise(Force):
         correlation_time: how long a number is held, shape (...) [s].
         rms: instead of `ratio`, broadcasts to shape (..., 2N) [N], [N m].
         on: `all`, or coordinates such as `s1+theta2`; no force acts on the others.
-
-    Raises:
-        OctarmError: if a value is out of range, or not exactly one of ratio and rms is given.
     """
 
     name: ClassVar[str] = "noise"
@@ -56,12 +53,7 @@ class BandLimitedNoise(Force):
             raise OctarmError("noise needs either a ratio or an rms, and not both")
 
     def start(self, episode: Episode) -> ForceProcess:
-        """The noise of one episode.
-
-        Raises:
-            OctarmError: if a field does not suit the arm, the correlation time is shorter than a
-                physics step, or it is to be a share of an input signal that does not vary.
-        """
+        """The noise of one episode; the input signal must vary if it is to be a share of that."""
         return functools.partial(_held, episode.noise(self, self._wanted(episode)))
 
     def delivered(self, measured: Measured) -> dict[str, Any]:
@@ -89,8 +81,30 @@ def _held(noise: HeldNoise, step: int, q: np.ndarray) -> np.ndarray:
     return noise(step)
 
 
+class _PushForce(Force):
+    """A force on joints or tip whose size depends on time alone; see `SineForce.on`."""
+
+    amplitude: Amount
+    at: Amount
+    length: Amount = np.inf
+    on: str
+
+    def start(self, episode: Episode) -> _Push:
+        """The force of one episode."""
+        return _Push(self._size(episode.values(self), episode.timestep), self.on, episode)
+
+    def events(self) -> Sequence[Event]:
+        """When it begins and ends."""
+        return self.span(self.at, self.length)
+
+    def _size(self, values: Mapping[str, Amount], timestep: float) -> Callable[[int], Amount]:
+        """The size at a step, of shape () or (n,); one object as long as it stays."""
+        at, length = values["at"], values.get("length", np.inf)
+        return _Box(values["amplitude"], in_steps(at, timestep), in_steps(at + length, timestep))
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class SineForce(Force):
+class SineForce(_PushForce):
     """A sine on joints or tip, amplitude sin(2 pi frequency (t - at) + phase).
 
     Over a physics step it is what it is at its start.
@@ -114,36 +128,39 @@ class SineForce(Force):
     length: Length = np.inf
     on: Place = "theta1"
 
-    def start(self, episode: Episode) -> _Push:
-        """The force of one episode.
-
-        Raises:
-            OctarmError: if a field does not suit the arm, or the physics step is too long for the
-                frequency.
-        """
-        highest, half_rate = float(np.max(self.frequency)), 0.5 / episode.timestep
+    def _size(self, values: Mapping[str, Amount], timestep: float) -> Callable[[int], Amount]:
+        highest, half_rate = float(np.max(self.frequency)), 0.5 / timestep
         if not highest < half_rate:
             raise OctarmError(
                 f"frequency of sine is {highest:g} Hz; it must be below half of the physics rate, "
                 f"{half_rate:g} Hz"
             )
-        box = _box(self, episode.value(self, "length"), episode)
-        frequency, phase, at = (episode.value(self, n) for n in ("frequency", "phase", "at"))
-        wave = _Sine(box, 2.0 * np.pi * frequency, phase, at, episode.timestep)
-        return _Push(wave, self.on, episode)
+        box, omega = super()._size(values, timestep), 2.0 * np.pi * values["frequency"]
+        return functools.partial(_sine, box, omega, values["phase"], values["at"], timestep)
 
     def delivered(self, measured: Measured) -> dict[str, Any]:
         """How strong it was, its frequency and how pure it was."""
         sizes = measured.signal.sizes() | measured.signal.line()
         return sizes | {"unexplained": measured.unexplained}
 
-    def events(self) -> Sequence[Event]:
-        """When it begins and ends."""
-        return self.span(self.at, self.length)
+
+def _sine(
+    box: Callable[[int], Amount],
+    omega: Amount,
+    phase: Amount,
+    at: Amount,
+    timestep: float,
+    step: int,
+) -> Amount:
+    """A box times sin(omega t + phase) at the beginning of a step, t counted from `at` [s]."""
+    amplitude = box(step)
+    if isinstance(amplitude, float) and amplitude == 0.0:
+        return amplitude
+    return entry(amplitude * np.sin(omega * (step * timestep - at) + phase) + 0.0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class PulseForce(Force):
+class PulseForce(_PushForce):
     """A constant force on joints or tip from the time `at` on, for a while.
 
     A physics step that it covers in part gets that part of the force, so that the impulse is
@@ -162,17 +179,9 @@ class PulseForce(Force):
     length: Length = 0.1
     on: Place = "theta1"
 
-    def start(self, episode: Episode) -> _Push:
-        """The force of one episode."""
-        return _Push(_box(self, episode.value(self, "length"), episode), self.on, episode)
-
-    def events(self) -> Sequence[Event]:
-        """When it begins and ends."""
-        return self.span(self.at, self.length)
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class StepForce(Force):
+class StepForce(_PushForce):
     """A constant force on joints or tip from the time `at` on, to the end.
 
     Attributes:
@@ -185,14 +194,6 @@ class StepForce(Force):
     amplitude: Size
     at: Start = 0.0
     on: Place = "theta1"
-
-    def start(self, episode: Episode) -> _Push:
-        """The force of one episode."""
-        return _Push(_box(self, np.inf, episode), self.on, episode)
-
-    def events(self) -> Sequence[Event]:
-        """When it begins."""
-        return self.span(self.at)
 
 
 class _Push:
@@ -232,7 +233,6 @@ class _Box:
         self._from, self._until, self._size = 0, 0, 0.0
 
     def __call__(self, step: int) -> Amount:
-        """The mean size over a step, of shape () or (n,); one object as long as it stays."""
         if not self._from <= step < self._until:
             place = int(np.searchsorted(self._edges, step, side="right"))
             self._from = int(self._edges[place - 1])
@@ -240,32 +240,3 @@ class _Box:
             ended, begun = (np.clip(x - step, 0.0, 1.0) for x in (self._end, self._begin))
             self._size = entry((ended - begun) * self._height + 0.0)  # 0.0 rather than -0.0
         return self._size
-
-
-@dataclasses.dataclass(frozen=True)
-class _Sine:
-    """A box times sin(omega (t - at) + phase) with t the time at which a step begins.
-
-    All but the box have shape () or (n,): omega [rad/s], phase [rad], at [s].
-    """
-
-    box: _Box
-    omega: Amount
-    phase: Amount
-    at: Amount
-    timestep: float
-
-    def __call__(self, step: int) -> Amount:
-        """The size at the beginning of a step, of shape () or (n,)."""
-        amplitude = self.box(step)
-        if isinstance(amplitude, float) and amplitude == 0.0:
-            return amplitude
-        angle = self.omega * (step * self.timestep - self.at) + self.phase
-        return entry(amplitude * np.sin(angle) + 0.0)
-
-
-def _box(force: SineForce | PulseForce | StepForce, length: Amount, episode: Episode) -> _Box:
-    """The force's amplitude from its beginning on, for a while."""
-    amplitude, at = episode.value(force, "amplitude"), episode.value(force, "at")
-    begin, end = in_steps(at, episode.timestep), in_steps(at + length, episode.timestep)
-    return _Box(amplitude, begin, end)

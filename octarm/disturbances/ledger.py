@@ -21,34 +21,17 @@ from octarm.disturbances.spelling import from_entry, spelling, to_dict
 _NOT_IN_LINES = ("peak", "unexplained")
 
 
-class MeasuredArm(Protocol):
-    """What the ledger asks of the simulation of one arm."""
+class _Arm(Protocol):
+    """What the ledger asks of `octarm.simulation.stepping.AnyPhysics` with one arm."""
 
     acting: ActiveDisturbances | None
 
-    def steps(self) -> int:
-        """Number of physics steps since the start."""
-        ...
-
-    def q(self) -> np.ndarray:
-        """True coordinates, shape (2N,) [m], [rad]."""
-        ...
-
-    def v(self) -> np.ndarray:
-        """True velocities, shape (2N,) [m/s], [rad/s]."""
-        ...
-
-    def tau(self) -> np.ndarray:
-        """The input forces that are asked for, shape (2N,) [N]."""
-        ...
-
-    def added(self) -> np.ndarray:
-        """Generalised force that acted in the last physics step, shape (2N,) [N], [N m]."""
-        ...
-
-    def plant(self) -> Plant:
-        """The arm as it is in the simulation's model."""
-        ...
+    def steps(self) -> int: ...
+    def q(self) -> np.ndarray: ...
+    def v(self) -> np.ndarray: ...
+    def tau(self) -> np.ndarray: ...
+    def added(self) -> np.ndarray: ...
+    def plant(self) -> Plant: ...
 
 
 class Ledger:
@@ -57,13 +40,13 @@ class Ledger:
     It starts anew with every episode.
     """
 
-    def __init__(self, disturbances: Sequence[Disturbance], arm: MeasuredArm) -> None:
+    def __init__(self, disturbances: Sequence[Disturbance], arm: _Arm) -> None:
         """Watches this arm, whose episodes have these disturbances."""
         self._disturbances = disturbances
         self._arm = arm
         self._signals: dict[str, Record] = {}
 
-    def step(self, arm: MeasuredArm) -> None:
+    def step(self, arm: _Arm) -> None:
         """An episode has begun, or a physics step has been done."""
         active, step = arm.acting, arm.steps() - 1
         if active is None:
@@ -89,7 +72,11 @@ class Ledger:
             if active is not None and active.sensors and self._arm.steps() == 0:
                 self._read(active, 0)  # the run ended with the first readings
             for row, disturbance in zip(rows, self._disturbances, strict=True):
-                row["delivered"] = _finite(self._delivered(active, row["name"], disturbance))
+                signal, delivered = self._signals.get(row["name"]), {}
+                if active is not None and signal is not None:
+                    of = Measured(active.episode, signal, self._plants, self._unexplained)
+                    delivered = disturbance.delivered(of)
+                row["delivered"] = _finite(delivered)
         return rows
 
     def _begin(self, active: ActiveDisturbances) -> None:
@@ -128,15 +115,6 @@ class Ledger:
             record = self._signals.setdefault(name, Record(self._timestep, source))
             record.add(step, after, before=before)
             before, source = after, record
-
-    def _delivered(
-        self, active: ActiveDisturbances | None, name: str, disturbance: Disturbance
-    ) -> dict[str, Any]:
-        signal = self._signals.get(name)
-        if active is None or signal is None:
-            return {}
-        measured = Measured(active.episode, signal, self._plants, self._unexplained)
-        return disturbance.delivered(measured)
 
 
 def asked(disturbances: Sequence[Disturbance]) -> list[dict[str, Any]]:

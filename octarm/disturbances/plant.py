@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, ClassVar
 
 import numpy as np
 
-from octarm.disturbances.episode import Episode, Event, Plant, PlantChange
+from octarm.disturbances.episode import Episode, Event, Plant, PlantChange, PlantProcess
 from octarm.disturbances.fields import Amount, Quantity, Words
 from octarm.disturbances.streams import first_step, periods_begun
 
@@ -52,16 +53,16 @@ class Mismatch(PlantChange):
     rest_length: Factor = 1.0
     tilt: Angle = 0.0
 
-    def start(self, episode: Episode) -> _Fixed:
+    def start(self, episode: Episode) -> PlantProcess:
         """The change of one episode."""
-        value = {name: episode.value(self, name) for name in ("mismatch", *SCALABLE, "tilt")}
+        value = episode.values(self)
         full, half = 1.0 + value["mismatch"], 1.0 + value["mismatch"] / 2.0
         common = {"mass": full, "inertia": full, "stiffness": half, "damping": full}
         factors = {n: _spread(n, common.get(n, 1.0) * value[n]) for n in SCALABLE}
-        return _Fixed(factors, value["tilt"])
+        return _from_the_start(factors, value["tilt"])
 
     def gravity_angle(self) -> float:
-        """The tilt, if it is one number [rad]."""
+        """The tilt [rad]; 0 if it is not one number."""
         return 0.0 if np.ndim(self.tilt) else float(self.tilt)
 
 
@@ -83,7 +84,7 @@ class RandomMismatch(PlantChange):
     rest_length: Share = 0.0
     tilt: Annotated[Amount, Quantity("rad", at_least=0.0)] = 0.0
 
-    def start(self, episode: Episode) -> _Fixed:
+    def start(self, episode: Episode) -> PlantProcess:
         """The arms of one episode."""
         n, batch = episode.parameters.modules, episode.batch_shape
         shapes = {name: (2, n)[2 - axes :] for name, axes in SCALABLE.items()} | {"tilt": ()}
@@ -92,10 +93,10 @@ class RandomMismatch(PlantChange):
             for name, shape in shapes.items():
                 drawn[name].append(2.0 * np.asarray(generator.random(shape)) - 1.0)
         u = {name: np.stack(rows).reshape((*batch, *rows[0].shape)) for name, rows in drawn.items()}
-        shares = dict.fromkeys(SCALABLE, episode.value(self, "share"))
-        shares["rest_length"] = episode.value(self, "rest_length")
+        value = episode.values(self)
+        shares = dict.fromkeys(SCALABLE, value["share"]) | {"rest_length": value["rest_length"]}
         factors = {name: 1.0 + _spread(name, share) * u[name] for name, share in shares.items()}
-        return _Fixed(factors, episode.value(self, "tilt") * u["tilt"])
+        return _from_the_start(factors, value["tilt"] * u["tilt"])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,29 +110,24 @@ class GravityTilt(PlantChange):
     name: ClassVar[str] = "tilt"
     angle: Angle
 
-    def start(self, episode: Episode) -> _Fixed:
+    def start(self, episode: Episode) -> PlantProcess:
         """The change of one episode."""
-        return _Fixed({}, episode.value(self, "angle"))
+        return _from_the_start({}, episode.value(self, "angle"))
 
     def gravity_angle(self) -> float:
-        """The angle, if it is one number [rad]."""
+        """The angle [rad]; 0 if it is not one number."""
         return 0.0 if np.ndim(self.angle) else float(self.angle)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Fixed:
-    """Factors on parameters, by name, and a turn of gravity, shape (...) [rad], from the start."""
+def _from_the_start(factors: Mapping[str, Amount], tilt: Amount) -> PlantProcess:
+    """Factors on parameters, by name, and a turn of gravity, shape (...) [rad]."""
+    return PlantProcess(operator.not_, functools.partial(_changed, factors, tilt))
 
-    factors: Mapping[str, Amount]
-    tilt: Amount
 
-    def changes_at(self, step: int) -> bool:
-        return step == 0
-
-    def apply(self, step: int, plant: Plant) -> Plant:
-        del step
-        scaled = plant.parameters.scaled(**self.factors) if self.factors else plant.parameters
-        return Plant(scaled, plant.gravity_angle + self.tilt)
+def _changed(factors: Mapping[str, Amount], tilt: Amount, step: int, plant: Plant) -> Plant:
+    del step
+    scaled = plant.parameters.scaled(**factors) if factors else plant.parameters
+    return Plant(scaled, plant.gravity_angle + tilt)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,10 +145,12 @@ class Payload(PlantChange):
     mass: Annotated[Amount, Quantity("kg", at_least=0.0, usual=(0.0, 1.0))]
     at: Annotated[Amount, Quantity("s", at_least=0.0)] = 0.0
 
-    def start(self, episode: Episode) -> _Load:
+    def start(self, episode: Episode) -> PlantProcess:
         """The load of one episode."""
-        first = first_step(episode.value(self, "at"), episode.timestep)
-        return _Load(episode.value(self, "mass"), first, frozenset([0, *np.ravel(first).tolist()]))
+        value = episode.values(self)
+        first = first_step(value["at"], episode.timestep)
+        changes = frozenset([0, *np.ravel(first).tolist()])
+        return PlantProcess(changes.__contains__, functools.partial(_loaded, value["mass"], first))
 
     def events(self) -> Sequence[Event]:
         """When it is picked up."""
@@ -165,24 +163,14 @@ class Payload(PlantChange):
         return float(self.mass), float(self.at)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Load:
-    """A mass [kg] at the tip, which is the last body's place, from a step on; shapes (...)."""
-
-    mass: Amount
-    first: np.ndarray
-    changes: frozenset[int]
-
-    def changes_at(self, step: int) -> bool:
-        return step in self.changes
-
-    def apply(self, step: int, plant: Plant) -> Plant:
-        p = plant.parameters
-        added = np.where(step >= self.first, self.mass, 0.0)
-        batch = np.broadcast_shapes(p.mass.shape[:-1], added.shape)
-        mass = np.array(np.broadcast_to(p.mass, (*batch, p.modules)))
-        mass[..., -1] += added
-        return plant._replace(parameters=dataclasses.replace(p, mass=mass))
+def _loaded(mass: Amount, first: np.ndarray, step: int, plant: Plant) -> Plant:
+    """The plant with a mass [kg] at the tip, which is the last body's place, from a step on."""
+    p = plant.parameters
+    added = np.where(step >= first, mass, 0.0)
+    batch = np.broadcast_shapes(p.mass.shape[:-1], added.shape)
+    masses = np.array(np.broadcast_to(p.mass, (*batch, p.modules)))
+    masses[..., -1] += added
+    return plant._replace(parameters=dataclasses.replace(p, mass=masses))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -203,13 +191,12 @@ class Drift(PlantChange):
     of: Of = "stiffness"
     limit: Share = 0.5
 
-    def start(self, episode: Episode) -> _Drift:
+    def start(self, episode: Episode) -> PlantProcess:
         """The drift of one episode."""
-        rate, limit = episode.value(self, "rate"), episode.value(self, "limit")
-        return _Drift(functools.partial(_ramp, rate, limit), self.of, episode.timestep)
+        return _drifting(functools.partial(_ramp, **episode.values(self)), self.of, episode)
 
 
-def _ramp(rate: Amount, limit: Amount, t: float) -> np.ndarray:
+def _ramp(t: float, rate: Amount, limit: Amount) -> np.ndarray:
     """1 + rate t, within 1 +- limit."""
     return 1.0 + np.clip(rate * t, -np.asarray(limit), limit)
 
@@ -233,38 +220,40 @@ class CyclicDrift(PlantChange):
     phase: Annotated[Amount, Quantity("rad")] = 0.0
     of: Of = "stiffness"
 
-    def start(self, episode: Episode) -> _Drift:
+    def start(self, episode: Episode) -> PlantProcess:
         """The drift of one episode."""
-        share, period, phase = (episode.value(self, n) for n in ("share", "period", "phase"))
-        swing = functools.partial(_swing, share, 2.0 * np.pi / period, phase)
-        return _Drift(swing, self.of, episode.timestep)
+        return _drifting(functools.partial(_swing, **episode.values(self)), self.of, episode)
 
 
-def _swing(share: Amount, omega: Amount, phase: Amount, t: float) -> np.ndarray:
-    """1 + share sin(omega t + phase)."""
-    return 1.0 + share * np.sin(omega * t + phase)
+def _swing(t: float, share: Amount, period: Amount, phase: Amount) -> np.ndarray:
+    """1 + share sin(2 pi t / period + phase)."""
+    return 1.0 + share * np.sin(2.0 * np.pi / period * t + phase)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Drift:
+def _drifting(factor: Callable[[float], np.ndarray], of: str, episode: Episode) -> PlantProcess:
     """A factor, shape (...), on some parameters that follows time [s] on a grid of its own."""
-
-    factor: Callable[[float], np.ndarray]
-    of: str
-    timestep: float
-
-    def changes_at(self, step: int) -> bool:
-        return step == 0 or self._grid(step) != self._grid(step - 1)
-
-    def apply(self, step: int, plant: Plant) -> Plant:
-        factor = self.factor(self._grid(step) * _GRID)
-        factors = {name: _spread(name, factor) for name in self.of.split("+")}
-        return plant._replace(parameters=plant.parameters.scaled(**factors))
-
-    def _grid(self, step: int) -> int:
-        return int(periods_begun(step, self.timestep, _GRID))
+    return PlantProcess(
+        functools.partial(_grid_moves, episode.timestep),
+        functools.partial(_drifted, factor, of.split("+"), episode.timestep),
+    )
 
 
-def _spread(name: str, factor: Amount) -> Amount:
+def _grid_moves(timestep: float, step: int) -> bool:
+    return step == 0 or _grid(timestep, step) != _grid(timestep, step - 1)
+
+
+def _drifted(
+    factor: Callable[[float], np.ndarray], of: list[str], timestep: float, step: int, plant: Plant
+) -> Plant:
+    by = factor(_grid(timestep, step) * _GRID)
+    scaled = plant.parameters.scaled(**{name: _spread(name, by) for name in of})
+    return plant._replace(parameters=scaled)
+
+
+def _grid(timestep: float, step: int) -> int:
+    return int(periods_begun(step, timestep, _GRID))
+
+
+def _spread(name: str, factor: Amount) -> np.ndarray:
     """A factor for each arm, shape (...), with the further axes of the parameter of this name."""
     return np.asarray(factor)[(..., *(None,) * SCALABLE[name])]

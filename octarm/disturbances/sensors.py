@@ -85,15 +85,12 @@ class _Noise(SensorProcess):
     """Held numbers that are added, the first half of them to q and the second to v."""
 
     def __init__(self, held: HeldNoise) -> None:
-        self._held, n = held, held.scale.shape[-1] // 2
-        self.rms_q, self.rms_v = held.scale[..., :n], held.scale[..., n:]
+        self._held = held
+        self.rms_q, self.rms_v = np.split(held.scale, 2, axis=-1)
 
     def __call__(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        noise, n = self._held(step), q.shape[-1]
-        return (
-            np.where(self.rms_q > 0.0, q + noise[..., :n], q),
-            np.where(self.rms_v > 0.0, v + noise[..., n:], v),
-        )
+        on_q, on_v = np.split(self._held(step), 2, axis=-1)
+        return np.where(self.rms_q > 0.0, q + on_q, q), np.where(self.rms_v > 0.0, v + on_v, v)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

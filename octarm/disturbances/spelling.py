@@ -31,9 +31,6 @@ def parse_disturbance(text: str) -> Disturbance:
 
     VALUE is that of the first field; a field that may differ between coordinates takes one number
     for each of them as well, separated by `/`, as in `loss:0/0/0.5/0/0/0`.
-
-    Raises:
-        OctarmError: if a name or key is unknown or given twice, or a value missing or not allowed.
     """
     name, _, rest = text.partition(":")
     cls = _named(name)
@@ -49,7 +46,7 @@ def parse_disturbance(text: str) -> Disturbance:
         if keys[key] in values:
             raise OctarmError(f"{text!r} gives {key} twice")
         values[keys[key]] = _value(text, key, value, field_kinds(cls)[keys[key]])
-    if not values or not _required(cls) <= values.keys():
+    if not values or not field_kinds(cls).keys() <= values.keys() | field_defaults(cls).keys():
         raise OctarmError(f"{text!r} is incomplete; it must read {_usage(cls)}")
     return cls(**values)
 
@@ -77,11 +74,7 @@ def to_dict(disturbance: Disturbance) -> dict[str, Any]:
 
 
 def from_dict(description: Mapping[str, Any]) -> Disturbance:
-    """The inverse of `to_dict`.
-
-    Raises:
-        OctarmError: if the name or a field is unknown, missing or not allowed.
-    """
+    """The inverse of `to_dict`."""
     cls = _named(str(description.get("name")))
     fields = {key: value for key, value in description.items() if key != "name"}
     known = field_kinds(cls)
@@ -89,17 +82,13 @@ def from_dict(description: Mapping[str, Any]) -> Disturbance:
         if key not in known:
             raise OctarmError(f"{cls.name} has no field {key!r}{closest(key, known)}")
     for key in known:
-        if key in _required(cls) and key not in fields:
+        if key not in fields and key not in field_defaults(cls):
             raise OctarmError(f"{cls.name} needs the field {key!r}")
     return cls(**fields)
 
 
 def from_entry(entry: Mapping[str, Any]) -> Disturbance:
-    """The disturbance of an entry of `run.json`, `{"name": "noise-2", "asked": {...}}`.
-
-    Raises:
-        OctarmError: if the name or a field is unknown, missing or not allowed.
-    """
+    """The disturbance of an entry of `run.json`, `{"name": "noise-2", "asked": {...}}`."""
     name = re.sub(r"-\d+$", "", str(entry["name"]))  # noise-2 is the second noise
     return from_dict({"name": name, **entry["asked"]})
 
@@ -107,20 +96,16 @@ def from_entry(entry: Mapping[str, Any]) -> Disturbance:
 def help_text() -> str:
     """All disturbances by family: spelling, meaning and units, in lines of at most 80 columns."""
     sections: dict[str, list[str]] = {}
-    indent = " " * 6
     for cls in DISTURBANCES.values():
         keys = zip(field_keys(cls), field_kinds(cls).values(), strict=True)
         units = [f"{key} [{kind.unit}]" for key, kind in keys if kind.unit not in ("", "1")]
         meaning = (cls.__doc__ or "").partition("\n")[0].rstrip(".:")
         text = f"{meaning}; {', '.join(units)}" if units else meaning
-        lines = sections.setdefault(cls.family, [])
-        lines.append(f"  {_usage(cls)}")
-        lines += textwrap.wrap(text, 80, initial_indent=indent, subsequent_indent=indent)
-    blocks = ["\n".join([family, *lines]) for family, lines in sections.items()]
-    several = [cls.name for cls in DISTURBANCES.values() if first_field(cls)[1].each]
-    each = (
-        f"{', '.join(several)} take a number for each coordinate or column as well: 0/0/0.5/0/0/0"
-    )
+        lines = [f"  {_usage(cls)}", textwrap.indent(textwrap.fill(text, 74), " " * 6)]
+        sections.setdefault(cls.family, [cls.family]).extend(lines)
+    blocks = ["\n".join(lines) for lines in sections.values()]
+    several = ", ".join(cls.name for cls in DISTURBANCES.values() if first_field(cls)[1].each)
+    each = f"{several} take a number for each coordinate or column as well: 0/0/0.5/0/0/0"
     return "\n\n".join([*blocks, textwrap.fill(each, 80)])
 
 
@@ -131,20 +116,11 @@ def _named(name: str) -> type[Disturbance]:
 
 
 def first_field(cls: type[Disturbance]) -> tuple[str, Quantity]:
-    """The field that stands without a key; the one that varies when nothing else is said.
-
-    Raises:
-        OctarmError: if it is a field of words.
-    """
+    """The field of numbers that stands without a key, and varies when nothing else is said."""
     field, kind = next(iter(field_kinds(cls).items()))
     if not isinstance(kind, Quantity):
         raise OctarmError(f"{cls.name} begins with {field}, which is no number")
     return field, kind
-
-
-def _required(cls: type[Disturbance]) -> set[str]:
-    """The fields without a default."""
-    return field_kinds(cls).keys() - field_defaults(cls).keys()
 
 
 def _usage(cls: type[Disturbance]) -> str:

@@ -20,12 +20,7 @@ NEVER = 2**62  # a step that no episode reaches
 
 
 def stream(seed: np.random.SeedSequence, name: str) -> np.random.Generator:
-    """The generator of this name: the same in every process, unlike Python's `hash`.
-
-    Args:
-        seed: of one arm in one episode; it is not changed.
-        name: of the stream, such as `noise`.
-    """
+    """The generator of this name for an arm in an episode: the same in every process."""
     digest = hashlib.sha256(name.encode()).digest()
     words = (int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4))
     key = (*seed.spawn_key, *words)
@@ -34,12 +29,7 @@ def stream(seed: np.random.SeedSequence, name: str) -> np.random.Generator:
 
 
 def in_steps(time: np.ndarray | float, timestep: float) -> np.ndarray:
-    """A time in steps [1]; a whole number where it is one but for rounding.
-
-    Args:
-        time: shape (...), possibly infinite [s].
-        timestep: length of a step [s].
-    """
+    """A time [s] in steps [1], shape (...); a whole number where it is one but for rounding."""
     with np.errstate(over="ignore", invalid="ignore"):  # infinite, and inf - inf
         steps = np.asarray(time) / timestep
         whole = np.rint(steps)
@@ -55,14 +45,9 @@ def first_step(time: np.ndarray | float, timestep: float) -> np.ndarray:
 
 
 def periods_begun(step: int, timestep: float, period: np.ndarray | float) -> np.ndarray | int:
-    """How many whole periods have passed when a step begins, shape (...) of integers.
+    """How many whole periods [s] have passed when a step begins, shape (...) of integers.
 
-    The same for any timestep that leads to this instant.
-
-    Args:
-        step: number of the step, counted from the start of the episode.
-        timestep: length of a step [s].
-        period: shape (...) [s].
+    It is the same for any timestep that leads to this instant.
     """
     passed = step * timestep / period * (1.0 + 1e-15) + 1e-9
     if isinstance(passed, float):
@@ -88,16 +73,9 @@ class HeldNoise:
         correlation_time: np.ndarray | float,
         timestep: float,
     ) -> None:
-        """Noise from its beginning.
+        """Noise from its beginning, of a generator for each arm, used by nothing else.
 
-        Args:
-            generators: one an arm, used by nothing else.
-            scale: rms of each number that an arm draws, shape (k,) or (n, k).
-            correlation_time: t_c, how long a draw is held, shape () or the batch's [s].
-            timestep: physics step [s].
-
-        Raises:
-            OctarmError: if t_c is shorter than the timestep.
+        t_c, how long a draw is held, has shape () or the batch's [s]; at least a timestep [s].
         """
         least = float(np.min(correlation_time))
         if float(in_steps(least, timestep)) < 1.0:
@@ -116,11 +94,7 @@ class HeldNoise:
         self._held = np.empty(0)
 
     def __call__(self, step: int) -> np.ndarray:
-        """The numbers at a physics step, shape (..., k); read-only, one object a hold.
-
-        Raises:
-            OctarmError: if the step comes before one that was asked for earlier.
-        """
+        """The numbers at a physics step, shape (..., k); read-only, one object a hold."""
         if self._step <= step < self._next:
             return self._held
         if step < self._step:
@@ -137,7 +111,11 @@ class HeldNoise:
         """The numbers of this hold, or of one for each arm, shape (..., k)."""
         block, place = hold // _BLOCK, hold % _BLOCK
         if np.any(block != self._block):
-            self._draw(block)
+            ahead = np.broadcast_to(np.asarray(block) - self._block, len(self._generators)).tolist()
+            for i, (generator, blocks) in enumerate(zip(self._generators, ahead, strict=True)):
+                for _ in range(blocks):  # more than one when some were skipped
+                    self._draws[:, :, i] = generator.standard_normal(self._draws.shape[:2])
+            self._block = block
         if isinstance(place, int):
             drawn = self._draws[place]
         else:
@@ -145,17 +123,6 @@ class HeldNoise:
         held = self.scale * drawn.T.reshape(self.scale.shape)
         held.setflags(write=False)
         return held
-
-    def _draw(self, block: np.ndarray | int) -> None:
-        """Goes on to a block of draws, or to one for each arm."""
-        ahead = np.broadcast_to(np.asarray(block) - self._block, len(self._generators))
-        for i, (generator, blocks) in enumerate(zip(self._generators, ahead.tolist(), strict=True)):
-            if blocks:
-                numbers = np.empty(self._draws.shape[:2])
-                for _ in range(blocks):  # more than one when some were skipped
-                    generator.standard_normal(out=numbers)
-                self._draws[:, :, i] = numbers
-        self._block = block
 
 
 class DelayLine:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from octarm.arm.tip import tip
+from octarm.arm.kinematics import tip
 from octarm.interfaces import Rows
 from octarm.metrics.metric import POSITION, STEADY, Accumulator, Metric, Settings
 from octarm.metrics.rows import Extremes, Size, add_rows, filled, first_true

@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from octarm.arm.coordinates import Coordinates, planar_coordinates
+from octarm.arrays import Coordinates, planar_coordinates
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import from_entry
 from octarm.interfaces import Rows
@@ -174,7 +174,8 @@ def channels_of(
         units, parts = _known(name).units, {"": slice(None)}
         of = {"": ""}
         if kind == "coordinates":
-            parts, of = dict(coordinates.groups), dict(coordinates.units)
+            parts = dict(coordinates.groups)
+            of = {group: coordinates.units[part][0] for group, part in parts.items()}
         brackets = {part: f" [{units[of[part]]}]" if of[part] in units else "" for part in parts}
         bound = bounds.get(name)
         channels[name] = Channel(name, field, kind, names or [name], parts, brackets, bound)

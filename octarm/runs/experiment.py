@@ -111,7 +111,7 @@ class Experiment:
         """The content of `run.json` before the run, given what `begin` made."""
         task: TrackingTask = environment.task
         physics: AnyPhysics = environment.physics
-        coordinates = zip(physics.coordinates.names, physics.coordinates.unit_of_each, strict=True)
+        coordinates = zip(physics.coordinates.names, physics.coordinates.units, strict=True)
         return {
             "controller": {"name": self.controller, "gains": runs.gains_of(controller)},
             "parameters": self.parameters.to_dict(),

@@ -109,7 +109,7 @@ def load(
     task = TrackingTask(
         episode,
         disturbances,
-        margin=[_MARGINS[unit] for unit in physics.coordinates.unit_of_each],
+        margin=[_MARGINS[unit] for unit in physics.coordinates.units],
         period=steps_a_period * step,
         episode_periods=limit,
     )

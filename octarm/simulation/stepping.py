@@ -16,10 +16,10 @@ import numpy as np
 from dm_control.rl import control
 
 from octarm.arm.actuation import Actuation
-from octarm.arm.coordinates import Coordinates, planar_coordinates
 from octarm.arm.limits import Limits
 from octarm.arm.mjcf import PlantFields, paper_order
 from octarm.arm.parameters import ArmParameters
+from octarm.arrays import Coordinates, planar_coordinates
 from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Plant
 
