@@ -48,7 +48,7 @@ from octarm.references import named_reference
 from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import simulate
-from octarm.sweeps.progress import ArmSeconds
+from octarm.sweeps.progress import arm_seconds
 
 SLIDE_SCALE = 0.0175  # A [m]
 BEND_SCALE = 0.3  # A [rad]
@@ -170,15 +170,14 @@ def costs(
     )
     nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
     gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}
-    seconds = ArmSeconds(environment, examination.duration, progress)
     observer = _Observer(examination, environment.control_timestep(), environment.physics)
+    with arm_seconds(environment, examination.duration, progress) as seconds:
 
-    def observe(instant: Instant) -> None:
-        observer(instant)
-        seconds(instant)
+        def observe(instant: Instant) -> None:
+            observer(instant)
+            seconds(instant)
 
-    simulate(environment, factory(nominal, gains), examination.duration, observe)
-    seconds.finish()
+        simulate(environment, factory(nominal, gains), examination.duration, observe)
     return observer.costs(true).reshape(n, len(scenarios))
 
 
