@@ -67,7 +67,7 @@ FORMULA = (
 _ENTROPY = int.from_bytes(b"tuning", "big")
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Scenario:
     """What a controller is tried on.
 
@@ -83,12 +83,12 @@ class Scenario:
 
 
 SCENARIOS = (
-    Scenario(reference="sine", mismatch=-0.3, noise=0.0),
-    Scenario(reference="multi-sine", mismatch=0.0, noise=0.0),
-    Scenario(reference="sine", mismatch=0.3, noise=0.0),
-    Scenario(reference="multi-sine", mismatch=-0.3, noise=0.4),
-    Scenario(reference="sine", mismatch=0.0, noise=0.4),
-    Scenario(reference="multi-sine", mismatch=0.3, noise=0.4),
+    Scenario("sine", -0.3, noise=0.0),
+    Scenario("multi-sine", 0.0, noise=0.0),
+    Scenario("sine", 0.3, noise=0.0),
+    Scenario("multi-sine", -0.3, noise=0.4),
+    Scenario("sine", 0.0, noise=0.4),
+    Scenario("multi-sine", 0.3, noise=0.4),
 )
 
 
@@ -154,13 +154,10 @@ def costs(
         return np.tile(values, n)
 
     true = nominal_parameters()
-    rest = equilibrium(true)
-    names = list(dict.fromkeys(scenario.reference for scenario in scenarios))
+    names = list(dict.fromkeys(s.reference for s in scenarios))
+    motions = [named_reference(name, equilibrium(true)) for name in names]
     environment = load(
-        EachItsOwn(
-            [named_reference(name, rest) for name in names],
-            each([names.index(scenario.reference) for scenario in scenarios]),
-        ),
+        EachItsOwn(motions, each([names.index(s.reference) for s in scenarios])),
         disturbances=[
             BandLimitedNoise(ratio=each([s.noise for s in scenarios])[:, None]),
             Saturation(limit=template_model().actuator_ctrlrange[:, 1]),
@@ -181,6 +178,7 @@ def costs(
     return observer.costs(true).reshape(n, len(scenarios))
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class EachItsOwn:
     """A desired motion for each arm of a batch, out of a few.
 
@@ -189,9 +187,8 @@ class EachItsOwn:
         choice: which of them each arm has, shape (n,).
     """
 
-    def __init__(self, motions: Sequence[Motion], choice: np.ndarray) -> None:
-        self.motions = tuple(motions)
-        self.choice = np.asarray(choice)
+    motions: Sequence[Motion]
+    choice: np.ndarray
 
     def __call__(self, t: float) -> Reference:
         """What the arms shall do at time t [s], shapes (n, 2N)."""
