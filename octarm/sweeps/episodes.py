@@ -61,11 +61,7 @@ class FinishedSweep:
         return read_row(self.path, episode)
 
     def experiment(self, episode: int) -> Experiment:
-        """An episode as a run of one arm, whose factory is that of the sweep's controllers.
-
-        Raises:
-            OctarmError: if there is no such episode.
-        """
+        """An episode as a run of one arm, whose factory is that of the sweep's controllers."""
         spec, arms = self.plan.spec, self.plan.episode(episode)
         (seed,) = arms.seeds
         nominal = nominal_parameters()

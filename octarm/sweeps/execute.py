@@ -191,9 +191,6 @@ def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
 
     Returns:
         The gains of each controller for the nominal arm, ready for JSON.
-
-    Raises:
-        OctarmError: if something cannot be made as the spec has it.
     """
     nominal = nominal_parameters()
     gains: dict[str, object] = {
@@ -226,11 +223,7 @@ class Forecast(NamedTuple):
 
 
 def estimate(spec: SweepSpec, factory: ControllerFactory) -> Forecast:
-    """Measures a few control periods of a shard of each controller; writes nothing.
-
-    Raises:
-        OctarmError: for a spec that cannot be run.
-    """
+    """Measures a few control periods of a shard of each controller; writes nothing."""
     plan = Plan(spec)
     rehearse(plan, factory)
     by_controller = itertools.groupby(plan.shards, lambda s: plan.arms(s[:1]).controller)

@@ -160,11 +160,7 @@ _NEVER = ("settling_time", "reaching_time")
 
 
 def parse_bound(text: str) -> tuple[str, float]:
-    """A metric and what its absolute value may be at most, from METRIC:VALUE.
-
-    Raises:
-        OctarmError: if it does not read so.
-    """
+    """A metric and what its absolute value may be at most, from METRIC:VALUE."""
     metric, _, value = text.partition(":")
     try:
         limit = float(value)
@@ -284,11 +280,7 @@ class MarginRuns:
     progress: Callable[[float], object] = lambda seconds: None
 
     def rehearse(self) -> None:
-        """Tries the ends of the range for one control period.
-
-        Raises:
-            OctarmError: if something cannot be made, or a metric is unknown.
-        """
+        """Tries the ends of the range for one control period; raises OctarmError if they fail."""
         environment, controller = self._begin(np.zeros(2, dtype=int), np.array([0.0, 1.0]))
         known = measure(environment, controller, environment.control_timestep()).metrics
         for metric, _ in self.bounds:

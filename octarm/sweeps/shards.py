@@ -35,9 +35,6 @@ def run_shard(
     """The rows of a shard; they depend on nothing else.
 
     The metadata of the table's schema say where they were made: `host` and `versions`.
-
-    Raises:
-        OctarmError: if an arm, a disturbance or a controller cannot be made.
     """
     plan = Plan(spec)
     table = run_arms(plan, plan.arms(plan.shards[shard]), factory, *observers)
@@ -60,9 +57,6 @@ def run_arms(
         factory: that makes the controller.
         observers: called at every control instant.
         duration: instead of that of the sweep [s].
-
-    Raises:
-        OctarmError: if an arm, a disturbance or a controller cannot be made.
     """
     started = time.perf_counter()
     environment, controller = begin(plan.spec, arms, factory)
@@ -184,9 +178,6 @@ def measure(
         controller: see `octarm.interfaces`.
         duration: of the run [s].
         observers: called at every control instant.
-
-    Raises:
-        OctarmError: if the duration is not positive, or the controller's force has a wrong shape.
     """
     observer = Observer(environment, duration)
 

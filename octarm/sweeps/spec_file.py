@@ -151,9 +151,6 @@ def parse_spec(text: str, file: str = "spec.toml") -> SweepSpec:
     """The spec in a TOML text; `file` is its name in error messages.
 
     Names of controllers and their gains are left to whoever makes controllers.
-
-    Raises:
-        OctarmError: if it is not a valid spec; the sentence names the line.
     """
     return _spec(parse_toml(text, file))
 
@@ -263,20 +260,15 @@ def _fields(document: Document, *place: str) -> Iterator[tuple[Axis, tuple[str, 
 def _gains(
     document: Document, content: SpecFile, controllers: list[str]
 ) -> tuple[dict[str, str], dict[str, dict[str, Any]]]:
-    """The gain set of each controller, and the gains that differ from it, those of files included.
-
-    Raises:
-        OctarmError: for what is no set of gains, or is of another controller.
-    """
+    """The gain set of each controller, and the gains that differ from it or come from a file."""
     sets = content.gain_set or {}
     if isinstance(sets, str):
         sets = dict.fromkeys(controllers, sets)
     for table, names in (("gain_set", sets), ("gains", content.gains)):
-        for name in names:
-            if name not in controllers:
-                hint = closest(name, controllers)
-                message = f"gains of {name!r}, which is no controller of this sweep{hint}"
-                raise document.error(message, table, name)
+        for name in [name for name in names if name not in controllers]:
+            hint = closest(name, controllers)
+            message = f"gains of {name!r}, which is no controller of this sweep{hint}"
+            raise document.error(message, table, name)
     gains: dict[str, dict[str, Any]] = {}
     for name, choice in sets.items():
         if choice.endswith(".toml"):
@@ -307,11 +299,7 @@ def _gains_of_file(path: Path, controller: str) -> dict[str, Any]:
 
 
 def _try(spec: SweepSpec, name: str, document: Document) -> None:
-    """Makes a disturbance with every value it is to have.
-
-    Raises:
-        OctarmError: if one is missing or out of range.
-    """
+    """Makes a disturbance with every value it is to have; none is missing or out of range."""
     axes = [axis for axis in (*spec.axes, *spec.random) if axis.disturbance == name]
     fixed = spec.fixed.get(name, {})
     table = ("random" if axes[0].method else "grid", "disturbance") if axes else ("disturbance",)

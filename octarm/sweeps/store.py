@@ -116,13 +116,10 @@ class SweepFolder:
         self._manifest: dict[str, Any] = {}
 
     def check(self, *, resume: bool) -> None:
-        """Looks at what is there, and changes nothing.
+        """Raises OctarmError if the folder holds something else, or a sweep that may not go on.
 
         Args:
-            resume: whether a sweep that was begun there may go on.
-
-        Raises:
-            OctarmError: if the folder holds something else, or a sweep that may not go on.
+            resume: whether the same sweep, begun there, may go on.
         """
         if self.path.exists() and not self.path.is_dir():
             raise OctarmError(f"{self.path} is not a folder; choose another --out")
@@ -150,12 +147,7 @@ class SweepFolder:
 
     @contextlib.contextmanager
     def locked(self) -> Generator[None]:
-        """Makes the folder, and keeps other processes from writing there.
-
-        Raises:
-            OctarmError: if another one does.
-            FileError: if it cannot be written.
-        """
+        """Makes the folder, and keeps other processes from writing there."""
         lock = filelock.FileLock(self.path / _LOCK, timeout=0)
         try:
             (self.path / EPISODES).mkdir(parents=True, exist_ok=True)
@@ -175,14 +167,10 @@ class SweepFolder:
         """Writes what the sweep is, or notes that it goes on.
 
         Args:
-            gains: of each controller.
+            gains: of each controller; they may not change.
 
         Returns:
             Which versions have changed since it was begun, a sentence each.
-
-        Raises:
-            OctarmError: if controllers have other gains than when it was begun.
-            FileError: if it cannot be written.
         """
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         start: dict[str, Any] = {"time": now, "versions": versions(), "host": host()}
@@ -233,11 +221,7 @@ class SweepFolder:
         ]
 
     def write(self, shard: int, table: pa.Table) -> None:
-        """Writes a shard.
-
-        Raises:
-            FileError: if it cannot be written.
-        """
+        """Writes a shard, and what the manifest says of it."""
         entry, content = self._manifest["shards"][shard], shard_bytes(table)
         with whole_file(self.path / entry["file"]) as part:
             part.write_bytes(content)
@@ -251,11 +235,7 @@ class SweepFolder:
 def _shards(
     folder: Path, *, episode: int | None = None, columns: Sequence[str] | None = None
 ) -> Iterator[tuple[int, pa.Table]]:
-    """The finished shards, or that of an episode: the first episode and the rows of each.
-
-    Raises:
-        OctarmError: if the folder holds no sweep, there is none, one is damaged, or lacks a column.
-    """
+    """The finished shards, or that of an episode: the first episode and the rows of each."""
     empty = True
     for shard in read_manifest(folder)["shards"]:
         file, first = folder / shard["file"], shard["first"]

@@ -143,9 +143,6 @@ def costs(
         candidates: gains with a row for each of them, shapes (n, 1) or (n, 2N).
         progress: called with the seconds that have been simulated since the last call, all arms
             counted.
-
-    Raises:
-        OctarmError: if a controller cannot be made.
     """
     n, scenarios = len(next(iter(candidates.values()))), examination.scenarios
 

@@ -103,16 +103,12 @@ def _prepare(lifeline: Connection) -> None:
 def dask_cluster(address: str, workers: int) -> Generator[tuple[Executor, Callable[[], int]]]:
     """An executor on a dask cluster, and how many calls it has use for at a time.
 
-    dask itself repeats what a worker was at when it died.
+    dask itself repeats what a worker was at when it died. Raises OSError if nobody answers.
 
     Args:
         address: of a scheduler, such as `tcp://10.0.0.1:8786`; or `local` for a cluster of this
             machine.
         workers: number of processes of a local cluster.
-
-    Raises:
-        ValueError: if the package distributed is not installed.
-        OSError: if there is no scheduler at the address.
     """
     try:
         import distributed
