@@ -257,9 +257,7 @@ def _json(value: Any, indent: str | None) -> str:
 
 
 _WORD = r"(?:[A-Za-z0-9_-]+|\"[^\"]*\"|'[^']*')"
-_DOTTED = rf"({_WORD}(?:\s*\.\s*{_WORD})*)"
-_HEADING = re.compile(rf"\s*\[\s*{_DOTTED}\s*\]")
-_ENTRY = re.compile(rf"\s*{_DOTTED}\s*=")
+_LINE = re.compile(rf"\s*(\[)?\s*({_WORD}(?:\s*\.\s*{_WORD})*)\s*(?(1)\]|=)")  # [a.b] or a.b =
 
 
 def _key_lines(text: str) -> dict[Key, int]:
@@ -267,16 +265,12 @@ def _key_lines(text: str) -> dict[Key, int]:
     lines: dict[Key, int] = {}
     table: Key = ()
     for number, line in enumerate(text.splitlines(), 1):
-        if match := _HEADING.match(line):
-            path = table = _parts(match[1])
-        elif match := _ENTRY.match(line):
-            path = (*table, *_parts(match[1]))
-        else:
-            continue
-        for depth in range(1, len(path) + 1):
-            lines.setdefault(path[:depth], number)
+        if match := _LINE.match(line):
+            path = tuple(part.strip("\"'") for part in re.findall(_WORD, match[2]))
+            if match[1]:
+                table = path
+            else:
+                path = (*table, *path)
+            for depth in range(1, len(path) + 1):
+                lines.setdefault(path[:depth], number)
     return lines
-
-
-def _parts(dotted: str) -> Key:
-    return tuple(part.strip("\"'") for part in re.findall(_WORD, dotted))
