@@ -85,11 +85,8 @@ class Document:
         """The content, or the value of a key, as a model or another type.
 
         Args:
-            kind: what it shall be.
+            kind: what it shall be; anything else is an OctarmError.
             keys: of the value, that of its table first.
-
-        Raises:
-            OctarmError: if it is not what the type allows.
         """
         value: Any = self.content
         for key in keys:
@@ -102,52 +99,45 @@ class Document:
         except pydantic.ValidationError as error:
             raise self._sentence(keys, error.errors(include_url=False)) from None
 
-    def where(self, *keys: str) -> str:
-        """File and line of a key, in words; the line of its table where the key has none."""
-        lines = _key_lines(self.text)
-        for depth in range(len(keys), 0, -1):
-            if keys[:depth] in lines:
-                return f"{self.file}, line {lines[keys[:depth]]}"
-        return self.file
-
     def error(self, message: str, *keys: str) -> OctarmError:
-        """An error about a key."""
-        return OctarmError(f"{self.where(*keys)}: {message}")
+        """An error about a key, with its line, or that of its table where it has none."""
+        lines = _key_lines(self.text)
+        known = [lines[keys[:i]] for i in range(len(keys), 0, -1) if keys[:i] in lines]
+        return OctarmError(f"{self.file}{f', line {known[0]}' if known else ''}: {message}")
 
     def _sentence(self, above: Key, errors: list[ErrorDetails]) -> OctarmError:
         """The first error; those of the alternatives for the same value are one.
 
         Unknown keys come first, since a misspelt key is a missing one as well.
         """
-        for error in errors:
-            error["loc"] = (*above, *error["loc"])
         first = next((e for e in errors if e["type"] == "unknown_key"), errors[0])
-        place = self._place(first)
-        alike = [e for e in errors if self._place(e) == place]
+        place = self._place(above, first)
+        alike = [e for e in errors if self._place(above, e) == place]
         if isinstance(first["input"], str):
             first = next((e for e in alike if e["type"] == "unknown_word"), first)
         keys = tuple(part for part in place if isinstance(part, str))
-        key, table = (keys[-1], ".".join(keys[:-1])) if keys else ("the file", "")
-        value = f"{key} {'is' if place[-1:] == keys[-1:] else 'holds'} {spelt(first['input'])}"
+        table, key = ".".join(keys[:-1]), keys[-1] if keys else "the file"
         context: dict[str, Any] = first.get("ctx", {})
         match first["type"]:
             case "unknown_key":
                 inside = f" in [{'.'.join(keys)}]" if keys else ""
-                key = context["key"]
-                message, keys = f"unknown key {key!r}{inside}{context['hint']}", (*keys, key)
+                keys = (*keys, context["key"])
+                message = f"unknown key {context['key']!r}{inside}{context['hint']}"
             case "missing":
                 message = f"{f'[{table}]' if table else 'it'} needs a value of {key}"
             case "unknown_word":
                 message = f"unknown {key} {spelt(first['input'])}{context['hint']}"
             case _:
-                message = f"{value}; it must be {' or '.join(dict.fromkeys(map(_allowed, alike)))}"
+                value = f"{'is' if place[-1:] == keys[-1:] else 'holds'} {spelt(first['input'])}"
+                allowed = " or ".join(dict.fromkeys(map(_allowed, alike)))
+                message = f"{key} {value}; it must be {allowed}"
         return self.error(message, *keys)
 
-    def _place(self, error: ErrorDetails) -> tuple[str | int, ...]:
+    def _place(self, above: Key, error: ErrorDetails) -> tuple[str | int, ...]:
         """Where the value of an error is, without the names of the alternatives of a type."""
         place: list[str | int] = []
         value: Any = self.content
-        for part in error["loc"]:
+        for part in (*above, *error["loc"]):
             try:
                 value = value[part]
             except (KeyError, IndexError, TypeError):
@@ -158,21 +148,12 @@ class Document:
 
 
 def read_toml(path: str | Path) -> Document:
-    """The content of a TOML file.
-
-    Raises:
-        FileError: if it cannot be read.
-        OctarmError: if it is not TOML; the sentence names the line.
-    """
+    """The content of a TOML file; raises FileError if it cannot be read."""
     return parse_toml(_text(Path(path)), str(path))
 
 
 def parse_toml(text: str, file: str) -> Document:
-    """The content of a TOML text; `file` is its name in error messages.
-
-    Raises:
-        OctarmError: if it is not TOML; the sentence names the line.
-    """
+    """The content of a TOML text; `file` is its name in error messages."""
     try:
         return Document(file, tomllib.loads(text), text)
     except tomllib.TOMLDecodeError as error:
@@ -180,12 +161,7 @@ def parse_toml(text: str, file: str) -> Document:
 
 
 def read_json(path: str | Path) -> Document:
-    """The content of a JSON file.
-
-    Raises:
-        FileError: if it cannot be read.
-        OctarmError: if it is not JSON, or holds no table.
-    """
+    """The table in a JSON file; raises FileError if it cannot be read."""
     try:
         content: Any = json.loads(_text(Path(path)))
     except json.JSONDecodeError as error:
@@ -196,11 +172,7 @@ def read_json(path: str | Path) -> Document:
 
 
 def check_format(document: Document) -> None:
-    """Refuses a file of another version of the format.
-
-    Raises:
-        OctarmError: if its key `format` is not `FORMAT`.
-    """
+    """Raises OctarmError for a file whose key `format` is not `FORMAT`."""
     version = document.content.get("format", 1)  # the first one was not written down
     if version != FORMAT:
         raise OctarmError(
@@ -213,7 +185,7 @@ def to_toml(content: Mapping[str, Any]) -> str:
     """A TOML text of words, numbers, dates, lists and tables; None values are left out."""
     import tomlkit
 
-    return tomlkit.dumps(_given(content))
+    return tomlkit.dumps({key: value for key, value in content.items() if value is not None})
 
 
 def to_json(content: Mapping[str, Any]) -> str:
@@ -221,7 +193,7 @@ def to_json(content: Mapping[str, Any]) -> str:
 
     Arrays become lists, infinity the word that `octarm.arrays.read_only` understands, NaN null.
     """
-    return _json(_ready(content), "") + "\n"
+    return _json(content, "") + "\n"
 
 
 def spelt(value: Any) -> str:
@@ -229,31 +201,28 @@ def spelt(value: Any) -> str:
     return json.dumps(value, default=str, ensure_ascii=False)
 
 
-def _allowed(error: ErrorDetails) -> str:
-    """What is allowed, in words."""
-    if error["type"] == "value_error":
-        return str(error.get("ctx", {})["error"])
-    words = _TYPES.get(error["type"]) or error["msg"].removeprefix("Input should be ")
-    for long, short in _RANGES.items():
-        words = words.replace(long, short)
-    return words
-
-
-_TYPES = {
-    "int_type": "a whole number",
-    "float_type": "a number",
-    "string_type": "a word",
-    "tuple_type": "a list",
-    "list_type": "a list",
-    "dict_type": "a table",
-    "model_type": "a table",
-}
-_RANGES = {
+_WORDS = {
+    "a valid integer": "a whole number",
+    "a valid number": "a number",
+    "a valid string": "a word",
+    "a valid tuple": "a list",
+    "a valid list": "a list",
+    "a valid dictionary": "a table",
     "greater than or equal to": "at least",
     "less than or equal to": "at most",
     "greater than": "above",
     "less than": "below",
 }
+
+
+def _allowed(error: ErrorDetails) -> str:
+    """What is allowed, in words."""
+    if error["type"] == "value_error":
+        return str(error.get("ctx", {})["error"])
+    words = error["msg"].removeprefix("Input should be ").partition(" or instance of ")[0]
+    for pydantic_says, word in _WORDS.items():
+        words = words.replace(pydantic_says, word)
+    return words
 
 
 def _text(path: Path) -> str:
@@ -265,49 +234,30 @@ def _text(path: Path) -> str:
         raise FileError(f"{path} is not a text file in UTF-8") from None
 
 
-def _given(value: Any) -> Any:
-    """A table without the keys whose value is None."""
-    if isinstance(value, Mapping):
-        table = cast(Mapping[str, Any], value)
-        return {key: _given(item) for key, item in table.items() if item is not None}
-    if isinstance(value, list | tuple):
-        return [_given(item) for item in cast(list[Any], value)]
-    return value
-
-
-def _ready(value: Any) -> Any:
-    """A value in the types that JSON has."""
-    if isinstance(value, Mapping):
-        return {key: _ready(item) for key, item in cast(Mapping[str, Any], value).items()}
+def _json(value: Any, indent: str | None) -> str:
+    """A JSON text that is indented so far, or on one line."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [_ready(item) for item in cast(list[Any], value)]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else str(value)
-    return value
-
-
-def _json(value: Any, indent: str) -> str:
-    inner = indent + " "
-    rows: list[str] = []
     if isinstance(value, Mapping):
+        inner, ends = None if indent is None else indent + " ", "{}"
         table = cast(Mapping[str, Any], value)
         rows = [f"{json.dumps(key)}: {_json(item, inner)}" for key, item in table.items()]
-        ends = "{}"
-    elif isinstance(value, list) and any(isinstance(x, Mapping) for x in cast(list[Any], value)):
-        rows = [json.dumps(item) for item in cast(list[Any], value)]
-        ends = "[]"
+    elif isinstance(value, list | tuple):
+        items, ends = cast(list[Any], value), "[]"
+        rows = [_json(item, None) for item in items]
+        indent = indent if any(isinstance(item, Mapping) for item in items) else None
+    elif isinstance(value, float) and not math.isfinite(value):
+        return json.dumps(None if math.isnan(value) else str(value))
     else:
         return json.dumps(value)
-    lines = ",\n".join(inner + row for row in rows)
-    return f"{ends[0]}\n{lines}\n{indent}{ends[1]}" if rows else ends
+    if indent is None or not rows:
+        return ends[0] + ", ".join(rows) + ends[1]
+    lines = ",\n".join(f"{indent} {row}" for row in rows)
+    return f"{ends[0]}\n{lines}\n{indent}{ends[1]}"
 
 
 _WORD = r"(?:[A-Za-z0-9_-]+|\"[^\"]*\"|'[^']*')"
-_DOTTED = rf"({_WORD}(?:\s*\.\s*{_WORD})*)"
-_HEADING = re.compile(rf"\s*\[\s*{_DOTTED}\s*\]")
-_ENTRY = re.compile(rf"\s*{_DOTTED}\s*=")
+_LINE = re.compile(rf"\s*(\[)?\s*({_WORD}(?:\s*\.\s*{_WORD})*)\s*(?(1)\]|=)")  # [a.b] or a.b =
 
 
 def _key_lines(text: str) -> dict[Key, int]:
@@ -315,16 +265,12 @@ def _key_lines(text: str) -> dict[Key, int]:
     lines: dict[Key, int] = {}
     table: Key = ()
     for number, line in enumerate(text.splitlines(), 1):
-        if match := _HEADING.match(line):
-            path = table = _parts(match[1])
-        elif match := _ENTRY.match(line):
-            path = (*table, *_parts(match[1]))
-        else:
-            continue
-        for depth in range(1, len(path) + 1):
-            lines.setdefault(path[:depth], number)
+        if match := _LINE.match(line):
+            path = tuple(part.strip("\"'") for part in re.findall(_WORD, match[2]))
+            if match[1]:
+                table = path
+            else:
+                path = (*table, *path)
+            for depth in range(1, len(path) + 1):
+                lines.setdefault(path[:depth], number)
     return lines
-
-
-def _parts(dotted: str) -> Key:
-    return tuple(part.strip("\"'") for part in re.findall(_WORD, dotted))

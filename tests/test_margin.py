@@ -22,7 +22,6 @@ from octarm.interfaces import Command
 from octarm.sweeps.margin import (
     NOMINAL,
     Attempt,
-    Bound,
     Brackets,
     MarginRuns,
     is_varied,
@@ -232,7 +231,7 @@ def test_the_model_error_that_moves_the_arm_to_the_bound():
 
 def test_the_smallest_bound_counts():
     what = trial("payload", "rms_error_s1:0.001")
-    both = dataclasses.replace(what, bounds=[Bound("rms_error_s1", 1.0), *what.bounds])
+    both = dataclasses.replace(what, bounds=[("rms_error_s1", 1.0), *what.bounds])
     seeds, shares = np.zeros(3, dtype=int), np.array([0.0, 0.2, 0.9])
     assert np.array_equal(both(seeds, shares).excess, what(seeds, shares).excess)
 
@@ -241,7 +240,7 @@ def noisy(**options) -> MarginRuns:
     return MarginRuns(
         factory=lambda nominal: hand_set("smc-boundary", nominal),
         varied=parse_varied("payload:at=0.5", 0.0, 0.4),
-        bounds=[Bound("tip_rms_error", 0.01)],
+        bounds=[("tip_rms_error", 0.01)],
         disturbances=[parse_disturbance("noise:0.4")],
         duration=2.1,
         timestep=0.001,
@@ -278,7 +277,7 @@ def test_a_measure_that_a_run_cannot_have_is_refused():
     short = dataclasses.replace(noisy(), duration=0.01)
     with pytest.raises(ValueError, match=r"tip_rms_error has no value in a run of 0\.01 s"):
         short(np.array([0]), np.array([0.0]))
-    unknown = dataclasses.replace(noisy(), bounds=[Bound("rms_error", 1.0)])
+    unknown = dataclasses.replace(noisy(), bounds=[("rms_error", 1.0)])
     with pytest.raises(ValueError, match=r"no measure 'rms_error' .* known are rms_error_s1, "):
         unknown.rehearse()
 

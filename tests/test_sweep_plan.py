@@ -134,7 +134,8 @@ def test_drawn_values_fill_their_range():
     plan = Plan(parse_spec(SPEC.replace("episodes = 3", "episodes = 256")))
     values = plan.values(np.arange(256))
     for axis in plan.spec.random:
-        share = (values[axis.name] - axis.low) / (axis.high - axis.low)
+        low, high = axis.values
+        share = (values[axis.name] - low) / (high - low)
         assert np.all((share >= 0.0) & (share <= 1.0))
         counts = np.histogram(share, 16, (0.0, 1.0))[0]
         # A Sobol sequence of 2^8 points, turned, has 16 in each part but for what is cut at its

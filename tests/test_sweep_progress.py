@@ -50,7 +50,7 @@ def test_parts_of_shards_are_reported_while_they_are_at_work(tmp_path, undisturb
 
         def submit(self, fn, /, *args, **kwargs):
             def late() -> None:
-                args[-1].write_text("0.5")
+                args[-1].file.write_text("0.5")
                 time.sleep(1.5 if args[1] == 0 else 0.0)
                 future.set_result(fn(*args, **kwargs))
 

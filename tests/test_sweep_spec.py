@@ -64,7 +64,7 @@ def test_a_spec_says_what_is_in_it():
         "drift": (0.0, 0.1),
         "payload": (0.0, 0.2),
     }
-    assert {a.name: (a.low, a.high, a.method) for a in spec.random} == {
+    assert {a.name: (*a.values, a.method) for a in spec.random} == {
         "actuation-delay": (0.0, 0.005, "sobol"),
         "measurement-noise.rate": (1.0, 2.0, "uniform"),
     }

@@ -15,6 +15,7 @@ from octarm.runs import folder as runs
 from octarm.runs.versions import host, versions
 from octarm.sweeps.episodes import FinishedSweep, first_difference
 from octarm.sweeps.plan import Plan
+from octarm.sweeps.shards import run_arms
 from octarm.sweeps.store import RECORDED, origin_of
 
 
@@ -79,17 +80,18 @@ def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory
     """
     row = sweep.row(episode)
     (stored,) = row.to_pylist()
-    (again,) = sweep.run_again(episode, factory).to_pylist()
+    arms = sweep.plan.episode(episode)
+    (again,) = run_arms(sweep.plan, arms, factory).to_pylist()
     was, now = (values.pop("checkpoints") for values in (stored, again))
     del stored["wall_time"]
-    name = sweep.plan.episode(episode).controller
-    gains = runs.gains_of(sweep.plan.spec.controller(name, nominal_parameters(), factory))
+    controller = sweep.plan.spec.controller(arms.controller, nominal_parameters(), factory)
+    gains = runs.gains_of(controller)
     return EpisodeCheck(
         episode=episode,
         label=_label(sweep.plan, episode),
         between=first_difference(was, now, sweep.plan.spec.duration),
         differences=tuple(compare(stored, again)),
-        gains=tuple(compare(sweep.gains.get(name, {}), gains)),
+        gains=tuple(compare(sweep.gains.get(arms.controller, {}), gains)),
         recorded=next(iter((sweep.path / RECORDED).glob(f"{episode}-*")), None),
         then=flat(origin_of(row)),
         now=flat({"versions": versions(), "host": host()}),

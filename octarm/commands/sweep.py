@@ -64,7 +64,8 @@ def dry_run(options: Options) -> int:
     for axis in spec.axes:
         print(f"  {axis.name}: {', '.join(str(value) for value in axis.values)}")
     for axis in spec.random:
-        print(f"  {axis.name}: {axis.low:g} .. {axis.high:g}, {axis.method}")
+        low, high = axis.values
+        print(f"  {axis.name}: {low:g} .. {high:g}, {axis.method}")
     print(f"  seeds: {spec.episodes} a cell")
     busy = min(workers, expected.shards)
     simulated = expected.episodes * spec.duration / expected.seconds * busy

@@ -338,7 +338,7 @@ def _drawn(name: str, unit: str, column: np.ndarray) -> list[Factor]:
 def _unit(factor: str) -> str:
     """The unit of a disturbance's field; empty for ratios and words."""
     name, _, key = factor.removeprefix("disturbance.").partition(".")
-    kind = which(name).kind
+    kind = which(name)[0]
     if factor == "mismatch" or kind not in DISTURBANCES:
         return ""
     kinds = field_kinds(DISTURBANCES[kind])

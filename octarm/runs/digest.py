@@ -28,12 +28,9 @@ class StateDigest:
     """
 
     def __init__(self, periods: int, intact: Callable[[], np.ndarray | bool] | None = None) -> None:
-        """The digest of a run.
+        """The digest of a run of so many control periods.
 
-        Args:
-            periods: number of its control periods.
-            intact: gives the arms that have not diverged, shape (n,) of bool; all of them when not
-                given. The number of an arm that has diverged stays as it is.
+        `intact` gives the arms that have not diverged, shape (n,) of bool; all when not given.
         """
         self.checkpoints: list[np.ndarray] = []
         self._periods, self._count, self._intact = periods, 0, intact
@@ -71,9 +68,6 @@ class StateDigest:
         """The number, shape (n,), and the checkpoints, shape (n, CHECKPOINTS), of uint64.
 
         A run that ended early has its last number at the checkpoints that it did not reach.
-
-        Raises:
-            OctarmError: if there was no instant.
         """
         if self._value is None:
             raise OctarmError("there is no digest of a run without a control instant")

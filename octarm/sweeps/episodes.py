@@ -20,7 +20,6 @@ from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
 from octarm.simulation.trajectory import Trajectory
 from octarm.sweeps.plan import Plan
-from octarm.sweeps.shards import run_arms
 from octarm.sweeps.spec_file import read_spec
 from octarm.sweeps.store import RECORDED, SPEC, read_manifest, read_row
 
@@ -38,12 +37,7 @@ class FinishedSweep:
     """
 
     def __init__(self, path: Path) -> None:
-        """Reads what was run.
-
-        Raises:
-            OctarmError: if the folder holds no sweep, or its spec was changed.
-            FileError: if the spec cannot be read.
-        """
+        """Reads what was run; raises OctarmError for no sweep, or one whose spec was changed."""
         self.path = path
         manifest = read_manifest(path)
         self.plan = Plan(read_spec(path / SPEC))
@@ -62,28 +56,12 @@ class FinishedSweep:
         return np.concatenate([np.empty(0, dtype=np.int64), *ranges])
 
     def row(self, episode: int) -> pa.Table:
-        """The row of an episode.
-
-        Raises:
-            OctarmError: if there is none, or it is damaged.
-        """
+        """The row of an episode; raises OctarmError if there is none, or it is damaged."""
         self.plan.episode(episode)  # raises when there is no such episode
         return read_row(self.path, episode)
 
-    def run_again(self, episode: int, factory: ControllerFactory) -> pa.Table:
-        """The row that an episode has when it is run alone.
-
-        Raises:
-            OctarmError: if there is no such episode, or it cannot be made again.
-        """
-        return run_arms(self.plan, self.plan.episode(episode), factory)
-
     def experiment(self, episode: int) -> Experiment:
-        """An episode as a run of one arm, whose factory is that of the sweep's controllers.
-
-        Raises:
-            OctarmError: if there is no such episode.
-        """
+        """An episode as a run of one arm, whose factory is that of the sweep's controllers."""
         spec, arms = self.plan.spec, self.plan.episode(episode)
         (seed,) = arms.seeds
         nominal = nominal_parameters()
@@ -164,22 +142,15 @@ def select(table: pa.Table, record: Sequence[int | str]) -> Selection:
             places = np.flatnonzero(usable & (controllers == name))
             if len(places):
                 order = places[np.lexsort((episodes[places], by[places]))]
-                reasons.setdefault(int(episodes[_pick(word, order, by)]), {})[word] = None
+                worst, median = int(np.argmax(by[order])), (len(order) - 1) // 2
+                place = {"worst": worst, "median": median, "diverged": 0}[word]
+                reasons.setdefault(int(episodes[order[place]]), {})[word] = None
             elif word != "diverged":
                 notes.append(
                     f"no episode of {name} is the {word} one: none that stayed within the limits "
                     f"has a {METRIC}"
                 )
     return Selection({episode: tuple(words) for episode, words in reasons.items()}, tuple(notes))
-
-
-def _pick(word: str, order: np.ndarray, by: np.ndarray) -> int:
-    """The place of the one that is meant; `order` sorts places by size, then by number."""
-    if word == "diverged":
-        return int(order[0])
-    if word == "median":
-        return int(order[(len(order) - 1) // 2])
-    return int(order[by[order] == by[order[-1]]][0])
 
 
 def record_episodes(

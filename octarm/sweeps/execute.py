@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import dataclasses
+import itertools
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -38,10 +40,6 @@ _FAILURES = 3  # shards that may fail before no new one is begun
 _MEASURED, _WARM = 60, 10  # control periods that an estimate runs, and those of them not counted
 
 
-def _ignore(_: object) -> None:
-    """For callers who do not listen."""
-
-
 def sweep(
     spec: SweepSpec,
     factory: ControllerFactory,
@@ -50,9 +48,9 @@ def sweep(
     executor: Executor | None = None,
     in_flight: int | Callable[[], int] | None = None,
     resume: bool = False,
-    progress: Callable[[int], object] = _ignore,
-    partial: Callable[[float], object] = _ignore,
-    say: Callable[[str], object] = _ignore,
+    progress: Callable[[int], object] = lambda episodes: None,
+    partial: Callable[[float], object] = lambda episodes: None,
+    say: Callable[[str], object] = lambda sentence: None,
 ) -> Path:
     """Runs the episodes of a sweep that are not there yet; `read_sweep` gives the table.
 
@@ -98,43 +96,27 @@ def sweep(
         pool = executor or WorkerProcesses(max(1, min(cores(), len(todo))))
         owned = contextlib.nullcontext() if executor else pool
         with owned, Notes(folder.path / PROGRESS) as notes:
-
-            def submit(shard: int) -> Future[pa.Table]:
-                notes.forget(shard)
-                return pool.submit(_run_noted, spec, shard, factory, notes.file(shard))
-
-            def keep(shard: int, table: pa.Table) -> None:
-                folder.write(shard, table)
-                notes.forget(shard)
-                progress(len(plan.shards[shard]))
-
-            def glance(shards: Collection[int]) -> None:
-                partial(sum(notes.share(i) * len(plan.shards[i]) for i in shards))
-
-            run = _Run(todo, submit, keep, glance, say)
+            run = _Run(plan, factory, folder, notes, pool, progress, partial, say, todo)
             run.go(in_flight if callable(in_flight) else in_flight or cores())
     run.report()
     return folder.path
 
 
-def _run_noted(spec: SweepSpec, shard: int, factory: ControllerFactory, note: Path) -> pa.Table:
-    """`run_shard`, with a note on how far it is."""
-    return run_shard(spec, shard, factory, Note(note, spec.duration))
-
-
+@dataclasses.dataclass(eq=False)
 class _Run:
     """The shards of a sweep on their way."""
 
-    def __init__(
-        self,
-        todo: list[int],
-        submit: Callable[[int], Future[pa.Table]],
-        keep: Callable[[int, pa.Table], None],
-        glance: Callable[[Collection[int]], None],
-        say: Callable[[str], object],
-    ) -> None:
-        self._pending = collections.deque(todo)
-        self._submit, self._keep, self._glance, self._say = submit, keep, glance, say
+    plan: Plan
+    factory: ControllerFactory
+    folder: SweepFolder
+    notes: Notes
+    pool: Executor
+    progress: Callable[[int], object]
+    partial: Callable[[float], object]
+    say: Callable[[str], object]
+    pending: list[int]
+
+    def __post_init__(self) -> None:
         self._at_work: dict[Future[pa.Table], int] = {}
         self._tries = collections.Counter[int]()
         self._failed: dict[int, BaseException] = {}
@@ -142,20 +124,21 @@ class _Run:
 
     def go(self, limit: int | Callable[[], int]) -> None:
         """Runs them, so many at a time."""
-        while self._at_work or (self._pending and not self._stopping):
+        while self._at_work or (self.pending and not self._stopping):
             try:
-                self._begin((limit() if callable(limit) else limit) - len(self._at_work))
+                self._begin(limit() if callable(limit) else limit)
                 for future in wait(self._at_work, _GLANCE, FIRST_COMPLETED).done:
                     self._take(self._at_work[future], future)
                     del self._at_work[future]
                 future = None  # a cluster keeps the result for as long as anybody might ask for it
-                self._glance(self._at_work.values())
+                shards = self._at_work.values()
+                self.partial(sum(self.notes.share(i) * len(self.plan.shards[i]) for i in shards))
             except KeyboardInterrupt:
                 if self._interrupted:
                     raise KeyboardInterrupt(self._left()) from None
                 self._interrupted = True
                 n = len(self._at_work)
-                self._say(f"finishing the {n} shards that are at work; Ctrl-C again stops at once")
+                self.say(f"finishing the {n} shards that are at work; Ctrl-C again stops at once")
 
     def report(self) -> None:
         """Raises the error that the run ended with, if it did."""
@@ -174,15 +157,18 @@ class _Run:
         return self._interrupted or len(self._failed) > _FAILURES
 
     def _left(self) -> str:
-        left = len(self._pending) + len(self._at_work) + len(self._failed)
+        left = len(self.pending) + len(self._at_work) + len(self._failed)
         return f"shards left to do: {left}, the others are kept; --resume goes on"
 
-    def _begin(self, most: int) -> None:
+    def _begin(self, limit: int) -> None:
         """Submits shards, if the run goes on."""
-        while most > 0 and self._pending and not self._stopping:
-            self._at_work[self._submit(self._pending[0])] = self._pending[0]
-            self._pending.popleft()
-            most -= 1
+        while len(self._at_work) < limit and self.pending and not self._stopping:
+            shard = self.pending[0]
+            self.notes.forget(shard)
+            note = Note(self.notes.file(shard), self.plan.spec.duration)
+            future = self.pool.submit(run_shard, self.plan.spec, shard, self.factory, note)
+            self._at_work[future] = shard
+            del self.pending[0]
 
     def _take(self, shard: int, future: Future[pa.Table]) -> None:
         """Keeps a finished shard, or has it run again."""
@@ -191,14 +177,16 @@ class _Run:
         except (BrokenExecutor, CancelledError) as error:
             self._tries[shard] += 1
             if self._tries[shard] < _TRIES:
-                self._say(f"a worker died; shard {shard} is run again")
-                self._pending.append(shard)
+                self.say(f"a worker died; shard {shard} is run again")
+                self.pending.append(shard)
             else:
                 self._failed[shard] = error
         except Exception as error:
             self._failed[shard] = error
         else:
-            self._keep(shard, table)
+            self.folder.write(shard, table)
+            self.notes.forget(shard)
+            self.progress(len(self.plan.shards[shard]))
 
 
 def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
@@ -206,9 +194,6 @@ def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
 
     Returns:
         The gains of each controller for the nominal arm, ready for JSON.
-
-    Raises:
-        OctarmError: if something cannot be made as the spec has it.
     """
     nominal = nominal_parameters()
     gains: dict[str, object] = {
@@ -241,38 +226,23 @@ class Forecast(NamedTuple):
 
 
 def estimate(spec: SweepSpec, factory: ControllerFactory) -> Forecast:
-    """Measures a few control periods of a shard of each controller; writes nothing.
-
-    Raises:
-        OctarmError: for a spec that cannot be run.
-    """
+    """Measures a few control periods of a shard of each controller; writes nothing."""
     plan = Plan(spec)
     rehearse(plan, factory)
-    names = [plan.arms(shard[:1]).controller for shard in plan.shards]
-    costs = {name: _cost(plan, plan.shards[names.index(name)], factory) for name in names}
-    pairs = [(costs[name], len(shard)) for name, shard in zip(names, plan.shards, strict=True)]
+    by_controller = itertools.groupby(plan.shards, lambda s: plan.arms(s[:1]).controller)
+    parts = [_estimate(plan, [*shards], factory) for _, shards in by_controller]
     return Forecast(
         episodes=plan.episodes,
-        periods=costs[names[0]].periods,
+        periods=parts[0].periods,
         shards=len(plan.shards),
-        seconds=sum(cost.start + cost.arm * n for cost, n in pairs),
-        size=int(sum(cost.empty + cost.row * n for cost, n in pairs)),
+        seconds=sum(part.seconds for part in parts),
+        size=sum(part.size for part in parts),
     )
 
 
-class _Cost(NamedTuple):
-    """What a shard takes."""
-
-    periods: int  # control periods of an episode
-    start: float  # before and after the control periods [s]
-    arm: float  # the control periods of an arm [s]
-    empty: int  # the file without rows [byte]
-    row: float  # each of its rows, if every metric had a value [byte]
-
-
-def _cost(plan: Plan, shard: range, factory: ControllerFactory) -> _Cost:
-    """Measures the first control periods of a shard."""
-    arms, instants = plan.arms(shard), list[float]()
+def _estimate(plan: Plan, shards: list[range], factory: ControllerFactory) -> Forecast:
+    """What the shards of one controller take, by the first control periods of the first one."""
+    arms, instants = plan.arms(shards[0]), list[float]()
     period = begin(plan.spec, arms, factory)[0].control_timestep()
     periods = whole_periods(plan.spec.duration, period)
 
@@ -284,10 +254,13 @@ def _cost(plan: Plan, shard: range, factory: ControllerFactory) -> _Cost:
     elapsed = time.perf_counter() - started
     warm = instants[min(_WARM, len(instants) - 1) :]
     rate = (warm[-1] - warm[0]) / max(1, len(warm) - 1)
-    return _Cost(
+    once = max(0.0, elapsed - len(instants) * rate)  # a shard, before and after its periods
+    empty = len(shard_bytes(table.slice(0, 0)))
+    episodes = sum(map(len, shards))
+    return Forecast(
+        episodes=episodes,
         periods=periods,
-        start=max(0.0, elapsed - len(instants) * rate),
-        arm=rate * periods / len(shard),
-        empty=len(shard_bytes(table.slice(0, 0))),
-        row=table.nbytes / len(shard),
+        shards=len(shards),
+        seconds=once * len(shards) + rate * periods / len(shards[0]) * episodes,
+        size=int(empty * len(shards) + table.nbytes / len(shards[0]) * episodes),
     )

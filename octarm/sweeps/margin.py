@@ -24,7 +24,7 @@ from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_distur
 from octarm.errors import OctarmError, closest
 from octarm.interfaces import Controller, ControllerFactory
 from octarm.simulation.environment import load
-from octarm.sweeps.progress import ArmSeconds
+from octarm.sweeps.progress import arm_seconds
 from octarm.sweeps.shards import measure
 
 _POINTS = 3  # values that are tried within a gap at a time
@@ -92,45 +92,27 @@ def search(attempt: Try, seeds: int, *, intervals: int = 8, resolution: float = 
     tried = attempt(np.repeat(np.arange(seeds), len(grid)), np.tile(grid, seeds))
     excess, digest = (np.reshape(x, (seeds, len(grid))) for x in tried)
     alike = seeds > 1 and bool(np.all(digest == digest[0]))
-    every = np.arange(1 if alike else seeds)
-    gaps = _Gaps(len(every))
-    gaps.take(every, np.tile(grid, (len(every), 1)), excess[every])
-    while len(wide := gaps.wide(resolution)):
-        shares = gaps.inner(wide)
-        tried = attempt(np.repeat(wide, _POINTS), shares.ravel())
-        gaps.take(wide, shares, np.reshape(tried.excess, shares.shape))
-    met, failed, again = (np.resize(x, seeds) for x in (gaps.met, gaps.failed, gaps.again))
-    return Brackets(met=met, failed=failed, again=again, grid=grid, excess=excess, alike=alike)
-
-
-class _Gaps:
-    """What lies between `met` and `failed` of each seed, see `Brackets`."""
-
-    def __init__(self, seeds: int) -> None:
-        self.met, self.failed = np.full(seeds, -np.inf), np.full(seeds, np.inf)
-        self.again = np.zeros(seeds, dtype=bool)
-
-    def take(self, seeds: np.ndarray, shares: np.ndarray, excess: np.ndarray) -> None:
-        """Takes up what came of rising shares within the gaps of seeds, both of shape (n, k)."""
-        for i, row, good in zip(seeds, shares, excess <= 1.0, strict=True):
-            first = int(np.argmin(good)) if not good.all() else len(row)  # that failed
-            self.again[i] |= bool(good[first:].any())
+    n = 1 if alike else seeds
+    met, failed, again = np.full(n, -np.inf), np.full(n, np.inf), np.zeros(n, dtype=bool)
+    which, shares, good = np.arange(n), np.tile(grid, (n, 1)), excess[:n] <= 1.0
+    part = np.arange(1, _POINTS + 1) / (_POINTS + 1)
+    while len(which):
+        for i, row, fine in zip(which, shares, good, strict=True):
+            first = int(np.argmin(fine)) if not fine.all() else len(row)  # that failed
+            again[i] |= bool(fine[first:].any())
             if first > 0:
-                self.met[i] = row[first - 1]
+                met[i] = row[first - 1]
             if first < len(row):
-                self.failed[i] = row[first]
-
-    def wide(self, resolution: float) -> np.ndarray:
-        """The seeds whose gaps are not small enough yet."""
-        gap = self.failed - self.met
-        return np.flatnonzero(
-            np.isfinite(gap) & (gap > np.maximum(resolution * self.failed, _SMALLEST))
-        )
-
-    def inner(self, seeds: np.ndarray) -> np.ndarray:
-        """Shares that cut the gaps of seeds into equal parts, shape (n, `_POINTS`)."""
-        part = np.arange(1, _POINTS + 1) / (_POINTS + 1)
-        return self.met[seeds, None] + (self.failed - self.met)[seeds, None] * part
+                failed[i] = row[first]
+        gap = failed - met
+        wide = np.isfinite(gap) & (gap > np.maximum(resolution * failed, _SMALLEST))
+        which = np.flatnonzero(wide)
+        if len(which):
+            shares = met[which, None] + gap[which, None] * part
+            tried = attempt(np.repeat(which, _POINTS), shares.ravel())
+            good = np.reshape(tried.excess, shares.shape) <= 1.0
+    met, failed, again = (np.resize(x, seeds) for x in (met, failed, again))
+    return Brackets(met=met, failed=failed, again=again, grid=grid, excess=excess, alike=alike)
 
 
 class Margin(NamedTuple):
@@ -177,19 +159,8 @@ _NOMINAL_RANGE = (0.0, 3.0)
 _NEVER = ("settling_time", "reaching_time")
 
 
-class Bound(NamedTuple):
-    """A metric and what its absolute value may be at most."""
-
-    metric: str
-    limit: float
-
-
-def parse_bound(text: str) -> Bound:
-    """A bound from METRIC:VALUE.
-
-    Raises:
-        OctarmError: if it does not read so.
-    """
+def parse_bound(text: str) -> tuple[str, float]:
+    """A metric and what its absolute value may be at most, from METRIC:VALUE."""
     metric, _, value = text.partition(":")
     try:
         limit = float(value)
@@ -197,7 +168,7 @@ def parse_bound(text: str) -> Bound:
         raise OctarmError(f"bound is {text!r}; it must read METRIC:VALUE") from None
     if not 0.0 < limit < math.inf:
         raise OctarmError(f"bound of {metric} is {limit:g}; it must be positive and finite")
-    return Bound(metric, limit)
+    return metric, limit
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -283,7 +254,7 @@ class MarginRuns:
     Attributes:
         factory: makes the controller from its nominal model.
         varied: what varies.
-        bounds: that have to be met, all of them.
+        bounds: metrics, and what their absolute values may be at most, all of them.
         disturbances: what acts in addition.
         mismatch: of the controller's nominal model [1].
         reference: name of the desired motion.
@@ -297,7 +268,7 @@ class MarginRuns:
 
     factory: ControllerFactory
     varied: Varied
-    bounds: Sequence[Bound]
+    bounds: Sequence[tuple[str, float]]
     disturbances: Sequence[Disturbance] = ()
     mismatch: float = 0.0
     reference: str = "sine"
@@ -309,19 +280,15 @@ class MarginRuns:
     progress: Callable[[float], object] = lambda seconds: None
 
     def rehearse(self) -> None:
-        """Tries the ends of the range for one control period.
-
-        Raises:
-            OctarmError: if something cannot be made, or a metric is unknown.
-        """
+        """Tries the ends of the range for one control period; raises OctarmError if they fail."""
         environment, controller = self._begin(np.zeros(2, dtype=int), np.array([0.0, 1.0]))
         known = measure(environment, controller, environment.control_timestep()).metrics
-        for bound in self.bounds:
-            if bound.metric not in known:
-                stem = re.sub(r"_(s|theta|tau)\d+$", "", bound.metric)
+        for metric, _ in self.bounds:
+            if metric not in known:
+                stem = re.sub(r"_(s|theta|tau)\d+$", "", metric)
                 alike = [name for name in known if name.startswith(stem)]
-                meant = closest(bound.metric, alike or known)
-                raise OctarmError(f"there is no measure {bound.metric!r} of such a run{meant}")
+                meant = closest(metric, alike or known)
+                raise OctarmError(f"there is no measure {metric!r} of such a run{meant}")
 
     def __call__(self, seeds: np.ndarray, shares: np.ndarray) -> Attempt:
         """The runs of these seeds at these shares of the way, both of shape (n,).
@@ -330,17 +297,16 @@ class MarginRuns:
             OctarmError: if there is no number for a metric, although arms bore it all.
         """
         environment, controller = self._begin(seeds, shares)
-        seconds = ArmSeconds(environment, self.duration, self.progress)
-        outcome = measure(environment, controller, self.duration, seconds)
-        seconds.finish()
+        with arm_seconds(environment, self.duration, self.progress) as seconds:
+            outcome = measure(environment, controller, self.duration, seconds)
         excess = np.zeros(len(seeds))
-        for bound in self.bounds:
-            size = np.abs(outcome.metrics[bound.metric])
+        for metric, limit in self.bounds:
+            size = np.abs(outcome.metrics[metric])
             missing = np.isnan(size)
-            lost = outcome.diverged.all() or bound.metric.startswith(_NEVER)
+            lost = outcome.diverged.all() or metric.startswith(_NEVER)
             if missing.all() and not lost:
-                raise OctarmError(f"{bound.metric} has no value in a run of {self.duration:g} s")
-            np.maximum(excess, np.where(missing, np.inf, size / bound.limit), out=excess)
+                raise OctarmError(f"{metric} has no value in a run of {self.duration:g} s")
+            np.maximum(excess, np.where(missing, np.inf, size / limit), out=excess)
         return Attempt(excess, outcome.digest)
 
     def _begin(

@@ -15,7 +15,7 @@ from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.fields import Amount, Quantity, field_kinds
 from octarm.disturbances.streams import stream
 from octarm.errors import OctarmError
-from octarm.sweeps.spec import RandomAxis, SweepSpec, class_of
+from octarm.sweeps.spec import SweepSpec, class_of
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,25 +148,18 @@ class Plan:
         """
         spec = self.spec
         sobol = [axis for axis in spec.random if axis.method == "sobol"]
-        spread = _sobol(len(sobol), spec.episodes) if sobol else np.empty((spec.episodes, 0))
+        points = qmc.Sobol(max(1, len(sobol)), scramble=False)
+        spread = points.random_base2((spec.episodes - 1).bit_length())
         drawn: dict[str, np.ndarray] = {}
         for axis in spec.random:
             draw = stream(np.random.SeedSequence(spec.seed), f"axis {axis.name}")
             if axis.method == "sobol":  # turned as a whole: every seed of the sweep has its own
-                share = (spread[:, sobol.index(axis)] + draw.random()) % 1.0
+                share = (spread[: spec.episodes, sobol.index(axis)] + draw.random()) % 1.0
             else:
                 share = draw.random(spec.episodes)
-            drawn[axis.name] = _between(axis, share)
+            low, high = map(float, axis.values)
+            drawn[axis.name] = np.minimum(low + share * (high - low), high)
         return drawn
-
-
-def _between(axis: RandomAxis, share: np.ndarray) -> np.ndarray:
-    return np.minimum(axis.low + share * (axis.high - axis.low), axis.high)
-
-
-def _sobol(width: int, count: int) -> np.ndarray:
-    """The first points of a Sobol sequence, shape (count, width)."""
-    return qmc.Sobol(width, scramble=False).random_base2((count - 1).bit_length())[:count]
 
 
 def _common(column: np.ndarray) -> Any:

@@ -11,7 +11,7 @@ import contextlib
 import shutil
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 from dm_control.rl import control
@@ -29,15 +29,14 @@ class Note:
 
     def __init__(self, file: Path, duration: float) -> None:
         """A note in a file, on a run of so many seconds."""
-        self._file, self._duration = file, duration
-        self._due = time.monotonic() + _EVERY
+        self.file, self._duration, self._due = file, duration, 0.0
 
     def __call__(self, instant: Instant) -> None:
         """Takes a control instant."""
         if time.monotonic() >= self._due:
             self._due = time.monotonic() + _EVERY
             with contextlib.suppress(OSError):  # such as a folder that is not seen from here
-                self._file.write_text(f"{instant.measurement.t / self._duration:.6f}")
+                self.file.write_text(f"{instant.measurement.t / self._duration:.6f}")
 
 
 class Notes:
@@ -72,27 +71,23 @@ class Notes:
         self.file(shard).unlink(missing_ok=True)
 
 
-class ArmSeconds:
-    """Reports the seconds that a run simulates, all arms counted; an observer of `simulate`."""
+@contextlib.contextmanager
+def arm_seconds(
+    environment: control.Environment, duration: float, progress: Callable[[float], object]
+) -> Generator[Callable[[Instant], None]]:
+    """An observer that reports the seconds that a run simulates, all arms counted.
 
-    def __init__(
-        self,
-        environment: control.Environment,
-        duration: float,
-        progress: Callable[[float], object],
-    ) -> None:
-        """An observer of a run of so many seconds, which calls `progress` at every instant."""
-        self._period, self._left = environment.control_timestep(), duration
-        self._arms, self._progress = environment.physics.arms, progress
+    In the end it reports what was not needed since all arms diverged.
+    """
+    period, arms, left = environment.control_timestep(), environment.physics.arms, duration
 
-    def __call__(self, instant: Instant) -> None:
-        """Takes a control instant."""
-        self._left -= self._period
-        self._progress(self._arms * self._period)
+    def observe(_: Instant) -> None:
+        nonlocal left
+        left -= period
+        progress(arms * period)
 
-    def finish(self) -> None:
-        """Reports what was not needed since all arms diverged."""
-        self._progress(self._arms * max(self._left, 0.0))
+    yield observe
+    progress(arms * max(left, 0.0))
 
 
 class ProgressBar:

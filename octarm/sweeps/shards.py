@@ -17,6 +17,7 @@ from octarm.interfaces import Controller, ControllerFactory, Instant
 from octarm.metrics.table import METRICS, Column, Metrics, columns
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.versions import host, versions
+from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.environment import AnyPhysics, load, whole_periods
 from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
@@ -34,9 +35,6 @@ def run_shard(
     """The rows of a shard; they depend on nothing else.
 
     The metadata of the table's schema say where they were made: `host` and `versions`.
-
-    Raises:
-        OctarmError: if an arm, a disturbance or a controller cannot be made.
     """
     plan = Plan(spec)
     table = run_arms(plan, plan.arms(plan.shards[shard]), factory, *observers)
@@ -59,9 +57,6 @@ def run_arms(
         factory: that makes the controller.
         observers: called at every control instant.
         duration: instead of that of the sweep [s].
-
-    Raises:
-        OctarmError: if an arm, a disturbance or a controller cannot be made.
     """
     started = time.perf_counter()
     environment, controller = begin(plan.spec, arms, factory)
@@ -141,7 +136,10 @@ class Observer:
     def __call__(self, instant: Instant) -> None:
         """Takes a control instant."""
         if self._measured is None:
-            self._measured = self._begin(instant)
+            limit, layer = self._physics.input_limit(), instant.command.layer
+            metrics = Metrics(control_period=self._period, input_limit=limit, layer=layer)
+            # Without a cycle of references, so that the arms' memory is free when the run is over.
+            self._measured = metrics, Recorder(metrics.update, fields=METRICS.fields)
         self._digest(instant)
         self._measured[1](instant)
 
@@ -150,9 +148,14 @@ class Observer:
         assert self._measured is not None  # a run has one instant at least
         metrics, recorder = self._measured
         recorder.flush()
-        diverged_at = _diverged_at(self._physics, message)
+        physics, batch = self._physics, self._physics.batch_shape
+        if isinstance(physics, BatchPhysics):
+            diverged_at = physics.diverged_at()
+        else:
+            end = physics.steps() * physics.timestep()
+            diverged_at = np.array([end if message else np.nan])
         diverged = ~np.isnan(diverged_at)
-        batch, n = self._physics.batch_shape, len(diverged)
+        n = len(diverged)
         results = metrics.result(diverged=diverged if batch else diverged[0])
         values = {
             column.name: results[column.metric].reshape(n, -1)[:, column.place]
@@ -160,13 +163,6 @@ class Observer:
             if column.metric in results
         }
         return Outcome(diverged_at, values, *self._digest.result())
-
-    def _begin(self, instant: Instant) -> tuple[Metrics, Recorder]:
-        """Metrics for such arms, and what hands them their rows."""
-        limit, layer = self._physics.input_limit(), instant.command.layer
-        metrics = Metrics(control_period=self._period, input_limit=limit, layer=layer)
-        # Without a cycle of references, so that the arms' memory is free when the run is over.
-        return metrics, Recorder(metrics.update, fields=METRICS.fields)
 
 
 def measure(
@@ -182,9 +178,6 @@ def measure(
         controller: see `octarm.interfaces`.
         duration: of the run [s].
         observers: called at every control instant.
-
-    Raises:
-        OctarmError: if the duration is not positive, or the controller's force has a wrong shape.
     """
     observer = Observer(environment, duration)
 
@@ -197,21 +190,21 @@ def measure(
 
 def schema(spec: SweepSpec) -> pa.Schema:
     """The columns of a sweep's table; those of metrics say their unit."""
-    known = {
-        "episode": pa.int64(),
-        "controller": pa.string(),
-        "seed": pa.int64(),
-        "status": pa.string(),
-        "diverged_at": pa.float64(),
-    }
-    fields = [pa.field(name, kind) for name, kind in known.items()]
+    number, word = pa.float64(), pa.string()
+    fields = [
+        pa.field("episode", pa.int64()),
+        pa.field("controller", word),
+        pa.field("seed", pa.int64()),
+        pa.field("status", word),
+        pa.field("diverged_at", number),
+    ]
     for axis in (*spec.axes, *spec.random):
         if axis.name != "controller":
-            fields.append(pa.field(axis.name, pa.string() if axis.words else pa.float64()))
+            fields.append(pa.field(axis.name, word if axis.words else number))
     for column in _metric_columns():
-        fields.append(pa.field(column.name, pa.float64(), metadata=column.metadata))
+        fields.append(pa.field(column.name, number, metadata=column.metadata))
     fields += [
-        pa.field("wall_time", pa.float64(), metadata={"unit": "s"}),
+        pa.field("wall_time", number, metadata={"unit": "s"}),
         pa.field("digest", pa.uint64()),
         pa.field("checkpoints", _MARKS),
     ]
@@ -222,13 +215,6 @@ def _metric_columns() -> list[Column]:
     """The columns of all metrics."""
     modules = nominal_parameters().modules
     return columns(coordinate_names(modules), coordinate_units(modules))
-
-
-def _diverged_at(physics: AnyPhysics, message: str) -> np.ndarray:
-    """When arms diverged, shape (n,) [s]; NaN for those that have not."""
-    if physics.batch_shape:
-        return physics.diverged_at()  # pyright: ignore[reportAttributeAccessIssue]
-    return np.array([physics.steps() * physics.timestep() if message else np.nan])
 
 
 def _column(values: Any, kind: pa.DataType, count: int) -> pa.Array:

@@ -7,7 +7,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from octarm.arrays import plain
 from octarm.disturbances.episode import Disturbance
@@ -19,84 +19,47 @@ from octarm.interfaces import Controller, ControllerFactory
 Value = float | str
 
 
-class Which(NamedTuple):
-    """A disturbance of a spec: the name of its class, and which one of that class it is."""
+def which(disturbance: str) -> tuple[str, int]:
+    """The class of a disturbance of a spec, and which one of that class it is.
 
-    kind: str
-    place: int
-
-
-def which(disturbance: str) -> Which:
-    """What a name in a spec means: `noise-2` is the second noise, as in `run.json`."""
+    `noise-2` is the second noise, as in `run.json`.
+    """
     match = re.fullmatch(r"(.+)-([2-9]|[1-9]\d+)", disturbance)
-    return Which(match[1], int(match[2])) if match else Which(disturbance, 1)
+    return (match[1], int(match[2])) if match else (disturbance, 1)
 
 
 def class_of(disturbance: str) -> type[Disturbance]:
     """The class of a disturbance of a spec."""
-    return DISTURBANCES[which(disturbance).kind]
+    return DISTURBANCES[which(disturbance)[0]]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class _Axis:
+class Axis:
     """Something that varies in a sweep.
 
     Attributes:
         name: of its column: controller, reference, mismatch, or a disturbance such as `noise`,
             with the key, `noise.time`, when it is not the disturbance's first one.
+        values: all of them, numbers or words; the smallest and the largest one when it is drawn.
+        method: how it is drawn for each seed, the same for every controller and grid cell:
+            `uniform` for independent draws, `sobol` for evenly spread ones; empty in the grid.
         disturbance: whose field it is, see `which`; empty for controller, reference and mismatch.
         field: of the disturbance, as the code spells it.
     """
 
     name: str
+    values: tuple[Value, ...] = ()
+    method: str = ""
     disturbance: str = ""
     field: str = ""
 
     @property
     def words(self) -> bool:
         """Whether its values are words: arms that differ in them do not share a batch."""
-        return False
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class GridAxis(_Axis):
-    """Something that takes each value of a list, numbers or words."""
-
-    values: tuple[Value, ...]
-
-    @property
-    def words(self) -> bool:
-        """Whether its values are words: arms that differ in them do not share a batch."""
         return isinstance(self.values[0], str)
 
-    @property
-    def probes(self) -> tuple[Value, ...]:
-        """Values to try the axis with."""
-        return self.values
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class RandomAxis(_Axis):
-    """Something that is drawn for each seed, the same for every controller and grid cell.
-
-    Attributes:
-        low: smallest value.
-        high: largest value.
-        method: `uniform` for independent draws, `sobol` for evenly spread ones.
-    """
-
-    low: float
-    high: float
-    method: str = "uniform"
-
-    @property
-    def probes(self) -> tuple[Value, ...]:
-        """Values to try the axis with."""
-        return (self.low, self.high)
-
-
-Axis = GridAxis | RandomAxis
-_PLAIN = ("seed", "episodes", "duration", "timestep", "control_period", "actuation", "batch")
+SETTINGS = ("seed", "episodes", "duration", "timestep", "control_period", "actuation", "batch")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -121,8 +84,8 @@ class SweepSpec:
         text: the file that says all of it; empty where it names other files.
     """
 
-    axes: tuple[GridAxis, ...]
-    random: tuple[RandomAxis, ...] = ()
+    axes: tuple[Axis, ...]
+    random: tuple[Axis, ...] = ()
     seed: int = 0
     episodes: int = 1
     duration: float = 10.0
@@ -145,7 +108,7 @@ class SweepSpec:
     def disturbances(self) -> tuple[str, ...]:
         """Those that act in all episodes, if only with a neutral value; first ones come first."""
         varied = (axis.disturbance for axis in (*self.axes, *self.random) if axis.disturbance)
-        return tuple(sorted(dict.fromkeys((*varied, *self.fixed)), key=lambda n: which(n).place))
+        return tuple(sorted(dict.fromkeys((*varied, *self.fixed)), key=lambda n: which(n)[1]))
 
     def controller(self, name: str, nominal: Any, factory: ControllerFactory) -> Controller:
         """The controller of this name, with the gains of the spec.
@@ -162,9 +125,9 @@ class SweepSpec:
 
     def content(self) -> dict[str, Any]:
         """All that the rows depend on, by dotted key, ready for JSON."""
-        content: dict[str, Any] = {name: getattr(self, name) for name in _PLAIN}
+        content: dict[str, Any] = {name: getattr(self, name) for name in SETTINGS}
         content |= {f"grid.{axis.name}": axis.values for axis in self.axes}
-        content |= {f"random.{a.name}": (a.low, a.high, a.method) for a in self.random}
+        content |= {f"random.{a.name}": (*a.values, a.method) for a in self.random}
         content |= {f"gain_set.{name}": choice for name, choice in self.gain_sets.items()}
         for heading, tables in (("disturbance", self.fixed), ("gains", self.gains)):
             content |= {f"{heading}.{n}.{k}": v for n, t in tables.items() for k, v in t.items()}
@@ -176,37 +139,27 @@ class SweepSpec:
 
     def to_toml(self) -> str:
         """A file that `octarm.sweeps.spec_file.parse_spec` makes this spec of."""
-        drawn = {a: {"low": a.low, "high": a.high, "method": a.method} for a in self.random}
-        fixed: dict[str, dict[str, Any]] = {}
+        grid, drawn, fixed = dict[str, Any](), dict[str, Any](), dict[str, Any]()
+        for axis in self.axes:
+            _put(grid, axis, axis.values)
+        for axis in self.random:
+            low, high = axis.values
+            _put(drawn, axis, {"low": low, "high": high, "method": axis.method})
         for name, fields in self.fixed.items():
-            fixed[name] = {k: fields[field] for k, field in _keys(name, fields)}
-        content: dict[str, Any] = {name: getattr(self, name) for name in _PLAIN}
-        content |= {
-            "grid": _tables({axis: axis.values for axis in self.axes}),
-            "random": _tables(drawn),
-            "disturbance": fixed,
-            "gain_set": self.gain_sets,
-            "gains": self.gains,
-            "record": {"episodes": self.record},
-        }
+            keys = field_keys(class_of(name)).items()
+            fixed[name] = {key: fields[field] for key, field in keys if field in fields}
+        content: dict[str, Any] = {name: getattr(self, name) for name in SETTINGS}
+        content |= {"grid": grid, "random": drawn, "disturbance": fixed}
+        content |= {"gain_set": self.gain_sets, "gains": self.gains}
+        content |= {"record": {"episodes": self.record}}
         return to_toml({key: value for key, value in content.items() if value != {}})
 
 
-def _tables(axes: Mapping[Any, Any]) -> dict[str, Any]:
-    """What a file says of axes: controller and such, and fields of disturbances in their tables."""
-    content: dict[str, Any] = {}
-    for axis, value in axes.items():
-        if axis.disturbance:
-            fields = content.setdefault("disturbance", {}).setdefault(axis.disturbance, {})
-            ((key, _),) = _keys(axis.disturbance, (axis.field,))
-            fields[key] = value
-        else:
-            content[axis.name] = value
-    return content
-
-
-def _keys(disturbance: str, fields: Any) -> list[tuple[str, str]]:
-    """The keys of fields in files, each with the field."""
-    return [
-        (key, field) for key, field in field_keys(class_of(disturbance)).items() if field in fields
-    ]
+def _put(table: dict[str, Any], axis: Axis, value: Any) -> None:
+    """Enters an axis into `[grid]` or `[random]`, that of a disturbance into its own table."""
+    key = axis.name
+    if axis.disturbance:
+        table = table.setdefault("disturbance", {}).setdefault(axis.disturbance, {})
+        keys = field_keys(class_of(axis.disturbance)).items()
+        key = next(key for key, field in keys if field == axis.field)
+    table[key] = value

@@ -23,10 +23,10 @@ part of the spec that the sweep keeps.
 
 from __future__ import annotations
 
-import itertools
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, cast
+from typing import Annotated, Any, cast
 
 import pydantic
 from pydantic import AfterValidator, Field, FiniteFloat
@@ -38,7 +38,7 @@ from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError, OctarmError, closest
 from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
-from octarm.sweeps.spec import Axis, GridAxis, RandomAxis, SweepSpec, class_of, which
+from octarm.sweeps.spec import SETTINGS, Axis, SweepSpec, class_of, which
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
 METHODS = ("uniform", "sobol")
@@ -55,11 +55,11 @@ def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
+Distinct = AfterValidator(_distinct)
 Reference = Annotated[str, one_of(REFERENCES)]
 Mismatch = Annotated[float, Field(gt=-1.0, le=1e6)]
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 Number = Annotated[float, pydantic.AllowInfNan(True)]
-Values = Annotated[Array[Number] | Array[str], AfterValidator(_distinct)]
 Gain = float | list[float]
 
 
@@ -87,9 +87,9 @@ class MismatchBounds(Bounds):
 class Grid(Model):
     """The table `[grid]`."""
 
-    controller: Annotated[Array[str], AfterValidator(_distinct)] | None = None
-    reference: Annotated[Array[Reference], AfterValidator(_distinct)] | None = None
-    mismatch: Annotated[Array[Mismatch], AfterValidator(_distinct)] | None = None
+    controller: Annotated[Array[str], Distinct] | None = None
+    reference: Annotated[Array[Reference], Distinct] | None = None
+    mismatch: Annotated[Array[Mismatch], Distinct] | None = None
     disturbance: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -120,11 +120,11 @@ class SpecFile(Model):
     reference: Reference | None = None
     mismatch: Mismatch | None = None
     gain_set: str | dict[str, str] | None = None
-    grid: Grid = Field(default_factory=Grid)
-    random: Random = Field(default_factory=Random)
+    grid: Grid = Grid()
+    random: Random = Random()
     disturbance: dict[str, Any] = Field(default_factory=dict)
     gains: dict[str, dict[str, Gain]] = Field(default_factory=dict)
-    record: Record = Field(default_factory=Record)
+    record: Record = Record()
 
 
 class GainFile(Model):
@@ -151,71 +151,65 @@ def parse_spec(text: str, file: str = "spec.toml") -> SweepSpec:
     """The spec in a TOML text; `file` is its name in error messages.
 
     Names of controllers and their gains are left to whoever makes controllers.
-
-    Raises:
-        OctarmError: if it is not a valid spec; the sentence names the line.
     """
     return _spec(parse_toml(text, file))
 
 
 def _spec(document: Document) -> SweepSpec:
     content = document.read(SpecFile)
-    grid, drawn = _axes(document, content)
-    controllers = [str(v) for axis in grid if axis.name == "controller" for v in axis.values]
-    sets, gains = _gains(document, content, controllers)
+    axes, drawn = _axes(document, content)
+    sets, gains = _gains(document, content, [str(value) for value in axes[0].values])
     fixed: dict[str, dict[str, Any]] = {}
-    for field in _fields(document, "disturbance"):
-        if (field.disturbance, field.name) in {(a.disturbance, a.field) for a in (*grid, *drawn)}:
-            raise document.error(f"{field.column} is an axis, too", *field.keys)
-        value = document.read(cast(Any, Number | str | list[Number]), *field.keys)
-        fixed.setdefault(field.disturbance, {})[field.name] = value
+    for field, keys in _fields(document, "disturbance"):
+        if field.name in [axis.name for axis in (*axes, *drawn)]:
+            raise document.error(f"{field.name} is an axis, too", *keys)
+        value = document.read(cast(Any, Number | str | list[Number]), *keys)
+        fixed.setdefault(field.disturbance, {})[field.field] = value
     files = [choice for choice in sets.values() if choice not in GAIN_SETS]
     spec = SweepSpec(
-        axes=grid,
+        axes=axes,
         random=drawn,
-        **content.model_dump(include={"seed", "episodes", "duration", "timestep", "control_period",
-                                      "actuation", "batch"}),
+        **{name: getattr(content, name) for name in SETTINGS},
         fixed=fixed,
         gain_sets={name: "recommended" if c in files else c for name, c in sets.items()},
         gains=gains,
         record=content.record.episodes,
         text="" if files else document.text,
-    )  # fmt: skip
+    )
     for name in spec.disturbances:
         _try(spec, name, document)
     return spec
 
 
-def _axes(
-    document: Document, content: SpecFile
-) -> tuple[tuple[GridAxis, ...], tuple[RandomAxis, ...]]:
-    """All axes, in the order in which episodes are counted, the slowest first."""
-    axes: list[Axis] = [_own_axis(name, document, content) for name in _OWN]
-    for field in _fields(document, "grid", "disturbance"):
-        values = document.read(cast(Any, Values), *field.keys)
-        axes.append(field.axis(GridAxis, values=values))
-    for field in _fields(document, "random", "disturbance"):
-        if isinstance(field_kinds(class_of(field.disturbance))[field.name], Words):
-            raise document.error(
-                f"{field.column} is made of words: it cannot be drawn", *field.keys
-            )
-        if field.column in [axis.name for axis in axes]:
-            raise document.error(f"{field.column} is an axis of the grid, too", *field.keys)
-        bounds = document.read(Bounds, *field.keys)
-        axes.append(field.axis(RandomAxis, **bounds.model_dump()))
-    order = list(DISTURBANCES)
+def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tuple[Axis, ...]]:
+    """The axes of the grid, and those that are drawn.
+
+    They come in the order in which episodes are counted, the slowest first: those of words,
+    beginning with the controller, and then the others.
+    """
+    axes = [_own_axis(name, document, content) for name in _OWN]
+    for field, keys in _fields(document, "grid", "disturbance"):
+        values = document.read(cast(Any, Annotated[Array[Number] | Array[str], Distinct]), *keys)
+        axes.append(dataclasses.replace(field, values=values))
+    for field, keys in _fields(document, "random", "disturbance"):
+        if isinstance(field_kinds(class_of(field.disturbance))[field.field], Words):
+            raise document.error(f"{field.name} is made of words: it cannot be drawn", *keys)
+        if field.name in [axis.name for axis in axes]:
+            raise document.error(f"{field.name} is an axis of the grid, too", *keys)
+        axes.append(_drawn(field, document.read(Bounds, *keys)))
 
     def rank(axis: Axis) -> tuple[bool, int, int, str]:
         if axis.name in _OWN:
             return not axis.words, _OWN.index(axis.name) - len(_OWN), 0, ""
         kind, place = which(axis.disturbance)
-        return not axis.words, order.index(kind), place, axis.field
+        return not axis.words, [*DISTURBANCES].index(kind), place, axis.field
 
     axes.sort(key=rank)
-    return (
-        tuple(axis for axis in axes if isinstance(axis, GridAxis)),
-        tuple(axis for axis in axes if isinstance(axis, RandomAxis)),
-    )
+    return tuple(a for a in axes if not a.method), tuple(a for a in axes if a.method)
+
+
+def _drawn(axis: Axis, bounds: Bounds) -> Axis:
+    return dataclasses.replace(axis, values=(bounds.low, bounds.high), method=bounds.method)
 
 
 def _own_axis(name: str, document: Document, content: SpecFile) -> Axis:
@@ -232,38 +226,22 @@ def _own_axis(name: str, document: Document, content: SpecFile) -> Axis:
     if not given and name == "controller":
         raise document.error("there is no controller; [grid] needs controller = [...]", "grid")
     value = next(iter(given.values()), ("sine",) if name == "reference" else (0.0,))
+    axis = Axis(name=name)
     if isinstance(value, Bounds):
-        return RandomAxis(name=name, **value.model_dump())
-    return GridAxis(name=name, values=value)
+        return _drawn(axis, value)
+    return dataclasses.replace(axis, values=value)
 
 
-class _Field(NamedTuple):
-    """A field of a disturbance in the file: `noise = ...`, or `time = ...` in a table `noise`.
+def _fields(document: Document, *place: str) -> Iterator[tuple[Axis, tuple[str, ...]]]:
+    """The fields of disturbances in a table: axes without values, and the keys of their values.
 
-    Attributes:
-        disturbance: see `which`.
-        name: of the field, as the code spells it.
-        column: its name as an axis.
-        keys: of its value in the file.
+    A field is given by `noise = ...`, or by `time = ...` in a table `noise`.
     """
-
-    disturbance: str
-    name: str
-    column: str
-    keys: tuple[str, ...]
-
-    def axis(self, kind: Any, **values: Any) -> Axis:
-        """An axis of this field."""
-        return kind(name=self.column, disturbance=self.disturbance, field=self.name, **values)
-
-
-def _fields(document: Document, *place: str) -> Iterator[_Field]:
-    """The fields of disturbances in a table."""
     table: Any = document.content
     for key in place:
         table = table.get(key, {})
     for name, value in dict[str, Any](table).items():
-        if which(name).kind not in DISTURBANCES:
+        if which(name)[0] not in DISTURBANCES:
             hint = closest(name, DISTURBANCES)
             raise document.error(f"unknown disturbance {name!r}{hint}", *place, name)
         fields = field_keys(class_of(name))
@@ -276,26 +254,21 @@ def _fields(document: Document, *place: str) -> Iterator[_Field]:
                 raise document.error(f"{name} has no key {key!r}{closest(key, fields)}", *keys)
             column = name if key == first else f"{name}.{key}"
             column = f"disturbance.{column}" if column in _OWN else column
-            yield _Field(name, fields[key], column, keys)
+            yield Axis(name=column, disturbance=name, field=fields[key]), keys
 
 
 def _gains(
     document: Document, content: SpecFile, controllers: list[str]
 ) -> tuple[dict[str, str], dict[str, dict[str, Any]]]:
-    """The gain set of each controller, and the gains that differ from it, those of files included.
-
-    Raises:
-        OctarmError: for what is no set of gains, or is of another controller.
-    """
+    """The gain set of each controller, and the gains that differ from it or come from a file."""
     sets = content.gain_set or {}
     if isinstance(sets, str):
         sets = dict.fromkeys(controllers, sets)
     for table, names in (("gain_set", sets), ("gains", content.gains)):
-        for name in names:
-            if name not in controllers:
-                hint = closest(name, controllers)
-                message = f"gains of {name!r}, which is no controller of this sweep{hint}"
-                raise document.error(message, table, name)
+        for name in [name for name in names if name not in controllers]:
+            hint = closest(name, controllers)
+            message = f"gains of {name!r}, which is no controller of this sweep{hint}"
+            raise document.error(message, table, name)
     gains: dict[str, dict[str, Any]] = {}
     for name, choice in sets.items():
         if choice.endswith(".toml"):
@@ -326,33 +299,23 @@ def _gains_of_file(path: Path, controller: str) -> dict[str, Any]:
 
 
 def _try(spec: SweepSpec, name: str, document: Document) -> None:
-    """Makes a disturbance with every value it is to have.
-
-    Raises:
-        OctarmError: if one is missing or out of range.
-    """
+    """Makes a disturbance with every value it is to have; none is missing or out of range."""
     axes = [axis for axis in (*spec.axes, *spec.random) if axis.disturbance == name]
     fixed = spec.fixed.get(name, {})
-    tables = [
-        ("random" if isinstance(axis, RandomAxis) else "grid", "disturbance") for axis in axes
-    ]
-    place = (*(tables[0] if tables else ("disturbance",)), name)
+    table = ("random" if axes[0].method else "grid", "disturbance") if axes else ("disturbance",)
     kind, number = which(name)
     before = kind if number == 2 else f"{kind}-{number - 1}"
     if number > 1 and before not in spec.disturbances:
-        raise document.error(f"there is a {name}, but no {before}", *place)
+        raise document.error(f"there is a {name}, but no {before}", *table, name)
     cls: Any = DISTURBANCES[kind]
     given = {*field_defaults(cls), *fixed, *(axis.field for axis in axes)}
-    for key, field in field_keys(class_of(name)).items():
+    for key, field in field_keys(cls).items():
         if field not in given:
-            raise document.error(f"{name} needs a value of {key}", *place)
+            raise document.error(f"{name} needs a value of {key}", *table, name)
     # Side by side suffices: what a value may be does not depend on the other fields' values.
-    for values in itertools.zip_longest(*(axis.probes for axis in axes)) if axes else [()]:
-        tried = {
-            axis.field: axis.probes[0] if value is None else value
-            for axis, value in zip(axes, values, strict=True)
-        }
+    for i in range(max([1, *(len(axis.values) for axis in axes)])):
+        tried = {axis.field: axis.values[i % len(axis.values)] for axis in axes}
         try:
             cls(**fixed, **tried)
         except OctarmError as error:
-            raise document.error(str(error), *place) from None
+            raise document.error(str(error), *table, name) from None

@@ -25,7 +25,6 @@ from octarm.files import whole_file, write_text
 from octarm.formats import FORMAT, check_format, read_json, spelt, to_json
 from octarm.runs.versions import host, versions
 from octarm.sweeps.plan import Plan
-from octarm.sweeps.spec import SweepSpec
 from octarm.sweeps.spec_file import parse_spec
 
 SPEC = "spec.toml"
@@ -46,23 +45,13 @@ def read_sweep(folder: str | Path, columns: Sequence[str] | None = None) -> pa.T
     Raises:
         OctarmError: if the folder holds no sweep, no finished shard or a damaged one.
     """
-    tables = [
-        table.replace_schema_metadata(None) for _, table in _shards(Path(folder), columns=columns)
-    ]
-    if not tables:
-        raise OctarmError(f"{folder} has no finished episode yet")
-    return pa.concat_tables(tables)
+    shards = _shards(Path(folder), columns=columns)
+    return pa.concat_tables([table.replace_schema_metadata(None) for _, table in shards])
 
 
 def read_schema(folder: str | Path) -> pa.Schema:
-    """The columns of a sweep's table; metadata of a field holds its `unit`.
-
-    Raises:
-        OctarmError: if the folder holds no sweep, or no finished shard.
-    """
-    for _, table in _shards(Path(folder)):
-        return table.schema
-    raise OctarmError(f"{folder} has no finished episode yet")
+    """The columns of a sweep's table; see `read_sweep`."""
+    return next(_shards(Path(folder)))[1].schema
 
 
 def read_row(folder: str | Path, episode: int) -> pa.Table:
@@ -71,9 +60,8 @@ def read_row(folder: str | Path, episode: int) -> pa.Table:
     Raises:
         OctarmError: if the folder holds no sweep, or the episode is not finished or damaged.
     """
-    for first, table in _shards(Path(folder), episode=episode):
-        return table.slice(episode - first, 1)
-    raise OctarmError(f"episode {episode} of {folder} is not finished; --resume runs it")
+    first, table = next(_shards(Path(folder), episode=episode))
+    return table.slice(episode - first, 1)
 
 
 def origin_of(table: pa.Table) -> dict[str, Any]:
@@ -105,13 +93,6 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return manifest
 
 
-def shard_entry(plan: Plan, shard: int) -> dict[str, Any]:
-    """What the manifest says of a shard that is not finished."""
-    episodes = plan.shards[shard]
-    file = f"{EPISODES}/{shard:05d}.parquet"
-    return {"file": file, "first": episodes.start, "episodes": len(episodes), "sha256": ""}
-
-
 def shard_bytes(table: pa.Table) -> bytes:
     """The content of the file of a shard."""
     sink = io.BytesIO()
@@ -135,13 +116,10 @@ class SweepFolder:
         self._manifest: dict[str, Any] = {}
 
     def check(self, *, resume: bool) -> None:
-        """Looks at what is there, and changes nothing.
+        """Raises OctarmError if the folder holds something else, or a sweep that may not go on.
 
         Args:
-            resume: whether a sweep that was begun there may go on.
-
-        Raises:
-            OctarmError: if the folder holds something else, or a sweep that may not go on.
+            resume: whether the same sweep, begun there, may go on.
         """
         if self.path.exists() and not self.path.is_dir():
             raise OctarmError(f"{self.path} is not a folder; choose another --out")
@@ -169,12 +147,7 @@ class SweepFolder:
 
     @contextlib.contextmanager
     def locked(self) -> Generator[None]:
-        """Makes the folder, and keeps other processes from writing there.
-
-        Raises:
-            OctarmError: if another one does.
-            FileError: if it cannot be written.
-        """
+        """Makes the folder, and keeps other processes from writing there."""
         lock = filelock.FileLock(self.path / _LOCK, timeout=0)
         try:
             (self.path / EPISODES).mkdir(parents=True, exist_ok=True)
@@ -194,14 +167,10 @@ class SweepFolder:
         """Writes what the sweep is, or notes that it goes on.
 
         Args:
-            gains: of each controller.
+            gains: of each controller; they may not change.
 
         Returns:
             Which versions have changed since it was begun, a sentence each.
-
-        Raises:
-            OctarmError: if controllers have other gains than when it was begun.
-            FileError: if it cannot be written.
         """
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         start: dict[str, Any] = {"time": now, "versions": versions(), "host": host()}
@@ -222,12 +191,26 @@ class SweepFolder:
                 "episodes": plan.episodes,
                 "gains": gains,
                 "starts": [],
-                "shards": [shard_entry(plan, i) for i in range(len(plan.shards))],
+                "shards": [
+                    {
+                        "file": f"{EPISODES}/{i:05d}.parquet",
+                        "first": episodes.start,
+                        "episodes": len(episodes),
+                        "sha256": "",  # of a shard that is not finished
+                    }
+                    for i, episodes in enumerate(plan.shards)
+                ],
             }
-            write_text(self.path / SPEC, _spec_text(spec))
+            whole = spec.text and parse_spec(spec.text) == spec
+            write_text(self.path / SPEC, spec.text if whole else spec.to_toml())
         self._manifest["starts"].append(start)
         self._write_manifest()
-        return _changes(self._manifest["starts"][0]["versions"], start["versions"])
+        before = self._manifest["starts"][0]["versions"]
+        return [
+            f"{name} was {before.get(name, 'absent')} when the sweep was begun and is {now} now"
+            for name, now in start["versions"].items()
+            if name != "platform" and before.get(name) != now
+        ]
 
     def finished(self) -> list[int]:
         """The shards that are there and undamaged; a damaged one is run again."""
@@ -238,11 +221,7 @@ class SweepFolder:
         ]
 
     def write(self, shard: int, table: pa.Table) -> None:
-        """Writes a shard.
-
-        Raises:
-            FileError: if it cannot be written.
-        """
+        """Writes a shard, and what the manifest says of it."""
         entry, content = self._manifest["shards"][shard], shard_bytes(table)
         with whole_file(self.path / entry["file"]) as part:
             part.write_bytes(content)
@@ -256,11 +235,8 @@ class SweepFolder:
 def _shards(
     folder: Path, *, episode: int | None = None, columns: Sequence[str] | None = None
 ) -> Iterator[tuple[int, pa.Table]]:
-    """The finished shards, or that of an episode: the first episode and the rows of each.
-
-    Raises:
-        OctarmError: if the folder holds no sweep, a shard is damaged, or lacks a column.
-    """
+    """The finished shards, or that of an episode: the first episode and the rows of each."""
+    empty = True
     for shard in read_manifest(folder)["shards"]:
         file, first = folder / shard["file"], shard["first"]
         if episode is not None and not first <= episode < first + shard["episodes"]:
@@ -273,21 +249,20 @@ def _shards(
                 f"{file} is damaged: it does not have the SHA-256 that {MANIFEST} states; "
                 "--resume runs it again"
             )
-        yield first, _parsed(content, file, columns)
-
-
-def _parsed(content: bytes, file: Path, columns: Sequence[str] | None) -> pa.Table:
-    """The rows in the bytes of a file.
-
-    Without threads: one that ends after the interpreter aborts the process when it frees a buffer
-    that is Python's.
-    """
-    with pq.ParquetFile(pa.BufferReader(content)) as stored:
-        known = stored.schema_arrow.names
-        for name in columns or ():
-            if name not in known:
-                raise OctarmError(f"{file} has no column {name!r}{closest(name, known)}")
-        return stored.read(columns=None if columns is None else [*columns], use_threads=False)
+        empty = False
+        with pq.ParquetFile(pa.BufferReader(content)) as stored:
+            known = stored.schema_arrow.names
+            for name in columns or ():
+                if name not in known:
+                    raise OctarmError(f"{file} has no column {name!r}{closest(name, known)}")
+            # Without threads: one that ends after the interpreter aborts the process when it frees
+            # a buffer that is Python's.
+            names = None if columns is None else [*columns]
+            yield first, stored.read(columns=names, use_threads=False)
+    if empty and episode is None:
+        raise OctarmError(f"{folder} has no finished episode yet")
+    if empty:
+        raise OctarmError(f"episode {episode} of {folder} is not finished; --resume runs it")
 
 
 def _content(file: Path) -> bytes | None:
@@ -302,17 +277,3 @@ def _content(file: Path) -> bytes | None:
 
 def _is_whole(content: bytes | None, shard: Mapping[str, Any]) -> bool:
     return content is not None and hashlib.sha256(content).hexdigest() == shard["sha256"]
-
-
-def _spec_text(spec: SweepSpec) -> str:
-    """The file that the spec was read from, or one that says all if that one does not."""
-    return spec.text if spec.text and parse_spec(spec.text) == spec else spec.to_toml()
-
-
-def _changes(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """Versions that have changed since the sweep was begun."""
-    return [
-        f"{name} was {before.get(name, 'absent')} when the sweep was begun and is {now[name]} now"
-        for name in now
-        if name != "platform" and before.get(name) != now[name]
-    ]

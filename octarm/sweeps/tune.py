@@ -39,8 +39,6 @@ class Unknown(NamedTuple):
     """One coordinate of the search.
 
     Attributes:
-        name: for people.
-        knob: that it turns.
         share: 1 for the coordinates of the arm that it is for, 0 for others, shape (2N,).
     """
 
@@ -63,11 +61,7 @@ class Space:
     """
 
     def __init__(self, controller: Tunable, modules: int) -> None:
-        """The space around a controller with its hand-set gains.
-
-        Raises:
-            OctarmError: if it has no gain that can be tuned.
-        """
+        """The space around a controller with its hand-set gains, one at least to be tuned."""
         self.gains, self.knobs = gains_of(controller), controller.knobs()
         slides, every = np.repeat([1.0, 0.0], modules), np.ones(2 * modules)
         self.unknowns: list[Unknown] = []
@@ -95,11 +89,7 @@ class Space:
         return {name: gain for name, gain in self.gains.items() if name not in tuned}
 
     def at_bounds(self, candidate: np.ndarray) -> list[str]:
-        """The unknowns that are as small or as large as they may be, within 1 % of the range.
-
-        Args:
-            candidate: shape (d,).
-        """
+        """The unknowns at an end of their range, within 1 %, of a candidate of shape (d,)."""
         low, high = self.bounds.T
         ends = np.minimum(candidate - low, high - candidate) < 0.01 * (high - low)
         return [u.name for u, at_end in zip(self.unknowns, ends, strict=True) if at_end]
@@ -110,10 +100,10 @@ def gains_of(controller: Controller) -> dict[str, np.ndarray]:
 
     Arrays have shape (), or that in which the controller holds them, mostly (2N,).
     """
-    fields = {f.name: getattr(controller, f.name) for f in dataclasses.fields(controller)}  # pyright: ignore
+    values = {f.name: getattr(controller, f.name) for f in dataclasses.fields(controller)}  # pyright: ignore
     return {
         name.rstrip("_"): np.asarray(value)
-        for name, value in fields.items()
+        for name, value in values.items()
         if isinstance(value, float | np.ndarray)
     }
 
@@ -143,11 +133,7 @@ class Budget:
 
     @classmethod
     def within(cls, seconds: float) -> Budget:
-        """As many generations as the search may simulate in so many seconds [s].
-
-        Raises:
-            OctarmError: if not even one fits, or the seconds are not finite.
-        """
+        """As many generations as the search may simulate in so many seconds [s], at least one."""
         generation = cls(generations=1).search_seconds
         if not generation <= seconds < math.inf:
             raise OctarmError(
@@ -190,7 +176,7 @@ class Tuned:
         gains: all gains of the controller that are numbers, by name, shape () or (2N,).
         short: cost in each scenario of the search, shape (scenarios,) [1].
         long: cost in each scenario of the longer examination, shape (scenarios,) [1].
-        short_by_hand: likewise with the hand-set gains.
+        short_by_hand: the same with the hand-set gains, shape (scenarios,).
         long_by_hand: likewise.
         at_bounds: the unknowns that are as small or large as they were allowed to be.
     """
@@ -266,13 +252,7 @@ def tune(
 def initial_population(bounds: np.ndarray, size: int, random: np.random.Generator) -> np.ndarray:
     """The hand-set gains, and a Latin hypercube that fills the inner half of each range.
 
-    Args:
-        bounds: shape (d, 2).
-        size: number of candidates n.
-        random: what it is drawn from.
-
-    Returns:
-        Candidates, shape (n, d).
+    For bounds of shape (d, 2) and a size n these are candidates of shape (n, d).
     """
     spread = qmc.LatinHypercube(len(bounds), rng=random).random(size - 1)
     low, high = 0.5 * bounds.T
@@ -287,11 +267,7 @@ def next_generation(
 ) -> SearchState:
     """One step of differential evolution, with the settings that scipy comes with.
 
-    Args:
-        cost: of candidates, shape (n, d) to (n,).
-        bounds: shape (d, 2).
-        state: the generation before.
-        random: for this generation alone.
+    The cost takes candidates of shape (n, d) to (n,); the bounds have shape (d, 2).
     """
     known = [state.costs]  # scipy asks for the costs of the population first
 
@@ -335,21 +311,10 @@ class StateFile:
 
     def write(self, state: SearchState) -> None:
         """Replaces the file, whole or not at all."""
-        generation, population, costs = state
-        content = _StateContent(
-            settings=self._settings,
-            generation=generation,
-            population=population.tolist(),
-            costs=costs.tolist(),
-        )
-        write_text(self.path, to_json(content.model_dump()))
+        write_text(self.path, to_json({"settings": self._settings, **state._asdict()}))
 
     def read(self) -> SearchState:
-        """The state.
-
-        Raises:
-            OctarmError: if there is none, or it belongs to another search.
-        """
+        """The state; raises OctarmError if there is none, or it belongs to another search."""
         if not self.path.exists():
             raise OctarmError(f"there is nothing to resume: {self.path} does not exist")
         content = read_json(self.path).read(_StateContent)
@@ -359,9 +324,8 @@ class StateFile:
                     f"{self.path} belongs to a search with another {key}; go on with that one, or "
                     "delete the file"
                 )
-        return SearchState(
-            content.generation, np.array(content.population), np.array(content.costs)
-        )
+        population, costs = np.array(content.population), np.array(content.costs)
+        return SearchState(content.generation, population, costs)
 
 
 def settings(controller: str, space: Space, budget: Budget, seed: int) -> dict[str, Any]:

@@ -48,7 +48,7 @@ from octarm.references import named_reference
 from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import simulate
-from octarm.sweeps.progress import ArmSeconds
+from octarm.sweeps.progress import arm_seconds
 
 SLIDE_SCALE = 0.0175  # A [m]
 BEND_SCALE = 0.3  # A [rad]
@@ -67,7 +67,7 @@ FORMULA = (
 _ENTROPY = int.from_bytes(b"tuning", "big")
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Scenario:
     """What a controller is tried on.
 
@@ -83,12 +83,12 @@ class Scenario:
 
 
 SCENARIOS = (
-    Scenario(reference="sine", mismatch=-0.3, noise=0.0),
-    Scenario(reference="multi-sine", mismatch=0.0, noise=0.0),
-    Scenario(reference="sine", mismatch=0.3, noise=0.0),
-    Scenario(reference="multi-sine", mismatch=-0.3, noise=0.4),
-    Scenario(reference="sine", mismatch=0.0, noise=0.4),
-    Scenario(reference="multi-sine", mismatch=0.3, noise=0.4),
+    Scenario("sine", -0.3, noise=0.0),
+    Scenario("multi-sine", 0.0, noise=0.0),
+    Scenario("sine", 0.3, noise=0.0),
+    Scenario("multi-sine", -0.3, noise=0.4),
+    Scenario("sine", 0.0, noise=0.4),
+    Scenario("multi-sine", 0.3, noise=0.4),
 )
 
 
@@ -143,9 +143,6 @@ def costs(
         candidates: gains with a row for each of them, shapes (n, 1) or (n, 2N).
         progress: called with the seconds that have been simulated since the last call, all arms
             counted.
-
-    Raises:
-        OctarmError: if a controller cannot be made.
     """
     n, scenarios = len(next(iter(candidates.values()))), examination.scenarios
 
@@ -154,13 +151,10 @@ def costs(
         return np.tile(values, n)
 
     true = nominal_parameters()
-    rest = equilibrium(true)
-    names = list(dict.fromkeys(scenario.reference for scenario in scenarios))
+    names = list(dict.fromkeys(s.reference for s in scenarios))
+    motions = [named_reference(name, equilibrium(true)) for name in names]
     environment = load(
-        EachItsOwn(
-            [named_reference(name, rest) for name in names],
-            each([names.index(scenario.reference) for scenario in scenarios]),
-        ),
+        EachItsOwn(motions, each([names.index(s.reference) for s in scenarios])),
         disturbances=[
             BandLimitedNoise(ratio=each([s.noise for s in scenarios])[:, None]),
             Saturation(limit=template_model().actuator_ctrlrange[:, 1]),
@@ -170,18 +164,18 @@ def costs(
     )
     nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
     gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}
-    seconds = ArmSeconds(environment, examination.duration, progress)
     observer = _Observer(examination, environment.control_timestep(), environment.physics)
+    with arm_seconds(environment, examination.duration, progress) as seconds:
 
-    def observe(instant: Instant) -> None:
-        observer(instant)
-        seconds(instant)
+        def observe(instant: Instant) -> None:
+            observer(instant)
+            seconds(instant)
 
-    simulate(environment, factory(nominal, gains), examination.duration, observe)
-    seconds.finish()
+        simulate(environment, factory(nominal, gains), examination.duration, observe)
     return observer.costs(true).reshape(n, len(scenarios))
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class EachItsOwn:
     """A desired motion for each arm of a batch, out of a few.
 
@@ -190,9 +184,8 @@ class EachItsOwn:
         choice: which of them each arm has, shape (n,).
     """
 
-    def __init__(self, motions: Sequence[Motion], choice: np.ndarray) -> None:
-        self.motions = tuple(motions)
-        self.choice = np.asarray(choice)
+    motions: Sequence[Motion]
+    choice: np.ndarray
 
     def __call__(self, t: float) -> Reference:
         """What the arms shall do at time t [s], shapes (n, 2N)."""

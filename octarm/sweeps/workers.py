@@ -12,7 +12,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Generator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
 from typing import Any
@@ -27,8 +27,8 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-class WorkerProcesses(Executor):
-    """Processes of one thread each, every one in a pool of its own.
+class WorkerProcesses(ThreadPoolExecutor):
+    """Processes of one thread each, and for each of them a thread that waits for its answers.
 
     When a process dies, only the call that it was at fails, with a `BrokenProcessPool`; another
     one takes its place. When the process that made them dies, all of them end.
@@ -36,29 +36,32 @@ class WorkerProcesses(Executor):
 
     def __init__(self, workers: int) -> None:
         """So many processes, each started when there is a call for it."""
-        self._workers: list[_Worker | None] = [None] * workers
+        super().__init__(workers, initializer=_block_interrupts)
+        self._processes: dict[int, _Process] = {}
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Has the process with the fewest calls call a function."""
-        loads = [worker.load() if worker else 0 for worker in self._workers]
-        i = loads.index(min(loads))
-        worker = self._workers[i]
-        if worker is not None:
-            with contextlib.suppress(BrokenProcessPool):
-                return worker.submit(fn, *args, **kwargs)
-            worker.kill()
-        worker = self._workers[i] = _Worker()
-        return worker.submit(fn, *args, **kwargs)
+        """Has the next process that is free call a function."""
+        return super().submit(lambda: self._start(fn, *args, **kwargs).result())
+
+    def _start(self, fn: Callable[..., Any], *args: Any, **kwargs: Any) -> Future[Any]:
+        """Has the process of this thread call a function; a new one if it has none that lives."""
+        thread = threading.get_ident()
+        with contextlib.suppress(KeyError, BrokenProcessPool):
+            return self._processes[thread].submit(fn, *args, **kwargs)
+        self._processes[thread] = _Process()
+        return self._processes[thread].submit(fn, *args, **kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Ends the processes when they have done what they were asked for."""
-        for worker in filter(None, self._workers):
-            worker.pool.shutdown(wait, cancel_futures=cancel_futures)
+        super().shutdown(wait, cancel_futures=cancel_futures)
+        for process in self._processes.values():
+            process.shutdown(wait)
 
     def kill(self) -> None:
         """Ends the processes at once."""
-        for worker in filter(None, self._workers):
-            worker.kill()
+        super().shutdown(wait=False, cancel_futures=True)
+        for process in list(self._processes.values()):
+            process.lifeline.close()
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None:
@@ -66,28 +69,19 @@ class WorkerProcesses(Executor):
         self.shutdown()
 
 
-class _Worker:
+class _Process(ProcessPoolExecutor):
     """A process, which lives no longer than its lifeline is open."""
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")  # threads and forks do not go together
-        end, self._lifeline = context.Pipe(duplex=False)
-        self.pool = ProcessPoolExecutor(1, context, _prepare, (end,))
-        self._futures: list[Future[Any]] = []
+        end, self.lifeline = context.Pipe(duplex=False)
+        super().__init__(1, context, _prepare, (end,))
 
-    def load(self) -> int:
-        """Number of calls that are not done."""
-        self._futures = [future for future in self._futures if not future.done()]
-        return len(self._futures)
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        with _without_interrupts():
-            future = self.pool.submit(fn, *args, **kwargs)
-        self._futures.append(future)
-        return future
-
-    def kill(self) -> None:
-        self._lifeline.close()
+def _block_interrupts() -> None:
+    """Processes that this thread starts do not see Ctrl-C, not even while they begin."""
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
 def _prepare(lifeline: Connection) -> None:
@@ -106,23 +100,10 @@ def _prepare(lifeline: Connection) -> None:
 
 
 @contextlib.contextmanager
-def _without_interrupts() -> Generator[None]:
-    """Processes that are started here do not see Ctrl-C, not even while they begin."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextlib.contextmanager
 def dask_cluster(address: str, workers: int) -> Generator[tuple[Executor, Callable[[], int]]]:
     """An executor on a dask cluster, and how many calls it has use for at a time.
 
-    dask itself repeats what a worker was at when it died.
+    dask itself repeats what a worker was at when it died. Raises OSError if nobody answers.
 
     Args:
         address: of a scheduler, such as `tcp://10.0.0.1:8786`; or `local` for a cluster of this
@@ -146,16 +127,15 @@ def dask_cluster(address: str, workers: int) -> Generator[tuple[Executor, Callab
             logger = logging.getLogger(f"distributed{name}")
             stack.callback(logger.setLevel, logger.level)
             logger.setLevel(level)
+        target: Any = address
         if address == "local":
-            local: Any = distributed.LocalCluster(
+            cluster: Any = distributed.LocalCluster(
                 n_workers=workers,
                 threads_per_worker=1,
                 host="127.0.0.1",
                 dashboard_address="127.0.0.1:0",  # a port that is free
             )
-            target: Any = stack.enter_context(local)
-        else:
-            target = address
+            target = stack.enter_context(cluster)
         try:
             client: Any = stack.enter_context(distributed.Client(target, set_as_default=False))
         except (OSError, ValueError) as error:
