@@ -103,10 +103,10 @@ def _recordings(folders: tuple[Path, ...]) -> Generator[list[Path]]:
         raise OctarmError(f"{len(folders)} runs are given; replay shows one, or two side by side")
     with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
         if len(folders) == 2:
-            from octarm.recordings.comparison import Run, write_comparison
+            from octarm.recordings.comparison import write_comparison
 
             both = Path(scratch) / "comparison.rrd"
-            write_comparison(both, *(Run(*_rows_of(folder)) for folder in folders))
+            write_comparison(both, *(_rows_of(folder) for folder in folders))
             yield [both]
         elif (folders[0] / _SWEEP).is_file():
             yield _of_sweep(folders[0], Path(scratch))

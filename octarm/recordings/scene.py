@@ -128,8 +128,9 @@ class Scene:
             frames["world/disturbance"] = _columns(rr.Arrows3D, vectors=vectors, origins=origins)
         return frames
 
-    def view(self, name: str, *, origin: str = "world") -> rrb.Spatial3DView:
+    def view(self, name: str, root: str = "") -> rrb.Spatial3DView:
         """A camera in front of the arm, a little to the side, the same for every run of it."""
+        origin = f"{root}world"
         reach = 1.12 * self._length + self._width
         middle = np.array([0.0, 0.0, 0.5 * self._width - 0.5 * reach])
         position = middle + 1.05 * reach * np.array([0.33, -0.94, -0.03])
