@@ -210,9 +210,7 @@ def bounds_of(description: Mapping[str, Any], layer: np.ndarray | None) -> dict[
     s = e' + lambda e, by which the layer bounds the error, |e| <= phi / lambda, and `E_max`, onto
     which the gain E is projected. This is the only place where recorded gains are interpreted.
 
-    Args:
-        description: of the run, as `run.json` has it.
-        layer: half width phi of the boundary layer, shape (2N,) [m/s], [rad/s], if there is one.
+    The layer has shape (2N,) [m/s], [rad/s]; `description` is what `run.json` has of the run.
     """
     gains = description.get("controller", {}).get("gains", {})
     shape = (len(coordinates_of(description).names),)
@@ -245,12 +243,10 @@ class Phases:
     def __init__(
         self, names: Sequence[str], layer: np.ndarray | None, limit: np.ndarray | None
     ) -> None:
-        """Starts before the first row of a run.
+        """Starts before the first row of a run, given the names of the coordinates.
 
-        Args:
-            names: of the coordinates.
-            layer: half width phi of the boundary layer, shape (2N,) [m/s], [rad/s], if any.
-            limit: of the inputs, shape (2N,) [N], if there is one.
+        The half width phi of the boundary layer has shape (2N,) [m/s], [rad/s], the limit of the
+        inputs shape (2N,) [N].
         """
         self._names, self._layer, self._limit = names, layer, limit
         self._start: np.ndarray | None = None  # sign of s

@@ -116,8 +116,10 @@ class _Drawing:
             channel = self._channels[name]
             for part, where in channel.parts.items():
                 label = f"{title or channel.title}{', ' if part else ''}{part}{channel.units[part]}"
-                names = enumerate(channel.names[where])
-                styles = [{"color": _color(i), "label": _symbol(name)} for i, name in names]
+                styles = [
+                    {"color": COLORS[i % len(COLORS)], "label": _symbol(name)}
+                    for i, name in enumerate(channel.names[where])
+                ]
                 yield _Panel(channel, where, label, styles, desired)
 
     def _inputs(self) -> Iterator[_Panel]:
@@ -126,7 +128,7 @@ class _Drawing:
         for i in range(len(channel.names) // 2):
             label = f"$\\tau$, module {i + 1}{channel.units['']}"
             styles = [
-                {"color": _color(i), "label": f"column {a}", "linestyle": line}
+                {"color": COLORS[i % len(COLORS)], "label": f"column {a}", "linestyle": line}
                 for a, line in ((1, "-"), (2, "--"))
             ]
             yield _Panel(channel, slice(2 * i, 2 * i + 2), label, styles)
@@ -199,10 +201,6 @@ def _thinned(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows = (np.sort(both, axis=1) + starts[:, None]).ravel()
     rows = np.concatenate([[0], rows, np.arange(whole, len(t))])
     return t[rows], y[rows]
-
-
-def _color(i: int) -> str:
-    return COLORS[i % len(COLORS)]
 
 
 def _symbol(name: str) -> str:

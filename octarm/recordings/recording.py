@@ -118,8 +118,7 @@ class RunRecording:
             stream: where it goes.
             path: of the file, for error messages.
             description: what `run.json` will hold, as far as it is known.
-            disturbed: whether the disturbances' force is recorded; if None, whether the description
-                lists any.
+            disturbed: whether the disturbances' force is recorded; if None, if any are listed.
             root: entity, with a slash at its end, below which everything stands. With one there is
                 no blueprint, and the recording is not named after the run.
 
@@ -165,8 +164,8 @@ class RunRecording:
         with rerun_errors(self._path):
             if not self._count:
                 self._begin(rows, layer)
-            count, t = len(rows["t"]), rows["t"]
-            frames = np.arange(self._count, self._count + count) % self._stride == 0
+            t, count = rows["t"], self._count + len(rows["t"])
+            frames = np.arange(self._count, count) % self._stride == 0
             self._log_signals(rows, frames)
             frames &= drawable(rows["q"]) & drawable(rows["q_d"])
             if frames.any():
@@ -178,7 +177,7 @@ class RunRecording:
             while self._events and self._events[0][0] <= t[-1]:
                 at, lane, text = self._events.pop(0)
                 self._log_state(lane, [(at, text)])
-            self._count, self._end = self._count + count, float(t[-1])
+            self._count, self._end = count, float(t[-1])
             if self._count >= self._next_picture:  # what a killed run leaves has one too
                 self._next_picture = 4 * self._count
                 self._draw_rules()

@@ -66,7 +66,9 @@ def serve(paths: Iterable[Name], ready: Callable[[str], object]) -> None:
     """
     files, port = [_existing(path) for path in paths], _free_port()
     with _running(["--serve-web", "--web-viewer-port", str(port), *files]) as viewer:
-        while not _answers(port):
+        while True:
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+                break
             viewer.pause(30.0)
         query = urllib.parse.urlencode({"url": viewer.url})
         data_port = urllib.parse.urlsplit(viewer.url.removeprefix("rerun+")).port or 0
@@ -98,15 +100,19 @@ def screenshot(
         timeout: for how long the viewer may do nothing, see `_Viewer.pause` [s].
 
     Raises:
-        OctarmError: if the recording does not exist, there is no Vulkan driver, or the viewer
-            fails.
+        OctarmError: if the recording is missing, or it cannot be drawn on this machine.
         OSError: if the picture cannot be written.
     """
     files = [_existing(path) for path in (*others, recording)]
     window = ["--headless", "--window-size", f"{size[0]}x{size[1]}"]
     with whole_file(png) as part, _running([*window, *files]) as viewer:
         try:
-            picture = _capture(viewer, time, timeout)
+            while (client := viewer.client(time)) is None:
+                viewer.pause(timeout)
+            before, picture = b"", client.take_screenshot()
+            while not picture or picture != before:  # plots glide to their ranges at first
+                viewer.pause(timeout)
+                before, picture = picture, client.take_screenshot()
         except (OctarmError, OSError, RuntimeError) as error:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 viewer.process.wait(1.0)  # a viewer that is ending may not be gone yet
@@ -123,7 +129,7 @@ def rescue(partial: Name, path: Name) -> None:
     Raises:
         OctarmError: if nothing can be read.
     """
-    from octarm.recordings.rrd import time_axes  # imports rerun, which takes half a second
+    from octarm.recordings.rrd import time_axes
 
     with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
         whole = os.path.join(scratch, "whole.rrd")
@@ -209,17 +215,6 @@ class _Viewer:
         return client
 
 
-def _capture(viewer: _Viewer, time: float | None, patience: float) -> bytes:
-    """A picture of what the viewer shows once it has come to rest, as PNG."""
-    while (client := viewer.client(time)) is None:
-        viewer.pause(patience)
-    before, image = b"", client.take_screenshot()
-    while not image or image != before:  # plots glide to their ranges at first
-        viewer.pause(patience)
-        before, image = image, client.take_screenshot()
-    return image
-
-
 @contextlib.contextmanager
 def _running(arguments: list[str]) -> Generator[_Viewer]:
     """A running viewer, ended on leaving."""
@@ -240,8 +235,7 @@ def _running(arguments: list[str]) -> Generator[_Viewer]:
 def _rrd(recording: Name, *arguments: str) -> None:
     """Runs a command of rerun on a recording."""
     command = [str(_executable()), "rrd", *arguments]
-    done = subprocess.run(command, capture_output=True, env=_environment(), check=False)
-    if done.returncode:
+    if subprocess.run(command, capture_output=True, env=_environment(), check=False).returncode:
         raise OctarmError(f"nothing can be read of {recording}")
 
 
@@ -269,13 +263,6 @@ def _free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
-
-
-def _answers(port: int) -> bool:
-    """Whether something on this machine accepts connections at the port."""
-    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
-        return True
-    return False
 
 
 @contextlib.contextmanager
