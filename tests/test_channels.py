@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from recordings import described, layer, swinging
 
-from octarm.recordings.channels import bounds_of, channels_of
+from octarm.recordings.channels import Phases, bounds_of, channels_of
 from octarm.recordings.heat_map import HeatMap
 from octarm.recordings.notes import notes_of, title_of
-from octarm.recordings.phases import Phases
 
 LIMITS = [("saturation", 20.0), ("saturation-2", 15.0)]
 

@@ -7,14 +7,14 @@ import pytest
 import rerun as rr
 from recordings import described, entities, fields, swinging
 
-from octarm.recordings.comparison import Run, difference, write_comparison
+from octarm.recordings.comparison import difference, write_comparison
 
 
 def test_it_holds_both_runs_and_the_difference_of_their_errors(tmp_path):
     first, second = swinging(rows=2500), swinging(rows=2000)
     second = dataclasses.replace(second, q=second.q + 0.01)
     path = tmp_path / "both.rrd"
-    write_comparison(path, Run(first, described()), Run(second, described()))
+    write_comparison(path, (first, described()), (second, described()))
     for root, run in (("A", first), ("B", second)):
         assert f"/{root}/world/tube" in entities(path)
         found = fields(path, f"/{root}/signals", "signals")
@@ -38,7 +38,5 @@ def test_another_rate_is_interpolated():
 
 def test_arms_of_other_sizes_are_refused(tmp_path):
     with pytest.raises(ValueError, match="3 and 2 modules"):
-        write_comparison(
-            tmp_path / "x.rrd", Run(swinging(), described()), Run(swinging(2), described(2))
-        )
+        write_comparison(tmp_path / "x.rrd", (swinging(), described()), (swinging(2), described(2)))
     assert list(tmp_path.iterdir()) == []

@@ -18,7 +18,7 @@ from recordings import described, swinging
 from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import OctarmError
 from octarm.recordings import viewer
-from octarm.recordings.comparison import Run, write_comparison
+from octarm.recordings.comparison import write_comparison
 from octarm.recordings.recording import write_recording
 from octarm.recordings.viewer import open_viewer, screenshot
 from octarm.simulation.trajectory import Trajectory
@@ -204,7 +204,7 @@ def test_every_kind_of_run_opens_without_warnings(picture, tmp_path, name, run, 
 
 def test_a_comparison_opens_without_warnings(picture, tmp_path):
     path = tmp_path / "both.rrd"
-    run = Run(swinging(rows=600), described())
+    run = (swinging(rows=600), described())
     write_comparison(path, run, run)
     assert shown_views(path) >= 10
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from octarm.commands.redraw import rows_of, say_partial
 from octarm.errors import ExitCode, OctarmError
 from octarm.recordings import viewer
-from octarm.recordings.comparison import Run, write_comparison
+from octarm.recordings.comparison import write_comparison
 from octarm.runs import folder as runs
 
 _SWEEP = "manifest.json"  # a folder with it is a sweep
@@ -53,7 +53,7 @@ def _recordings(folders: Sequence[Path]) -> Generator[list[Path]]:
     with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
         if len(folders) == 2:
             both = Path(scratch) / "comparison.rrd"
-            write_comparison(both, *(Run(*rows_of(folder)) for folder in folders))
+            write_comparison(both, *(rows_of(folder) for folder in folders))
             yield [both]
         elif (folders[0] / _SWEEP).is_file():
             yield _of_sweep(folders[0], Path(scratch))

@@ -1,4 +1,4 @@
-"""What a run holds, as named channels with units and bounds.
+"""What a run holds, as named channels with units and bounds, and the phases that it goes through.
 
 A channel is what is recorded and plotted together: an array of the loop or a signal of the
 controller. The names of its numbers suit the columns of a table: `theta1`, `column_2_3`, or `s1_4`
@@ -13,7 +13,7 @@ recorded with single precision; the gain E, which adapts slowly, also with singl
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -23,27 +23,17 @@ from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import from_entry
 from octarm.interfaces import Rows
 
-Kind = Literal["coordinates", "inputs", "scalar", "list", "rules"]
-
 # The fields of `Rows` that the loop itself provides; all others are the controller's signals.
 _LOOP = ("t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance")
 
 
 class _Meaning(NamedTuple):
-    """What is known of a channel by its name.
+    """What is known of a channel by its name."""
 
-    Attributes:
-        units: of a group of coordinates, by the unit of the coordinates; one unit under "" for a
-            channel that is not of coordinates.
-        title: in words; the channel's name when empty.
-        single: whether single precision is enough.
-        slow: whether 60 rows a second are enough.
-    """
-
-    units: Mapping[str, str] = {}
+    units: Mapping[str, str] = {}  # by the unit of the coordinates; under "" for other channels
     title: str = ""
-    single: bool = False
-    slow: bool = False
+    single: bool = False  # whether single precision is enough
+    slow: bool = False  # whether 60 rows a second are enough
 
 
 _LENGTH, _RATE = {"m": "m", "rad": "rad"}, {"m": "m/s", "rad": "rad/s"}
@@ -106,7 +96,7 @@ class Channel(NamedTuple):
 
     name: str
     field: str
-    kind: Kind
+    kind: Literal["coordinates", "inputs", "scalar", "list", "rules"]
     names: Sequence[str]
     parts: Mapping[str, slice]
     units: Mapping[str, str]
@@ -146,11 +136,7 @@ def coordinates_of(description: Mapping[str, Any]) -> Coordinates:
 
 
 def disturbances_of(description: Mapping[str, Any]) -> dict[str, Disturbance]:
-    """The disturbances that `run.json` lists, by the names of their entries.
-
-    Raises:
-        OctarmError: if one of them is unknown.
-    """
+    """The disturbances that `run.json` lists, by the names of their entries."""
     return {entry["name"]: from_entry(entry) for entry in description.get("disturbances", [])}
 
 
@@ -169,23 +155,26 @@ def channels_of(
     count = len(coordinates.names)
     channels: dict[str, Channel] = {}
 
-    def add(field: str, kind: Kind, names: Sequence[str] = (), name: str = "") -> None:
-        name = name or _identifier(field, channels)
-        units, parts = _known(name).units, {"": slice(None)}
-        of = {"": ""}
+    def add(field: str, kind: Any, names: Sequence[str] = (), name: str = "") -> None:
+        if not name:  # one of letters, digits and underscores that no other channel has
+            name = re.sub(r"\W", "_", field, flags=re.ASCII)
+            name = name if name[:1].isalpha() else f"x{name}"
+            while name in channels:
+                name += "_"
+        units, parts, of = _known(name).units, {"": slice(None)}, {"": ""}
         if kind == "coordinates":
-            parts = dict(coordinates.groups)
+            names, parts = coordinates.names, dict(coordinates.groups)
             of = {group: coordinates.units[part][0] for group, part in parts.items()}
         brackets = {part: f" [{units[of[part]]}]" if of[part] in units else "" for part in parts}
         bound = bounds.get(name)
         channels[name] = Channel(name, field, kind, names or [name], parts, brackets, bound)
 
-    add("q", "coordinates", coordinates.names)
-    add("q_d", "coordinates", coordinates.names)
-    add("", "coordinates", coordinates.names, name="error")
+    add("q", "coordinates")
+    add("q_d", "coordinates")
+    add("", "coordinates", name="error")
     add("tau", "inputs", coordinates.inputs)
     if disturbed:
-        add("disturbance", "coordinates", coordinates.names)
+        add("disturbance", "coordinates")
     for field, array in rows.items():
         shape = array.shape[1:]
         width = int(np.prod(shape))
@@ -195,7 +184,7 @@ def channels_of(
             rules = range(1, shape[1] + 1)
             add(field, "rules", [f"{name}_{k}" for name in coordinates.names for k in rules])
         elif shape == (count,):
-            add(field, "coordinates", coordinates.names)
+            add(field, "coordinates")
         elif width == 1:
             add(field, "scalar")
         else:
@@ -205,8 +194,8 @@ def channels_of(
 
 def has_sliding(channels: Mapping[str, Channel]) -> bool:
     """Whether the controller has a sliding variable s and a robust part, for each coordinate."""
-    parts = [channels.get(name) for name in ("s", "switching")]
-    return all(part is not None and part.kind == "coordinates" for part in parts)
+    kinds = [channels[name].kind for name in ("s", "switching") if name in channels]
+    return kinds == ["coordinates"] * 2
 
 
 def has_energy(channels: Mapping[str, Channel]) -> bool:
@@ -222,10 +211,7 @@ def bounds_of(description: Mapping[str, Any], layer: np.ndarray | None) -> dict[
     s = e' + lambda e, by which the layer bounds the error, |e| <= phi / lambda, and `E_max`, onto
     which the gain E is projected. This is the only place where recorded gains are interpreted.
 
-    Args:
-        description: of the run, as `run.json` has it.
-        layer: half width phi of the boundary layer, shape (2N,) [m/s], [rad/s]; None if there is
-            none.
+    The layer has shape (2N,) [m/s], [rad/s]; `description` is what `run.json` has of the run.
     """
     gains = description.get("controller", {}).get("gains", {})
     shape = (len(coordinates_of(description).names),)
@@ -246,6 +232,61 @@ def bounds_of(description: Mapping[str, Any], layer: np.ndarray | None) -> dict[
     return bounds
 
 
+class Phases:
+    """Watches a run block by block and reports the changes of phase, lane by lane.
+
+    If the controller has a robust part, the signal `switching`, a coordinate is `sliding` while
+    |s| <= phi; without a boundary layer it slides from the instant at which s first has another
+    sign than at the start. The lane `surface` is `sliding` while all coordinates are; `each/theta1`
+    is the lane of one. The lane `inputs` is `saturated` while one input is at its limit.
+    """
+
+    def __init__(
+        self, names: Sequence[str], layer: np.ndarray | None, limit: np.ndarray | None
+    ) -> None:
+        """Starts before the first row of a run, given the names of the coordinates.
+
+        The half width phi of the boundary layer has shape (2N,) [m/s], [rad/s], the limit of the
+        inputs shape (2N,) [N].
+        """
+        self._names, self._layer, self._limit = names, layer, limit
+        self._start: np.ndarray | None = None  # sign of s
+        self._reached = np.zeros(len(names), dtype=bool)
+        self._last: dict[str, bool] = {}
+
+    def changes(self, rows: Rows) -> dict[str, list[tuple[int, str]]]:
+        """The rows of this block at which a lane changes and its phase from there on, by lane."""
+        changes: dict[str, list[tuple[int, str]]] = {}
+
+        def add(lane: str, flags: np.ndarray, *words: str) -> None:
+            last = self._last.get(lane, not flags[0])
+            self._last[lane] = bool(flags[-1])
+            at = np.flatnonzero(flags != np.concatenate([[last], flags[:-1]]))
+            if at.size:
+                changes[lane] = [(int(row), words[int(flags[row])]) for row in at]
+
+        s = rows.get("s") if "switching" in rows else None  # else s is only a filtered error
+        if s is not None and s.shape[1:] == (len(self._names),):
+            sliding = self._sliding(s)
+            add("surface", np.all(sliding, axis=1), "reaching", "sliding")
+            for name, flags in zip(self._names, sliding.T, strict=True):
+                add(f"each/{name}", flags, "reaching", "sliding")
+        if self._limit is not None:
+            full = np.any(np.abs(rows["tau"]) >= self._limit, axis=1)
+            add("inputs", full, "free", "saturated")
+        return changes
+
+    def _sliding(self, s: np.ndarray) -> np.ndarray:
+        """Whether each coordinate slides, for s of shape (k, 2N)."""
+        if self._layer is not None:
+            return np.abs(s) <= self._layer
+        if self._start is None:
+            self._start = np.sign(s[0])
+        reached = np.logical_or.accumulate(s * self._start <= 0.0, axis=0) | self._reached
+        self._reached = reached[-1]
+        return reached
+
+
 def _positive(value: Any, shape: tuple[int, ...]) -> np.ndarray | None:
     """The value broadcast to this shape if it is made of positive, finite numbers, else None."""
     try:
@@ -257,12 +298,3 @@ def _positive(value: Any, shape: tuple[int, ...]) -> np.ndarray | None:
 
 def _known(name: str) -> _Meaning:
     return _MEANINGS.get(name, _Meaning())
-
-
-def _identifier(field: str, taken: Collection[str]) -> str:
-    """A name of letters, digits and underscores for a field that no other channel has."""
-    name = re.sub(r"\W", "_", field, flags=re.ASCII)
-    name = name if name[:1].isalpha() else f"x{name}"
-    while name in taken:
-        name += "_"
-    return name

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import rerun as rr
 
 from octarm.recordings.channels import Channel
-from octarm.recordings.rrd import times
 
 WIDTH, ROW, GAP, LEFT = 720, 7, 6, 108  # of the picture [pixel]
 _LOW, _ZERO, _HIGH = (64, 156, 255), (18, 21, 27), (255, 159, 67)
@@ -43,17 +44,17 @@ class HeatMap:
         It is the change since the first instant: blue below zero, orange above; the brightest is
         the largest change of the coordinate.
         """
-        changes = self._changes()
-        shade = (changes / np.maximum(_largest(changes)[:, None, None], 1e-300))[..., None]
+        changes, largest = self._changes()
+        shade = (changes / np.maximum(largest[:, None, None], 1e-300))[..., None]
         toward = np.where(shade > 0.0, _HIGH, _LOW)
         colors = np.array(_ZERO) + np.abs(shade) * (toward - np.array(_ZERO))
         gap = np.full((self._coordinates, GAP, WIDTH, 3), 45.0)
         bands = np.concatenate([np.repeat(colors, ROW, axis=1), gap], axis=1)
         return bands.reshape(-1, WIDTH, 3)[:-GAP].astype(np.uint8)
 
-    def log(self, stream: rr.RecordingStream, entity: str) -> None:
-        """Records the picture, the names of the coordinates, and marks on the time axis."""
-        picture, largest = self.picture(), _largest(self._changes())
+    def looks(self) -> dict[str, Any]:
+        """The picture, and the names of the coordinates and marks on the time axis, by entity."""
+        picture, (_, largest) = self.picture(), self._changes()
         low, rules = len(picture), len(self._channel.names) // self._coordinates
         band = (low + GAP) / self._coordinates
         names = [name.rsplit("_", 1)[0] for name in self._channel.names[::rules]]
@@ -65,33 +66,26 @@ class HeatMap:
         points = rr.Points2D(
             places, labels=labels, radii=0.01, colors=[200, 208, 218], show_labels=True
         )
-        stream.log(f"{entity}/picture", rr.Image(picture), static=True)
-        stream.log(f"{entity}/names", points, static=True)
+        return {"picture": rr.Image(picture), "names": points}
 
-    def log_cursor(self, stream: rr.RecordingStream, entity: str) -> None:
-        """Records the line that shows the time; it serves all heat maps of a run."""
+    def cursor(self) -> tuple[np.ndarray, Any]:
+        """Instants, shape (k,) [s], and at each the line across all heat maps that shows it."""
         low = height(len(self._channel.names), self._coordinates)
         t = np.array(self._t)[:: -(-len(self._t) // WIDTH)]
         x = self._across(t)
         ends = [np.stack([x, 0 * x + y], axis=-1) for y in (-4.0, low + 4.0)]
-        stream.log(entity, rr.LineStrips2D.from_fields(colors=0xFFFFFFFF, radii=0.8), static=True)
-        strips = np.stack(ends, axis=1).astype(np.float32)
-        stream.send_columns(entity, times(t), rr.LineStrips2D.columns(strips=strips))
+        return t, rr.LineStrips2D.columns(strips=np.stack(ends, axis=1).astype(np.float32))
 
-    def _changes(self) -> np.ndarray:
-        """The change since the first instant, shape (coordinates, rules, WIDTH)."""
+    def _changes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Changes since the first instant, shape (coordinates, rules, WIDTH), and the largest."""
         values = np.nan_to_num(np.stack(self._rows))
         index = np.round(np.linspace(0, len(values) - 1, WIDTH)).astype(int)
-        return (values[index] - values[0]).T.reshape(self._coordinates, -1, WIDTH)
+        changes = (values[index] - values[0]).T.reshape(self._coordinates, -1, WIDTH)
+        return changes, np.max(np.abs(changes), axis=(1, 2))
 
     def _across(self, t: np.ndarray) -> np.ndarray:
         """Where instants [s] stand in the picture [pixel]."""
         return (t - self._t[0]) / max(self._t[-1] - self._t[0], 1e-9) * WIDTH
-
-
-def _largest(changes: np.ndarray) -> np.ndarray:
-    """The largest change of each coordinate, shape (coordinates,)."""
-    return np.max(np.abs(changes), axis=(1, 2))
 
 
 def _round_instants(start: float, end: float) -> list[float]:

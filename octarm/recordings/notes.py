@@ -57,7 +57,8 @@ def notes_of(description: Mapping[str, Any]) -> dict[str, str]:
     parts.append(f"## What is drawn\n\n{' '.join(_REMARK.split())}")
     pages = {"notes": "\n\n".join(parts)}
     if description.get("disturbances"):
-        pages["ledger"] = _ledger(description["disturbances"])
+        entries = map(_ledger, description["disturbances"])
+        pages["ledger"] = "\n\n".join(["# Disturbances", *entries])
     return pages
 
 
@@ -68,16 +69,12 @@ def _metrics(description: Mapping[str, Any]) -> str:
     for name, values in description["metrics"].items():
         numbers = cast(list[Any], values) if isinstance(values, list) else [values]
         texts = [_text(x) for x in numbers] + [""] * len(names)
-        rows.append([name, *texts[: len(names)], *_meaning(name)])
+        units = text = ""
+        if meaning := METRICS.get(name):
+            units = ", ".join(meaning.units)
+            text = re.sub(r"\|([^|]+)\|", r"abs(\1)", meaning.text)
+        rows.append([name, *texts[: len(names)], units, text])
     return _table(["", *names, "unit", ""], rows)
-
-
-def _meaning(metric: str) -> tuple[str, str]:
-    """The units of a metric and what it is; empty if it is not known."""
-    meaning = METRICS.get(metric)
-    if meaning is None:
-        return "", ""
-    return ", ".join(meaning.units), re.sub(r"\|([^|]+)\|", r"abs(\1)", meaning.text)
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -85,19 +82,16 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def _ledger(disturbances: Sequence[Mapping[str, Any]]) -> str:
-    """What each disturbance was asked to do and what was delivered."""
-    parts = ["# Disturbances"]
-    for entry in disturbances:
-        delivered = entry.get("delivered")
-        text = "not known yet" if delivered is None else _pairs(delivered) or "nothing"
-        asked = _pairs(entry["asked"])
-        parts.append(f"**{entry['name']}**\n\n- asked: {asked}\n- delivered: {text}")
-    return "\n\n".join(parts)
-
-
-def _pairs(table: Mapping[str, Any]) -> str:
-    return "; ".join(f"{name} {_text(v)}" for name, v in table.items() if v is not None)
+def _ledger(entry: Mapping[str, Any]) -> str:
+    """What a disturbance was asked to do and what was delivered."""
+    asked, delivered = (
+        None
+        if table is None
+        else "; ".join(f"{name} {_text(x)}" for name, x in table.items() if x is not None)
+        for table in (entry["asked"], entry.get("delivered"))
+    )
+    delivered = "not known yet" if delivered is None else delivered or "nothing"
+    return f"**{entry['name']}**\n\n- asked: {asked}\n- delivered: {delivered}"
 
 
 def _text(value: Any) -> str:

@@ -24,7 +24,6 @@ Figure = Any
 COLORS = ["#d1660a", "#1f6fb5", "#2a9461", "#b8408f", "#a08a10", "#6a55c8", "#1b8f8f", "#c24a3a"]
 _MOST = 4000  # points a curve; of more only the extremes of each stretch are drawn
 _INSTANTS = 1500  # of a heat map at most
-_LEGEND = {"handlelength": 1.4, "borderaxespad": 0.2}
 _STYLE: Any = {
     "font.size": 8,
     "axes.titlesize": 8,
@@ -54,13 +53,8 @@ def write_figures(
     There are always `tracking`, `error` and `inputs`; `sliding` if the controller has a sliding
     variable, `adaptation` if it adapts, `disturbance` if something pushed the arm.
 
-    Args:
-        folder: where to.
-        run: of one arm.
-        description: what `run.json` holds.
-
     Returns:
-        The files.
+        The files of the run of one arm, of which `description` is what `run.json` holds.
 
     Raises:
         OSError: if a file cannot be written.
@@ -81,22 +75,13 @@ def write_figures(
 
 
 class _Panel(NamedTuple):
-    """One pair of axes: some of the numbers of a channel over time.
-
-    Attributes:
-        channel: the numbers.
-        part: which of them.
-        label: of the y axis.
-        styles: colour of each, and label and line style if it has them.
-        desired: whether q_d is drawn as well.
-        logarithmic: whether the y axis is.
-    """
+    """One pair of axes: some of the numbers of a channel over time."""
 
     channel: Channel
     part: slice
     label: str
-    styles: Sequence[Mapping[str, str]]
-    desired: bool = False
+    styles: Sequence[Mapping[str, str]]  # colour, and label and line style if there are any
+    desired: bool = False  # whether q_d is drawn as well
     logarithmic: bool = False
 
 
@@ -115,7 +100,11 @@ class _Drawing:
         yield "error", self._figure(self._panels("error"))
         yield "inputs", self._figure(self._inputs(), height=1.35)
         if "s" in self._channels:
-            yield "sliding", self._figure([*self._panels("s", "$s$"), *self._energy()])
+            panels = list(self._panels("s", "$s$"))
+            if has_energy(self._channels):
+                V, style = self._channels["V"], {"color": "#333333"}
+                panels.append(_Panel(V, slice(None), "$V$ [J]", [style], logarithmic=True))
+            yield "sliding", self._figure(panels)
         if rules:
             yield "adaptation", self._figure([*rules, *self._panels("E", "$E$")], height=1.5)
         if "disturbance" in self._channels:
@@ -127,8 +116,10 @@ class _Drawing:
             channel = self._channels[name]
             for part, where in channel.parts.items():
                 label = f"{title or channel.title}{', ' if part else ''}{part}{channel.units[part]}"
-                names = enumerate(channel.names[where])
-                styles = [{"color": _color(i), "label": _symbol(name)} for i, name in names]
+                styles = [
+                    {"color": COLORS[i % len(COLORS)], "label": _symbol(name)}
+                    for i, name in enumerate(channel.names[where])
+                ]
                 yield _Panel(channel, where, label, styles, desired)
 
     def _inputs(self) -> Iterator[_Panel]:
@@ -137,16 +128,10 @@ class _Drawing:
         for i in range(len(channel.names) // 2):
             label = f"$\\tau$, module {i + 1}{channel.units['']}"
             styles = [
-                {"color": _color(i), "label": f"column {a}", "linestyle": line}
+                {"color": COLORS[i % len(COLORS)], "label": f"column {a}", "linestyle": line}
                 for a, line in ((1, "-"), (2, "--"))
             ]
             yield _Panel(channel, slice(2 * i, 2 * i + 2), label, styles)
-
-    def _energy(self) -> Iterator[_Panel]:
-        """A panel of V, if the controller reports it."""
-        if has_energy(self._channels):
-            style = {"color": "#333333"}
-            yield _Panel(self._channels["V"], slice(None), "$V$ [J]", [style], logarithmic=True)
 
     def _figure(self, panels: Iterable[_Panel | Channel], height: float = 1.9) -> Figure:
         """Panels one below another; a channel of rules becomes a heat map."""
@@ -173,8 +158,7 @@ class _Drawing:
             if panel.desired:
                 ax.plot(*_thinned(self._t, y_d), color=style["color"], linewidth=3.0, alpha=0.3)
             ax.plot(*_thinned(self._t, y), **style)
-        bound = panel.channel.bound
-        for y in () if bound is None else bound.lines(panel.part):
+        for y in bound.lines(panel.part) if (bound := panel.channel.bound) else ():
             ax.axhline(y, color="#555555", linewidth=0.6, linestyle=":")
         if "label" in panel.styles[0]:
             ax.legend(
@@ -217,10 +201,6 @@ def _thinned(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows = (np.sort(both, axis=1) + starts[:, None]).ravel()
     rows = np.concatenate([[0], rows, np.arange(whole, len(t))])
     return t[rows], y[rows]
-
-
-def _color(i: int) -> str:
-    return COLORS[i % len(COLORS)]
 
 
 def _symbol(name: str) -> str:

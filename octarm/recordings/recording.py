@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,11 +27,10 @@ import rerun as rr
 from octarm.arm.parameters import ArmParameters
 from octarm.errors import OctarmError
 from octarm.interfaces import Rows
-from octarm.recordings import phases
 from octarm.recordings.blueprints import blueprint
 from octarm.recordings.channels import (
     Channel,
-    bounds_of,
+    Phases,
     channels_of,
     coordinates_of,
     disturbances_of,
@@ -40,7 +39,7 @@ from octarm.recordings.channels import (
 )
 from octarm.recordings.heat_map import HeatMap
 from octarm.recordings.notes import notes_of, title_of
-from octarm.recordings.rrd import Path, rerun_errors, rrd_file, send_table, times
+from octarm.recordings.rrd import Path, rerun_errors, rrd_file, structures, times
 from octarm.recordings.scene import Scene
 from octarm.recordings.shapes import drawable
 from octarm.simulation.trajectory import BLOCK, Trajectory
@@ -49,6 +48,15 @@ _FRAME_RATE = 60.0  # of the 3D scene [Hz]
 _FIRST_PICTURE = 20_000  # rows, after which numbers of rules are drawn although the run goes on
 _PROPERTIES = ("seed", "duration", "timestep", "control_period", "status", "digest", "command")
 _TABLES = ("controller", "parameters", "nominal", "reference", "disturbances", "metrics")
+_COLORS = {  # of the phases and of how a run ends, as hexadecimal red, green, blue, opacity
+    "running": "3E5C76FF",
+    "reaching": "E0A030FF",
+    "sliding": "48A06AFF",
+    "free": "3E5C76FF",
+    "saturated": "E05A4EFF",
+    "diverged": "E03A3AFF",
+    "interrupted": "8A6FBFFF",
+}
 
 
 def write_recording(path: Path, trajectory: Trajectory, description: Mapping[str, Any]) -> None:
@@ -82,11 +90,7 @@ def write_recording(path: Path, trajectory: Trajectory, description: Mapping[str
 def run_recording(
     path: Path, description: Mapping[str, Any], *, disturbed: bool | None = None
 ) -> Generator[RunRecording]:
-    """A recording to be written while the run goes on; see `RunRecording` and `rrd_file`.
-
-    The file is `PATH.part` until the block ends well; an error removes it. If the process is killed
-    it stays, readable up to the last block of rows.
-    """
+    """A recording to be written while the run goes on; see `RunRecording` and `rrd_file`."""
     with rrd_file(path) as stream:
         yield RunRecording(stream, path, description, disturbed=disturbed)
 
@@ -114,8 +118,7 @@ class RunRecording:
             stream: where it goes.
             path: of the file, for error messages.
             description: what `run.json` will hold, as far as it is known.
-            disturbed: whether the disturbances' force is recorded; if None, whether the description
-                lists any.
+            disturbed: whether the disturbances' force is recorded; if None, if any are listed.
             root: entity, with a slash at its end, below which everything stands. With one there is
                 no blueprint, and the recording is not named after the run.
 
@@ -128,17 +131,18 @@ class RunRecording:
         self._stream, self._path, self._root = stream, path, root
         self._description = description
         self._coordinates = coordinates_of(description)
-        self._disturbances = disturbances_of(description)
-        self._disturbed = bool(self._disturbances) if disturbed is None else disturbed
-        self.scene = Scene(parameters, list(self._disturbances.values()), disturbed=self._disturbed)
+        disturbances = disturbances_of(description)
+        self._disturbed = bool(disturbances) if disturbed is None else disturbed
+        self.scene = Scene(parameters, list(disturbances.values()), disturbed=self._disturbed)
         self.channels: dict[str, Channel] = {}
         self._heat_maps: dict[str, HeatMap] = {}
         self._lanes: set[str] = set()
         self._events = sorted(
             (event.at, name, event.text)
-            for name, disturbance in self._disturbances.items()
+            for name, disturbance in disturbances.items()
             for event in disturbance.events()
         )
+        self._eventful = len({name for _, name, _ in self._events})
         self._count, self._stride, self._next_picture = 0, 1, _FIRST_PICTURE
         self._start = self._end = self._planned = 0.0
         self._last: tuple[float, float] | None = None  # t and V
@@ -160,12 +164,20 @@ class RunRecording:
         with rerun_errors(self._path):
             if not self._count:
                 self._begin(rows, layer)
-            count, t = len(rows["t"]), rows["t"]
-            frames = np.arange(self._count, self._count + count) % self._stride == 0
+            t, count = rows["t"], self._count + len(rows["t"])
+            frames = np.arange(self._count, count) % self._stride == 0
             self._log_signals(rows, frames)
-            self._log_scene(rows, frames)
-            self._log_states(rows)
-            self._count, self._end = self._count + count, float(t[-1])
+            frames &= drawable(rows["q"]) & drawable(rows["q_d"])
+            if frames.any():
+                drawn = {x: rows[x][frames] for x in ("t", "q", "q_d", "tau", "disturbance")}
+                for entity, columns in self.scene.frames(drawn).items():
+                    self._send(entity, drawn["t"], columns)
+            for lane, changes in self._phases.changes(rows).items():
+                self._log_state(lane, [(float(t[row]), phase) for row, phase in changes])
+            while self._events and self._events[0][0] <= t[-1]:
+                at, lane, text = self._events.pop(0)
+                self._log_state(lane, [(at, text)])
+            self._count, self._end = count, float(t[-1])
             if self._count >= self._next_picture:  # what a killed run leaves has one too
                 self._next_picture = 4 * self._count
                 self._draw_rules()
@@ -192,20 +204,22 @@ class RunRecording:
 
     def _begin(self, rows: Rows, layer: np.ndarray | None) -> None:
         """Logs what the first rows tell, and what stays the same."""
-        t, names, bounds = rows["t"], self._coordinates.names, bounds_of(self._description, layer)
+        t, names = rows["t"], self._coordinates.names
         self.channels = channels_of(rows, self._description, layer, disturbed=self._disturbed)
+        bounds = {name: channel.bound for name, channel in self.channels.items() if channel.bound}
         limits = [bounds[name].values if name in bounds else None for name in ("s", "tau")]
-        self._phases = phases.Phases(names, *limits)
+        self._phases = Phases(names, *limits)
         if len(t) > 1:
             rate = (len(t) - 1) / float(t[-1] - t[0])
             self._stride = max(1, round(rate / _FRAME_RATE))
-        for name, channel in self.channels.items():
-            if channel.kind == "rules":
-                self._heat_maps[name] = HeatMap(channel, len(names))
         self._planned = float(self._description.get("duration", t[-1]))
         self._start = float(t[0])
+        rules = [channel for channel in self.channels.values() if channel.kind == "rules"]
+        self._heat_maps = {channel.name: HeatMap(channel, len(names)) for channel in rules}
+        if rules:
+            self._log("heat/now", rr.LineStrips2D.from_fields(colors=0xFFFFFFFF, radii=0.8))
         for entity, look in self.scene.looks().items():
-            self._stream.log(self._root + entity, look, static=True)
+            self._log(entity, look)
         announced = {"status": "running", **self._description, "duration": self._planned}
         self._lay_out(announced)
         self._describe(announced)
@@ -214,9 +228,9 @@ class RunRecording:
     def _lay_out(self, description: Mapping[str, Any]) -> None:
         if not self._root:
             lanes = has_sliding(self.channels) + (self.channels["tau"].bound is not None)
-            lanes += sum(bool(d.events()) for d in self._disturbances.values())
-            lanes += description.get("status", "ok") not in ("ok", "running")
-            self._stream.send_blueprint(blueprint(self.scene, self.channels, description, lanes))
+            lanes += self._eventful + (description.get("status", "ok") not in ("ok", "running"))
+            layout = blueprint(self.scene, self.channels, description, lanes)
+            self._stream.send_blueprint(layout)
 
     def _log_signals(self, rows: Rows, frames: np.ndarray) -> None:
         """Everything with a row at an instant; slow numbers only at the frames."""
@@ -231,14 +245,14 @@ class RunRecording:
                 slow |= channel.columns(values[frames])
             else:
                 full |= channel.columns(values)
-        self._send("signals", t, full | self._energy_rate(rows))
+        if has_energy(self.channels):
+            full |= self._energy_rate(rows)
+        self._send("signals", t, structures(full, "signals"))
         if slow and frames.any():
-            self._send("adaptation", t[frames], slow)
+            self._send("adaptation", t[frames], structures(slow, "adaptation"))
 
     def _energy_rate(self, rows: Rows) -> dict[str, np.ndarray]:
         """The rate of V, and its bound by (42) if the model were exact: s^T robust part [W]."""
-        if not has_energy(self.channels):
-            return {}
         t, V = rows["t"], self.channels["V"].values(rows)[:, 0]
         t_0, V_0 = self._last or (t[0], V[0])
         self._last = float(t[-1]), float(V[-1])
@@ -250,41 +264,23 @@ class RunRecording:
             columns["V_claim"] = np.sum(s * robust, axis=1).astype(np.float32)
         return columns
 
-    def _log_scene(self, rows: Rows, frames: np.ndarray) -> None:
-        frames = frames & drawable(rows["q"]) & drawable(rows["q_d"])
-        if not frames.any():
-            return
-        drawn = {name: rows[name][frames] for name in ("t", "q", "q_d", "tau", "disturbance")}
-        for entity, columns in self.scene.frames(drawn).items():
-            self._stream.send_columns(self._root + entity, times(drawn["t"]), columns)
-
     def _draw_rules(self) -> None:
         """The heat maps so far; later ones take the place of earlier ones."""
         for name, heat_map in self._heat_maps.items():
-            heat_map.log(self._stream, f"{self._root}heat/{name}")
+            for part, look in heat_map.looks().items():
+                self._log(f"heat/{name}/{part}", look)
         for heat_map in list(self._heat_maps.values())[:1]:
-            heat_map.log_cursor(self._stream, f"{self._root}heat/now")
+            self._send("heat/now", *heat_map.cursor())
 
-    def _log_states(self, rows: Rows) -> None:
-        t = rows["t"]
-        for lane, changes in self._phases.changes(rows).items():
-            self._log_state(lane, [(float(t[row]), phase) for row, phase in changes])
-        while self._events and self._events[0][0] <= t[-1]:
-            at, lane, text = self._events.pop(0)
-            self._log_state(lane, [(at, text)])
-
-    def _log_state(self, lane: str, changes: list[tuple[float, str]]) -> None:
+    def _log_state(self, lane: str, changes: Sequence[tuple[float, str]]) -> None:
         """Changes of a lane of the state timeline at times [s]."""
-        entity = f"{self._root}states/{lane}"
+        entity = f"states/{lane}"
         if lane not in self._lanes:
             self._lanes.add(lane)
-            names = list(phases.COLORS)
-            colors = [int(color + "FF", 16) for color in phases.COLORS.values()]
-            style = rr.StateConfiguration(values=names, labels=names, colors=colors)
-            self._stream.log(entity, style, static=True)
+            names, colors = list(_COLORS), [int(color, 16) for color in _COLORS.values()]
+            self._log(entity, rr.StateConfiguration(values=names, labels=names, colors=colors))
         t, states = zip(*changes, strict=True)
-        named = rr.StateChange.columns(state=list(states))
-        self._stream.send_columns(entity, times(np.array(t)), named)
+        self._send(entity, np.array(t), rr.StateChange.columns(state=list(states)))
 
     def _log_bounds(self, at: float) -> None:
         """The bounds of channels, which are lines from the first instant to the last."""
@@ -292,12 +288,7 @@ class RunRecording:
             bound, parts = channel.bound, {**self._coordinates.groups, "all": slice(None)}
             if bound is not None:
                 lines = {part: np.array([bound.lines(where)]) for part, where in parts.items()}
-                self._send(f"bounds/{name}", np.array([at]), lines, "bounds")
-
-    def _send(
-        self, entity: str, t: np.ndarray, columns: Mapping[str, np.ndarray], component: str = ""
-    ) -> None:
-        send_table(self._stream, self._root + entity, component or entity, t, columns)
+                self._send(f"bounds/{name}", np.array([at]), structures(lines, "bounds"))
 
     def _describe(self, description: Mapping[str, Any]) -> None:
         """The run's title, its properties, and its pages of text."""
@@ -310,5 +301,10 @@ class RunRecording:
             if known:
                 self._stream.send_property("run", rr.AnyValues(**known))
         for entity, text in notes_of(description).items():
-            document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
-            self._stream.log(self._root + entity, document, static=True)
+            self._log(entity, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+
+    def _log(self, entity: str, look: Any) -> None:
+        self._stream.log(self._root + entity, look, static=True)
+
+    def _send(self, entity: str, t: np.ndarray, columns: Any) -> None:
+        self._stream.send_columns(self._root + entity, times(t), columns)

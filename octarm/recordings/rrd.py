@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import pathlib
 from collections.abc import Generator, Mapping
 from typing import Any
 
@@ -30,21 +31,24 @@ def rrd_file(path: Path) -> Generator[rr.RecordingStream]:
     """
     if os.environ.get("RERUN", "on").lower() in ("0", "off", "false"):
         raise OctarmError(f"{path} cannot be recorded: RERUN={os.environ['RERUN']} is set")
-    with whole_file(path, path.with_name(path.name + ".part")) as part, _strict_mode():
-        stream = rr.RecordingStream("octarm", send_properties=False)
-        with contextlib.ExitStack() as file, rerun_errors(path):
+    named = pathlib.Path(f"{os.fspath(path)}.part")
+    with whole_file(path, named) as part, contextlib.ExitStack() as file:
+        # Without it rerun would warn of bad data, and drop it.
+        file.callback(rr.set_strict_mode, rr.strict_mode())
+        rr.set_strict_mode(True)
+        with rerun_errors(path):
+            stream = rr.RecordingStream("octarm", send_properties=False)
             # rerun itself would hang for ever on a full disk
             stream.save(file.enter_context(piped(part)))
             file.enter_context(stream)
-            opened = file.pop_all()
         try:
             yield stream
         except BaseException:
             with contextlib.suppress(Exception):  # the error is known already
-                opened.close()
+                file.close()
             raise
         with rerun_errors(path):
-            opened.close()
+            file.close()
 
 
 @contextlib.contextmanager
@@ -62,25 +66,15 @@ def times(t: np.ndarray) -> list[rr.TimeColumn]:
     return [rr.TimeColumn("t", duration=stamps)]
 
 
-def send_table(
-    stream: rr.RecordingStream,
-    entity: str,
-    component: str,
-    t: np.ndarray,
-    columns: Mapping[str, np.ndarray],
-) -> None:
-    """Logs rows as one structure of lists: one set of times makes the file half as large.
+def structures(columns: Mapping[str, np.ndarray], name: str) -> Any:
+    """Rows as one structure of lists: one set of times makes the file half as large.
 
     Args:
-        stream: where to.
-        entity: path of the entity.
-        component: name of the structure, after `octarm:`.
-        t: times, shape (k,) [s].
         columns: by name, shape (k,) for numbers, shape (k, width) for lists.
+        name: of the structure, after `octarm:`.
     """
     table = pa.StructArray.from_arrays([_lists(x) for x in columns.values()], names=list(columns))
-    structure = rr.DynamicArchetype.columns("octarm", components={component: table})
-    stream.send_columns(entity, times(t), structure)
+    return rr.DynamicArchetype.columns("octarm", components={name: table})
 
 
 def time_axes(path: Path) -> list[str]:
@@ -117,14 +111,3 @@ def _lists(values: np.ndarray) -> Any:
 
 def _first_line(error: Exception) -> str:
     return (str(error) or type(error).__name__).splitlines()[0]
-
-
-@contextlib.contextmanager
-def _strict_mode() -> Generator[None]:
-    """Lets rerun raise errors; it would otherwise warn of bad data, and drop it."""
-    before = rr.strict_mode()
-    rr.set_strict_mode(True)
-    try:
-        yield
-    finally:
-        rr.set_strict_mode(before)

@@ -50,12 +50,10 @@ class Scene:
     def __init__(
         self, parameters: ArmParameters, disturbances: Sequence[Disturbance], *, disturbed: bool
     ) -> None:
-        """The scene of an arm.
+        """The scene of one arm.
 
-        Args:
-            parameters: of one arm.
-            disturbances: of the run, which say what they carry and how they turn gravity.
-            disturbed: whether the disturbances' force is drawn.
+        The disturbances of the run say what they carry and how they turn gravity; `disturbed` says
+        whether their force is drawn.
         """
         self._modules, self._width = parameters.modules, float(parameters.width)
         self._length = float(np.sum(parameters.rest_length))
@@ -96,8 +94,8 @@ class Scene:
         if self._payloads:
             looks["world/payload"] = rr.Ellipsoids3D.from_fields(colors=_PAYLOAD, **solid)
         if self._disturbed:
-            arrows = rr.Arrows3D.from_fields(colors=_DISTURBANCE, radii=0.035 * w)
-            looks["world/disturbance"] = arrows
+            arrows = rr.Arrows3D.from_fields
+            looks["world/disturbance"] = arrows(colors=_DISTURBANCE, radii=0.035 * w)
         return looks
 
     def frames(self, rows: Rows) -> dict[str, list[Any]]:
@@ -106,16 +104,12 @@ class Scene:
         tip, desired_tip = shapes.tip(q), shapes.tip(q_d)
         last = self._last or (tip[0], desired_tip[0])
         self._last = tip[-1], desired_tip[-1]
-        tube, columns = shapes.backbone(q, shapes.TUBE_PIECES), shapes.columns(q, w)
-        ribs = shapes.backbone(q_d, shapes.RIBS)
+        tube, ribs = shapes.backbone(q, shapes.TUBE_PIECES), shapes.backbone(q_d, shapes.RIBS)
         frames = {
-            "world/tube": [*_poses(tube), *_cylinders(tube, colors=self._tube_colors(q))],
+            "world/tube": _cylinders(tube, colors=self._tube_colors(q)),
             "world/plates": _poses(shapes.plates(q)),
-            "world/columns": [
-                *_poses(columns),
-                *_cylinders(columns, **self._column_looks(rows["tau"])),
-            ],
-            "world/desired": [*_poses(ribs), *_cylinders(ribs)],
+            "world/columns": _cylinders(shapes.columns(q, w), **self._column_looks(rows["tau"])),
+            "world/desired": _cylinders(ribs),
             "world/trail": _strips(_steps(last[0], tip)),
             "world/desired_path": _strips(_steps(last[1], desired_tip)),
             "world/skeleton": _strips(shapes.skeleton(q)),
@@ -128,8 +122,9 @@ class Scene:
             frames["world/disturbance"] = _columns(rr.Arrows3D, vectors=vectors, origins=origins)
         return frames
 
-    def view(self, name: str, *, origin: str = "world") -> rrb.Spatial3DView:
+    def view(self, name: str, root: str = "") -> rrb.Spatial3DView:
         """A camera in front of the arm, a little to the side, the same for every run of it."""
+        origin = f"{root}world"
         reach = 1.12 * self._length + self._width
         middle = np.array([0.0, 0.0, 0.5 * self._width - 0.5 * reach])
         position = middle + 1.05 * reach * np.array([0.33, -0.94, -0.03])
@@ -210,7 +205,8 @@ def _poses(pieces: shapes.Pieces) -> list[Any]:
 
 def _cylinders(pieces: shapes.Pieces, **looks: np.ndarray) -> list[Any]:
     """Cylinders that overlap a little, so that there is no gap where the arm bends."""
-    return _columns(rr.Cylinders3D, lengths=_rounded(1.08 * pieces.lengths, _COARSE), **looks)
+    lengths = _rounded(1.08 * pieces.lengths, _COARSE)
+    return [*_poses(pieces), *_columns(rr.Cylinders3D, lengths=lengths, **looks)]
 
 
 def _strips(curves: np.ndarray) -> list[Any]:

@@ -48,15 +48,9 @@ def drawable(q: np.ndarray) -> np.ndarray:
 
 
 def smooth_arm(q: np.ndarray, offset: float = 0.0, points: int = 12) -> np.ndarray:
-    """The smooth arm.
+    """Points along each module, its ends included, shape (..., N, points, 3) [m].
 
-    Args:
-        q: coordinates.
-        offset: distance of the curve from the backbone, towards column 2 [m].
-        points: along each module, its ends included.
-
-    Returns:
-        Points along each module, shape (..., N, points, 3) [m].
+    The curve runs at a distance `offset` [m] from the backbone, towards column 2.
     """
     n = q.shape[-1] // 2
     end = positions(q)[..., None, :]
@@ -106,15 +100,10 @@ def skeleton(q: np.ndarray) -> np.ndarray:
 
 
 def force_arrows(q: np.ndarray, force: np.ndarray, rim: float) -> tuple[np.ndarray, np.ndarray]:
-    """A generalised force as forces on the plates.
+    """A generalised force, shape (..., 2N) [N], [N m], as forces on the plates.
 
     A force on s_i pulls plate i along its module; a moment on theta_i is a couple at the rim of
-    plate i, two opposite forces that far from its middle.
-
-    Args:
-        q: coordinates.
-        force: generalised force, shape (..., 2N) [N], [N m].
-        rim: radius of the plates [m].
+    plate i, two opposite forces that far from its middle [m].
 
     Returns:
         Where the forces act, shape (..., 3N, 3) [m], and the forces, shape (..., 3N, 3) [N].

@@ -8,7 +8,7 @@ import contextlib
 import ctypes.util
 import os
 import sys
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from typing import Any
 
@@ -51,7 +51,6 @@ def write_video(
     size: tuple[int, int] = (960, 720),
     rate: float = 30.0,
     speed: float = 1.0,
-    camera: str = "oblique",
 ) -> None:
     """Writes the film of a run, whole or not at all; the desired arm appears as a ghost.
 
@@ -64,13 +63,14 @@ def write_video(
         size: width and height [pixel], even.
         rate: pictures a second [Hz].
         speed: how much faster than real time it runs.
-        camera: of `models/octarm.xml`.
 
     Raises:
         OctarmError: if a number is out of range, the file is not named .mp4, or nothing can be
             drawn on this machine.
         OSError: if the file cannot be written.
     """
+    import av
+
     if not str(path).endswith(".mp4"):
         raise OctarmError(f"the film is {os.fspath(path)!r}; its name must end in .mp4")
     if not (1.0 <= rate <= 240.0 and 0.0 < speed <= 1000.0):
@@ -84,13 +84,19 @@ def write_video(
     rows = np.minimum(rows, len(run) - 1)
     rows = rows[np.isfinite(run.q[rows]).all(axis=1)]
     parameters = ArmParameters.from_dict(description["parameters"])
-    with whole_file(path) as part, _film(part, size, rate) as add:
-        for picture in _pictures(run, rows, parameters, size, camera):
-            add(picture)
+    container: Any  # its types are partly unknown
+    with whole_file(path) as part, av.open(os.fspath(part), "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=Fraction(rate).limit_denominator(1000))
+        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
+        stream.options = {"crf": "20", "preset": "medium"}
+        for picture in _pictures(run, rows, parameters, size):
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
 
 
 def _pictures(
-    run: Trajectory, rows: np.ndarray, parameters: ArmParameters, size: tuple[int, int], camera: str
+    run: Trajectory, rows: np.ndarray, parameters: ArmParameters, size: tuple[int, int]
 ) -> Iterator[np.ndarray]:
     """Red, green and blue of the arm at these rows, each of shape (height, width, 3)."""
     import mujoco
@@ -112,30 +118,9 @@ def _pictures(
             data.qpos[order], ghost.qpos[order] = run.q[row], run.q_d[row]
             mujoco.mj_forward(model, data)
             mujoco.mj_forward(model, ghost)
-            renderer.update_scene(data, camera=camera)
+            renderer.update_scene(data, camera="oblique")
             scene, first = renderer.scene, renderer.scene.ngeom
             mujoco.mjv_addGeoms(model, ghost, options, perturbation, moving, scene)
             for geom in scene.geoms[first : scene.ngeom]:
                 geom.rgba[:] = _GHOST
             yield renderer.render()
-
-
-@contextlib.contextmanager
-def _film(
-    part: Path, size: tuple[int, int], rate: float
-) -> Generator[Callable[[np.ndarray], object]]:
-    """A function that adds a picture to an H.264 film."""
-    import av
-
-    container: Any  # its types are partly unknown
-    with av.open(os.fspath(part), "w", format="mp4") as container:
-        stream = container.add_stream("libx264", rate=Fraction(rate).limit_denominator(1000))
-        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
-        stream.options = {"crf": "20", "preset": "medium"}
-
-        def add(picture: np.ndarray) -> None:
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
-            container.mux(stream.encode(frame))
-
-        yield add
-        container.mux(stream.encode())

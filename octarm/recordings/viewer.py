@@ -1,18 +1,23 @@
 """The rerun viewer that ships with the package, in a separate process.
 
 It serves on 127.0.0.1 only, and proxies that lead nowhere keep it from asking the network for news
-or sending usage data. Nothing waits for it longer than it works: see `_Viewer.pause`.
+or sending usage data. Its page asks for fonts and news elsewhere, so the page is passed on with a
+policy by which a browser fetches from this machine only. Nothing waits for the viewer longer than
+it works: see `_Viewer.pause`.
 """
 
 from __future__ import annotations
 
 import contextlib
+import http.client
+import http.server
 import importlib.util
 import os
 import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time as clock
 import urllib.parse
 from collections.abc import Callable, Generator, Iterable
@@ -23,12 +28,12 @@ import psutil
 
 from octarm.errors import FileError, OctarmError
 from octarm.files import whole_file
-from octarm.recordings.web_page import guarded_page
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
 _NOWHERE = "http://127.0.0.1:9"
+_PASSED_ON = ("Content-Type", "Content-Encoding", "Cache-Control", "ETag")
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 Name = str | os.PathLike[str]
 
@@ -59,14 +64,15 @@ def serve(paths: Iterable[Name], ready: Callable[[str], object]) -> None:
     Raises:
         OctarmError: if a file does not exist, or the server fails.
     """
-    files = [_existing(path) for path in paths]
-    port = _free_port()
+    files, port = [_existing(path) for path in paths], _free_port()
     with _running(["--serve-web", "--web-viewer-port", str(port), *files]) as viewer:
-        while not _answers(port):
+        while True:
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+                break
             viewer.pause(30.0)
         query = urllib.parse.urlencode({"url": viewer.url})
         data_port = urllib.parse.urlsplit(viewer.url.removeprefix("rerun+")).port or 0
-        with guarded_page(port, data_port) as page, contextlib.suppress(KeyboardInterrupt):
+        with _guarded_page(port, data_port) as page, contextlib.suppress(KeyboardInterrupt):
             ready(f"http://127.0.0.1:{page}/?{query}")
             viewer.process.wait()
             raise viewer.failure()
@@ -94,15 +100,19 @@ def screenshot(
         timeout: for how long the viewer may do nothing, see `_Viewer.pause` [s].
 
     Raises:
-        OctarmError: if the recording does not exist, there is no Vulkan driver, or the viewer
-            fails.
+        OctarmError: if the recording is missing, or it cannot be drawn on this machine.
         OSError: if the picture cannot be written.
     """
     files = [_existing(path) for path in (*others, recording)]
     window = ["--headless", "--window-size", f"{size[0]}x{size[1]}"]
     with whole_file(png) as part, _running([*window, *files]) as viewer:
         try:
-            picture = _capture(viewer, time, timeout)
+            while (client := viewer.client(time)) is None:
+                viewer.pause(timeout)
+            before, picture = b"", client.take_screenshot()
+            while not picture or picture != before:  # plots glide to their ranges at first
+                viewer.pause(timeout)
+                before, picture = picture, client.take_screenshot()
         except (OctarmError, OSError, RuntimeError) as error:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 viewer.process.wait(1.0)  # a viewer that is ending may not be gone yet
@@ -119,7 +129,7 @@ def rescue(partial: Name, path: Name) -> None:
     Raises:
         OctarmError: if nothing can be read.
     """
-    from octarm.recordings.rrd import time_axes  # imports rerun, which takes half a second
+    from octarm.recordings.rrd import time_axes
 
     with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
         whole = os.path.join(scratch, "whole.rrd")
@@ -140,40 +150,25 @@ def listed(recording: Name, path: Name) -> None:
 
 
 def end_of(path: Name) -> float:
-    """The last instant of a recording [s].
-
-    Raises:
-        OctarmError: if the file is not a recording, or has no instants.
-    """
+    """The last instant of a recording [s]; see `octarm.recordings.rrd.last_instant`."""
     from octarm.recordings.rrd import last_instant  # imports rerun, which takes half a second
 
     return last_instant(_existing(path))
 
 
 class _Viewer:
-    """A running viewer.
-
-    Attributes:
-        process: its process.
-        url: the address that it serves recordings at.
-    """
+    """A running viewer, and the address that it serves recordings at."""
 
     def __init__(self, process: subprocess.Popen[bytes], url: str, errors: IO[bytes]) -> None:
         self.process, self.url, self._errors = process, url, errors
         self._worked, self._since = -1.0, clock.monotonic()
 
     def pause(self, patience: float) -> None:
-        """Waits a moment for the viewer to get on.
+        """Waits a moment for the viewer to get on, if it has not ended and patience [s] lasts.
 
         How long that takes depends on the machine and what else it does. So what counts is the
         processor time that the viewer uses: it may do nothing for so long, and may work in vain for
         twice as long.
-
-        Args:
-            patience: [s].
-
-        Raises:
-            OctarmError: if the viewer has ended, or patience is exhausted.
         """
         clock.sleep(0.1)
         if self.process.poll() is not None:
@@ -220,17 +215,6 @@ class _Viewer:
         return client
 
 
-def _capture(viewer: _Viewer, time: float | None, patience: float) -> bytes:
-    """A picture of what the viewer shows once it has come to rest, as PNG."""
-    while (client := viewer.client(time)) is None:
-        viewer.pause(patience)
-    before, image = b"", client.take_screenshot()
-    while not image or image != before:  # plots glide to their ranges at first
-        viewer.pause(patience)
-        before, image = image, client.take_screenshot()
-    return image
-
-
 @contextlib.contextmanager
 def _running(arguments: list[str]) -> Generator[_Viewer]:
     """A running viewer, ended on leaving."""
@@ -251,8 +235,7 @@ def _running(arguments: list[str]) -> Generator[_Viewer]:
 def _rrd(recording: Name, *arguments: str) -> None:
     """Runs a command of rerun on a recording."""
     command = [str(_executable()), "rrd", *arguments]
-    done = subprocess.run(command, capture_output=True, env=_environment(), check=False)
-    if done.returncode:
+    if subprocess.run(command, capture_output=True, env=_environment(), check=False).returncode:
         raise OctarmError(f"nothing can be read of {recording}")
 
 
@@ -282,11 +265,45 @@ def _free_port() -> int:
         return probe.getsockname()[1]
 
 
-def _answers(port: int) -> bool:
-    """Whether something on this machine accepts connections at the port."""
-    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
-        return True
-    return False
+@contextlib.contextmanager
+def _guarded_page(page_port: int, data_port: int) -> Generator[int]:
+    """Passes on the page that rerun serves at `page_port`; yields the port to open.
+
+    Recordings come from `data_port`, the only other place that the page may load from.
+    """
+    page = "'self' 'unsafe-inline' 'unsafe-eval' blob: data:"
+    data = f"http://127.0.0.1:{data_port} ws://127.0.0.1:{data_port}"
+    policy = f"default-src {page}; connect-src 'self' blob: data: {data}"
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_GET(self) -> None:
+            source = http.client.HTTPConnection("127.0.0.1", page_port)
+            with contextlib.closing(source):
+                encodings = self.headers.get("Accept-Encoding", "identity")
+                source.request("GET", self.path, headers={"Accept-Encoding": encodings})
+                answer = source.getresponse()
+                body = answer.read()
+            self.send_response(answer.status)
+            for name in _PASSED_ON:
+                if (value := answer.getheader(name)) is not None:
+                    self.send_header(name, value)
+            self.send_header("Content-Length", str(len(body)))
+            self.send_header("Content-Security-Policy", policy)
+            self.end_headers()
+            with contextlib.suppress(ConnectionError):  # the browser has gone away
+                self.wfile.write(body)
+
+        def log_message(self, format: str, *args: object) -> None:
+            del format, args
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            yield server.server_address[1]
+        finally:
+            server.shutdown()
 
 
 def _existing(path: Name) -> str:
