@@ -13,7 +13,7 @@ from octarm.commands.cli import main
 from octarm.interfaces import Rows
 from octarm.metrics.metric import Accumulator, Metric, Settings
 from octarm.metrics.table import METRICS
-from octarm.sweeps.parser import parse_spec
+from octarm.sweeps.spec_file import parse_spec
 
 
 class Reach(Accumulator):

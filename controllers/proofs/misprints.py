@@ -17,7 +17,7 @@ from controllers.proofs.lyapunov import (
 )
 from octarm.arm.lagrange import coriolis_matrix
 from octarm.arm.parameters import ArmParameters
-from octarm.checks.report import Check
+from octarm.tolerances import Check
 
 
 def misprints(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:

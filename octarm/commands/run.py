@@ -31,9 +31,9 @@ from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
 
 if TYPE_CHECKING:
-    from octarm.checks.report import Report
     from octarm.options.checks import Validate
     from octarm.options.run import Run
+    from octarm.tolerances import CheckTable
 
 
 def run(options: Run) -> int:
@@ -111,11 +111,11 @@ def validate(options: Validate) -> int:
         raise OctarmError(f"{options.json} cannot be written: there is no folder for it")
     draw = np.random.default_rng(options.seed)
     arms = [random_arm(draw, options.modules) for _ in range(options.random_parameters)]
-    reports: list[Report] = []
+    reports: list[CheckTable] = []
     for arm in arms or [arm_with(options.modules)]:
         with tqdm(bar_format="checking {desc}", disable=None, leave=False) as line:
             report = compare(arm, states, options.seed, line.set_description_str)
-        print(report.format(), flush=True)
+        print(report, flush=True)
         reports.append(report)
     if options.json is not None:
         write_text(options.json, json.dumps([r.to_dict() for r in reports], indent=2) + "\n")
