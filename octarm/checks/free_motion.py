@@ -215,11 +215,7 @@ def energy_drift(model: mujoco.MjModel, p: ArmParameters, q: np.ndarray, v: np.n
 
 
 def energy_imbalance(
-    model: mujoco.MjModel,
-    p: ArmParameters,
-    q: np.ndarray,
-    v: np.ndarray,
-    tendon_forces: np.ndarray,
+    model: mujoco.MjModel, p: ArmParameters, q: np.ndarray, v: np.ndarray, tendon_forces: np.ndarray
 ) -> float:
     """T + V - (T + V)_0 - work + dissipated energy after DURATION, relative to the largest T [1].
 

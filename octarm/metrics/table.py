@@ -83,11 +83,9 @@ class Metrics:
         self._sum: np.ndarray | float = 0.0  # not finite where something was not
 
     def update(self, rows: Rows) -> None:
-        """Takes the next control instants.
+        """Takes the next control instants: `t`, `q`, `q_d`, `tau`, `force`, and signals.
 
-        Args:
-            rows: with the fields `t`, `q`, `q_d`, `tau`, `force`, and the controller's signals. The
-                arms of a batch may share their q_d, of shape (k, 1, 2N) then.
+        The arms of a batch may share their q_d, of shape (k, 1, 2N) then.
 
         Raises:
             OctarmError: if a limit, the layer or the band does not fit the arms.

@@ -12,7 +12,7 @@ import jinja2
 import numpy as np
 
 from octarm.metrics.metric import SETTLED_AFTER
-from octarm.reports.charts import Scale, scale_of
+from octarm.reports.charts import Scale, scales_of
 from octarm.reports.comparisons import Comparisons, Group
 from octarm.reports.consistency import Remark
 from octarm.reports.figures import COLORS, Picture
@@ -121,7 +121,7 @@ class Tables:
         self._comparisons = comparisons
         self._measures = comparisons.episodes.measures
         self._names = comparisons.episodes.controllers
-        self._scales = [scale_of(comparisons.episodes, measure) for measure in self._measures]
+        self._scales = scales_of(comparisons.episodes)
 
     def medians(self, factor: Factor | None) -> Table:
         """The medians at each level of a factor, or in the whole sweep."""
@@ -133,14 +133,11 @@ class Tables:
             failed = Cell(str(group.failed), [f"{low:.1f} .. {high:.1f} %"])
             counts = [Cell(str(group.episodes)), failed if group.episodes else Cell("-")]
             best = self._best([g for g in groups if g.level == group.level])
-            medians = [
-                Cell(
-                    *_estimate(group.medians, j, scale),
-                    "best" if group.medians.value[j] == best[j] else "",
-                )
-                for j, scale in enumerate(self._scales)
-            ]
-            rows.append([*self._where(group), *counts, *medians])
+            row = [*self._where(group), *counts]
+            for j, scale in enumerate(self._scales):
+                kind = "best" if group.medians.value[j] == best[j] else ""
+                row.append(Cell(*_estimate(group.medians, j, scale), kind))
+            rows.append(row)
         return Table(head, rows, len(self._names))
 
     def differences(self, factor: Factor | None) -> Table:
@@ -196,8 +193,8 @@ class Tables:
             values = np.array([group.medians.value[j] for group in groups], dtype=float)
             values = values[np.isfinite(values)]
             order = np.abs(values) if measure.declared.zero_best else measure.sign * values
-            none = not values.size or not measure.sign or len(groups) < 2
-            best.append(math.nan if none else float(values[np.argmin(order)]))
+            matters = values.size and measure.sign and len(groups) > 1
+            best.append(float(values[np.argmin(order)]) if matters else math.nan)
         return best
 
 
