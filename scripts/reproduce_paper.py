@@ -10,16 +10,14 @@ import shlex
 import sys
 from pathlib import Path
 
-from paper import output
-from paper.effort import FULL, QUICK
-from paper.evidence import gather
-from paper.jobs import run_all
-from paper.load import costs
-from paper.variants import cast
+from paper.evidence import Evidence
+from paper.lyapunov import lyapunov_requests
+from paper.report import PAGE, Report
+from paper.runs import costs, run_all, series_requests, single_requests
+from paper.studies import FULL, QUICK, Effort, cast
 
-from controllers import make_controller
 from controllers.gain_sets import SHIPPED
-from octarm.errors import ExitCode
+from octarm.errors import ExitCode, OctarmError
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -51,19 +49,30 @@ def reproduce(options: argparse.Namespace) -> None:
     """All of it."""
     out, effort = options.out, QUICK if options.quick else FULL
     if options.publish and options.quick:
-        raise ValueError("--publish needs all numbers; leave out --quick")
+        raise OctarmError("--publish needs all numbers; leave out --quick")
     if out.exists() and any(out.iterdir()) and not options.resume:
-        raise ValueError(f"{out} is not empty; go on with it by --resume, or choose another --out")
-    everybody = cast(make_controller, options.gains)
-    run_all(everybody, effort, make_controller, out, options.workers)
-    evidence = gather(everybody, effort, out, costs(everybody, make_controller))
-    gains = options.gains or SHIPPED
-    for claim in output.write(evidence, out, gains):
-        print(f"({claim.letter}) {claim.title}: {claim.told}")
-    print(f"wrote {out / output.PAGE}")
+        raise OctarmError(f"{out} is not empty; go on with it by --resume, or choose another --out")
+    evidence = measure(effort, out, gains=options.gains, workers=options.workers)
+    report = Report(evidence, options.gains or SHIPPED)
+    report.write(out)
+    for claim in report.claims:
+        print(f"({claim.letter}) {claim.title}: {claim.outcome}")
+    print(f"wrote {out / PAGE}")
     if options.publish:
-        output.publish(evidence, out, gains, ROOT)
+        report.publish(out, ROOT)
         print(f"renewed {ROOT / 'README.md'} and .readme/paper.*")
+
+
+def measure(effort: Effort, out: Path, *, gains: Path | None = None, workers: int = 0) -> Evidence:
+    """Runs what is not in the folder yet, and reads all of it."""
+    variants = cast(gains)
+    requests = [
+        *series_requests(variants, effort),
+        *lyapunov_requests(variants, effort),
+        *single_requests(variants, effort),
+    ]
+    run_all(effort.parts(variants), requests, out, workers)
+    return Evidence.gather(variants, effort, out, costs(variants))
 
 
 if __name__ == "__main__":  # the worker processes import this file, too

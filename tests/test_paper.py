@@ -7,24 +7,19 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from paper import output, results, series, shown, stability, writeup
-from paper.claims import Claim
-from paper.effort import FULL, QUICK
-from paper.evidence import Evidence, gather
-from paper.jobs import run_all
-from paper.load import costs
-from paper.measured import Cell, Measured, measure
-from paper.rankings import tuning
-from paper.studies import BENDS, NOISE, parts
-from paper.tables import as_csv
-from paper.variants import PROPOSED, SIGN, SMC, by_hand, cast
-from paper.verdicts import claims
+from paper import report as output
+from paper.evidence import Cell, Evidence, Measured
+from paper.lyapunov import LyapunovRequest
+from paper.report import Report
+from paper.runs import SingleRequest, series_requests
+from paper.studies import BENDS, CONTROLLERS, FULL, NOISE, PROPOSED, QUICK, SIGN, SMC, by_hand, cast
+from paper.tables import tuning
+from reproduce_paper import measure
 
 from controllers import make_controller
 from controllers.gain_sets import SHIPPED
@@ -33,7 +28,7 @@ from octarm.runs.folder import read_run
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPT = ROOT / "scripts" / "reproduce_paper.py"
-EVERYBODY = cast(make_controller)
+EVERYBODY = cast()
 
 
 @pytest.fixture(scope="module")
@@ -46,29 +41,32 @@ class Quick:
     """What came of the quick variant."""
 
     evidence: Evidence
-    claims: list[Claim]
+    report: Report
     out: Path
 
 
 @pytest.fixture(scope="module")
-def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Quick]:
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Quick:
     out = tmp_path_factory.mktemp("paper")
-    run_all(EVERYBODY, QUICK, make_controller, out)
-    evidence = gather(EVERYBODY, QUICK, out, costs(EVERYBODY, make_controller))
-    yield Quick(evidence, output.write(evidence, out, SHIPPED), out)
+    evidence = measure(QUICK, out)
+    report = Report(evidence, SHIPPED)
+    report.write(out)
+    return Quick(evidence, report, out)
 
 
+@pytest.mark.slow
 def test_the_quick_variant_comes_to_the_published_verdicts(quick: Quick, published: dict[str, Any]):
-    here = {claim.letter: str(claim.verdict) for claim in quick.claims}
+    here = {claim.letter: str(claim.verdict) for claim in quick.report.claims}
     assert here == {claim["letter"]: claim["verdict"] for claim in published["claims"]}
     assert list(here) == list("abcdefg")
 
 
+@pytest.mark.slow
 def test_the_report_needs_nothing_beside_itself(quick: Quick):
     page = (quick.out / output.PAGE).read_text(encoding="utf-8")
     assert not re.search(r"""(src|href)=["'](?!#)""", page)
     assert "nan" not in re.sub(r"<svg.*?</svg>", "", page, flags=re.DOTALL).lower().split()
-    for claim in quick.claims:
+    for claim in quick.report.claims:
         assert f"({claim.letter}) {claim.title}" in page
     for folder, ending in (
         (output.FIGURES, "png"),
@@ -78,44 +76,49 @@ def test_the_report_needs_nothing_beside_itself(quick: Quick):
         assert len(list((quick.out / folder).glob(f"*.{ending}"))) >= 5
 
 
+@pytest.mark.slow
 def test_timings_stand_apart_and_all_else_is_the_same_again(quick: Quick):
-    slower = [cost._replace(many=1.1 * cost.many) for cost in quick.evidence.costs.values()]
-    again = gather(EVERYBODY, QUICK, quick.out, slower)
-    for table in results.tables(again, SHIPPED):
+    slower = {name: c._replace(many=1.1 * c.many) for name, c in quick.evidence.costs.items()}
+    again = Report(dataclasses.replace(quick.evidence, costs=slower), SHIPPED)
+    for table in again.tables:
         written = quick.out / output.TABLES / f"{table.name}.csv"
-        assert as_csv(table) == written.read_text(encoding="utf-8")
-    content = writeup.content(again, claims(again), results.tables(again, SHIPPED))
-    assert writeup.as_json(content) == (quick.out / output.CLAIMS).read_text(encoding="utf-8")
+        assert table.csv() == written.read_text(encoding="utf-8")
+    claims = (quick.out / output.CLAIMS).read_text(encoding="utf-8")
+    assert output.as_json(again.content()) == claims
     assert "[us]" in (quick.out / "timings.csv").read_text(encoding="utf-8")
 
 
 def test_the_readme_shows_the_published_claims(published: dict[str, Any]):
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert writeup.with_claims(readme, published) == readme
+    assert output.with_claims(readme, published["claims"]) == readme
     assert published["effort"] == FULL.name and published["seeds"] == FULL.seeds == 64
     for name in ("paper.png", "paper.md"):
         assert f"](.readme/{name})" in readme and (ROOT / ".readme" / name).is_file()
 
 
 def test_every_tuned_controller_beats_its_hand_set_gains_on_the_objective():
-
     evidence = Evidence(
-        cast=EVERYBODY, effort=QUICK, measured=Measured({}, {}), series={}, outcomes=[], costs={}
+        variants=EVERYBODY,
+        effort=QUICK,
+        measured=Measured({}, {}),
+        series={},
+        outcomes=[],
+        costs={},
     )
     rows = tuning(evidence, SHIPPED).rows
-    assert len(rows) == len(EVERYBODY.tuned)
+    assert len(rows) == len(CONTROLLERS)
     for name, short, short_by_hand, long, long_by_hand, *_ in rows:
         costs = np.array([short, short_by_hand, long, long_by_hand], dtype=float)
         assert costs[0] < costs[1] and costs[2] < costs[3], name
 
 
 def test_a_sweep_of_the_study_twice_gives_the_same_cells(tmp_path: Path):
-    part = next(p for p in parts(EVERYBODY, QUICK) if p.name == "tracking-premises")
+    part = next(p for p in QUICK.parts(EVERYBODY) if p.name == "tracking-premises")
     part = part._replace(spec=dataclasses.replace(part.spec, duration=2.05, episodes=1))
     cells = []
     for name in ("first", "second"):
         sweep(part.spec, make_controller, tmp_path / name / part.name)
-        cells.append(measure([part], tmp_path / name))
+        cells.append(Measured.read([part], tmp_path / name))
     first, second = cells
     for cell in first.cells():
         for quantity in ("error", "chattering", "overshoot_theta1"):
@@ -123,13 +126,14 @@ def test_a_sweep_of_the_study_twice_gives_the_same_cells(tmp_path: Path):
 
 
 def test_what_figure_1_shows_is_what_is_recorded(tmp_path: Path):
-    request = next(r for r in series.requests(EVERYBODY, QUICK) if r.name == "sine-smc-boundary")
-    run = series.run(request._replace(duration=0.2, seeds=1), make_controller)
-    single = shown.Shown("run", EVERYBODY[SMC], BENDS, -0.3, 0.2)
-    shown.record(single, make_controller, tmp_path / "run")
-    trajectory, description = read_run(tmp_path / "run")
+    request = next(r for r in series_requests(EVERYBODY, QUICK) if r.name == "sine-smc-boundary")
+    run = request._replace(duration=0.2, seeds=1).run()
+    single = SingleRequest("run", EVERYBODY[SMC], BENDS, -0.3, 0.2)
+    single.write(tmp_path)
+    folder = single.file(tmp_path).parent
+    trajectory, description = read_run(folder)
     assert description["controller"]["name"] == SMC
-    assert (tmp_path / "run" / "run.rrd").is_file()
+    assert (folder / "run.rrd").is_file()
     assert np.array_equal(run.of(-0.3, 0.0)[:, 0], trajectory.q[::20])
     assert not np.array_equal(run.of(-0.3, NOISE)[:, 0], trajectory.q[::20])
 
@@ -139,21 +143,20 @@ def test_the_lyapunov_function_of_the_printed_law_falls_when_control_is_fast():
     printed = EVERYBODY[by_hand(PROPOSED)].changed("printed", phi=0.0, safeguards=0.0)
     grown = {}
     for rate in (10_000.0, 40_000.0):
-        outcomes = stability.run(stability.Request(printed, rate, 0.05), make_controller)
+        outcomes = LyapunovRequest(printed, rate, 0.05).run()
         assert all(o.inside == 0 and o.outside == round(0.05 * rate) - 1 for o in outcomes)
         grown[rate] = max(o.grown_outside / o.outside for o in outcomes)
     assert grown[40_000.0] <= grown[10_000.0] < 0.1
 
 
 def test_the_layer_tells_where_v_falls():
-    outcomes = stability.run(
-        stability.Request(EVERYBODY[by_hand(SMC)], 2000.0, 0.1), make_controller
-    )
+    outcomes = LyapunovRequest(EVERYBODY[by_hand(SMC)], 2000.0, 0.1).run()
     assert all(o.outside > 5 and o.grown_outside == 0 and o.covered for o in outcomes)
-    sign = stability.run(stability.Request(EVERYBODY[by_hand(SIGN)], 2000.0, 0.1), make_controller)
+    sign = LyapunovRequest(EVERYBODY[by_hand(SIGN)], 2000.0, 0.1).run()
     assert all(o.inside == 0 and o.grown_outside > 0 for o in sign)
 
 
+@pytest.mark.slow
 def test_cells_are_found_by_what_acts(quick: Quick):
     measured = quick.evidence.measured
     assert measured.has(Cell(PROPOSED, mismatch=-0.3, noise=NOISE))
@@ -162,6 +165,7 @@ def test_cells_are_found_by_what_acts(quick: Quick):
     assert len(measured.values(Cell(SMC, mismatch=0.3, noise=NOISE), "error")) == QUICK.seeds
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_says_how_to_go_on(tmp_path: Path):
     out = tmp_path / "out"
     process = subprocess.Popen(
