@@ -32,7 +32,7 @@ def validate(
     for arm in arms:
         with tqdm(bar_format="checking {desc}", disable=None, leave=False) as line:
             reports.append(compare(arm, states, seed, line.set_description_str))
-        print(reports[-1].format(), flush=True)
+        print(reports[-1], flush=True)
     if file is not None:
         write_text(file, json.dumps([r.to_dict() for r in reports], indent=2) + "\n")
     return ExitCode.FINE if all(r.passed for r in reports) else ExitCode.CHECK_FAILED
