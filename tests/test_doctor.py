@@ -93,7 +93,7 @@ def test_what_is_missing_is_told_with_what_to_install(failing, told, remedy, mon
 
 
 def test_an_egl_that_does_not_work_is_stepped_around(monkeypatch, capsys):
-    monkeypatch.setattr(machine, "_is_library", lambda name: True)
+    monkeypatch.setattr(machine, "find_library", lambda name: name)
     _, out = doctor(monkeypatch, capsys, "egl")
     assert "films: export MUJOCO_GL=osmesa" in out
 

@@ -50,14 +50,14 @@ def without_a_run(monkeypatch):
 @pytest.mark.parametrize("modules", [1, 2, 3, 5])
 def test_every_controller_passes_with_any_number_of_modules(modules: int):
     report = ledger(arm_with(modules), 300)
-    assert report.passed, report.format()
+    assert report.passed, str(report)
     text = json.dumps(report.to_dict(), allow_nan=False)
     assert json.loads(text)["checks"][0]["what"] == "smc: V' - claim"
 
 
 def test_another_arm_passes():
     report = ledger(random_arm(np.random.default_rng(3), 3), 100)
-    assert report.passed, report.format()
+    assert report.passed, str(report)
 
 
 @pytest.mark.usefixtures("without_a_run")

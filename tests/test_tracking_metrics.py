@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from octarm.arm.kinematics import tip
 from octarm.arm.lagrange import positions
-from octarm.metrics.metric import Settings, default_band
+from octarm.metrics.metric import Settings
 from octarm.metrics.tracking import (
     DWELL,
     Overshoot,
@@ -166,7 +166,8 @@ def test_an_arm_that_is_always_within_the_band_has_settled_at_zero():
 
 
 def test_the_default_band_is_a_millimetre_and_a_degree_or_so():
-    np.testing.assert_array_equal(default_band(["m", "m", "rad", "rad"]), [1e-3, 1e-3, 0.02, 0.02])
+    band = Settings(control_period=STEP).band_of(4)
+    np.testing.assert_array_equal(band, [1e-3, 1e-3, 0.02, 0.02])
 
 
 @pytest.mark.parametrize("modules", [1, 2, 3, 6])

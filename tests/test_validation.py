@@ -14,18 +14,18 @@ from octarm.arm import lagrange
 from octarm.arm.mjcf import build_model, model_path, nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.checks import free_motion, mechanics, validation
-from octarm.checks.report import Check, Report
 from octarm.checks.validation import arm_with, random_arm, validate
+from octarm.tolerances import Check, CheckTable
 
 STATES = 50
 
 
-def failures(report: Report) -> set[str]:
+def failures(report: CheckTable) -> set[str]:
     return {check.what for check in report.checks if not check.passed}
 
 
 @pytest.fixture(scope="module")
-def nominal() -> Report:
+def nominal() -> CheckTable:
     return validate(nominal_parameters(), states=STATES)
 
 
@@ -38,7 +38,7 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
 # Right arms.
 
 
-def test_the_nominal_arm_passes(nominal: Report):
+def test_the_nominal_arm_passes(nominal: CheckTable):
     assert failures(nominal) == set()
     assert nominal.passed
 
@@ -347,8 +347,8 @@ def test_a_check_passes_inside_its_bounds_only(check: Check, passed: bool):
     assert check.passed is passed
 
 
-def test_a_report_with_nan_fails_and_is_still_json(nominal: Report):
-    report = Report("lost", nominal.parameters, 1, 0, (Check("lost", np.nan, 1.0),))
+def test_a_report_with_nan_fails_and_is_still_json(nominal: CheckTable):
+    report = CheckTable("lost", nominal.parameters, 1, 0, (Check("lost", np.nan, 1.0),))
     assert not report.passed
     row = json.loads(json.dumps(report.to_dict(), allow_nan=False))["checks"][0]
     assert row == {
@@ -363,17 +363,17 @@ def test_a_report_with_nan_fails_and_is_still_json(nominal: Report):
     assert "1 of 1 checks FAILED" in str(report)
 
 
-def test_the_report_in_json_says_what_was_compared(nominal: Report):
+def test_the_report_in_json_says_what_was_compared(nominal: CheckTable):
     content = json.loads(json.dumps(nominal.to_dict(), allow_nan=False))
     assert content["passed"] is True
     assert content["states"] == STATES
     again = ArmParameters.from_dict(content["parameters"])
-    assert again.to_dict() == nominal.parameters.to_dict()
+    assert again.to_dict() == nominal.parameters
     assert len(content["checks"]) == len(nominal.checks)
 
 
-def test_the_table_is_aligned_and_has_every_row(nominal: Report):
-    lines = nominal.format().splitlines()
+def test_the_table_is_aligned_and_has_every_row(nominal: CheckTable):
+    lines = str(nominal).splitlines()
     assert lines[0] == nominal.title
     assert "3 modules" in nominal.title
     header = next(line for line in lines if line.startswith("what"))

@@ -30,8 +30,8 @@ from controllers.proofs.lyapunov import (
 from controllers.sliding_mode import Surface
 from octarm.arm.lagrange import equilibrium, forward_dynamics, kinetic_energy
 from octarm.arm.parameters import ArmParameters
-from octarm.checks.report import Check
 from octarm.interfaces import Measurement, Reference
+from octarm.tolerances import Check
 
 AdaptiveLaw = AdaptiveConsequents | AdaptiveFuzzy
 RULES = 5

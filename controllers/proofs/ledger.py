@@ -36,8 +36,8 @@ from controllers.proofs.misprints import misprints
 from controllers.sliding_mode import Surface
 from controllers.super_twisting import SuperTwistingState
 from octarm.arm.parameters import ArmParameters
-from octarm.checks.report import Check, Report, gathered
 from octarm.errors import OctarmError
+from octarm.tolerances import Check, CheckTable, run_checks
 
 FEWEST_STATES = 100
 UNCERTAINTY = 0.3  # share by which a nominal model may be off when K is derived
@@ -48,7 +48,7 @@ def ledger(
     states: int = 3000,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
-) -> Report:
+) -> CheckTable:
     """Checks the controllers' Lyapunov functions on an arm.
 
     Args:
@@ -76,13 +76,13 @@ def ledger(
         "misprints": misprints(*randomly),
         "a run": along_a_run(parameters, rng),
     }
-    checks = gathered(parts, progress)
+    checks = run_checks(parts, progress)
     n = parameters.modules
     title = (
         f"Controllers against their Lyapunov functions: {n} module{'s' if n > 1 else ''}, "
         f"{states} states, seed {seed}; V' as a share of its rms"
     )
-    return Report(title, parameters, states, seed, checks)
+    return CheckTable(title, parameters.to_dict(), states, seed, checks)
 
 
 class SwitchingTrial(NamedTuple):

@@ -37,8 +37,8 @@ from octarm.arm.lagrange import (
 )
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
-from octarm.checks.report import Check
 from octarm.interfaces import Measurement, Reference
+from octarm.tolerances import Check
 
 COMPLEX_STEP = 1e-30  # f(x + i h d) = f(x) + i h (derivative of f along d) + O(h^2): no rounding
 EXACT = 1e-10  # what rounding may do to V', as a share of its rms

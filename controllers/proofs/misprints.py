@@ -16,7 +16,7 @@ from controllers.proofs.adaptive_ledger import (
 from controllers.proofs.lyapunov import as_claimed, noticed
 from octarm.arm.lagrange import coriolis_matrix
 from octarm.arm.parameters import ArmParameters
-from octarm.checks.report import Check
+from octarm.tolerances import Check
 
 
 def misprints(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:

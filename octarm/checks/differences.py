@@ -1,13 +1,15 @@
-"""Differences between what was written down and what comes out now."""
+"""Comparison of what was written down with what comes out now, and how it is printed."""
 
 from __future__ import annotations
 
+import abc
+import dataclasses
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
-_SHOWN = 12  # differences that are listed
-_IDLE = ("name", "cores")  # facts of a machine that no result depends on
+_LISTED = 12  # differences that are printed
+_HARMLESS = ("name", "cores")  # of a machine; no result depends on them
 
 
 class Difference(NamedTuple):
@@ -31,59 +33,73 @@ def compare(was: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[Differen
     return _compare("", dict(was), json.loads(json.dumps(now)))
 
 
-def told(differences: Sequence[Difference], heading: str) -> list[str]:
-    """A line each, and one above them, for the terminal."""
-    lines = [f"  {heading:<34}  was -> is"]
-    lines += [f"  {key:<34}  {was!r} -> {now!r}" for key, was, now in differences[:_SHOWN]]
-    left = len(differences) - _SHOWN
-    return [*lines, f"  and {left} more"] if left > 0 else lines
-
-
-def flat(facts: Mapping[str, Any]) -> dict[str, str]:
-    """Facts by name; `facts` holds them in the tables `versions` and `host`."""
-    tables: list[Mapping[str, Any]] = [facts.get(key) or {} for key in ("versions", "host")]
-    return {key: str(value) for table in tables for key, value in table.items()}
-
-
-def moved(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """Versions and facts of the machine that have changed and may have changed results."""
-    return [key for key in then if key in now and then[key] != now[key] and key not in _IDLE]
-
-
-def despite(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """What has changed although the result has not, a line each."""
-    return [f"  although {key} was {then[key]} and is {now[key]}" for key in moved(then, now)]
-
-
-def beside(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """Versions and machines side by side, a line each."""
-    width = max([7, *map(len, then.values())]) + 2
-    lines = [f"  {'':<12}  {'then':<{width}}now"]
-    changed = moved(then, now)
-    for key in dict.fromkeys((*then, *now)):
-        was, here = then.get(key, "unknown"), now.get(key, "unknown")
-        mark = "*" if key in changed else " "
-        lines.append(f"{mark} {key:<12}  {was:<{width}}{here}")
-    return lines
-
-
 def _compare(key: str, was: Any, now: Any) -> Iterator[Difference]:
-    table, other = _table(was), _table(now)
-    if table is not None and other is not None:
-        for name, value in table.items():
-            yield from _compare(f"{key}.{name}".lstrip("."), value, other.get(name, "absent"))
-        return
-    old, new = _list(was), _list(now)
-    if old is not None and new is not None and len(old) == len(new):
-        for i, pair in enumerate(zip(old, new, strict=True)):
+    kinds: set[object] = {type(was), type(now)}
+    if kinds == {dict}:
+        for name, value in was.items():
+            yield from _compare(f"{key}.{name}".lstrip("."), value, now.get(name, "absent"))
+    elif kinds == {list} and len(was) == len(now):
+        for i, pair in enumerate(zip(was, now, strict=True)):
             yield from _compare(f"{key}[{i}]", *pair)
     elif repr(was) != repr(now):  # tells 0.0 from -0.0
         yield Difference(key, was, now)
 
 
-def _table(value: Any) -> dict[str, Any] | None:
-    return cast(dict[str, Any], value) if isinstance(value, dict) else None
+def origin(description: Mapping[str, Any]) -> dict[str, str]:
+    """Versions and properties of the machine by name, from the tables `versions` and `host`."""
+    tables: list[Mapping[str, Any]] = [description.get(key) or {} for key in ("versions", "host")]
+    return {key: str(value) for table in tables for key, value in table.items()}
 
 
-def _list(value: Any) -> list[Any] | None:
-    return cast(list[Any], value) if isinstance(value, list) else None
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Comparison(abc.ABC):
+    """A result that was written down beside that of a re-run.
+
+    Attributes:
+        differences: of entries.
+        then: versions and machine of the result, as far as they are known.
+        now: those of the re-run.
+    """
+
+    differences: tuple[Difference, ...]
+    then: Mapping[str, str]
+    now: Mapping[str, str]
+
+    @property
+    @abc.abstractmethod
+    def identical(self) -> bool:
+        """Whether everything came out again."""
+
+    @abc.abstractmethod
+    def lines(self) -> list[str]:
+        """The outcome, for the terminal."""
+
+    def changes(self) -> list[str]:
+        """Versions and properties of the machine that have changed and may change results."""
+        kept = (key for key in self.then if key in self.now and key not in _HARMLESS)
+        return [key for key in kept if self.then[key] != self.now[key]]
+
+    def harmless_changes(self) -> list[str]:
+        """Changes although the result is the same, a line each."""
+        then, now = self.then, self.now
+        return [f"  although {key} was {then[key]} and is {now[key]}" for key in self.changes()]
+
+    def origins(self) -> list[str]:
+        """Versions and machines side by side, a line each."""
+        width = max([7, *map(len, self.then.values())]) + 2
+        lines = [f"  {'':<12}  {'then':<{width}}now"]
+        changed = self.changes()
+        for key in dict.fromkeys((*self.then, *self.now)):
+            was, now = self.then.get(key, "unknown"), self.now.get(key, "unknown")
+            lines.append(f"{'*' if key in changed else ' '} {key:<12}  {was:<{width}}{now}")
+        return lines
+
+
+def listed(differences: Sequence[Difference], heading: str) -> list[str]:
+    """A heading, and a line for each of the first differences; no line when there are none."""
+    if not differences:
+        return []
+    lines = [f"  {heading:<34}  was -> is"]
+    lines += [f"  {key:<34}  {was!r} -> {now!r}" for key, was, now in differences[:_LISTED]]
+    left = len(differences) - _LISTED
+    return [*lines, f"  and {left} more"] if left > 0 else lines

@@ -6,7 +6,6 @@ the rest.
 
 from __future__ import annotations
 
-import dataclasses
 import enum
 import json
 import os
@@ -19,8 +18,10 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from ctypes.util import find_library
 from importlib import metadata
 from pathlib import Path
+from typing import NamedTuple
 
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
@@ -44,8 +45,7 @@ class State(enum.Enum):
     BROKEN = "BROKEN"
 
 
-@dataclasses.dataclass(frozen=True)
-class Finding:
+class Finding(NamedTuple):
     """One line of the report.
 
     Attributes:
@@ -104,13 +104,12 @@ def processor() -> Iterator[Finding]:
     host = json.loads(done.stdout)
     kernels = host["kernels"]
     yield Finding("processor", State.NOTE, f"{host['cpu']} ({host['machine']})")
-    yield Finding(
-        "instructions",
-        State.NOTE,
+    text = (
         f"{_NAMES.get(kernels, kernels or 'unknown')}, for NumPy's sin, cos, exp and tanh. With "
         "others, AVX2 instead of AVX-512 for one, they round some last bits otherwise: on such a "
-        "machine octarm verify may find other digests for the same run",
+        "machine octarm verify may find other digests for the same run"
     )
+    yield Finding("instructions", State.NOTE, text)
 
 
 def work() -> Iterator[Finding]:
@@ -127,53 +126,42 @@ def work() -> Iterator[Finding]:
             yield Finding("octarm run", State.BROKEN, _last_line(done))
             return
         yield Finding("octarm run", State.FINE, "ran, and wrote a run folder")
+        size = ["--width", "64", "--height", "48", "--rate", "20"]
+        video, replay = [*_OCTARM, "video", str(folder)], [*_OCTARM, "replay", str(folder)]
         with ThreadPoolExecutor() as pool:
-            films = {gl: pool.submit(_film, folder, gl) for gl in ("egl", "osmesa")}
-            picture = pool.submit(_picture, folder)
+            films = {
+                gl: pool.submit(
+                    _failure, folder.with_name(f"{gl}.mp4"), [*video, *size], "--out",
+                    MUJOCO_GL=gl.lower(),
+                )
+                for gl in ("EGL", "OSMesa")
+            }  # fmt: skip
+            picture = pool.submit(_failure, folder.with_name("p.png"), replay, "--screenshot")
             yield _films({gl: film.result() for gl, film in films.items()})
-            yield picture.result()
+            yield _screenshots(picture.result())
     yield _window()
 
 
-def _film(folder: Path, gl: str) -> str:
-    """Films a run by one library; what went wrong, empty when nothing did."""
-    film = folder.with_name(f"{gl}.mp4")
-    size = ["--width", "64", "--height", "48", "--rate", "20"]
-    done = _run([*_OCTARM, "video", str(folder), "--out", str(film), *size], MUJOCO_GL=gl)
-    return "" if done.returncode == 0 and film.is_file() else _last_line(done)
-
-
 def _films(failures: dict[str, str]) -> Finding:
+    """Which OpenGL libraries film, given what went wrong with each; empty when nothing did."""
     working = [gl for gl, failure in failures.items() if not failure]
     if not working:
-        return Finding(
-            "films", State.MISSING, f"no OpenGL library works: {failures['osmesa']}",
-            "apt-get install libosmesa6 (Debian, in software), or libegl1 and a graphics driver",
-        )  # fmt: skip
-    if sys.platform == "linux" and "egl" not in working and _is_library("EGL"):
-        return Finding(
-            "films", State.MISSING, "EGL is there but does not work; OSMesa does",
-            "export MUJOCO_GL=osmesa",
-        )  # fmt: skip
-    names = {"egl": "EGL", "osmesa": "OSMesa"}
-    return Finding("films", State.FINE, "films by " + ", ".join(map(names.get, working)))  # pyright: ignore
+        text = f"no OpenGL library works: {failures['OSMesa']}"
+        remedy = (
+            "apt-get install libosmesa6 (Debian, in software), or libegl1 and a graphics driver"
+        )
+        return Finding("films", State.MISSING, text, remedy)
+    if sys.platform == "linux" and "EGL" not in working and find_library("EGL"):
+        text = "EGL is there but does not work; OSMesa does"
+        return Finding("films", State.MISSING, text, "export MUJOCO_GL=osmesa")
+    return Finding("films", State.FINE, "films by " + ", ".join(working))
 
 
-def _is_library(name: str) -> bool:
-    import ctypes.util
-
-    return ctypes.util.find_library(name) is not None
-
-
-def _picture(folder: Path) -> Finding:
-    picture = folder.with_name("picture.png")
-    done = _run([*_OCTARM, "replay", str(folder), "--screenshot", str(picture)])
-    if done.returncode == 0 and picture.is_file():
+def _screenshots(failure: str) -> Finding:
+    if not failure:
         return Finding("screenshots", State.FINE, "pictures by Vulkan")
-    return Finding(
-        "screenshots", State.MISSING, _last_line(done),
-        "apt-get install mesa-vulkan-drivers (Debian, in software)",
-    )  # fmt: skip
+    remedy = "apt-get install mesa-vulkan-drivers (Debian, in software)"
+    return Finding("screenshots", State.MISSING, failure, remedy)
 
 
 def _window() -> Finding:
@@ -181,32 +169,24 @@ def _window() -> Finding:
     name = "viewer"
     if sys.platform != "linux":
         return Finding(name, State.NOTE, "opens a window of this desktop")
-    if _answers(_wayland()) or _answers(_x11()):
+    wayland, x11 = (os.environ.get(key, "") for key in ("WAYLAND_DISPLAY", "DISPLAY"))
+    addresses: list[str | tuple[str, int]] = []
+    if wayland:
+        addresses.append(os.path.join(os.environ.get("XDG_RUNTIME_DIR", ""), wayland))
+    if match := re.fullmatch(r"([^:]*):(\d+)(\.\d+)?", x11):
+        local = match[1] in ("", "unix")
+        addresses.append(
+            f"/tmp/.X11-unix/X{match[2]}" if local else (match[1], 6000 + int(match[2]))
+        )
+    if any(map(_answers, addresses)):
         return Finding(name, State.FINE, "a display answers")
-    tried = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
+    tried = wayland or x11
     text = f"the display {tried} does not answer" if tried else "there is no display"
     remedy = "octarm replay RUN --web, or --screenshot FILE.png, which need none"
     return Finding(name, State.MISSING, text, remedy)
 
 
-def _wayland() -> str | tuple[str, int] | None:
-    display = os.environ.get("WAYLAND_DISPLAY")
-    folder = os.environ.get("XDG_RUNTIME_DIR", "")
-    return os.path.join(folder, display) if display else None
-
-
-def _x11() -> str | tuple[str, int] | None:
-    match = re.fullmatch(r"([^:]*):(\d+)(\.\d+)?", os.environ.get("DISPLAY", ""))
-    if match is None:
-        return None
-    if match[1] in ("", "unix"):
-        return f"/tmp/.X11-unix/X{match[2]}"
-    return match[1], 6000 + int(match[2])
-
-
-def _answers(address: str | tuple[str, int] | None) -> bool:
-    if address is None:
-        return False
+def _answers(address: str | tuple[str, int]) -> bool:
     family = socket.AF_UNIX if isinstance(address, str) else socket.AF_INET
     with socket.socket(family) as probe:
         probe.settimeout(2.0)
@@ -248,6 +228,12 @@ def _run(command: list[str], **environment: str) -> subprocess.CompletedProcess[
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         return subprocess.CompletedProcess(command, 1, "", f"no answer within {_PATIENCE:g} s")
+
+
+def _failure(file: Path, command: list[str], option: str, **environment: str) -> str:
+    """What keeps a command from writing a file, given after an option; empty if nothing does."""
+    done = _run([*command, option, str(file)], **environment)
+    return "" if done.returncode == 0 and file.is_file() else _last_line(done)
 
 
 def _last_line(done: subprocess.CompletedProcess[str]) -> str:

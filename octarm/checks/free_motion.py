@@ -7,6 +7,7 @@ Time is a count of steps, so that every run ends at the same instant whatever it
 from __future__ import annotations
 
 import copy
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -84,60 +85,51 @@ def reference_motion(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarr
     return out[:, :n]
 
 
-def integrator_error(
-    model: mujoco.MjModel,
-    p: ArmParameters,
-    v: np.ndarray,
-    reference: np.ndarray,
-    integrator: mujoco.mjtIntegrator,
-    steps: int,
-) -> float:
-    """Largest error over a free motion, angles at the lever l/2 [m].
+class FreeMotion(NamedTuple):
+    """An arm let go, and how it moves by the analytic equations.
 
-    Args:
-        model: the arm.
-        p: its parameters.
+    Attributes:
+        model: the arm in MuJoCo.
+        parameters: its parameters.
         v: initial velocities, shape (2N,) [m/s], [rad/s].
-        reference: the motion, starting at the initial coordinates, shape (SAMPLES + 1, 2N).
-        integrator: one of MuJoCo's.
-        steps: number of steps of the whole motion, a multiple of SAMPLES.
-    """
-    model = copy.copy(model)
-    model.opt.integrator = int(integrator)
-    model.opt.timestep = DURATION / steps
-    q, _ = simulate(model, reference[0], v, SAMPLES, steps // SAMPLES)
-    return float(np.max(np.abs(q - reference) * levers(p)))
-
-
-def observed_order(
-    model: mujoco.MjModel,
-    p: ArmParameters,
-    v: np.ndarray,
-    reference: np.ndarray,
-    integrator: mujoco.mjtIntegrator,
-) -> float:
-    """Order of convergence of an integrator [1].
-
-    Arguments, and the shapes of the arrays, are those of `integrator_error`.
-
-    The least-squares slope of error against timestep, both in logarithms, over four timesteps,
-    each half the one before. The first is a tenth of the arm's shortest time constant, which lets
-    the leading term dominate; it is longer where that is so short, by much damping, that the
-    motion which matters is followed to rounding.
+        reference: the motion, from the initial coordinates on, shape (SAMPLES + 1, 2N).
     """
 
-    def error(steps: int) -> float:
-        return integrator_error(model, p, v, reference, integrator, steps)
+    model: mujoco.MjModel
+    parameters: ArmParameters
+    v: np.ndarray
+    reference: np.ndarray
 
-    steps = 8 * SAMPLES * int(np.ceil(DURATION * _fastest_rate(p) / 0.1 / (8 * SAMPLES)))
-    for _ in range(3):
-        if not error(steps) < 1e-9:
-            break
-        steps //= 2
-    counts = [steps * 2**k for k in range(4)]
-    finer = np.log(counts) - np.mean(np.log(counts))
-    errors = np.array([error(count) for count in counts])
-    return float(-(finer @ np.log(errors)) / (finer @ finer))
+    def error(self, integrator: mujoco.mjtIntegrator, steps: int) -> float:
+        """Largest error of one of MuJoCo's integrators, angles at the lever l/2 [m].
+
+        `steps` is the number of steps of the whole motion, a multiple of SAMPLES.
+        """
+        model = copy.copy(self.model)
+        model.opt.integrator = int(integrator)
+        model.opt.timestep = DURATION / steps
+        q, _ = simulate(model, self.reference[0], self.v, SAMPLES, steps // SAMPLES)
+        return float(np.max(np.abs(q - self.reference) * levers(self.parameters)))
+
+    def observed_order(self, integrator: mujoco.mjtIntegrator) -> float:
+        """Order of convergence of an integrator [1].
+
+        The least-squares slope of error against timestep, both in logarithms, over four timesteps,
+        each half the one before. The first is a tenth of the arm's shortest time constant, which
+        lets the leading term dominate; it is longer where that is so short, by much damping, that
+        the motion which matters is followed to rounding.
+        """
+        rates = np.linalg.eigvals(analytic_linearisation(self.parameters))
+        fastest = float(np.max(np.abs(rates)))  # [1/s]
+        steps = 8 * SAMPLES * int(np.ceil(DURATION * fastest / 0.1 / (8 * SAMPLES)))
+        for _ in range(3):
+            if not self.error(integrator, steps) < 1e-9:
+                break
+            steps //= 2
+        counts = [steps * 2**k for k in range(4)]
+        finer = np.log(counts) - np.mean(np.log(counts))
+        errors = np.array([self.error(integrator, count) for count in counts])
+        return float(-(finer @ np.log(errors)) / (finer @ finer))
 
 
 def analytic_linearisation(p: ArmParameters) -> np.ndarray:
@@ -223,11 +215,7 @@ def energy_drift(model: mujoco.MjModel, p: ArmParameters, q: np.ndarray, v: np.n
 
 
 def energy_imbalance(
-    model: mujoco.MjModel,
-    p: ArmParameters,
-    q: np.ndarray,
-    v: np.ndarray,
-    tendon_forces: np.ndarray,
+    model: mujoco.MjModel, p: ArmParameters, q: np.ndarray, v: np.ndarray, tendon_forces: np.ndarray
 ) -> float:
     """T + V - (T + V)_0 - work + dissipated energy after DURATION, relative to the largest T [1].
 
@@ -248,8 +236,3 @@ def _state_matrix(slopes: np.ndarray) -> np.ndarray:
     """[[0, 1], slopes] for slopes of the accelerations of shape (2N, 4N)."""
     n = slopes.shape[0]
     return np.vstack([np.eye(n, 2 * n, n), slopes])
-
-
-def _fastest_rate(p: ArmParameters) -> float:
-    """Largest absolute eigenvalue of the linearised arm [1/s]."""
-    return float(np.max(np.abs(np.linalg.eigvals(analytic_linearisation(p)))))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator
 
 import mujoco
@@ -13,28 +14,20 @@ from octarm.arm.mjcf import build_model, nominal_parameters, paper_order, templa
 from octarm.arm.parameters import ArmParameters
 from octarm.checks import free_motion
 from octarm.checks.mechanics import (
-    Mechanics,
     lagrange_mechanics,
     levers,
     mujoco_mechanics,
     random_states,
     relative_error,
 )
-from octarm.checks.report import Check, Report, gathered
 from octarm.errors import OctarmError
+from octarm.tolerances import Check, CheckTable, run_checks
 
 # What build_model writes into a model, or must find there.
 _PHYSICS = (
-    "body_mass",
-    "body_inertia",
-    "body_ipos",
-    "tendon_stiffness",
-    "tendon_damping",
-    "tendon_lengthspring",
-    "wrap_prm",
-    "actuator_gear",
-    "key_qpos",
-)
+    "body_mass", "body_inertia", "body_ipos", "tendon_stiffness", "tendon_damping",
+    "tendon_lengthspring", "wrap_prm", "actuator_gear", "key_qpos",
+)  # fmt: skip
 
 
 def arm_with(modules: int) -> ArmParameters:
@@ -45,7 +38,7 @@ def arm_with(modules: int) -> ArmParameters:
     nominal one.
 
     Raises:
-        ValueError: if `modules` is below 1.
+        OctarmError: if `modules` is below 1.
     """
     if modules < 1:
         raise OctarmError(f"the number of modules is {modules}; it must be at least 1")
@@ -56,14 +49,13 @@ def arm_with(modules: int) -> ArmParameters:
     def tapered(values: np.ndarray) -> np.ndarray:
         return np.interp(place, np.arange(p.modules), values)
 
-    return ArmParameters(
+    return dataclasses.replace(
+        p,
         mass=tapered(p.mass),
         inertia=tapered(p.inertia),
-        width=p.width,
         stiffness=[tapered(column) for column in p.stiffness],
         damping=[tapered(column) for column in p.damping],
         rest_length=tapered(p.rest_length),
-        gravity=p.gravity,
     )
 
 
@@ -93,7 +85,7 @@ def validate(
     states: int = 10_000,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
-) -> Report:
+) -> CheckTable:
     """Compares MuJoCo's arm with the analytic one, point by point and in motion.
 
     The timesteps at which orders of convergence are taken suit arms with some damping; on an arm
@@ -106,7 +98,7 @@ def validate(
         progress: called with the name of each part before it starts.
 
     Raises:
-        ValueError: if `states` is below 1, or the parameters do not describe one arm that hangs.
+        OctarmError: if `states` is below 1, or the parameters do not describe one arm that hangs.
     """
     if states < 1:
         raise OctarmError(f"the number of states is {states}; it must be at least 1")
@@ -120,13 +112,13 @@ def validate(
         "free motion": _compare_free_motion(model, parameters, in_motion),
         "energy balance": _compare_energy(model, parameters, in_motion),
     }
-    checks = gathered(parts, progress)
+    checks = run_checks(parts, progress)
     n = parameters.modules
     title = (
         f"MuJoCo {mujoco.__version__} against Lagrange: {n} module{'s' if n > 1 else ''}, "
         f"{np.sum(parameters.mass):.3g} kg, {states} states, seed {seed}"
     )
-    return Report(title, parameters, states, seed, checks)
+    return CheckTable(title, parameters.to_dict(), states, seed, checks)
 
 
 def _compare_template() -> Iterator[Check]:
@@ -164,17 +156,13 @@ def _compare_states(
         ("accelerations", "acceleration", r, 1e-10),
         ("kinetic energy", "kinetic", 1.0, 1e-12),
     )
-    for what, field, weight, allowed in rows:
-        measured, expected = getattr(by_mujoco, field), getattr(by_lagrange, field)
-        yield Check(what, relative_error(weight * measured, weight * expected), allowed)
-    yield from _compare_potential(by_mujoco, by_lagrange)
-
-
-def _compare_potential(by_mujoco: Mechanics, by_lagrange: Mechanics) -> Iterator[Check]:
-    """Potential energies may differ by a constant; both models happen to put it at zero."""
-    difference = by_mujoco.potential - by_lagrange.potential
-    offset = float(np.mean(difference))
-    spread = float(np.max(np.abs(difference - offset)) / np.max(np.abs(by_lagrange.potential)))
+    for what, name, weight, allowed in rows:
+        error = relative_error(weight * by_mujoco[name], weight * by_lagrange[name])
+        yield Check(what, error, allowed)
+    # Potential energies may differ by a constant; both models happen to put it at zero.
+    difference = by_mujoco["potential"] - by_lagrange["potential"]
+    offset, size = float(np.mean(difference)), np.max(np.abs(by_lagrange["potential"]))
+    spread = float(np.max(np.abs(difference - offset)) / size)
     yield Check("potential energy, about its offset", spread, 1e-12)
     yield Check("potential energy, offset", offset, 1e-10, -1e-10, "J")
 
@@ -207,13 +195,12 @@ def _compare_free_motion(
     model: mujoco.MjModel, p: ArmParameters, rng: np.random.Generator
 ) -> Iterator[Check]:
     q, v = free_motion.initial_motion(p, rng)
-    reference = free_motion.reference_motion(p, q, v)
-    steps = round(free_motion.DURATION / model.opt.timestep)
+    motion = free_motion.FreeMotion(model, p, v, free_motion.reference_motion(p, q, v))
     rk4 = mujoco.mjtIntegrator.mjINT_RK4
-    error = free_motion.integrator_error(model, p, v, reference, rk4, steps)
+    error = motion.error(rk4, round(free_motion.DURATION / model.opt.timestep))
     yield Check("free motion against DOP853, RK4", error, 1e-6, unit="m")
     for name, integrator in mujoco.mjtIntegrator.__members__.items():
-        order = free_motion.observed_order(model, p, v, reference, integrator)
+        order = motion.observed_order(integrator)
         low, high = (3.7, 4.3) if integrator == rk4 else (0.8, 1.2)
         yield Check(f"order of convergence, {name.removeprefix('mjINT_')}", order, high, low)
 

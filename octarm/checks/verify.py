@@ -9,15 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from octarm.arm.mjcf import coordinate_names
-from octarm.checks.differences import Difference, beside, compare, despite, flat, moved, told
+from octarm.arrays import coordinate_names
+from octarm.checks.differences import Comparison, Difference, compare, listed, origin
 from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, perform
 from octarm.simulation.trajectory import Trajectory
 
-_MOTION = ("q", "v")
 _INPUTS = ("controller", "parameters", "nominal", "reference", "timestep", "control_period")
 _RESULTS = ("disturbances", "metrics", "status", "message")
 
@@ -45,77 +44,59 @@ class Deviation(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class RunCheck:
+class RunCheck(Comparison):
     """A run folder beside a re-run of what its `run.json` says.
+
+    Differences are those of `run.json`, and of names and lengths of arrays; those of results only
+    when no array deviates.
 
     Attributes:
         rows: number of control instants in `run.npz`.
         arrays: number of arrays there.
         deviations: of its arrays, the earliest first.
-        differences: of `run.json`, and of names and lengths of arrays; those of results only when
-            no array deviates.
         digests: those that `run.json` and `run.npz` state, and that of the re-run.
-        then: versions and machine of the run, as far as they are known.
-        now: those of the re-run.
     """
 
     rows: int
     arrays: int
     deviations: tuple[Deviation, ...]
-    differences: tuple[Difference, ...]
     digests: tuple[str, str, str]
-    then: Mapping[str, str]
-    now: Mapping[str, str]
 
     @property
-    def identical(self) -> bool:
-        """Whether everything came out again."""
+    def identical(self) -> bool:  # noqa: D102
         return not self.deviations and not self.differences and len(set(self.digests)) == 1
 
-    def lines(self) -> list[str]:
-        """What was found, for the terminal."""
+    def lines(self) -> list[str]:  # noqa: D102
         if self.identical:
-            said = (
-                f"identical: {self.rows} control instants, {self.arrays} arrays and the digest, "
-                "bit for bit"
-            )
-            return [said, *despite(self.then, self.now)]
-        found = [self._headline(), *self._table()]
-        if self.differences:
-            found += told(self.differences, "entry")
-        found.append(self._diagnosis())
-        stated, _, now = self.digests
-        return found if now == stated else [*found, *beside(self.then, self.now)]
-
-    def _headline(self) -> str:
-        first = next((d for d in self.deviations if d.array in _MOTION), None)
-        if first is None:
-            return f"different, although q and v are the same at all {self.rows} control instants"
-        return (
-            f"different from t = {first.t:.9g} s on, control instant {first.row} of {self.rows}: "
-            f"{first.array} of {first.place} was {first.was!r} and is {first.now!r}"
-        )
-
-    def _table(self) -> Iterator[str]:
+            same = f"{self.rows} control instants, {self.arrays} arrays and the digest"
+            return [f"identical: {same}, bit for bit", *self.harmless_changes()]
+        lines = [f"different, although q and v are the same at all {self.rows} control instants"]
+        for d in [d for d in self.deviations if d.array in ("q", "v")][:1]:
+            begin = f"different from t = {d.t:.9g} s on, control instant {d.row} of {self.rows}"
+            lines = [f"{begin}: {d.array} of {d.place} was {d.was!r} and is {d.now!r}"]
         if self.deviations:
-            yield "  array               first at t [s]  of        was -> is (largest difference)"
+            lines.append(
+                "  array               first at t [s]  of        was -> is (largest difference)"
+            )
         for d in self.deviations:
             numbers = f"{d.was!r} -> {d.now!r} ({d.largest:.2g})"
-            yield f"  {d.array:<18}  {d.t:<14.9g}  {d.place:<8}  {numbers}"
+            lines.append(f"  {d.array:<18}  {d.t:<14.9g}  {d.place:<8}  {numbers}")
+        lines += [*listed(self.differences, "entry"), self._diagnosis()]
+        return lines if self.digests[0] == self.digests[2] else [*lines, *self.origins()]
 
     def _diagnosis(self) -> str:
         stated, kept, now = self.digests
+        if now == stated and (self.deviations or kept != now):
+            return "the re-run has the digest that run.json states: run.npz was changed"
         if now == stated:
-            if self.deviations or kept != now:
-                return "the re-run has the digest that run.json states: run.npz was changed"
             return (
                 "the motion came out again: run.json was changed, or this version measures "
                 "something else"
             )
         if now == kept and not self.deviations:
             return "the re-run has the digest that run.npz states: run.json was changed"
-        if moved(self.then, self.now):
-            return f"changed since the run: {', '.join(moved(self.then, self.now))}"
+        if changes := self.changes():
+            return f"changed since the run: {', '.join(changes)}"
         unknown = [key for key in self.now if key not in self.then]
         missing = f", and {', '.join(unknown)} are not known" if unknown else ""
         return f"run.json or the code was changed: versions and machine are as then{missing}"
@@ -134,7 +115,7 @@ def check_run(
         progress: called after every control period.
 
     Raises:
-        ValueError: if the folder holds no complete run, or one that cannot be made again.
+        OctarmError: if the folder holds no complete run, or one that cannot be made again.
     """
     description = runs.read_description(folder)
     stored = _stored(folder, description)
@@ -149,7 +130,7 @@ def check_run(
         raise OctarmError(f"{folder} cannot be run again: {error}") from None
     announced = experiment.announcement(environment, controller)
     again, described = perform(environment, controller, announced, progress=progress)
-    deviations = sorted(_deviations(stored, again), key=lambda d: d.row)
+    deviations = tuple(sorted(_deviations(stored, again), key=lambda d: d.row))
     keys = [*_INPUTS]
     if not deviations:  # what was measured of another motion is another one anyway
         keys += ["metrics"] if interrupted else _RESULTS
@@ -157,20 +138,16 @@ def check_run(
     return RunCheck(
         rows=len(stored),
         arrays=len(list(stored.arrays())),
-        deviations=tuple(deviations),
+        deviations=deviations,
         differences=(*_form(stored, again), *compare(known, described)),
         digests=(str(description.get("digest")), stored.digest, again.digest),
-        then=flat(description),
-        now=flat(described),
+        then=origin(description),
+        now=origin(described),
     )
 
 
 def _stored(folder: Path, description: Mapping[str, Any]) -> Trajectory:
-    """The arrays of a run.
-
-    Raises:
-        ValueError: if there are none.
-    """
+    """The arrays of a run; an OctarmError if there are none."""
     file = folder / runs.ARRAYS
     if not file.is_file():
         killed = description.get("status") == runs.RUNNING
@@ -184,7 +161,7 @@ def _stored(folder: Path, description: Mapping[str, Any]) -> Trajectory:
 
 def _deviations(stored: Trajectory, again: Trajectory) -> Iterator[Deviation]:
     """Of all arrays that both have in the same form, as far as both reach."""
-    others, rows = dict(again.arrays()), min(len(stored), len(again))
+    others, rows, n = dict(again.arrays()), min(len(stored), len(again)), stored.q.shape[1]
     for name, array in stored.arrays():
         other = others.get(name)
         if other is None or other.shape[1:] != array.shape[1:]:
@@ -194,24 +171,13 @@ def _deviations(stored: Trajectory, again: Trajectory) -> Iterator[Deviation]:
         if not differs.any():
             continue
         row, *place = here = tuple(int(i) for i in np.argwhere(differs)[0])
+        words = ", ".join(map(str, place)) or "-"
+        if array.shape[1:] == (n,):
+            words = f"tau{place[0] + 1}" if name == "tau" else coordinate_names(n // 2)[place[0]]
         with np.errstate(all="ignore"):
-            sizes = np.abs(was - now)[differs]
-        yield Deviation(
-            array=name,
-            row=row,
-            t=float(again.t[row]),
-            place=_place(name, place, array.shape[1:], stored.q.shape[1] // 2),
-            was=float(was[here]),
-            now=float(now[here]),
-            largest=float(np.max(sizes)),
-        )
-
-
-def _place(name: str, place: list[int], shape: tuple[int, ...], modules: int) -> str:
-    """Which number of a row, in words where it has some."""
-    if shape == (2 * modules,):
-        return f"tau{place[0] + 1}" if name == "tau" else coordinate_names(modules)[place[0]]
-    return ", ".join(map(str, place)) or "-"
+            largest = float(np.max(np.abs(was - now)[differs]))
+        numbers = float(was[here]), float(now[here])
+        yield Deviation(name, row, float(again.t[row]), words, *numbers, largest)
 
 
 def _form(stored: Trajectory, again: Trajectory) -> Iterator[Difference]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from octarm.arm.mjcf import nominal_parameters
-from octarm.checks.differences import Difference, beside, compare, despite, flat, told
+from octarm.checks.differences import Comparison, Difference, compare, listed, origin
 from octarm.interfaces import ControllerFactory
 from octarm.runs import folder as runs
 from octarm.runs.versions import host, versions
@@ -20,41 +19,35 @@ from octarm.sweeps.store import RECORDED, origin_of
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class EpisodeCheck:
+class EpisodeCheck(Comparison):
     """A row of a sweep's table compared with that of the episode run alone.
+
+    Differences are those of the columns, the checkpoints aside.
 
     Attributes:
         episode: its number.
         label: what it is, in words.
         between: the instants between which the motion becomes another one [s]; None if it does
             not.
-        differences: of the columns, the checkpoints aside.
         gains: of the controller for the nominal arm, where they are not what they were.
         recorded: run folder of the episode, if there is one.
-        then: versions and machine that the row comes from.
-        now: those of the re-run.
     """
 
     episode: int
     label: str
     between: tuple[float, float] | None
-    differences: tuple[Difference, ...]
     gains: tuple[Difference, ...]
     recorded: Path | None
-    then: Mapping[str, str]
-    now: Mapping[str, str]
 
     @property
-    def identical(self) -> bool:
-        """Whether everything came out again."""
+    def identical(self) -> bool:  # noqa: D102
         return self.between is None and not self.differences
 
-    def lines(self) -> list[str]:
-        """The result, for the terminal."""
+    def lines(self) -> list[str]:  # noqa: D102
         head = f"episode {self.episode} ({self.label})"
         if self.identical:
             same = f"{head}: identical when run alone: digest, checkpoints and all measures"
-            return [same, *despite(self.then, self.now)]
+            return [same, *self.harmless_changes()]
         if self.between is None:
             lines = [f"{head}: the motion is the same, but not what the table says of it"]
         else:
@@ -62,9 +55,8 @@ class EpisodeCheck:
             lines = [f"{head}: different from an instant between t = {begin:g} s and {end:g} s on"]
             if self.recorded is not None:
                 lines.append(f"  octarm verify {self.recorded} says from which one on")
-        lines += told(self.differences, "column") if self.differences else []
-        lines += told(self.gains, "gain") if self.gains else []
-        return [*lines, *beside(self.then, self.now)]
+        lines += [*listed(self.differences, "column"), *listed(self.gains, "gain")]
+        return [*lines, *self.origins()]
 
 
 def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory) -> EpisodeCheck:
@@ -93,8 +85,8 @@ def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory
         differences=tuple(compare(stored, again)),
         gains=tuple(compare(sweep.gains.get(arms.controller, {}), gains)),
         recorded=next(iter((sweep.path / RECORDED).glob(f"{episode}-*")), None),
-        then=flat(origin_of(row)),
-        now=flat({"versions": versions(), "host": host()}),
+        then=origin(origin_of(row)),
+        now=origin({"versions": versions(), "host": host()}),
     )
 
 
@@ -103,8 +95,6 @@ def _label(plan: Plan, episode: int) -> str:
     number = np.array([episode])
     values = {name: column[0] for name, column in plan.values(number).items()}
     words = [str(values.pop(name)) for name in ("controller", "reference")]
-    words += [
-        f"{name} {value}" if isinstance(value, str) else f"{name} {value:g}"
-        for name, value in values.items()
-    ]
+    for name, value in values.items():
+        words.append(f"{name} {value}" if isinstance(value, str) else f"{name} {value:g}")
     return ", ".join([*words, f"seed {plan.seeds(number)[0]}"])

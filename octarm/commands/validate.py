@@ -11,13 +11,13 @@ from tqdm import tqdm
 
 from controllers.proofs.ledger import ledger as ledger
 from octarm.arm.parameters import ArmParameters
-from octarm.checks.report import Report
 from octarm.checks.validation import arm_with, random_arm
 from octarm.checks.validation import validate as plant
 from octarm.errors import ExitCode
 from octarm.files import write_text
+from octarm.tolerances import CheckTable
 
-Compare = Callable[[ArmParameters, int, int, Callable[[str], None]], Report]
+Compare = Callable[[ArmParameters, int, int, Callable[[str], None]], CheckTable]
 
 __all__ = ["ledger", "plant", "validate"]
 
@@ -28,11 +28,11 @@ def validate(
     """`octarm validate`: MuJoCo against the analytic model, or the controllers' Lyapunov ledger."""
     draw = np.random.default_rng(seed)
     arms = [random_arm(draw, modules) for _ in range(random_arms)] or [arm_with(modules)]
-    reports: list[Report] = []
+    reports: list[CheckTable] = []
     for arm in arms:
         with tqdm(bar_format="checking {desc}", disable=None, leave=False) as line:
             reports.append(compare(arm, states, seed, line.set_description_str))
-        print(reports[-1].format(), flush=True)
+        print(reports[-1], flush=True)
     if file is not None:
         write_text(file, json.dumps([r.to_dict() for r in reports], indent=2) + "\n")
     return ExitCode.FINE if all(r.passed for r in reports) else ExitCode.CHECK_FAILED

@@ -9,7 +9,7 @@ import numpy as np
 
 from octarm.interfaces import Rows
 from octarm.metrics.metric import FORCE, Accumulator, Metric, Settings
-from octarm.metrics.rows import Before, Count, MeanSquare, Size, add_rows, filled
+from octarm.metrics.rows import Before, Count, Size, add_rows, filled
 
 
 class InputUse(Accumulator):
@@ -67,7 +67,7 @@ class ForceUse(Accumulator):
     def __init__(self, first: Rows, settings: Settings) -> None:
         like = first["force"]
         self._force_before, self._q_before = Before(), Before()
-        self._size = MeanSquare(like)
+        self._size = Size(like)
         self._net, self._absolute = np.zeros_like(like), np.zeros_like(like)
 
     def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102

@@ -5,13 +5,12 @@ from __future__ import annotations
 import abc
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from octarm.arrays import coordinate_units
 from octarm.errors import OctarmError
 from octarm.interfaces import Rows
 
@@ -69,7 +68,7 @@ class Settings:
         layer: half width phi of the boundary layer, broadcasts to (..., 2N) [m/s], [rad/s]; None
             where there is none.
         band: |q - q_d| within it counts as settled, broadcasts to (..., 2N) [m], [rad]; if None,
-            `default_band` of the planar arm's units.
+            `SLIDE_BAND` of slides and `BEND_BAND` of bends.
         corner: of the high-pass filter of `chattering` [Hz].
 
     Raises:
@@ -96,12 +95,8 @@ class Settings:
 
     def band_of(self, coordinates: int) -> npt.ArrayLike:
         """The settling band, broadcasts to (..., coordinates) [m], [rad]."""
-        return default_band(coordinate_units(coordinates // 2)) if self.band is None else self.band
-
-
-def default_band(units: Sequence[str]) -> np.ndarray:
-    """`SLIDE_BAND` where the unit is m, `BEND_BAND` where it is rad, shape (2N,) [m], [rad]."""
-    return np.array([{"m": SLIDE_BAND, "rad": BEND_BAND}[unit] for unit in units])
+        default = np.repeat([SLIDE_BAND, BEND_BAND], coordinates // 2)
+        return default if self.band is None else self.band
 
 
 class Accumulator(abc.ABC):

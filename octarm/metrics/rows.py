@@ -8,24 +8,11 @@ may be taken in any order, but sums over time are added row after row.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
 
 from octarm.errors import OctarmError
-from octarm.interfaces import Rows
-from octarm.metrics.metric import SETTLED_AFTER
-
-
-def parts(rows: Rows, most: int) -> Iterator[tuple[Rows, bool]]:
-    """Parts of at most so many rows, each with whether it is past `SETTLED_AFTER`."""
-    count = len(rows["t"])
-    settled = int(np.searchsorted(rows["t"], SETTLED_AFTER))
-    for begin, end, steady in ((0, settled, False), (settled, count, True)):
-        for start in range(begin, end, most):
-            cut = slice(start, min(start + most, end))
-            yield {name: array[cut] for name, array in rows.items()}, steady
 
 
 def add_rows(total: np.ndarray, rows: np.ndarray) -> None:
@@ -54,17 +41,15 @@ class Before:
     """The row before each row, across blocks; the first row of all stands before itself.
 
     Attributes:
-        last: a copy of the last row so far; 0 before the first.
+        last: a copy of the last row so far, shape of a row; None before the first.
     """
 
-    def __init__(self) -> None:
-        self.last: np.ndarray | float = 0.0
-        self._begun = False
+    last: np.ndarray | None = None
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """Rows of shape (k, ...), one instant earlier."""
-        first = np.asarray(self.last) if self._begun else rows[0]
-        self.last, self._begun = rows[-1].copy(order="K"), True
+        first = rows[0] if self.last is None else self.last
+        self.last = rows[-1].copy(order="K")
         if len(rows) == 1:
             return first[None]
         out = np.empty_like(rows)
@@ -73,33 +58,22 @@ class Before:
         return out
 
 
-class MeanSquare:
-    """Root mean square of rows, from their squares."""
+class Size:
+    """Root mean square and largest absolute value of rows, from their squares."""
 
     def __init__(self, like: np.ndarray) -> None:
         self._rows = 0
-        self._sum = np.zeros_like(like)
+        self._sum, self._largest = np.zeros_like(like), np.zeros_like(like)
 
     def update(self, squares: np.ndarray) -> None:
         """Takes the squares of rows, shape (k, ...)."""
         self._rows += len(squares)
         add_rows(self._sum, squares)
+        keep_largest(self._largest, squares)
 
     def root(self) -> np.ndarray:
         """The root mean square so far, shape of a row; NaN without a row."""
         return np.sqrt(self._sum / (self._rows or math.nan))
-
-
-class Size(MeanSquare):
-    """Root mean square and largest absolute value of rows, from their squares."""
-
-    def __init__(self, like: np.ndarray) -> None:
-        super().__init__(like)
-        self._largest = np.zeros_like(like)
-
-    def update(self, squares: np.ndarray) -> None:  # noqa: D102
-        super().update(squares)
-        keep_largest(self._largest, squares)
 
     def peak(self) -> np.ndarray:
         """The largest so far, shape of a row; NaN without a row. sqrt(x^2) is exactly |x|."""
@@ -153,8 +127,3 @@ class Count:
     def result(self) -> np.ndarray:
         """The number so far, shape of a row."""
         return self._total + self._recent
-
-
-def first_true(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whether any row is true, and the number of the first that is, both of shape (...)."""
-    return np.any(rows, axis=0), np.argmax(rows, axis=0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from octarm.interfaces import Rows
 from octarm.metrics.metric import STEADY, Accumulator, Metric, Settings
-from octarm.metrics.rows import Before, Count, filled, first_true
+from octarm.metrics.rows import Before, Count, filled
 
 
 class Sliding(Accumulator):
@@ -57,24 +57,21 @@ class Sliding(Accumulator):
         size = np.abs(s)
         outside = size > self._phi
         if self._waiting.any():
-            self._reach(t, ~outside | (s * self._start <= 0.0))
+            arriving = self._waiting & (~outside | (s * self._start <= 0.0))
+            if np.any(arrived := np.any(arriving, axis=0)):
+                self._time = np.where(arrived, t[np.argmax(arriving, axis=0)], self._time)
+                self._waiting &= ~arrived
         (self._late if steady else self._early).update(outside)
         self._steady_rows += len(t) if steady else 0
         grown = size > self._size_before(size)
         grown &= self._outside_before(outside)
         self._grown.update(grown)
 
-    def _reach(self, t: np.ndarray, there: np.ndarray) -> None:
-        arriving = there & self._waiting
-        if arriving.any():
-            arrived, row = first_true(arriving)
-            self._time = np.where(arrived, t[row], self._time)
-            self._waiting &= ~arrived
-
     def result(self) -> dict[str, np.ndarray]:  # noqa: D102
         early, late = self._early.result(), self._late.result()
         # Nothing is known about the end of the period that begins at the last instant.
-        begun = early + late - self._outside_before.last
+        last = self._outside_before.last
+        begun = early + late - (0 if last is None else last)
         results = {
             "reaching_time": self._time.copy(),
             "sliding_violations": self._grown.result() / np.where(begun > 0, begun, np.nan),

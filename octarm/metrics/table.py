@@ -6,6 +6,7 @@ for an arm alone and as a row of a batch, bit for bit.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -18,7 +19,6 @@ from octarm.metrics.chattering import Chattering
 from octarm.metrics.inputs import ForceUse, InputUse
 from octarm.metrics.metric import CORNER, Accumulator, Metric, Settings
 from octarm.metrics.metric import SETTLED_AFTER as SETTLED_AFTER
-from octarm.metrics.rows import parts
 from octarm.metrics.sliding import ReachingBound, Sliding
 from octarm.metrics.tracking import Overshoot, Settling, TipError, TrackingError
 
@@ -34,7 +34,6 @@ class Catalogue(Mapping[str, Metric]):
     """
 
     def __init__(self, *accumulators: type[Accumulator]) -> None:
-        """The catalogue of the metrics of these classes."""
         self.accumulators = accumulators
 
     def __getitem__(self, name: str) -> Metric:
@@ -75,28 +74,18 @@ class Metrics:
         band: npt.ArrayLike | None = None,
         corner: float = CORNER,
     ) -> None:
-        """Metrics of arms of any number and batch shape; the arguments are those of `Settings`.
-
-        Raises:
-            OctarmError: if one of them is not positive (layer: negative), or not finite (the input
-                limit excepted).
-        """
+        """Metrics of arms of any number and batch shape; the arguments are those of `Settings`."""
         self._settings = Settings(
-            control_period=control_period,
-            input_limit=input_limit,
-            layer=layer,
-            band=band,
+            control_period=control_period, input_limit=input_limit, layer=layer, band=band,
             corner=corner,
-        )
+        )  # fmt: skip
         self._accumulators: list[Accumulator] = []
         self._sum: np.ndarray | float = 0.0  # not finite where something was not
 
     def update(self, rows: Rows) -> None:
-        """Takes the next control instants.
+        """Takes the next control instants: `t`, `q`, `q_d`, `tau`, `force`, and signals.
 
-        Args:
-            rows: with the fields `t`, `q`, `q_d`, `tau`, `force`, and the controller's signals. The
-                arms of a batch may share their q_d, of shape (k, 1, 2N) then.
+        The arms of a batch may share their q_d, of shape (k, 1, 2N) then.
 
         Raises:
             OctarmError: if a limit, the layer or the band does not fit the arms.
@@ -112,8 +101,11 @@ class Metrics:
                 if set(make.signals) <= set(rows)
             ]
         most = max(1, _NUMBERS_A_PART // rows["q"][0].size)
+        settled, count = int(np.searchsorted(rows["t"], SETTLED_AFTER)), len(rows["t"])
+        starts = [*range(0, settled, most), *range(settled, count, most)]
         with np.errstate(all="ignore"):  # a diverged arm may hold anything
-            for part, steady in parts(rows, most):
+            for start, end in itertools.pairwise([*starts, count]):
+                part, steady = {k: x[start:end] for k, x in rows.items()}, start >= settled
                 error = part["q"] - part["q_d"]
                 self._sum = self._sum + np.sum(part["q"] + part["tau"] + part["force"], axis=0)
                 complete = {**part, "error": error, "squared_error": error * error}

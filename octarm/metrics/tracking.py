@@ -10,7 +10,7 @@ import numpy as np
 from octarm.arm.kinematics import tip
 from octarm.interfaces import Rows
 from octarm.metrics.metric import POSITION, STEADY, Accumulator, Metric, Settings
-from octarm.metrics.rows import Extremes, Size, add_rows, filled, first_true
+from octarm.metrics.rows import Extremes, Size, add_rows, filled
 
 # The band has to hold for half a period of the default sine at least: every phase of |e|.
 DWELL = 1.0  # [s]
@@ -84,7 +84,7 @@ class Settling(Accumulator):
             if len(squares) == 1:
                 self._last_outside = np.where(outside[0], last, self._last_outside)
             else:
-                ever, back = first_true(outside[::-1])
+                ever, back = np.any(outside, axis=0), np.argmax(outside[::-1], axis=0)
                 self._last_outside = np.where(ever, last - back, self._last_outside)
         self._rows += len(squares)
 
@@ -124,41 +124,32 @@ class Overshoot(Accumulator):
     }
 
     def __init__(self, first: Rows, settings: Settings) -> None:
-        start, desired = first["q"], first["q_d"]
-        band = settings.band_of(start.shape[-1])
+        start = first["q"]
         self._start = start.copy(order="K")
-        self._band = filled("settling band", band, start)
+        self._band = filled("settling band", settings.band_of(start.shape[-1]), start)
         self._early, self._late = Extremes(start), Extremes(start)
-        self._desired = Extremes(desired)
+        self._desired = Extremes(first["q_d"])
 
     def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
         (self._late if steady else self._early).update(rows["q"])
         if steady:
             self._desired.update(rows["q_d"])
 
-    def _reached(self) -> tuple[np.ndarray, np.ndarray]:
-        """Largest and smallest q of the whole run, each of shape (..., 2N) [m], [rad]."""
-        return (
-            np.maximum(self._early.largest, self._late.largest),
-            np.minimum(self._early.smallest, self._late.smallest),
-        )
-
     def result(self) -> dict[str, np.ndarray]:  # noqa: D102
         top, bottom = self._desired.largest, self._desired.smallest
         centre, amplitude = 0.5 * (top + bottom), 0.5 * (top - bottom)
         moves = amplitude > 0.0
         above, below = self._late.largest - centre, centre - self._late.smallest
+        step = top - self._start
+        largest = np.maximum(self._early.largest, self._late.largest)
+        smallest = np.minimum(self._early.smallest, self._late.smallest)
+        gone = np.where(step > 0.0, largest - self._start, self._start - smallest)
+        stepped = (top == bottom) & (np.abs(step) > self._band)
         return {
             "overshoot": _percent(np.maximum(above, below), amplitude, moves),
             "undershoot": _percent(np.minimum(above, below), amplitude, moves),
-            "step_overshoot": self._step(top, top == bottom),
+            "step_overshoot": _percent(gone, np.abs(step), stepped),
         }
-
-    def _step(self, goal: np.ndarray, rests: np.ndarray) -> np.ndarray:
-        way = goal - self._start
-        largest, smallest = self._reached()
-        gone = np.where(way > 0.0, largest - self._start, self._start - smallest)
-        return _percent(gone, np.abs(way), rests & (np.abs(way) > self._band))
 
 
 def _percent(reached: np.ndarray, size: np.ndarray, meant: np.ndarray) -> np.ndarray:

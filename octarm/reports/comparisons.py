@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from octarm.errors import OctarmError, closest
-from octarm.reports.frame import Episodes, Factor
+from octarm.reports.frame import Episodes, Factor, Measure
 from octarm.reports.statistics import Interval, Paired, binomial, medians, paired
 
 TABLES = ("medians.csv", "failures.csv", "differences.csv", "cells.csv")
@@ -117,28 +118,18 @@ def compare(episodes: Episodes, baseline: str | None = None) -> Comparisons:
     selected = baseline or (names[0] if len(names) > 1 else "")
     partner = partners(episodes, selected) if selected else None
     groups: list[Group] = []
-    for factor in (None, *factors):
-        for level in range(1 if factor is None else len(factor.labels)):
-            for name in names:
-                rows = episodes.of_controller(name)
-                if factor is not None:
-                    rows = rows[factor.code[rows] == level]
-                failed = int(np.sum(episodes.diverged[rows]))
-                groups.append(
-                    Group(
-                        factor=factor,
-                        level=level,
-                        controller=name,
-                        episodes=len(rows),
-                        failed=failed,
-                        failures=binomial(failed, len(rows)),
-                        medians=medians(episodes.values[rows], episodes.seed[rows]),
-                        difference=None
-                        if partner is None or name == selected
-                        else _difference(episodes, rows, partner[rows]),
-                    )
-                )
-    pairs = ((a, b) for i, a in enumerate(factors) for b in factors[i + 1 :])
+    levels = [(f, k) for f in factors for k in range(len(f.labels))]
+    for (factor, level), name in itertools.product([(None, 0), *levels], names):
+        rows = episodes.of_controller(name)
+        if factor is not None:
+            rows = rows[factor.code[rows] == level]
+        failed, difference = int(np.sum(episodes.diverged[rows])), None
+        if partner is not None and name != selected:
+            difference = _difference(episodes, rows, partner[rows])
+        shares = binomial(failed, len(rows))
+        middles = medians(episodes.values[rows], episodes.seed[rows])
+        groups.append(Group(factor, level, name, len(rows), failed, shares, middles, difference))
+    pairs = itertools.combinations(factors, 2)
     pairs = ((b, a) if b.drawn and not a.drawn else (a, b) for a, b in pairs)  # long labels first
     cells = tuple(_cells(episodes, first, second) for first, second in pairs)
     return Comparisons(episodes, selected, tuple(groups), cells)
@@ -187,13 +178,6 @@ def _cells(episodes: Episodes, first: Factor, second: Factor) -> Cells:
     return Cells(first, second, np.moveaxis(middles, -1, 1))
 
 
-def outcomes(comparisons: Comparisons, difference: Difference, j: int) -> tuple[Any, Any]:
-    """Pairs won and lost by the measure in place j; NaN where there is nothing to win."""
-    if not comparisons.episodes.measures[j].sign:
-        return math.nan, math.nan
-    return int(difference.measured.won[j]), int(difference.measured.lost[j])
-
-
 def tables(comparisons: Comparisons) -> dict[str, str]:
     """The CSV files by name, in SI units; those without a row are left out."""
     rows = (_medians, _failures, _differences, _cell_medians)
@@ -208,19 +192,22 @@ def _where(group: Group) -> dict[str, Any]:
 
 def _medians(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
     for group in comparisons.groups:
+        counts = {"episodes": group.episodes, "diverged": group.failed}
         for j, measure in enumerate(comparisons.episodes.measures):
-            counts = {"episodes": group.episodes, "diverged": group.failed}
-            median, low, high = (x[j] for x in group.medians)
-            yield _where(group) | {"metric": measure.name, "unit": measure.unit} | counts | {
-                "median": median, "low": low, "high": high,
-            }  # fmt: skip
+            numbers = dict(
+                zip(("median", "low", "high"), [x[j] for x in group.medians], strict=True)
+            )
+            yield _where(group) | _name(measure) | counts | numbers
 
 
 def _failures(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
     for group in comparisons.groups:
         counts = {"episodes": group.episodes, "diverged": group.failed}
-        share, low, high = group.failures
-        yield _where(group) | counts | {"share": share, "low": low, "high": high}
+        yield (
+            _where(group)
+            | counts
+            | dict(zip(("share", "low", "high"), group.failures, strict=True))
+        )
 
 
 def _differences(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
@@ -228,11 +215,12 @@ def _differences(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
         if (d := group.difference) is None:
             continue
         for j, measure in enumerate(comparisons.episodes.measures):
-            won, lost = outcomes(comparisons, d, j)
+            pairs, won, lost = (x[j] for x in d.measured[:3])
             median, low, high = (x[j] for x in d.measured.difference)
-            yield _where(group) | {
-                "baseline": comparisons.baseline, "metric": measure.name, "unit": measure.unit,
-                "pairs": d.pairs, "compared": d.measured.pairs[j], "won": won, "lost": lost,
+            if not measure.sign:  # there is nothing to win
+                won = lost = ""
+            yield _where(group) | {"baseline": comparisons.baseline} | _name(measure) | {
+                "pairs": d.pairs, "compared": pairs, "won": won, "lost": lost,
                 "median_difference": median, "low": low, "high": high,
                 "only_this_diverged": d.alone, "only_baseline_diverged": d.other,
                 "both_diverged": d.both, "unpaired": d.unpaired,
@@ -246,20 +234,23 @@ def _cell_medians(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
             c, m, i, k = map(int, place)
             yield {
                 "axis_1": first.name, "value_1": first.labels[i],
-                "axis_2": second.name, "value_2": second.labels[k],
-                "controller": names[c], "metric": measures[m].name, "unit": measures[m].unit,
-                "median": value,
-            }  # fmt: skip
+                "axis_2": second.name, "value_2": second.labels[k], "controller": names[c],
+            } | _name(measures[m]) | {"median": value}  # fmt: skip
 
 
-def _csv(rows: Iterator[dict[str, Any]]) -> str:
+def _name(measure: Measure) -> dict[str, str]:
+    return {"metric": measure.name, "unit": measure.unit}
+
+
+def _csv(rows: Iterable[dict[str, Any]]) -> str:
     """A table with a header, floats with nine digits, NaN empty; no text without a row."""
-    text, writer = io.StringIO(), None
-    for row in rows:
-        if writer is None:
-            writer = csv.DictWriter(text, list(row), lineterminator="\n")
-            writer.writeheader()
-        writer.writerow({name: _plain(value) for name, value in row.items()})
+    lines = [{name: _plain(value) for name, value in row.items()} for row in rows]
+    if not lines:
+        return ""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(lines[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
     return text.getvalue()
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Generator
-from contextlib import contextmanager
-from typing import Any, NamedTuple, cast
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any, NamedTuple
 
-import matplotlib
+import matplotlib.style
 import numpy as np
 from markupsafe import Markup, escape
 from matplotlib.axis import XAxis, YAxis
@@ -25,40 +25,17 @@ COLORS = (
     "#3aa3dd", "#7d6bd0", "#8c8c8c", "#b0413e", "#7a8f1f",
 )  # fmt: skip
 MARKERS = "os^Dv<>PXp"
-INK, LINE, GROUND = "#24292f", "#d4dae1", "#ffffff"  # a page replaces them by its own
+INK, LINE, GROUND = (
+    "#24292f",
+    "#d4dae1",
+    "#ffffff",
+)  # a page replaces them by its own; as in the style
 
 LETTER = 0.085  # mean width of a letter [inch]
 LOGARITHMIC = 8.0  # largest over smallest value, from which on an axis is logarithmic
 _COLUMNS = 4  # of panels
 _PIXELS = 1.5  # of a point of a figure: four panels fill the page
-_STYLE: dict[str, Any] = {
-    "font.size": 8.5,
-    "axes.titlesize": 9,
-    "axes.labelsize": 8.5,
-    "axes.titlelocation": "left",
-    "axes.titleweight": "bold",
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.fontsize": 9,
-    "legend.frameon": False,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.linewidth": 0.6,
-    "grid.color": LINE,
-    "grid.linewidth": 0.6,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "lines.linewidth": 1.6,
-    "lines.markersize": 4.5,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "octarm",
-    "text.parse_math": False,
-    **dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "text.color"), INK),
-    **dict.fromkeys(("xtick.color", "ytick.color"), INK),
-    **dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), GROUND),
-}
+_STYLE = Path(__file__).with_suffix(".mplstyle")
 
 
 class Picture(NamedTuple):
@@ -82,13 +59,9 @@ class Picture(NamedTuple):
         return inline_svg(self.svg, self.name.replace(".", "-"), self.caption)
 
 
-@contextmanager
-def figure_style() -> Generator[None]:
+def figure_style() -> AbstractContextManager[None]:
     """The style in which figures are made and saved, whatever a user's own settings are."""
-    default = matplotlib.rcParamsDefault
-    whole = {name: v for name, v in default.items() if not name.startswith("backend")}
-    with cast(Any, matplotlib).rc_context({**whole, **_STYLE}):
-        yield
+    return matplotlib.style.context(["default", str(_STYLE)])
 
 
 def save_figure(name: str, caption: str, figure: Figure) -> Picture:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 
 from octarm.disturbances.episode import field_kinds
@@ -80,7 +81,7 @@ class Measure(NamedTuple):
 
     @property
     def sign(self) -> int:
-        """1 when less is better, -1 when more is, 0 when neither."""
+        """That of the metric."""
         return self.declared.sign
 
     @property
@@ -170,24 +171,32 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
     schema = read_schema(folder)
     columns = [column for field in schema if (column := _column(field)) is not None]
     wanted = {name: _measures(name, columns, spec) for name in metrics or DEFAULT}
+    asked = [measure for measures in wanted.values() for measure in measures]
     errors = [column.name for column in columns if column.metric == "rms_error"]
     needed = ["controller", "seed", "status", "digest", *names, *errors]
-    for measure in itertools.chain.from_iterable(wanted.values()):
+    for measure in asked:
         needed += [*measure.columns, *(name for name in _awaited(measure) if name in schema.names)]
     table = read_sweep(folder, [*dict.fromkeys(needed)])
-    held = {name: _array(table[name]) for name in table.column_names}
-    controller = _codes(held["controller"], controllers)
+    held = {name: table[name].to_numpy() for name in table.column_names}
+    controller = _places(held["controller"], controllers)
     diverged = held["status"] == "diverged"
     absent = [name for name, measures in wanted.items() if not measures]
     values: dict[Measure, np.ndarray] = {}
-    for measure in itertools.chain.from_iterable(wanted.values()):
+    for measure in asked:
         column = _values(held, measure, controller, diverged)
         if np.any(np.isfinite(column)):
             values[measure] = column
         else:
             absent.append(measure.name)
     if not values:
-        raise OctarmError(_nothing(folder, spec, absent, bool(diverged.all())))
+        if diverged.all():
+            raise OctarmError(
+                f"all finished episodes of {folder} diverged; there is nothing to report of them"
+            )
+        raise OctarmError(
+            f"{folder} has no value of {', '.join(absent)} in any episode; they last "
+            f"{spec['duration']:g} s, and most metrics count from {SETTLED_AFTER:g} s on"
+        )
     lost, exact = _suspects(held, errors, spec["duration"])
     return Episodes(
         manifest=manifest,
@@ -236,11 +245,9 @@ def _measures(name: str, columns: Sequence[Measure], spec: Mapping[str, Any]) ->
 
 def _moved(references: Sequence[str], coordinates: int) -> np.ndarray:
     """Which coordinates a reference moves away from rest, shape (2N,); all if none is known."""
-    moving = np.zeros(coordinates, dtype=bool)
-    for name in references:
-        if name in REFERENCES:
-            moving |= _hanging_error(name, coordinates, 10.0) > 0.0
-    return moving if moving.any() else ~moving
+    known = [name for name in references if name in REFERENCES]
+    moving = np.any([_hanging_error(name, coordinates, 10.0) > 0.0 for name in known], axis=0)
+    return np.broadcast_to(moving if np.any(moving) else ~moving, (coordinates,))
 
 
 def _hanging_error(
@@ -287,16 +294,15 @@ def _suspects(
 ) -> tuple[np.ndarray, np.ndarray]:
     """`Episodes.lost` and `Episodes.exact`, given the columns of `rms_error`."""
     reference = held["reference"]
-    lost = np.zeros(len(reference), dtype=bool)
-    exact = np.zeros_like(lost)
-    for name in np.unique(reference).tolist() if duration > SETTLED_AFTER else ():
-        if name in REFERENCES:
-            hanging = _hanging_error(name, len(errors), duration, SETTLED_AFTER)
-            here = reference == name
-            for column, limit in zip(errors, hanging, strict=True):
-                if limit > 0.0:
-                    lost |= here & (held[column] >= limit)
-                    exact |= here & (held[column] == 0.0)
+    lost, exact = np.zeros((2, len(reference)), dtype=bool)
+    for name in set(reference.tolist()) & set(REFERENCES) if duration > SETTLED_AFTER else ():
+        hanging, here = (
+            _hanging_error(name, len(errors), duration, SETTLED_AFTER),
+            reference == name,
+        )
+        for column, limit in zip(errors, hanging, strict=True):
+            lost |= here & (limit > 0.0) & (held[column] >= limit)
+            exact |= here & (limit > 0.0) & (held[column] == 0.0)
     return lost, exact
 
 
@@ -309,16 +315,19 @@ def _factors(
         column, unit = held[name], _unit(name)
         if f"random.{name}" in spec:
             factors += _drawn(name, unit, column)
-        elif len(spec[f"grid.{name}"]) > 1:
-            words = column.dtype.kind != "f"
-            values = np.array([v if words else float(v) for v in spec[f"grid.{name}"]])
-            if not words:
-                values = np.sort(values)
-            scaled = not words and bool(np.isfinite(values).all())
-            labels = tuple(str(v) if words else f"{v:g}" for v in values)
-            places = values if scaled else np.arange(len(values))
-            code = _codes(column, values.tolist())
-            factors.append(Factor(name, unit, labels, places, scaled, False, code))
+            continue
+        values = np.array(spec[f"grid.{name}"])
+        if len(values) < 2:
+            continue
+        words = column.dtype.kind != "f"
+        labels = tuple(map(str, values.tolist()))
+        if not words:
+            values = np.sort(values.astype(float))
+            labels = tuple(f"{v:g}" for v in values)
+        scaled = not words and bool(np.isfinite(values).all())
+        places = values if scaled else np.arange(len(values))
+        code = _places(column, values)
+        factors.append(Factor(name, unit, labels, places, scaled, drawn=False, code=code))
     return factors
 
 
@@ -347,27 +356,6 @@ def _unit(factor: str) -> str:
     return "" if unit == "1" else unit
 
 
-def _array(column: pa.ChunkedArray) -> np.ndarray:
-    """A column as an array of shape (n,); words as strings, missing numbers as NaN."""
-    if pa.types.is_string(column.type):
-        return np.asarray(column.to_pylist(), dtype=np.str_)
-    return column.to_numpy()
-
-
-def _codes(column: np.ndarray, values: Sequence[Any]) -> np.ndarray:
+def _places(column: np.ndarray, values: npt.ArrayLike) -> np.ndarray:
     """The places of a column's entries in a list, shape (n,)."""
-    place = {value: i for i, value in enumerate(values)}
-    different, inverse = np.unique(column, return_inverse=True)
-    return np.array([place[value] for value in different.tolist()], dtype=np.int64)[inverse]
-
-
-def _nothing(
-    folder: Path, spec: Mapping[str, Any], absent: Sequence[str], all_diverged: bool
-) -> str:
-    """Why no measure has a value."""
-    if all_diverged:
-        return f"all finished episodes of {folder} diverged; there is nothing to report of them"
-    return (
-        f"{folder} has no value of {', '.join(absent)} in any episode; they last "
-        f"{spec['duration']:g} s, and most metrics count from {SETTLED_AFTER:g} s on"
-    )
+    return np.argmax(column[:, None] == np.asarray(values), axis=1)

@@ -12,8 +12,8 @@ import jinja2
 import numpy as np
 
 from octarm.metrics.metric import SETTLED_AFTER
-from octarm.reports.charts import Scale, scale_of
-from octarm.reports.comparisons import Comparisons, Group, outcomes
+from octarm.reports.charts import Scale, scales_of
+from octarm.reports.comparisons import Comparisons, Group
 from octarm.reports.consistency import Remark
 from octarm.reports.figures import COLORS, Picture
 from octarm.reports.frame import Factor
@@ -86,51 +86,26 @@ def page(
     source: Source,
 ) -> str:
     """The page as text; the same for the same numbers."""
-    episodes = comparisons.episodes
-    manifest = episodes.manifest
-    machines = [_machine(start["host"]) for start in manifest["starts"]]
-    versions = manifest["starts"][0]["versions"]
+    manifest = comparisons.episodes.manifest
+    machines = (_machine(start["host"]) for start in manifest["starts"])
     gains = (f"{name}: {json.dumps(gains)}" for name, gains in manifest["gains"].items())
     return (
         templates()
         .get_template("report.html")
         .render(
-            title=f"Sweep report: {source.name}",
-            lead=_lead(comparisons),
+            comparisons._asdict(),
+            manifest=manifest,
             remarks=list(remarks),
             page=Tables(comparisons),
-            baseline=comparisons.baseline,
             pictures=list(pictures),
-            factors=episodes.factors,
             source=source,
-            seeds=len(np.unique(episodes.seed)),
+            seeds=len(np.unique(comparisons.episodes.seed)),
             resamples=RESAMPLES,
-            undirected=any(measure.sign == 0 for measure in episodes.measures),
             settled_after=f"{SETTLED_AFTER:g}",
-            versions=", ".join(f"{name} {version}" for name, version in versions.items()),
             machines="; ".join(dict.fromkeys(machines)),
             gains="\n".join(gains),
-            spec_hash=manifest["spec_hash"],
         )
     )
-
-
-def _lead(comparisons: Comparisons) -> str:
-    episodes, spec = comparisons.episodes, comparisons.episodes.manifest["spec"]
-    grid = [_several(len(episodes.controllers), "controller")]
-    for factor in episodes.factors:
-        if not factor.drawn:
-            grid.append(f"{_several(len(factor.labels), 'value')} of {factor.name}")
-    grid.append(_several(spec["episodes"], "seed"))
-    parts = [f"{len(episodes.seed)} episodes of {spec['duration']:g} s: {' × '.join(grid)}"]
-    if drawn := [factor.name for factor in episodes.factors if factor.drawn]:
-        parts.append(f"{', '.join(drawn)} drawn for each seed")
-    parts.append("every controller meets the same random numbers")
-    return "; ".join(parts) + "."
-
-
-def _several(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def _machine(host: Mapping[str, Any]) -> str:
@@ -144,31 +119,30 @@ class Tables:
     def __init__(self, comparisons: Comparisons) -> None:
         """The tables of these numbers."""
         self._comparisons = comparisons
-        self._measures, self._names = (
-            comparisons.episodes.measures,
-            comparisons.episodes.controllers,
-        )
-        self._scales = [scale_of(comparisons.episodes, measure) for measure in self._measures]
+        self._measures = comparisons.episodes.measures
+        self._names = comparisons.episodes.controllers
+        self._scales = scales_of(comparisons.episodes)
 
     def medians(self, factor: Factor | None) -> Table:
         """The medians at each level of a factor, or in the whole sweep."""
         groups = self._comparisons.of(factor)
-        small = ["95 % interval"]
-        head = [Cell("controller", kind="left"), Cell("episodes"), Cell("diverged", small)]
+        head = self._head(factor, Cell("episodes"), Cell("diverged", ["95 % interval"]))
         rows: list[list[Cell]] = []
         for group in groups:
-            cells = [*self._where(group), Cell(str(group.episodes)), _failed(group)]
+            _, low, high = (100.0 * x for x in group.failures)
+            failed = Cell(str(group.failed), [f"{low:.1f} .. {high:.1f} %"])
+            counts = [Cell(str(group.episodes)), failed if group.episodes else Cell("-")]
             best = self._best([g for g in groups if g.level == group.level])
+            row = [*self._where(group), *counts]
             for j, scale in enumerate(self._scales):
                 kind = "best" if group.medians.value[j] == best[j] else ""
-                cells.append(Cell(*_estimate(group.medians, j, scale), kind))
-            rows.append(cells)
-        return Table([*_axis(factor), *head, *self._headings()], rows, len(self._names))
+                row.append(Cell(*_estimate(group.medians, j, scale), kind))
+            rows.append(row)
+        return Table(head, rows, len(self._names))
 
     def differences(self, factor: Factor | None) -> Table:
         """The paired differences from the baseline, likewise."""
-        pairs = Cell("pairs", ["diverged: this,", "other, both"])
-        head = [*_axis(factor), Cell("controller", kind="left"), pairs, *self._headings()]
+        head = self._head(factor, Cell("pairs", ["diverged: this,", "other, both"]))
         rows: list[list[Cell]] = []
         for group in self._comparisons.of(factor):
             if (d := group.difference) is None:
@@ -177,10 +151,14 @@ class Tables:
             fell = f"{d.alone}, {d.other}, {d.both}{missing}"
             cells = [*self._where(group), Cell(str(d.pairs), [fell])]
             for j, (measure, scale) in enumerate(zip(self._measures, self._scales, strict=True)):
-                difference = d.measured.difference
-                text, small = _estimate(difference, j, scale, signed=True)
-                won = _won(*outcomes(self._comparisons, d, j), int(d.measured.pairs[j]))
-                cells.append(Cell(text, [*small, won], _verdict(measure.sign, difference, j)))
+                text, small = _estimate(d.measured.difference, j, scale, signed=True)
+                pairs, won, lost = (x[j] for x in d.measured[:3])
+                if measure.sign and pairs:
+                    even = f", {ties} even" if (ties := pairs - won - lost) else ""
+                    small = [*small, f"won {won} of {pairs}{even}"]
+                ends = [measure.sign * end[j] for end in d.measured.difference[1:]]
+                better, worse = max(ends) < 0.0, min(ends) > 0.0
+                cells.append(Cell(text, small, "good" if better else "bad" if worse else "even"))
             rows.append(cells)
         return Table(head, rows, len(self._names) - 1)
 
@@ -194,9 +172,10 @@ class Tables:
             rows.append([Cell(text, kind=kind) for text, kind in texts.items()])
         return Table(head, rows, len(rows))
 
-    def _headings(self) -> list[Cell]:
-        """The headings of the measures."""
-        cells: list[Cell] = []
+    def _head(self, factor: Factor | None, *counts: Cell) -> list[Cell]:
+        """The headings of a level, of a controller, of counts, and of the measures."""
+        axis = [] if factor is None else [Cell(factor.title, kind="left")]
+        cells = [*axis, Cell("controller", kind="left"), *counts]
         for measure, scale in zip(self._measures, self._scales, strict=True):
             unit = f" [{scale.unit}]" if scale.unit else ""
             cells.append(Cell(measure.metric.replace("_", " "), [measure.of + unit]))
@@ -214,34 +193,9 @@ class Tables:
             values = np.array([group.medians.value[j] for group in groups], dtype=float)
             values = values[np.isfinite(values)]
             order = np.abs(values) if measure.declared.zero_best else measure.sign * values
-            none = not values.size or not measure.sign or len(groups) < 2
-            best.append(math.nan if none else float(values[np.argmin(order)]))
+            matters = values.size and measure.sign and len(groups) > 1
+            best.append(float(values[np.argmin(order)]) if matters else math.nan)
         return best
-
-
-def _axis(factor: Factor | None) -> list[Cell]:
-    return [] if factor is None else [Cell(factor.title, kind="left")]
-
-
-def _failed(group: Group) -> Cell:
-    share, low, high = (100.0 * x for x in group.failures)
-    if math.isnan(share):
-        return Cell("-")
-    return Cell(str(group.failed), [f"{low:.1f} .. {high:.1f} %"])
-
-
-def _won(won: Any, lost: Any, pairs: int) -> str:
-    if isinstance(won, float) or not pairs:
-        return ""
-    ties = pairs - won - lost
-    return f"won {won} of {pairs}" + (f", {ties} even" if ties else "")
-
-
-def _verdict(sign: int, difference: Interval, j: int) -> str:
-    low, high = sign * difference.low[j], sign * difference.high[j]
-    if max(low, high) < 0.0:
-        return "good"
-    return "bad" if min(low, high) > 0.0 else "even"
 
 
 def _estimate(

@@ -39,11 +39,7 @@ class Interval(NamedTuple):
 
 
 def binomial(count: int, total: int, confidence: float = CONFIDENCE) -> Interval:
-    """The share of a count with Wilson's interval, for independent trials; NaN without a trial.
-
-    Raises:
-        OctarmError: if the count is negative or above the total.
-    """
+    """The share of a count with Wilson's interval, for independent trials; NaN without a trial."""
     if total == 0 and count == 0:
         return Interval(np.nan, np.nan, np.nan)
     if not 0 <= count <= total:
@@ -80,9 +76,8 @@ def medians(
     if len(owners) < 2:
         return Interval(value, np.full_like(value, np.nan), np.full_like(value, np.nan))
     drawn = np.empty((resamples, len(columns)))
-    for part, weights in _resampled(
-        len(owners), resamples, max(len(owners), math.isqrt(len(rows)))
-    ):
+    width = max(len(owners), math.isqrt(len(rows)))
+    for part, weights in _resampled(len(owners), resamples, width):
         for j, column in enumerate(columns):
             drawn[part, j] = column.medians(weights)
     low, high = _percentiles(drawn, confidence)

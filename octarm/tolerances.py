@@ -1,4 +1,4 @@
-"""Reports: every row says what, measured, allowed, pass or fail."""
+"""Tables of checks: every row says what, measured, allowed, pass or fail."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from octarm.arm.parameters import ArmParameters
-
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """One row of a report.
+    """One measured value against its tolerance.
 
     Attributes:
         what: what was compared.
@@ -48,10 +46,52 @@ class Check:
         return {"what": self.what, **finite, "unit": self.unit, "passed": self.passed}
 
 
-def gathered(
+@dataclasses.dataclass(frozen=True)
+class CheckTable:
+    """The outcome of a set of checks; as text, it is title, table and verdict.
+
+    Attributes:
+        title: what was checked, in one line.
+        parameters: the arm, as plain numbers and lists.
+        states: number of random states.
+        seed: of the random states and motions.
+        checks: the rows.
+    """
+
+    title: str
+    parameters: Mapping[str, Any]
+    states: int
+    seed: int
+    checks: tuple[Check, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every row passed."""
+        return all(check.passed for check in self.checks)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The table for JSON."""
+        rows = [check.to_dict() for check in self.checks]
+        return {"title": self.title, "passed": self.passed, **vars(self), "checks": rows}
+
+    def __str__(self) -> str:
+        rows = [("what", "measured", "allowed", "unit", "")]
+        rows += [
+            (c.what, f"{c.measured:.3g}", c.allowed, c.unit, "pass" if c.passed else "FAIL")
+            for c in self.checks
+        ]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+        failed = sum(not check.passed for check in self.checks)
+        count = len(self.checks)
+        verdict = f"{failed} of {count} checks FAILED" if failed else f"all {count} checks passed"
+        return "\n".join([self.title, "", *lines, "", verdict])
+
+
+def run_checks(
     parts: Mapping[str, Iterable[Check]], progress: Callable[[str], object] | None = None
 ) -> tuple[Check, ...]:
-    """The rows of all parts of a report, in order.
+    """The rows of all parts of a table, in order.
 
     Args:
         parts: the rows by the name of their part; a generator does its work here.
@@ -63,58 +103,3 @@ def gathered(
             progress(name)
         checks += part
     return tuple(checks)
-
-
-@dataclasses.dataclass(frozen=True)
-class Report:
-    """The outcome of a set of checks.
-
-    Attributes:
-        title: what was checked, in one line.
-        parameters: the arm.
-        states: number of random states.
-        seed: of the random states and motions.
-        checks: the rows.
-    """
-
-    title: str
-    parameters: ArmParameters
-    states: int
-    seed: int
-    checks: tuple[Check, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether every row passed."""
-        return all(check.passed for check in self.checks)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The report for JSON."""
-        return {
-            "title": self.title,
-            "passed": self.passed,
-            "parameters": self.parameters.to_dict(),
-            "states": self.states,
-            "seed": self.seed,
-            "checks": [check.to_dict() for check in self.checks],
-        }
-
-    def format(self) -> str:
-        """The report for the terminal: title, table, verdict."""
-        rows = [("what", "measured", "allowed", "unit", "")]
-        rows += [
-            (c.what, f"{c.measured:.3g}", c.allowed, c.unit, "pass" if c.passed else "FAIL")
-            for c in self.checks
-        ]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in rows
-        ]
-        failed = sum(not check.passed for check in self.checks)
-        count = len(self.checks)
-        verdict = f"{failed} of {count} checks FAILED" if failed else f"all {count} checks passed"
-        return "\n".join([self.title, "", *lines, "", verdict])
-
-    def __str__(self) -> str:
-        return self.format()
