@@ -10,18 +10,17 @@ import shlex
 import sys
 from pathlib import Path
 
-from paper import output
-from paper.effort import FULL, QUICK
+from paper import writeup
 from paper.evidence import gather
 from paper.jobs import run_all
-from paper.load import costs
-from paper.variants import cast
+from paper.runs import costs
+from paper.studies import FULL, QUICK
+from paper.variants import all_variants
 
-from controllers import make_controller
-from controllers.gain_sets import SHIPPED
-from octarm.errors import ExitCode
+from octarm.errors import ExitCode, OctarmError
 
 ROOT = Path(__file__).resolve().parent.parent
+SHIPPED = ROOT / "controllers" / "gains"
 
 
 def main() -> int:
@@ -36,7 +35,7 @@ def main() -> int:
     options = parser.parse_args()
     try:
         reproduce(options)
-    except (ValueError, OSError, RuntimeError) as error:
+    except (OctarmError, OSError) as error:
         print(f"reproduce_paper: {error}", file=sys.stderr)
         return ExitCode.BAD_INPUT
     except KeyboardInterrupt:
@@ -51,18 +50,18 @@ def reproduce(options: argparse.Namespace) -> None:
     """All of it."""
     out, effort = options.out, QUICK if options.quick else FULL
     if options.publish and options.quick:
-        raise ValueError("--publish needs all numbers; leave out --quick")
+        raise OctarmError("--publish needs all numbers; leave out --quick")
     if out.exists() and any(out.iterdir()) and not options.resume:
-        raise ValueError(f"{out} is not empty; go on with it by --resume, or choose another --out")
-    everybody = cast(make_controller, options.gains)
-    run_all(everybody, effort, make_controller, out, options.workers)
-    evidence = gather(everybody, effort, out, costs(everybody, make_controller))
+        raise OctarmError(f"{out} is not empty; go on with it by --resume, or choose another --out")
+    variants = all_variants(options.gains)
+    run_all(variants, effort, out, options.workers)
+    evidence = gather(variants, effort, out, costs(variants))
     gains = options.gains or SHIPPED
-    for claim in output.write(evidence, out, gains):
-        print(f"({claim.letter}) {claim.title}: {claim.told}")
-    print(f"wrote {out / output.PAGE}")
+    for claim in writeup.write_all(evidence, out, gains):
+        print(f"({claim.letter}) {claim.title}: {claim.outcome}")
+    print(f"wrote {out / writeup.PAGE}")
     if options.publish:
-        output.publish(evidence, out, gains, ROOT)
+        writeup.publish(evidence, out, gains, ROOT)
         print(f"renewed {ROOT / 'README.md'} and .readme/paper.*")
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import mujoco.batch
 import numpy as np
@@ -48,10 +49,12 @@ def physics_step(arms: int) -> Callable[[], None]:
     return batch.step
 
 
-def controller_call(name: str, batch: tuple[int, ...]) -> Callable[[], None]:
+def controller_call(
+    name: str, batch: tuple[int, ...], gains: Mapping[str, Any] | None = None
+) -> Callable[[], None]:
     """The next step of a controller whose arms are near what is wanted, within the layer."""
     arm = octarm.nominal_parameters()
-    controller: Controller = make_controller(name, arm.mismatched(-0.3))
+    controller: Controller = make_controller(name, arm.mismatched(-0.3), gains)
     draw, size = np.random.default_rng(0), np.repeat([0.01, 0.3], arm.modules)
 
     def near(center: np.ndarray, scale: float) -> np.ndarray:

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import functools
 import math
-from collections.abc import Sequence
-from typing import Any
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jinja2
 
 from octarm.reports.statistics import Interval
 
@@ -17,45 +22,45 @@ class Verdict(enum.StrEnum):
     HOLDS = "holds"
     ONLY_IF = "holds only if"
     FAILS = "does not hold"
-    UNTESTABLE = "not testable"
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Row:
+class Row(NamedTuple):
     """A number that a verdict rests on.
 
     Attributes:
         name: what was measured.
-        value: median over seeds, or the number itself where nothing is random.
-        low: lower end of the 95 % interval; as large as the value where nothing is random.
-        high: upper end.
+        number: median over seeds with its 95 % interval; the number itself, three times, where
+            nothing is random.
         unit: of the three; empty for ratios.
         varies: whether it differs from run to run, as timings do.
     """
 
     name: str
-    value: float
-    low: float
-    high: float
+    number: Interval
     unit: str = ""
     varies: bool = False
 
-    @classmethod
-    def of(cls, name: str, interval: Interval, unit: str = "", factor: float = 1.0) -> Row:
-        """A row of an interval, times a factor that belongs to the unit."""
-        value, low, high = (factor * float(x) for x in interval)
-        return cls(name=name, value=value, low=low, high=high, unit=unit)
+    def __str__(self) -> str:
+        return f"{in_words(self.number)} {self.unit}".rstrip()
 
-    @classmethod
-    def exact(cls, name: str, value: float, unit: str = "", varies: bool = False) -> Row:
-        """A row of a number that is not random."""
-        return cls(name=name, value=value, low=value, high=value, unit=unit, varies=varies)
 
-    def told(self) -> str:
-        """The number, its interval and its unit in words."""
-        same = self.low == self.high or math.isnan(self.low)
-        spread = "" if same else f" ({number(self.low)} .. {number(self.high)})"
-        return f"{number(self.value)}{spread}{f' {self.unit}' if self.unit else ''}"
+def exact(name: str, value: float, unit: str = "", varies: bool = False) -> Row:
+    """A row of a number that is not random."""
+    return Row(name, Interval(value, value, value), unit, varies)
+
+
+class Examined(NamedTuple):
+    """What examining a claim gave.
+
+    Attributes:
+        verdict: by the rule.
+        rows: what was measured.
+        numbers: that the claim's words in `words.toml` ask for, by name.
+    """
+
+    verdict: Verdict
+    rows: Sequence[Row]
+    numbers: Mapping[str, Any]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -83,12 +88,12 @@ class Claim:
     condition: str
     rule: str
     headline: str
-    rows: tuple[Row, ...]
+    rows: Sequence[Row]
     why: str
 
     @property
-    def told(self) -> str:
-        """The verdict in words."""
+    def outcome(self) -> str:
+        """The verdict with its condition."""
         return f"{self.verdict} {self.condition}".strip()
 
     def to_dict(self, *, timings: bool = False) -> dict[str, Any]:
@@ -97,15 +102,38 @@ class Claim:
         Args:
             timings: whether what differs from run to run is there, too.
         """
-        content = dataclasses.asdict(self)
-        rows: list[dict[str, Any]] = []
-        for row in self.rows:
-            if timings or not row.varies:
-                numbers = {key: rounded(getattr(row, key)) for key in ("value", "low", "high")}
-                rows.append({"name": row.name, **numbers, "unit": row.unit})
+        rows = [
+            {"name": row.name, **{k: rounded(x) for k, x in row.number._asdict().items()},
+             "unit": row.unit}
+            for row in self.rows
+            if timings or not row.varies
+        ]  # fmt: skip
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         if not timings and any(row.varies for row in self.rows):
-            content.pop("headline")
-        return {**content, "verdict": str(self.verdict), "rows": rows}
+            fields.pop("headline")
+        return {**fields, "verdict": str(self.verdict), "rows": rows}
+
+
+def claim(name: str, examined: Examined) -> Claim:
+    """A claim of `words.toml` with what was measured of it."""
+    wording = words()["claims"][name]
+    numbers = {**examined.numbers, "verdict": examined.verdict, "rows": examined.rows}
+    texts = {key: worded(text, **numbers) for key, text in wording.items()}
+    if examined.verdict != Verdict.ONLY_IF:
+        texts["condition"] = ""
+    return Claim(**{"condition": "", **texts}, verdict=examined.verdict, rows=examined.rows)
+
+
+@functools.cache
+def words() -> dict[str, Any]:
+    """All texts of the write-up, as Jinja templates."""
+    file = Path(__file__).with_name("words.toml")
+    return tomllib.loads(file.read_text(encoding="utf-8"))
+
+
+def worded(text: str, **numbers: Any) -> str:
+    """A text of `words.toml` with its numbers, in one line."""
+    return " ".join(TEMPLATES.from_string(text).render(**numbers).split())
 
 
 def rounded(value: float) -> float | str:
@@ -127,22 +155,62 @@ def number(value: float) -> str:
     return f"{value:.0f}" if size >= 99.95 else f"{value:#.3g}".rstrip(".")
 
 
+def in_words(entry: str | int | float | Interval) -> str:
+    """An entry of a table; an interval in brackets behind its median."""
+    if isinstance(entry, Interval):
+        return median(entry) + (f" ({spread(entry)})" if spread(entry) else "")
+    return number(entry) if isinstance(entry, float) else str(entry)
+
+
+def median(entry: str | int | float | Interval) -> str:
+    """An entry of a table without its interval."""
+    return number(float(entry.value)) if isinstance(entry, Interval) else in_words(entry)
+
+
+def spread(entry: str | int | float | Interval) -> str:
+    """An interval's ends; empty where it has no width, or there is none."""
+    if not isinstance(entry, Interval):
+        return ""
+    low, high = float(entry.low), float(entry.high)
+    return "" if low == high or math.isnan(low) else f"{number(low)} .. {number(high)}"
+
+
 def percent(share: float) -> str:
     """A model error, or another share, in words: -30 %."""
     return "exact" if share == 0.0 else f"{100.0 * share:+.0f} %"
 
 
-def span(values: Sequence[float], unit: str = "") -> str:
-    """The smallest to the largest of some numbers, those that are finite, in words."""
-    known = [float(value) for value in values if math.isfinite(value)]
-    if not known:
+def span(values: Sequence[float | Interval | Row], unit: str = "") -> str:
+    """The smallest to the largest of some numbers or medians, those that are finite, in words."""
+    numbers = [x.number.value if isinstance(x, Row) else x for x in values]
+    plain = [float(x.value if isinstance(x, Interval) else x) for x in numbers]
+    finite = [x for x in plain if math.isfinite(x)]
+    if not finite:
         return "unknown"
-    low, high = number(min(known)), number(max(known))
-    told = low if low == high else f"{low} to {high}"
-    return f"{told} {unit}".rstrip()
+    low, high = number(min(finite)), number(max(finite))
+    return f"{low if low == high else f'{low} to {high}'} {unit}".rstrip()
 
 
-def listed(words: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
     """a, b and c."""
-    *first, last = words or ("none",)
+    *first, last = names or ("none",)
     return f"{', '.join(first)} and {last}" if first else last
+
+
+TEMPLATES = jinja2.Environment(
+    loader=jinja2.FileSystemLoader(Path(__file__).with_name("templates")),
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    autoescape=jinja2.select_autoescape(("html.j2",), default_for_string=False),
+)
+TEMPLATES.filters |= {
+    "g": lambda x: f"{x:g}",
+    "number": number,
+    "in_words": in_words,
+    "median": median,
+    "spread": spread,
+    "percent": percent,
+    "span": span,
+    "listed": listed,
+}

@@ -1,239 +1,366 @@
-"""The figures of the studies: overshoot, ranking, ablations, degradation, beyond, drift, rates."""
+"""The figures: 1 and 2 of the paper on this arm, those of the studies, and the README's."""
 
 from __future__ import annotations
 
+import io
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple, cast
 
+import matplotlib
 import numpy as np
+from matplotlib.figure import Figure as NewFigure
 
-from octarm.reports.panels import Axes, Figure
+from octarm.reports.figures import Picture
+from octarm.reports.panels import COLORS, INK, MARKERS, STYLE, Axes, Figure, logarithmic_ticks
 from octarm.reports.statistics import Interval
-from paper.claims import percent
-from paper.drawing import (
-    Picture,
-    draw,
-    legend,
-    logarithmic,
-    look,
-    panels,
-    title_of,
-    zero_line,
+from paper.claims import percent, worded, words
+from paper.evidence import Cell, Evidence, coordinates
+from paper.runs import LONG, Series, name_of
+from paper.studies import (
+    BENDS,
+    BEYOND,
+    MODELS,
+    MOVING,
+    NOISE,
+    RATES,
+    SLIDES,
+    WRONG,
+    study_of_rate,
 )
-from paper.evidence import Evidence
-from paper.measured import MOVING, Cell
-from paper.quantities import error_mean, error_of
-from paper.series import LONG
-from paper.studies import BENDS, BEYOND, MODELS, NOISE, RATE, SLIDES, WRONG, study_of_rate
-from paper.variants import CONTROLLERS, PROPOSED, SIGN, SMC, by_hand
+from paper.variants import (
+    ABLATIONS,
+    AS_PRINTED,
+    CONSEQUENT,
+    CONTROLLERS,
+    FIXED_PREMISES,
+    INTEGRAL,
+    MATCHED,
+    PROPOSED,
+    SIGN,
+    SMC,
+    TWISTING,
+    UNGUARDED,
+    by_hand,
+)
+
+GRAY = "#5f6b77"
+NAMES = {PROPOSED: "AFSMC (proposed)", SMC: "SMC, boundary layer", SIGN: "SMC, sgn"}
+_ORDER = (PROPOSED, SMC, SIGN, INTEGRAL, TWISTING, CONSEQUENT, "fsmc", "pd", "computed-torque",
+          "fuzzy")  # fmt: skip
+
+
+class Look(NamedTuple):
+    """How a variant is drawn, the same in all figures."""
+
+    color: str
+    line: Any
+    marker: str
+
+
+_ABLATIONS = {
+    FIXED_PREMISES: Look("#7a8f1f", "--", "x"),
+    AS_PRINTED: Look("#7d6bd0", ":", "x"),
+    UNGUARDED: Look("#b0413e", "-", "x"),
+    MATCHED: Look("#dd9500", "--", "x"),
+}
+
+
+def look(label: str) -> Look:
+    """The look of a variant; hand-set gains have a dashed line."""
+    if label in _ABLATIONS:
+        return _ABLATIONS[label]
+    name = label.removesuffix(by_hand(""))
+    color, marker = COLORS[_ORDER.index(name)], MARKERS[CONTROLLERS.index(name)]
+    return Look(color, "-" if name == label else (0, (4, 1.5)), marker)
+
+
+def title_of(label: str) -> str:
+    """The name of a variant in a legend."""
+    name, comma, rest = label.partition(", ")
+    return NAMES.get(name, name) + comma + rest
 
 
 def pictures(evidence: Evidence) -> Iterator[Picture]:
-    """All figures that there are numbers for; figures 1 and 2 stand in `paper.tracking`."""
-    yield draw(
-        "overshoot",
-        "Overshoot without noise over the error of the nominal model, in both readings. The "
-        "paper's 3 % is the dotted line.",
-        lambda: _overshoot(evidence),
-    )
-    yield draw(
-        "ranking",
-        "Error of the controllers with the gains they are shipped with, theta1 and theta2, in "
-        "percent of the motion: without noise (hollow) and with 40 % noise (full, medians over "
-        "seeds with 95 % intervals), for the three nominal models.",
-        lambda: _ranking(evidence),
-    )
-    yield draw(
-        "ablations",
-        "Error under 40 % noise over that of afsmc, seed by seed, with 95 % intervals; left of 1 "
-        "is better than afsmc.",
-        lambda: _ablations(evidence),
-    )
-    if evidence.effort.noises:
-        yield draw(
-            "degradation",
-            f"Error over the strength of the noise, model at {percent(WRONG)}: medians over seeds "
-            "and their 95 % intervals. The paper's noise is the dotted line.",
-            lambda: _degradation(evidence),
+    """All figures that there are numbers for, the README's first."""
+    effort = evidence.effort
+    yield draw("paper", lambda: _readme(evidence))
+    for reference in effort.readings:
+        ending, joints = {BENDS: "bends", SLIDES: "slides"}[reference], MOVING[reference]
+        for number, noise in (("1", 0.0), ("2", NOISE)):
+            yield draw(
+                f"figure-{number}-{ending}",
+                lambda r=reference, n=noise: _tracking(evidence, r, n),
+                words()["figures"][f"figure-{number}"],
+                joints=" and ".join(joints),
+                seeds=effort.seeds,
+            )
+    yield draw("overshoot", lambda: _overshoot(evidence))
+    yield draw("ranking", lambda: _ranking(evidence))
+    yield draw("ablations", lambda: _ablations(evidence))
+    if effort.long:
+        yield draw("degradation", lambda: _degradation(evidence))
+        yield draw("beyond", lambda: _beyond(evidence))
+        yield draw("rates", lambda: _rates(evidence))
+        yield draw("drift", lambda: _drift(evidence))
+
+
+def draw(name: str, make: Callable[[], Figure], caption: str = "", **numbers: Any) -> Picture:
+    """A figure in the style of all, without anything that differs from run to run.
+
+    Args:
+        name: of its files.
+        make: draws it.
+        caption: a text as in `words.toml`; the one of this name when empty.
+        numbers: that the text asks for.
+    """
+    default = {k: v for k, v in matplotlib.rcParamsDefault.items() if not k.startswith("backend")}
+    with cast(Any, matplotlib).rc_context({**default, **STYLE}):
+        figure = make()
+        vector, raster = io.BytesIO(), io.BytesIO()
+        figure.savefig(vector, format="svg", metadata={"Date": None, "Creator": None})
+        figure.set_layout_engine("none")
+        figure.savefig(raster, format="png", dpi=200, metadata={"Software": None})
+    caption = worded(caption or words()["figures"][name], **numbers)
+    return Picture(name, caption, vector.getvalue().decode(), raster.getvalue())
+
+
+def _tracking(evidence: Evidence, reference: str, noise: float) -> Figure:
+    """Motion and error of both joints over time, a column a nominal model."""
+    unit = {BENDS: "rad", SLIDES: "m"}[reference]
+    joints, labels = MOVING[reference], evidence.effort.labels
+    runs = {label: evidence.series[name_of(label, reference)] for label in labels}
+    figure, grid = _panels(2 * len(joints), len(MODELS), 3.1, 1.45, sharex=True, sharey="row")
+    for column, model in enumerate(MODELS):
+        for row, joint in enumerate(joints):
+            motion, error = grid[2 * row : 2 * row + 2, column]
+            place, series = coordinates().index(joint), runs[labels[0]]
+            motion.plot(series.t, series.q_d[:, place], color=INK, linewidth=3.2, alpha=0.25,
+                        label="desired")  # fmt: skip
+            for label, series in runs.items():
+                _median(motion, label, series.t, series.of(model, noise)[:, :, place])
+                _median(error, label, series.t, _errors(series, model, noise, place))
+            _zero_line(error)
+            if column == 0:
+                motion.set_ylabel(f"{joint} [{unit}]")
+                error.set_ylabel(f"error [m{unit}]")
+        _time_axis(grid[:, column], model, evidence.effort.duration)
+    for row, joint in enumerate(joints):
+        # The errors of the two controllers of the paper stay in view.
+        largest = max(
+            float(
+                np.nanpercentile(np.abs(_errors(runs[n], m, noise, place)[runs[n].t > 0.5]), 99.9)
+            )
+            for n in (SMC, PROPOSED)
+            for m in MODELS
+            for place in [coordinates().index(joint)]
         )
-    if evidence.effort.complete:
-        yield draw(
-            "beyond",
-            f"Beyond the paper: payload at the tip, delay of actuation, loss of force of all "
-            f"columns; tuned gains, model at {percent(WRONG)}, no noise. A curve ends where the "
-            "arm leaves its limits.",
-            lambda: _beyond(evidence),
-        )
-        yield draw(
-            "rates",
-            f"Control at other rates with gains that were tuned at 2 kHz, model at "
-            f"{percent(WRONG)}: error and chattering with 40 % noise, and chattering without.",
-            lambda: _rates(evidence),
-        )
-    if evidence.effort.long:
-        yield draw(
-            "drift",
-            "The gain E of theta1 under 40 % noise with and without safeguards: medians and "
-            "5-95 % bands over seeds, and the arms that are left.",
-            lambda: _drift(evidence),
-        )
+        grid[2 * row + 1, 0].set_ylim(-1.5 * largest, 1.5 * largest)
+    _legend(figure, grid[0, 0])
+    figure.align_ylabels(grid[:, 0])
+    return figure
+
+
+def _readme(evidence: Evidence) -> Figure:
+    """Errors of theta1 over time without and with noise, a column a nominal model."""
+    figure, grid = _panels(2, len(MODELS), 3.3, 1.75, sharex=True, sharey="row")
+    place = coordinates().index("theta1")
+    for row, noise in enumerate((0.0, NOISE)):
+        for ax, model in zip(grid[row], MODELS, strict=True):
+            for label in (SMC, PROPOSED):
+                series = evidence.series[name_of(label, BENDS)]
+                _median(ax, label, series.t, _errors(series, model, noise, place))
+            _zero_line(ax)
+        grid[row, 0].set_ylabel(f"error of theta1 [mrad]\n{'40 % noise' if noise else 'no noise'}")
+    for column, model in enumerate(MODELS):
+        _time_axis(grid[:, column], model, evidence.effort.duration)
+    _legend(figure, grid[0, 0])
+    return figure
+
+
+def _errors(series: Series, model: float, noise: float, place: int) -> np.ndarray:
+    """Errors of a coordinate of some arms, shape (T, k) [mrad] or [mm]."""
+    return 1e3 * (series.of(model, noise)[:, :, place] - series.q_d[:, place, None])
+
+
+def _time_axis(column: np.ndarray, model: float, duration: float) -> None:
+    """Title and time axis of a column of panels that share it."""
+    column[0].set_title(f"nominal model {percent(model)}")
+    column[-1].set(xlabel="time [s]", xlim=(0.0, duration), xticks=np.arange(duration))
 
 
 def _overshoot(evidence: Evidence) -> Figure:
     readings = [(r, j) for r in (BENDS, SLIDES) for j in MOVING[r]]
-    figure, grid = panels(1, len(readings), 2.6, 2.5)
-    models = np.array(evidence.effort.mismatches)
+    figure, grid = _panels(1, len(readings), 2.6, 2.5)
+    models = np.array(evidence.models(by_hand(SMC)))
     for ax, (reference, joint) in zip(grid[0], readings, strict=True):
         for label in (SMC, by_hand(SMC), PROPOSED, by_hand(PROPOSED)):
             cells = [Cell(label, reference=reference, mismatch=m) for m in models.tolist()]
-            if all(map(evidence.measured.has, cells)):
-                y = [evidence.measured.median(c, f"overshoot_{joint}").value for c in cells]
+            if evidence.has(*cells):
+                y = [evidence.median(cell, f"overshoot_{joint}").value for cell in cells]
                 _line(ax, label, 100.0 * models, np.array(y), marker=False)
-        zero_line(ax)
-        ax.axhline(3.0, color="#5f6b77", linewidth=0.9, linestyle=":")
-        ax.set_title(f"overshoot of {joint} [%]")
-        ax.set_xlabel("error of the nominal model [%]")
-    legend(figure, grid[0, 0])
+        _zero_line(ax)
+        ax.axhline(3.0, color=GRAY, linewidth=0.9, linestyle=":")
+        ax.set(title=f"overshoot of {joint} [%]", xlabel="error of the nominal model [%]")
+    _legend(figure, grid[0, 0])
     return figure
 
 
 def _ranking(evidence: Evidence) -> Figure:
-    known = [n for n in CONTROLLERS if evidence.measured.has(Cell(n, noise=NOISE))]
-    order = sorted(known, key=lambda name: error_mean(evidence, name, NOISE).value)
-    figure, grid = panels(1, len(MODELS), 3.1, 0.25 * len(order) + 0.6, sharey=True, sharex=True)
+    order = evidence.ranked(CONTROLLERS, NOISE)
+    figure, grid = _panels(1, len(MODELS), 3.1, 0.25 * len(order) + 0.6, sharey=True, sharex=True)
     for ax, model in zip(grid[0], MODELS, strict=True):
         for place, name in enumerate(order):
-            noisy, quiet = (Cell(name, mismatch=model, noise=n) for n in (NOISE, 0.0))
-            _dot(ax, name, error_of(evidence, noisy), place)
-            value = 100.0 * evidence.measured.median(quiet, "error").value
-            ax.plot(value, place, "o", color=look(name).color, fillstyle="none")
-        logarithmic(ax, "x")
-        ax.set_title(f"nominal model {percent(model)}")
-        ax.set_xlabel("error [% of the motion]")
-        ax.set_yticks(range(len(order)), order)
-        ax.tick_params(axis="y", length=0)
+            noisy, quiet = (evidence.error(Cell(name, mismatch=model, noise=x)) for x in (NOISE, 0))
+            _dot(ax, name, noisy, place)
+            ax.plot(quiet.value, place, "o", color=look(name).color, fillstyle="none")
+        _logarithmic(ax, "x")
+        ax.set(title=f"nominal model {percent(model)}", xlabel="error [% of the motion]")
+        _named_rows(ax, order)
     grid[0, 0].invert_yaxis()
     return figure
 
 
 def _ablations(evidence: Evidence) -> Figure:
-    labels = ["afsmc-consequent", SMC, "smc-integral", *evidence.cast.ablations]
-    labels = [n for n in labels if evidence.measured.has(Cell(n, noise=NOISE))]
+    labels = [
+        name for name in (CONSEQUENT, SMC, INTEGRAL, *ABLATIONS)
+        if evidence.has(Cell(name, noise=NOISE))
+    ]  # fmt: skip
     readings = [
-        r
-        for r in (BENDS, SLIDES)
-        if any(evidence.measured.has(Cell(n, reference=r, noise=NOISE)) for n in labels)
-    ]
-    figure, grid = panels(1, len(readings), 4.6, 0.42 * len(labels) + 0.7, sharey=True)
-    shades = {-0.3: ("o", -0.2), 0.0: ("s", 0.0), 0.3: ("^", 0.2)}
+        r for r in (BENDS, SLIDES)
+        if any(evidence.has(Cell(name, reference=r, noise=NOISE)) for name in labels)
+    ]  # fmt: skip
+    figure, grid = _panels(1, len(readings), 4.6, 0.42 * len(labels) + 0.7, sharey=True)
+    shades = dict(zip(MODELS, (("o", -0.2), ("s", 0.0), ("^", 0.2)), strict=True))
     for ax, reference in zip(grid[0], readings, strict=True):
         for place, label in enumerate(labels):
-            for model, (marker, shift) in shades.items():
-                own = Cell(label, reference=reference, mismatch=model, noise=NOISE)
-                if evidence.measured.has(own):
-                    base = own._replace(label=PROPOSED)
-                    ratio = evidence.measured.ratio(own, base, "error")
-                    _dot(ax, label, ratio, place + shift, marker)
-        ax.axvline(1.0, color="#5f6b77", linewidth=0.9, linestyle=":")
-        ax.set_xscale("log")
-        ax.set_title(", ".join(MOVING[reference]))
-        ax.set_xlabel("error over that of afsmc")
-        ax.set_yticks(range(len(labels)), [title_of(label) for label in labels])
-        ax.tick_params(axis="y", length=0)
+            for cell in evidence.known(Cell(label, reference=reference, noise=NOISE).models()):
+                marker, shift = shades[cell.mismatch]
+                _dot(ax, label, evidence.ratio(cell, PROPOSED), place + shift, marker)
+        ax.axvline(1.0, color=GRAY, linewidth=0.9, linestyle=":")
+        ax.set(xscale="log", title=", ".join(MOVING[reference]), xlabel="error over that of afsmc")
+        _named_rows(ax, [title_of(label) for label in labels])
+        low, high = ax.get_xlim()  # of few decades: numbers without powers
+        marks = (0.2, 0.3, 0.5, 0.7, 0.8, 1, 1.2, 1.5, 2, 3, 5, 10, 20)
+        ticks = [mark for mark in marks if low <= mark <= high]
+        ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        ax.set_xticks([], minor=True)
     for model, (marker, _) in shades.items():
-        grid[0, 0].plot([], [], marker, color="#5f6b77", label=f"nominal model {percent(model)}")
+        grid[0, 0].plot([], [], marker, color=GRAY, label=f"nominal model {percent(model)}")
     grid[0, 0].invert_yaxis()
-    _plain_ticks(grid[0])
-    legend(figure, grid[0, 0])
+    _legend(figure, grid[0, 0])
     return figure
 
 
 def _degradation(evidence: Evidence) -> Figure:
-    figure, grid = panels(1, 2, 4.2, 2.8)
-    noises = [0.0, *evidence.effort.noises]
-    labels = [
-        n for n in CONTROLLERS if evidence.measured.has(Cell(n, "degradation", mismatch=WRONG))
-    ]
-    for ax, quantity, title in zip(
-        grid[0],
-        ("error", "rms_error_theta1"),
-        ("error of all joints [% of the motion]", "rms error of theta1 [mrad]"),
-        strict=True,
-    ):
-        for label in labels:
-            cells = [Cell(label, "degradation", mismatch=WRONG, noise=n) for n in noises]
-            own = [evidence.measured.median(cell, quantity) for cell in cells]
-            factor = 100.0 if quantity == "error" else 1e3
-            _band(ax, label, 100.0 * np.array(noises), own, factor)
-        ax.axvline(100.0 * NOISE, color="#5f6b77", linewidth=0.9, linestyle=":")
-        ax.set_title(title)
-        ax.set_xlabel("rms of the noise [% of the input's amplitude]")
+    figure, grid = _panels(1, 2, 4.2, 2.8)
+    noises = evidence.noises()
+    quantities = (("error", "error of all joints [% of the motion]", 100.0),
+                  ("rms_error_theta1", "rms error of theta1 [mrad]", 1e3))  # fmt: skip
+    for ax, (quantity, title, factor) in zip(grid[0], quantities, strict=True):
+        for label in CONTROLLERS:
+            cells = [Cell(label, "degradation", BENDS, WRONG, noise) for noise in noises]
+            if evidence.has(*cells):
+                own = [evidence.median(cell, quantity, factor) for cell in cells]
+                _band(ax, label, 100.0 * np.array(noises), own)
+        ax.axvline(100.0 * NOISE, color=GRAY, linewidth=0.9, linestyle=":")
+        ax.set(title=title, xlabel="rms of the noise [% of the input's amplitude]")
         ax.set_ylim(0.0, None)
-    legend(figure, grid[0, 0])
+    _legend(figure, grid[0, 0])
     return figure
 
 
 def _beyond(evidence: Evidence) -> Figure:
-    figure, grid = panels(1, len(BEYOND), 3.3, 2.9)
-    units = {"payload": ("payload [kg]", 1.0), "delay": ("delay [ms]", 1e3),
-             "loss": ("loss of force [%]", 100.0)}  # fmt: skip
-    for ax, (name, (axis, values, _)) in zip(grid[0], BEYOND.items(), strict=True):
-        field, (title, factor) = axis.removeprefix("actuation-"), units[name]
+    figure, grid = _panels(1, len(BEYOND), 3.3, 2.9)
+    for ax, (name, sort) in zip(grid[0], BEYOND.items(), strict=True):
         for label in CONTROLLERS:
             start = Cell(label, "beyond", mismatch=WRONG)
-            own = [error_of(evidence, start._replace(**{field: value})).value for value in values]
-            _line(ax, label, factor * np.array(values), np.array(own))
-        logarithmic(ax, "y")
-        ax.set_xlabel(title)
-        ax.set_title("error [% of the motion]")
-    legend(figure, grid[0, 0])
+            y = [evidence.error(start._replace(**{name: x})).value for x in sort.values]
+            _line(ax, label, sort.factor * np.array(sort.values), np.array(y))
+        _logarithmic(ax, "y")
+        words_of = "loss of force" if name == "loss" else name
+        ax.set(xlabel=f"{words_of} [{sort.unit}]", title="error [% of the motion]")
+    _legend(figure, grid[0, 0])
     figure.set_figheight(figure.get_figheight() + 0.3)
     return figure
 
 
 def _rates(evidence: Evidence) -> Figure:
-    figure, grid = panels(1, 3, 3.2, 2.6)
-    rates = np.array(sorted({*evidence.effort.rates, RATE}))
-    labels = (PROPOSED, SMC, "super-twisting", SIGN)
-    shown = (("error", NOISE, "error, 40 % noise [% of the motion]"),
-             ("chattering", NOISE, "chattering, 40 % noise [% of weight]"),
-             ("chattering", 0.0, "chattering, no noise [% of weight]"))  # fmt: skip
-    for ax, (quantity, noise, title) in zip(grid[0], shown, strict=True):
-        for label in labels:
-            cells = [Cell(label, study_of_rate(r), mismatch=WRONG, noise=noise) for r in rates]
-            _band(ax, label, rates, [evidence.measured.median(c, quantity) for c in cells], 100.0)
+    figure, grid = _panels(1, 3, 3.2, 2.6)
+    panels = ((evidence.error, NOISE, "error, 40 % noise [% of the motion]"),
+              (evidence.chattering, NOISE, "chattering, 40 % noise [% of weight]"),
+              (evidence.chattering, 0.0, "chattering, no noise [% of weight]"))  # fmt: skip
+    start = Cell(PROPOSED, mismatch=WRONG, noise=NOISE)
+    rates = [r for r in RATES if evidence.has(start._replace(study=study_of_rate(r)))]
+    for ax, (measure, noise, title) in zip(grid[0], panels, strict=True):
+        for label in (PROPOSED, SMC, TWISTING, SIGN):
+            cells = [Cell(label, study_of_rate(r), BENDS, WRONG, noise) for r in rates]
+            _band(ax, label, np.array(rates), [measure(cell) for cell in cells])
         ax.set_xscale("log")
-        logarithmic(ax, "y")
+        _logarithmic(ax, "y")
         ax.set_xticks(rates, [f"{rate:g}" for rate in rates], minor=False)
         ax.set_xticks([], minor=True)
-        ax.set_xlabel("control rate [Hz]")
-        ax.set_title(title)
-    legend(figure, grid[0, 0])
+        ax.set(xlabel="control rate [Hz]", title=title)
+    _legend(figure, grid[0, 0])
     return figure
 
 
 def _drift(evidence: Evidence) -> Figure:
-    figure, grid = panels(1, 2, 4.2, 2.6)
+    figure, grid = _panels(1, 2, 4.2, 2.6)
+    gain, left = grid[0]
     for label, name in LONG.items():
         series = evidence.series[name]
-        joint = series.E.shape[2] // 2  # theta1
+        E = series.E[:, :, coordinates().index("theta1")]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of instants at which no arm is left
-            own = np.where(series.E[:, :, joint] > 0.0, series.E[:, :, joint], np.nan)
-            low, middle, high = np.nanpercentile(own, [5.0, 50.0, 95.0], axis=1)
-        color = look(label).color
-        grid[0, 0].plot(series.t, middle, color=color, label=title_of(label))
-        grid[0, 0].fill_between(series.t, low, high, color=color, alpha=0.18, linewidth=0.0)
-        left = np.mean(~np.isnan(series.E[:, :, joint]), axis=1)
-        grid[0, 1].plot(series.t, 100.0 * left, color=color)
-    logarithmic(grid[0, 0], "y")
-    grid[0, 0].set_title("gain E of theta1 [N m]")
-    grid[0, 1].set_title("arms within their limits [%]")
-    grid[0, 1].set_ylim(-3.0, 103.0)
-    for ax in grid[0]:
-        ax.set_xlabel("time [s]")
-    legend(figure, grid[0, 0])
+            _median(gain, label, series.t, np.where(E > 0.0, E, np.nan), alpha=0.18)
+        left.plot(series.t, 100.0 * np.mean(~np.isnan(E), axis=1), color=look(label).color)
+    _logarithmic(gain, "y")
+    gain.set(title="gain E of theta1 [N m]", xlabel="time [s]")
+    left.set(title="arms within their limits [%]", xlabel="time [s]", ylim=(-3.0, 103.0))
+    _legend(figure, gain)
     return figure
+
+
+def _panels(
+    rows: int, columns: int, width: float, height: float, **options: Any
+) -> tuple[Figure, np.ndarray]:
+    """A grid of panels of this size [inch], shape (rows, columns)."""
+    figure = NewFigure(figsize=(width * columns, height * rows + 0.4), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def _legend(figure: Figure, ax: Axes, columns: int = 5) -> None:
+    """One legend for all panels, above them."""
+    handles, labels = ax.get_legend_handles_labels()
+    unique = dict(zip(labels, handles, strict=True))
+    figure.legend(
+        list(unique.values()), list(unique), loc="outside upper center", handlelength=2.2,
+        ncols=min(len(unique), columns), columnspacing=1.8,
+    )  # fmt: skip
+
+
+def _zero_line(ax: Axes) -> None:
+    ax.axhline(0.0, color=INK, linewidth=0.6, zorder=1)
+
+
+def _logarithmic(ax: Axes, which: str) -> None:
+    """Makes an axis logarithmic, with plain numbers at its ticks."""
+    getattr(ax, f"set_{which}scale")("log")
+    logarithmic_ticks(getattr(ax, f"{which}axis"), *getattr(ax, f"get_{which}lim")())
+
+
+def _named_rows(ax: Axes, names: Sequence[str]) -> None:
+    ax.set_yticks(range(len(names)), names)
+    ax.tick_params(axis="y", length=0)
+
+
+def _median(ax: Axes, label: str, t: np.ndarray, own: np.ndarray, alpha: float = 0.22) -> None:
+    """The median of some arms over time, shape (T, k), and a band of 5 to 95 % of them."""
+    low, middle, high = np.nanpercentile(own, [5.0, 50.0, 95.0], axis=1)
+    ax.plot(t, middle, color=look(label).color, label=title_of(label), linewidth=1.1)
+    if own.shape[1] > 1:
+        ax.fill_between(t, low, high, color=look(label).color, alpha=alpha, linewidth=0.0)
 
 
 def _line(ax: Axes, label: str, x: np.ndarray, y: np.ndarray, *, marker: bool = True) -> None:
@@ -244,33 +371,20 @@ def _line(ax: Axes, label: str, x: np.ndarray, y: np.ndarray, *, marker: bool = 
     )  # fmt: skip
 
 
-def _band(
-    ax: Axes, label: str, x: np.ndarray, own: Sequence[Interval], factor: float = 1.0
-) -> None:
+def _band(ax: Axes, label: str, x: np.ndarray, own: Sequence[Interval]) -> None:
     """Medians with a band of intervals."""
-    value, low, high = factor * np.array([tuple(map(float, interval)) for interval in own]).T
+    value, low, high = np.array(own, dtype=float).T
     _line(ax, label, x, value)
-    good = np.isfinite(low + high)
+    finite = np.isfinite(low + high)
     ax.fill_between(
-        x, np.where(good, low, np.nan), np.where(good, high, np.nan),
+        x, np.where(finite, low, np.nan), np.where(finite, high, np.nan),
         color=look(label).color, alpha=0.18, linewidth=0.0,
     )  # fmt: skip
 
 
 def _dot(ax: Axes, label: str, own: Interval, y: float, marker: str = "o") -> None:
     """A median with its interval, sideways."""
-    value, low, high = (float(x) for x in own)
-    if np.isfinite(value):
-        ax.plot([low, high], [y, y], color=look(label).color, linewidth=1.2)
-        ax.plot(value, y, marker, color=look(label).color, markersize=5)
-
-
-def _plain_ticks(axes: Sequence[Axes]) -> None:
-    """Numbers without powers on a logarithmic axis of few decades."""
-    for ax in axes:
-        low, high = ax.get_xlim()
-        ticks = [
-            t for t in (0.2, 0.3, 0.5, 0.7, 0.8, 1, 1.2, 1.5, 2, 3, 5, 10, 20) if low <= t <= high
-        ]
-        ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
-        ax.set_xticks([], minor=True)
+    color = look(label).color
+    if np.isfinite(own.value):
+        ax.plot([own.low, own.high], [y, y], color=color, linewidth=1.2)
+        ax.plot(own.value, y, marker, color=color, markersize=5)

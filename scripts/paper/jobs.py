@@ -1,68 +1,89 @@
-"""Running all studies: several sweeps and series at a time on one set of processes, resumable."""
+"""Running all that is missing: several sweeps and runs at a time on one set of processes."""
 
 from __future__ import annotations
 
-import contextlib
-import functools
-import json
-import queue
+import io
+import os
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 from tqdm import tqdm
 
-from octarm.files import write_text
-from octarm.sweeps.execute import sweep
+import octarm
+from controllers import make_controller
 from octarm.sweeps.workers import WorkerProcesses, cores
-from paper import series, shown, stability
-from paper.effort import Effort
-from paper.studies import Part, parts
-from paper.variants import Cast, Factory
+from paper import runs
+from paper.runs import Recording, Request
+from paper.studies import Effort, Sweep, sweeps
+from paper.variants import Variant
 
-SWEEPS, SERIES, STABILITY, RUNS = "sweeps", "series", "stability", "runs"  # folders
+SPECS, SWEEPS, SERIES, RUNS = "specs", "sweeps", "series", "runs"  # folders
+Advance = Callable[[float], None]  # takes simulated seconds that are done
 
-Job = tuple[float, Callable[[], object]]  # what it simulates [s], and what does it
+
+class Job(NamedTuple):
+    """Something to be done.
+
+    Attributes:
+        seconds: what it simulates [s].
+        do: does what is not there yet, on processes, and says how it goes on.
+    """
+
+    seconds: float
+    do: Callable[[Executor, Advance], None]
 
 
-def run_all(cast: Cast, effort: Effort, factory: Factory, out: Path, workers: int = 0) -> None:
+def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers: int = 0) -> None:
     """Runs what is not there yet.
 
     What is there does not depend on the number of processes, or on how often it was interrupted.
 
     Args:
-        cast: who runs.
+        variants: by label.
         effort: how much.
-        factory: `controllers.make_controller`; other processes have to be able to import it.
         out: folder.
         workers: number of processes; one a core when 0.
 
     Raises:
-        ValueError: if the folder holds results of other studies.
+        OctarmError: if the folder holds results of other studies.
         OSError: if it cannot be written.
         KeyboardInterrupt: if interrupted; what was finished is kept.
     """
-    for folder in (SWEEPS, SERIES, STABILITY, RUNS):
+    for folder in (SPECS, SWEEPS, SERIES, RUNS):
         (out / folder).mkdir(parents=True, exist_ok=True)
-    sweeps, runs = parts(cast, effort), series.requests(cast, effort)
-    trials, singles = stability.requests(cast, effort), list(shown.requests(cast, effort))
-    everything = (*sweeps, *runs, *trials, *singles)
-    total = sum(job.seconds for job in everything)
-    count = workers or cores()
+    jobs = [
+        *(_sweep_job(sweep, out) for sweep in sweeps(variants, effort)),
+        *(_run_job(request, out) for request in runs.requests(variants, effort)),
+        *(_recording_job(run, out) for run in runs.recordings(variants, effort)),
+    ]
+    jobs.sort(key=lambda job: -job.seconds)
+    lock = threading.Lock()
     with (
-        tqdm(total=total, unit=" simulated s", unit_scale=True, disable=None, leave=False) as bar,
-        WorkerProcesses(count) as processes,
-    ):
+        tqdm(
+            total=sum(job.seconds for job in jobs), unit=" simulated s", unit_scale=True,
+            disable=None, leave=False,
+        ) as bar,
+        WorkerProcesses(workers or cores()) as processes,
+    ):  # fmt: skip
+
+        def advance(seconds: float) -> None:
+            with lock:
+                bar.update(seconds)
+
         pool = _Pool(processes)
-        jobs = [
-            *((p.seconds, functools.partial(_sweep, p, factory, out, pool, bar)) for p in sweeps),
-            *((r.seconds, functools.partial(_series, r, factory, out, pool, bar)) for r in runs),
-            *((t.seconds, functools.partial(_trial, t, factory, out, pool, bar)) for t in trials),
-            *((s.seconds, functools.partial(_single, s, factory, out, pool, bar)) for s in singles),
-        ]
-        _together(sorted(jobs, key=lambda job: -job[0]), count + 1, pool)
+        with ThreadPoolExecutor((workers or cores()) + 1) as threads:
+            futures = [threads.submit(job.do, pool, advance) for job in jobs]
+            try:
+                for future in as_completed(futures):
+                    future.result()
+            except BaseException:  # an interrupt, too
+                threads.shutdown(wait=False, cancel_futures=True)
+                pool.stop()
+                raise
 
 
 class _Pool(Executor):
@@ -84,100 +105,70 @@ class _Pool(Executor):
             self._processes.kill()
 
 
-def _together(jobs: list[Job], threads: int, pool: _Pool) -> None:
-    """Does jobs, some at a time; the first error, or an interrupt, ends them all."""
-    waiting: queue.SimpleQueue[Job] = queue.SimpleQueue()
-    for job in jobs:
-        waiting.put(job)
-    errors: list[BaseException] = []
+def _sweep_job(sweep: Sweep, out: Path) -> Job:
+    def do(pool: Executor, advance: Advance) -> None:
+        file = out / SPECS / f"{sweep.name}.toml"
+        write(file, sweep.text())
+        duration = sweep.content["duration"]
+        octarm.sweep(
+            octarm.read_spec(file),
+            make_controller,
+            out / SWEEPS / sweep.name,
+            executor=pool,
+            in_flight=2,
+            resume=True,
+            progress=lambda episodes: advance(episodes * duration),
+        )
 
-    def work() -> None:
-        while not errors:
-            try:
-                _, do = waiting.get_nowait()
-            except queue.Empty:
-                return
-            try:
-                do()
-            except BaseException as error:
-                errors.append(error)
-
-    workers = [threading.Thread(target=work, daemon=True) for _ in range(threads)]
-    for worker in workers:
-        worker.start()
-    try:
-        while any(worker.is_alive() for worker in workers) and not errors:
-            for worker in workers:
-                worker.join(0.2)
-    except KeyboardInterrupt as interrupt:
-        errors.append(interrupt)
-    if errors:
-        pool.stop()
-        for worker in workers:
-            worker.join(10.0)
-        raise errors[0]
+    return Job(sweep.seconds, do)
 
 
-def _sweep(part: Part, factory: Factory, out: Path, pool: Executor, bar: tqdm[Any]) -> None:
-    sweep(
-        part.spec,
-        factory,
-        out / SWEEPS / part.name,
-        executor=pool,
-        in_flight=2,
-        resume=True,
-        progress=lambda episodes: _advance(bar, episodes * part.spec.duration),
-    )
+def _run_job(request: Request, out: Path) -> Job:
+    def do(pool: Executor, advance: Advance) -> None:
+        if not series_file(out, request).is_file():
+            content = io.BytesIO()
+            np.savez(content, allow_pickle=False, **pool.submit(runs.perform, request).result())
+            write(series_file(out, request), content.getvalue())
+        advance(request.seconds)
+
+    return Job(request.seconds, do)
 
 
-def _series(
-    request: series.Request, factory: Factory, out: Path, pool: Executor, bar: tqdm[Any]
-) -> None:
-    path = series_file(out, request.name)
-    if not path.is_file():
-        series.write(pool.submit(series.run, request, factory).result(), path)
-    _advance(bar, request.seconds)
+def _recording_job(run: Recording, out: Path) -> Job:
+    folder = out / RUNS / run.name
+
+    def do(pool: Executor, advance: Advance) -> None:
+        if not (folder / "run.rrd").is_file() or not (folder / "run.npz").is_file():
+            pool.submit(runs.record, run, folder).result()
+        advance(run.seconds)
+
+    return Job(run.seconds, do)
 
 
-def _trial(
-    request: stability.Request, factory: Factory, out: Path, pool: Executor, bar: tqdm[Any]
-) -> None:
-    path = stability_file(out, request)
-    if not path.is_file():
-        outcomes = pool.submit(stability.run, request, factory).result()
-        write_text(path, json.dumps([outcome._asdict() for outcome in outcomes], indent=1) + "\n")
-    _advance(bar, request.seconds)
+def series_file(out: Path, request: Request) -> Path:
+    """Where what was kept of a run stands."""
+    return out / SERIES / f"{request.name}.npz"
 
 
-def _single(
-    request: shown.Shown, factory: Factory, out: Path, pool: Executor, bar: tqdm[Any]
-) -> None:
-    pool.submit(shown.record, request, factory, out / RUNS / request.name).result()
-    _advance(bar, request.seconds)
+def read_arrays(out: Path, requests: Iterable[Request]) -> dict[str, dict[str, np.ndarray]]:
+    """What was kept of runs, by their names.
+
+    Raises:
+        OSError: if one is missing.
+    """
+    arrays: dict[str, dict[str, np.ndarray]] = {}
+    for request in requests:
+        with np.load(series_file(out, request), allow_pickle=False) as file:
+            arrays[request.name] = dict(file)
+    return arrays
 
 
-def series_file(out: Path, name: str) -> Path:
-    """Where a series stands."""
-    return out / SERIES / f"{name}.npz"
+def write(path: Path, content: str | bytes) -> None:
+    """Writes a file whole or not at all.
 
-
-def stability_file(out: Path, request: stability.Request) -> Path:
-    """Where the outcomes of a stability request stand."""
-    name = request.variant.label.replace(", ", "-")
-    return out / STABILITY / f"{name}-{request.rate:g}-Hz.json"
-
-
-def outcomes(cast: Cast, effort: Effort, out: Path) -> Iterator[stability.Outcome]:
-    """All outcomes of stability requests."""
-    for request in stability.requests(cast, effort):
-        with contextlib.closing(open(stability_file(out, request), encoding="utf-8")) as file:
-            for row in json.load(file):
-                yield stability.Outcome(**row)
-
-
-_BAR = threading.Lock()
-
-
-def _advance(bar: tqdm[Any], seconds: float) -> None:
-    with _BAR:
-        bar.update(seconds)
+    Raises:
+        OSError: if it cannot be written.
+    """
+    part = path.with_name(path.name + ".part")
+    part.write_bytes(content.encode() if isinstance(content, str) else content)
+    os.replace(part, path)

@@ -1,117 +1,125 @@
-"""Claim (e): Lyapunov stability, in discrete time."""
+"""The Lyapunov functions of the paper along sampled runs of the arm.
+
+For the sliding modes V = 1/2 s^T D s, eq (32), with the true arm's D. For the adaptive law V is all
+of eq (80). Its optima may be any that the proof can do with, and are set when the run is over:
+
+    theta* = 0,  alpha* = alpha0,  sigma* = sigma0,  E*_j = sup |eps_j|,
+    eps_j = F_j + (alpha_j - alpha0)^T B_j theta_j + (sigma_j - sigma0)^T C_j theta_j
+
+F_j is the error of the model. Then V' = sum_j s_j eps_j - E*_j |s_j| - s^T (B + K_v) s <= 0 in
+continuous time, with sgn(s), and without safeguards. What is counted is how often V is larger at a
+control instant than at the one before.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from paper.claims import Claim, Row, Verdict, listed, number, percent, span
-from paper.evidence import Evidence
-from paper.stability import Outcome
-from paper.studies import MODELS, RATE
-from paper.variants import SIGN, by_hand
+import numpy as np
 
-NEVER = 1e-3  # share of periods that counts as none [1]
+import octarm
+from octarm.interfaces import Rows
+from octarm.lagrange import inverse_dynamics, kinetic_energy
+from paper.studies import SETTLED
 
+if TYPE_CHECKING:
+    from paper.runs import Request
 
-def share(grown: int, periods: int) -> float:
-    """Share of periods over which V grew; 0 where there are none [1]."""
-    return grown / periods if periods else 0.0
-
-
-def falls(outcome: Outcome) -> bool:
-    """Whether V falls outside the boundary layer and the arm stays within its limits."""
-    grown = share(outcome.grown_outside, outcome.outside)
-    return not outcome.diverged and grown <= NEVER
+FIELDS = ("q", "v", "v_d", "wanted_a", "s", "E", "theta", "alpha", "sigma", "lost")
 
 
-def verdict(layered: Sequence[Outcome]) -> Verdict:
-    """The rule.
+class Outcome(NamedTuple):
+    """How V went on one arm.
 
-    Args:
-        layered: outcomes of laws with a boundary layer at the default control rate.
+    Attributes:
+        label: of the variant.
+        rate: of control [Hz].
+        mismatch: of the nominal model [1].
+        covered: whether the switching gain covers the model error, K_j >= |F_j|, at all times; of
+            the adaptive law whether E_max covers eps.
+        outside: periods that begin outside the boundary layer: |s_j| > phi_j for a j.
+        grown_outside: of them, those over which V grew.
+        inside: periods that begin within it.
+        grown_inside: of them, those over which V grew.
+        start: V at the start [J].
+        bound: largest 1/2 s^T D s in the steady regime [J].
+        diverged: whether the arm left its limits.
     """
-    if not layered or not all(map(falls, layered)):
-        return Verdict.FAILS
-    inside = all(share(o.grown_inside, o.inside) <= NEVER for o in layered)
-    return Verdict.HOLDS if inside else Verdict.ONLY_IF
+
+    label: str
+    rate: float
+    mismatch: float
+    covered: bool
+    outside: int
+    grown_outside: int
+    inside: int
+    grown_inside: int
+    start: float
+    bound: float
+    diverged: bool
 
 
-RULE = (
-    "V of eqs (32) and (80) at the control instants of runs without noise. Holds if V never grows "
-    f"over a control period (in at most {100 * NEVER:g} % of them); holds only if ... if it does "
-    "so inside the boundary layer alone; does not hold if it grows outside of it, or an arm is lost"
-)
+def outcomes(request: Request, arrays: Mapping[str, np.ndarray]) -> list[Outcome]:
+    """What `counts` gave, arm by arm."""
+    columns = {name: arrays[name].tolist() for name in Outcome._fields if name in arrays}
+    arms = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+    return [Outcome(label=request.variant.label, rate=request.rate, **arm) for arm in arms]
 
 
-def claim(evidence: Evidence) -> Claim:
-    """The claim with its numbers."""
-    layered = [o for o in evidence.outcomes if o.label != by_hand(SIGN)]
-    sign = [o for o in evidence.outcomes if o.label == by_hand(SIGN)]
-    here = [o for o in layered if o.rate == RATE]
-    came = verdict(here)
-    rates = sorted({o.rate for o in layered})
-    fine = [rate for rate in rates if all(map(falls, (o for o in layered if o.rate == rate)))]
-    bad = [f"{rate:g} Hz" for rate in rates if rate not in fine]
-    rows = [row for outcome in (*here, *sign, *layered) for row in _rows(outcome)]
-    outside = sum(o.outside for o in here)
-    inside = [100.0 * share(o.grown_inside, o.inside) for o in here]
-    covered = sum(o.covered for o in here)
-    jumps = [100.0 * share(o.grown_outside, o.outside) for o in sign if o.rate == RATE]
-    return Claim(
-        letter="e",
-        title="Lyapunov stability in discrete time",
-        quote="On Line Tuning Premise and Consequence FIS Based on Lyapunov Theory; V' is negative "
-        "semidefinite [...] lim s(t) = 0",
-        place="title; section III, eqs (80)-(87)",
-        verdict=came,
-        condition=(
-            "V is asked to fall outside the boundary layer alone, within which it stays bounded"
-            if came == Verdict.ONLY_IF
-            else ""
-        ),
-        rule=RULE,
-        headline=f"V grew over {sum(o.grown_outside for o in here)} of {outside} periods outside "
-        f"the layer, {span(inside, '%')} of those inside; with sgn {span(jumps, '%')} of all",
-        rows=tuple(dict.fromkeys(rows)),
-        why=(
-            "In continuous time the corrected law has the V' that the proof says; octarm validate "
-            "--controllers checks that at random states. Sampled, with the control held for "
-            f"{1e3 / RATE:g} ms and sat in place of sgn, V fell over all but "
-            f"{sum(o.grown_outside for o in here)} of the {outside} periods that began outside the "
-            "boundary layer"
-            + f", with all of V of eq (80) for the adaptive law; within it V grew in "
-            f"{number(min(inside))} to {number(max(inside))} % of the periods, and 1/2 s^T D s "
-            f"stayed below {number(max(o.bound for o in here))} J. That is ultimate boundedness, "
-            "which is all that a saturation can promise, and not the limit s = 0. With sgn(s) V "
-            f"grew in {number(min(jumps))} to {number(max(jumps))} % of all periods: a sampled sgn "
-            "overshoots the surface at every step, and the bound falls with the period "
-            f"({_bounds(sign)}). "
-            + (
-                f"At {listed(bad)} V grows outside the layer as well, or an arm is lost. "
-                if bad
-                else ""
-            )
-            + f"The gains cover the model error, as the proof asks, in {covered} of {len(here)} of "
-            "these runs; the outcome "
-            "is the same in the others."
-        ),
+def counts(request: Request, rows: Rows) -> dict[str, np.ndarray]:
+    """The fields of `Outcome` that differ from arm to arm, each of shape (n,)."""
+    gains, s = request.variant.gains, rows["s"]
+    kinetic = kinetic_energy(octarm.nominal_parameters(), rows["q"], s)
+    F = _model_error(request, rows)
+    if "E" in rows:
+        learnt, covered = _learnt(gains, rows, F)
+    else:
+        learnt, covered = 0.0, np.all(_largest(F) <= np.asarray(gains.get("K", 0.0)), axis=-1)
+    V = kinetic + learnt
+    grown = V[1:] > V[:-1]
+    outside = np.any(np.abs(s[:-1]) > np.asarray(gains.get("phi", 0.0)), axis=-1)
+    steady = round(SETTLED * request.rate)
+    return {
+        "mismatch": request.mismatch,
+        "covered": covered,
+        "outside": np.sum(outside, axis=0),
+        "grown_outside": np.sum(outside & grown, axis=0),
+        "inside": np.sum(~outside, axis=0),
+        "grown_inside": np.sum(~outside & grown, axis=0),
+        "start": V[0],
+        "bound": np.max(kinetic[steady:], axis=0, initial=0.0),
+        "diverged": rows["lost"][-1],
+    }
+
+
+def _model_error(request: Request, rows: Rows) -> np.ndarray:
+    """F = (D^ - D) q_r'' + .. + G^ - G, shape (T, n, 2N) [N], [N m]."""
+    q, v, lambda_ = rows["q"], rows["v"], np.asarray(request.variant.gains["lambda"])
+    v_r, a_r = v - rows["s"], rows["wanted_a"] - lambda_ * (v - rows["v_d"])
+    nominal, true = (
+        inverse_dynamics(p, q, v, a_r, v_r) for p in (request.nominal, octarm.nominal_parameters())
     )
+    return nominal - true
 
 
-def _rows(o: Outcome) -> list[Row]:
-    where = f"{o.label}, {o.rate:g} Hz, model {percent(o.mismatch)}"
-    found = [Row.exact(f"{where}: largest 1/2 s^T D s after 2 s", 1e3 * o.bound, "mJ")]
-    for name, grown, periods in (
-        ("outside", o.grown_outside, o.outside),
-        ("inside", o.grown_inside, o.inside),
-    ):
-        if periods:
-            told = f"{where}: V grew {name} the layer, of {periods} periods"
-            found.insert(0, Row.exact(told, 100.0 * share(grown, periods), "%"))
-    return found
+def _learnt(gains: Mapping[str, Any], rows: Rows, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """V of eq (80) beyond the first term, shape (T, n) [J]; whether E_max covers eps, (n,)."""
+    theta, alpha, sigma, E = (rows[name] for name in ("theta", "alpha", "sigma", "E"))
+    z = (rows["s"] / np.asarray(gains["scale"]))[..., None]
+    alpha0, sigma0 = np.asarray(gains["alpha0"]), np.asarray(gains["sigma0"])
+    phi = np.exp(-np.square(sigma * (z - alpha)))
+    by_alpha, by_sigma = 2.0 * sigma**2 * (z - alpha) * phi, -2.0 * sigma * (z - alpha) ** 2 * phi
+    moved = (alpha - alpha0) * by_alpha + (sigma - sigma0) * by_sigma
+    needed = _largest(F + np.sum(moved * theta, axis=-1))
+    rules = sum(
+        np.sum(np.square(x), axis=-1) / np.maximum(np.asarray(gains[eta]), 1e-300)
+        for x, eta in ((theta, "eta2"), (alpha - alpha0, "eta3"), (sigma - sigma0, "eta4"))
+    )
+    energy = np.square(needed - E) / np.asarray(gains["eta1"]) + rules
+    return 0.5 * np.sum(energy, axis=-1), np.all(needed <= np.asarray(gains["E_max"]), axis=-1)
 
 
-def _bounds(sign: Sequence[Outcome]) -> str:
-    """The ultimate bounds with sgn(s) at each rate, with the exact model."""
-    own = [o for o in sorted(sign, key=lambda o: o.rate) if o.mismatch == MODELS[0]]
-    return ", ".join(f"{number(1e3 * o.bound)} mJ at {o.rate:g} Hz" for o in own)
+def _largest(x: np.ndarray) -> np.ndarray:
+    """Over all instants, shape (T, n, 2N) to (n, 2N)."""
+    return np.max(np.abs(x), axis=0)

@@ -1,164 +1,196 @@
-"""The studies, as sweeps: who runs in which cells, and for how long."""
+"""The studies: the sweep specs in `studies/full` and `studies/quick`, and what else is run.
+
+Each spec is one that `octarm sweep` runs as it stands. Here its gains are written out, and its
+cells without noise get one seed: nothing in them is random.
+"""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+import copy
+import dataclasses
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
-from octarm.sweeps.parser import parse_spec
-from octarm.sweeps.spec import SweepSpec
-from paper.effort import Effort
+import tomlkit
+
 from paper.variants import (
     AS_PRINTED,
-    CONSEQUENT,
-    CONTROLLERS,
     FIXED_PREMISES,
-    INTEGRAL,
+    HAND_SET,
     MATCHED,
     PROPOSED,
     SIGN,
     SMC,
-    TWISTING,
-    Cast,
     Variant,
-    by_hand,
 )
 
 BENDS, SLIDES = "sine", "sine-slides"  # the two readings of "first two links"
+MOVING = {BENDS: ("theta1", "theta2"), SLIDES: ("s1", "s2")}  # what each of them moves
 MODELS = (-0.3, 0.0, 0.3)  # model errors of the paper's figures [1]
 WRONG = -0.3  # the one model error of the studies that vary something else
 NOISE = 0.4  # the paper's: rms over the amplitude of the input signal [1]
 TIME = 0.01  # correlation time of the noise [s]
-RATE = 2000.0  # [Hz]
-
-# Beyond the paper: what acts, its column, its values, and the one that claim (f) takes.
-BEYOND: Mapping[str, tuple[str, tuple[float, ...], float]] = {
-    "payload": ("payload", (0.0, 0.05, 0.1, 0.2), 0.1),  # [kg]; the arm has 0.75 kg
-    "delay": ("actuation-delay", (0.0, 0.0005, 0.001, 0.002), 0.001),  # [s]
-    "loss": ("loss", (0.0, 0.1, 0.3, 0.5), 0.3),  # share of the force of every column
-}
+RATE = 2000.0  # of control [Hz]
+RATES = (500.0, 1000.0, RATE, 5000.0)  # all that are tried [Hz]
+SETTLED = 2.0  # errors count from here on [s]
 SEED = 0
 
 
-class Part(NamedTuple):
-    """A sweep.
+class Beyond(NamedTuple):
+    """Something that the paper does not try.
 
     Attributes:
-        study: that it belongs to.
+        values: that are tried, in the unit of `paper.evidence.Cell`.
+        value: the one of them that claim (f) takes.
+        unit: in which it is written.
+        factor: from SI units to that one.
+    """
+
+    values: tuple[float, ...]
+    value: float
+    unit: str
+    factor: float
+
+
+# By the field of `paper.evidence.Cell`.
+BEYOND = {
+    "payload": Beyond((0.0, 0.05, 0.1, 0.2), 0.1, "kg", 1.0),
+    "delay": Beyond((0.0, 0.0005, 0.001, 0.002), 0.001, "ms", 1e3),
+    "loss": Beyond((0.0, 0.1, 0.3, 0.5), 0.3, "%", 100.0),  # of the force of every column
+}
+
+
+class Study(NamedTuple):
+    """A spec.
+
+    Attributes:
+        file: name of the spec, without its ending.
+        name: of the study that its cells belong to.
+        label: of a variant, with {} for the name of the controller.
+    """
+
+    file: str
+    name: str = "tracking"
+    label: str = "{}"
+
+
+_FULL = (
+    Study("tuned"),
+    Study("slides"),
+    Study("hand-set", label=HAND_SET),
+    Study("hand-set-slides", label=HAND_SET),
+    Study("premises", label=FIXED_PREMISES),
+    Study("premises-slides", label=FIXED_PREMISES),
+    Study("printed", label=AS_PRINTED),
+    Study("matched", label=MATCHED),
+    Study("matched-slides", label=MATCHED),
+    *(Study(name, "beyond") for name in BEYOND),
+    *(Study(f"rate-{rate:g}", f"rate-{rate:g}") for rate in RATES if rate != RATE),
+    Study("correlation", "correlation"),
+    Study("degradation", "degradation"),
+    Study("degradation-quiet", "degradation"),
+)
+_QUICK = (
+    Study("tuned"),
+    Study("slides"),
+    Study("hand-set", label=HAND_SET),
+    Study("premises", label=FIXED_PREMISES),
+    Study("printed", label=AS_PRINTED),
+    Study("beyond", "beyond"),
+)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Effort:
+    """How much is run.
+
+    Attributes:
+        name: `full` or `quick`, the folder of the specs.
+        studies: in the order in which their cells are listed.
+        seeds: in each cell with noise.
+        duration: of the runs of figures 1 and 2 [s].
+        labels: of the variants of figures 1 and 2.
+        readings: references of figures 1 and 2.
+        long: duration of the runs that show drift; none if 0 [s].
+        rates: at which Lyapunov functions are looked at [Hz].
+        lyapunov: labels of the variants of which they are looked at.
+    """
+
+    name: str
+    studies: tuple[Study, ...]
+    seeds: int
+    duration: float
+    labels: tuple[str, ...]
+    readings: tuple[str, ...]
+    long: float
+    rates: tuple[float, ...]
+    lyapunov: tuple[str, ...]
+
+
+# The sliding modes have hand-set gains there, which are above the model error.
+_LYAPUNOV = tuple(HAND_SET.format(name) for name in (SIGN, SMC, PROPOSED))
+FULL = Effort(
+    name="full",
+    studies=_FULL,
+    seeds=64,
+    duration=4.0,
+    labels=(SIGN, SMC, PROPOSED),
+    readings=(BENDS, SLIDES),
+    long=20.0,
+    rates=RATES,
+    lyapunov=(*_LYAPUNOV, PROPOSED),
+)
+QUICK = Effort(
+    name="quick",
+    studies=_QUICK,
+    seeds=4,
+    duration=4.0,
+    labels=(SMC, PROPOSED),
+    readings=(BENDS,),
+    long=0.0,
+    rates=(RATE,),
+    lyapunov=_LYAPUNOV,
+)
+
+
+class Sweep(NamedTuple):
+    """What is run of a study.
+
+    Attributes:
         name: of its folder.
-        spec: what is run.
+        study: that its cells belong to.
+        content: of the spec.
         labels: of the variants, by controller.
     """
 
-    study: str
     name: str
-    spec: SweepSpec
+    study: str
+    content: Mapping[str, Any]
     labels: Mapping[str, str]
 
     @property
     def seconds(self) -> float:
         """What it simulates, all arms counted [s]."""
-        count = self.spec.episodes
-        for axis in self.spec.axes:
-            count *= len(axis.values)
-        return count * self.spec.duration
+        return self.content["episodes"] * self.content["duration"] * _cells(self.content["grid"])
+
+    def text(self) -> str:
+        """The spec."""
+        return tomlkit.dumps(self.content)
 
 
-class Grid(NamedTuple):
-    """What differs between the episodes of a sweep, beside controllers and seeds.
-
-    Attributes:
-        reference: names.
-        mismatch: of the nominal model [1].
-        acting: values of disturbances by name.
-        timing: physics step and control period, where they are not the usual ones [s].
-    """
-
-    reference: str = BENDS
-    mismatch: Sequence[float] = (WRONG,)
-    acting: Mapping[str, Sequence[float]] = MappingProxyType({})
-    timing: Mapping[str, float] = MappingProxyType({})
-
-
-def parts(cast: Cast, effort: Effort) -> list[Part]:
+def sweeps(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Sweep]:
     """All sweeps."""
-    found = [*_tracking(cast, effort), *_beyond(cast, effort), *_rates(cast, effort)]
-    who = [cast[label] for label in (SIGN, SMC, INTEGRAL, PROPOSED)]
-    if effort.times:
-        grid = Grid(acting={"noise": [NOISE], "noise.time": effort.times})
-        found.append(_sweep("correlation", "", who, effort.seeds, effort.short, grid))
-    if effort.noises:
-        grid = Grid(acting={"noise": effort.noises})
-        found.append(_sweep("degradation", "", who, effort.seeds, effort.short, grid))
-        found.append(_sweep("degradation", "quiet", who, 1, effort.short, Grid()))
-    return found
-
-
-def _tracking(cast: Cast, effort: Effort) -> list[Part]:
-    """The main study: figures 1 and 2, ablations, both gain sets."""
-    found: list[Part] = []
-    for name, (labels, reference, noisy) in _groups(effort).items():
-        variants = [cast[label] for label in labels]
-        long = effort.duration
-        if effort.apart or not noisy:
-            grid = Grid(reference, effort.mismatches, {"noise": [0.0]})
-            found.append(_sweep("tracking", f"{name}-quiet", variants, 1, long, grid))
-        if noisy:
-            noises = [NOISE] if effort.apart else [0.0, NOISE]
-            grid = Grid(reference, MODELS, {"noise": noises})
-            found.append(_sweep("tracking", name, variants, effort.seeds, long, grid))
-    return found
-
-
-def _groups(effort: Effort) -> dict[str, tuple[Sequence[str], str, bool]]:
-    """Labels, reference, and whether there are episodes with noise, too, by name."""
-    hand = [by_hand(name) for name in (SMC, PROPOSED)]
-    if not effort.complete:
-        return {
-            "tuned": ((SIGN, SMC, CONSEQUENT, PROPOSED), BENDS, True),
-            "slides": ((SMC, PROPOSED), SLIDES, True),
-            "hand-set": (hand, BENDS, False),
-            "premises": ((FIXED_PREMISES,), BENDS, True),
-            "printed": ((AS_PRINTED,), BENDS, False),
-        }
-    more = [by_hand(name) for name in (SIGN, INTEGRAL, CONSEQUENT)]
-    return {
-        "tuned": (CONTROLLERS, BENDS, True),
-        "slides": ((SIGN, SMC, INTEGRAL, CONSEQUENT, PROPOSED), SLIDES, True),
-        "hand-set": ([*hand, *more], BENDS, True),
-        "hand-set-slides": (hand, SLIDES, False),
-        "premises": ((FIXED_PREMISES,), BENDS, True),
-        "premises-slides": ((FIXED_PREMISES,), SLIDES, True),
-        "printed": ((AS_PRINTED,), BENDS, True),
-        "matched": ((MATCHED,), BENDS, True),
-        "matched-slides": ((MATCHED,), SLIDES, True),
-    }
-
-
-def _beyond(cast: Cast, effort: Effort) -> list[Part]:
-    """What the paper does not try, without noise: one thing at a time, or all combinations."""
-    if not effort.complete:
-        grid = Grid(acting={axis: (0.0, shown) for axis, _, shown in BEYOND.values()})
-        return [_sweep("beyond", "", [cast[SMC], cast[PROPOSED]], 1, effort.short, grid)]
-    everybody = [cast[name] for name in CONTROLLERS]
-    return [
-        _sweep("beyond", name, everybody, 1, effort.short, Grid(BENDS, MODELS, {axis: values}))
-        for name, (axis, values, _) in BEYOND.items()
-    ]
-
-
-def _rates(cast: Cast, effort: Effort) -> list[Part]:
-    """Control at other rates, with and without noise."""
-    who = [cast[label] for label in (SIGN, SMC, TWISTING, PROPOSED)]
-    found: list[Part] = []
-    for rate in effort.rates:
-        timing = {"control_period": 1.0 / rate, "timestep": min(1.0 / rate, 1.0 / RATE)}
-        for noise, seeds, name in ((0.0, 1, "quiet"), (NOISE, effort.seeds, "")):
-            grid = Grid(acting={"noise": [noise]}, timing=timing)
-            found.append(_sweep(study_of_rate(rate), name, who, seeds, effort.short, grid))
-    return found
+    for study in effort.studies:
+        file = Path(__file__).parent / "studies" / effort.name / f"{study.file}.toml"
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
+        content.pop("gain_set", None)
+        labels = {name: study.label.format(name) for name in content["grid"]["controller"]}
+        content["gains"] = {name: dict(variants[label].gains) for name, label in labels.items()}
+        for ending, part in _quiet_apart(content) if effort.name == "full" else [("", content)]:
+            yield Sweep(study.file + ending, study.name, {"seed": SEED, **part}, labels)
 
 
 def study_of_rate(rate: float) -> str:
@@ -166,35 +198,21 @@ def study_of_rate(rate: float) -> str:
     return "tracking" if rate == RATE else f"rate-{rate:g}"
 
 
-def _sweep(
-    study: str, name: str, variants: Sequence[Variant], seeds: int, duration: float, grid: Grid
-) -> Part:
-    """A sweep of variants, no two of the same controller."""
-    acting = {key: list(values) for key, values in grid.acting.items()}
-    sections: dict[str, Mapping[str, Any]] = {
-        "": {"seed": SEED, "episodes": seeds, "duration": duration, **grid.timing},
-        "grid": {
-            "controller": [variant.controller for variant in variants],
-            "reference": [grid.reference],
-            "mismatch": list(grid.mismatch),
-        },
-    }
-    if "noise.time" in acting:  # the table noise then holds the ratio as well
-        acting["noise.ratio"] = acting.pop("noise")
-    elif "noise" in acting:
-        sections["disturbance"] = {"noise.time": TIME}
-    if acting:
-        sections["grid.disturbance"] = acting
-    sections |= {f"gains.{variant.controller}": variant.gains for variant in variants}
-    labels = {variant.controller: variant.label for variant in variants}
-    folder = f"{study}-{name}".rstrip("-")
-    return Part(study, folder, parse_spec(_toml(sections), folder), labels)
+def _quiet_apart(content: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """A spec in two: without noise and one seed, and with noise for the models of the figures."""
+    noises = content["grid"].get("disturbance", {}).get("noise", [])
+    if 0.0 not in noises:
+        yield "", content
+        return
+    quiet = copy.deepcopy(content)
+    quiet["episodes"], quiet["grid"]["disturbance"]["noise"] = 1, [0.0]
+    yield "-quiet", quiet
+    if len(noises) > 1:
+        content["grid"]["mismatch"] = [m for m in content["grid"]["mismatch"] if m in MODELS]
+        content["grid"]["disturbance"]["noise"] = [noise for noise in noises if noise]
+        yield "", content
 
 
-def _toml(sections: Mapping[str, Mapping[str, Any]]) -> str:
-    """The text of a spec; numbers, words and lists of them are spelt as in JSON."""
-    blocks: list[str] = []
-    for heading, table in sections.items():
-        rows = [f"{key} = {json.dumps(value)}" for key, value in table.items()]
-        blocks.append("\n".join(([f"[{heading}]"] if heading else []) + rows))
-    return "\n\n".join(blocks) + "\n"
+def _cells(grid: Mapping[str, Any]) -> int:
+    """Number of cells of a grid, whose tables stand in one another."""
+    return math.prod(_cells(x) if isinstance(x, dict) else len(x) for x in grid.values())

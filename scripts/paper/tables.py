@@ -1,18 +1,39 @@
-"""The tables: numbers in rows, as CSV, HTML and Markdown."""
+"""The tables: numbers in rows under the headings of `words.toml`, and their CSV files."""
 
 from __future__ import annotations
 
 import csv
-import html
 import io
 import math
+import tomllib
+import warnings
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from octarm.reports.statistics import Interval
-from paper.claims import number
+from paper.claims import Claim, percent, worded, words
+from paper.evidence import Cell, Evidence, interval
+from paper.runs import EVERY, LONG
+from paper.studies import (
+    BENDS,
+    BEYOND,
+    MODELS,
+    MOVING,
+    NOISE,
+    RATE,
+    RATES,
+    SLIDES,
+    TIME,
+    WRONG,
+    study_of_rate,
+)
+from paper.variants import ABLATIONS, CONSEQUENT, CONTROLLERS, INTEGRAL, PROPOSED, SMC, by_hand
 
 Entry = str | int | float | Interval
+Rows = Iterable[Sequence[Entry]]
 
 
 class Table(NamedTuple):
@@ -27,85 +48,240 @@ class Table(NamedTuple):
 
     name: str
     caption: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[Entry, ...], ...]
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Entry]]
+
+
+def all_tables(evidence: Evidence, claims: Sequence[Claim], gains: Path) -> dict[str, Table]:
+    """All tables that are the same in every run, by name, those that have rows.
+
+    Args:
+        evidence: what was run.
+        claims: all of them.
+        gains: folder of the tuned gain sets.
+    """
+    tables = [
+        _table("ranking", ranking(evidence)),
+        _table("joints", joints(evidence)),
+        _table("ablations", ablations(evidence)),
+        _table("gain-sets", gain_sets(evidence)),
+        _table("tuning", tuning(evidence, gains)),
+        _table("rates", rates(evidence)),
+        _table("correlation", correlation(evidence)),
+        degradation(evidence),
+        *(beyond(evidence, name) for name in BEYOND),
+        _table("drift", drift(evidence)),
+        _table("stability", stability(evidence)),
+        _table("cells", cells(evidence)),
+        _table("claims", numbers_of(claims)),
+    ]
+    return {table.name: table for table in tables if table.rows}
 
 
 def as_csv(table: Table) -> str:
     """The text of a CSV file; an interval takes three columns."""
-    wide = [any(isinstance(row[j], Interval) for row in table.rows) for j in range(_width(table))]
-    head: list[str] = []
-    for name, spread in zip(table.columns, wide, strict=True):
-        head += [name, f"{name} low", f"{name} high"] if spread else [name]
+    wide = [any(isinstance(entry, Interval) for entry in own) for own in zip(*table.rows, strict=True)]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
+    heads = zip(table.columns, wide, strict=True)
+    writer.writerow(
+        [name + end for name, three in heads for end in (("", " low", " high") if three else ("",))]
+    )
     for row in table.rows:
-        cells: list[str] = []
-        for entry, spread in zip(row, wide, strict=True):
-            cells += _plain(entry, spread)
-        writer.writerow(cells)
+        triples = [
+            (entry if isinstance(entry, Interval) else [entry] * 3) if three else [entry]
+            for entry, three in zip(row, wide, strict=True)
+        ]
+        writer.writerow([_plain(entry) for triple in triples for entry in triple])
     return text.getvalue()
 
 
-def as_html(table: Table) -> str:
-    """A table with its caption."""
-    head = "".join(f"<th{_side(table, j)}>{_escaped(c)}</th>" for j, c in enumerate(table.columns))
-    rows: list[str] = []
-    for row in table.rows:
-        cells = (f"<td{_side(table, j)}>{_marked(entry)}</td>" for j, entry in enumerate(row))
-        rows.append(f"<tr>{''.join(cells)}</tr>")
-    body = "\n".join(rows)
-    return (
-        f'<div class="scroll"><table><caption>{_escaped(table.caption)}</caption>'
-        f"<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody></table></div>"
-    )
+def ranking(evidence: Evidence) -> Rows:
+    """The tuned controllers, the best under noise first."""
+    for name in evidence.ranked(CONTROLLERS, NOISE):
+        errors: list[Entry] = []
+        for noise in (NOISE, 0.0):
+            errors.append(evidence.mean_error(name, noise))
+            errors += map(evidence.error, Cell(name, noise=noise).models())
+        restless = [
+            evidence.chattering(Cell(name, mismatch=WRONG, noise=noise)) for noise in (NOISE, 0.0)
+        ]
+        yield name, *errors, *restless, evidence.over(name, SMC, NOISE)
 
 
-def as_markdown(columns: Sequence[str], rows: Iterable[Sequence[Entry]]) -> str:
-    """A table in Markdown."""
-    lines = [f"| {' | '.join(columns)} |", "|" + "---|" * len(columns)]
-    for row in rows:
-        lines.append(f"| {' | '.join(told(entry).replace('|', '/') for entry in row)} |")
-    return "\n".join(lines)
+def joints(evidence: Evidence) -> Rows:
+    """The numbers of figures 1 and 2."""
+    for reference in (BENDS, SLIDES):
+        for noise in (0.0, NOISE):
+            for model in MODELS:
+                cells = [Cell(n, "tracking", reference, model, noise) for n in evidence.variants]
+                for cell in evidence.known(cells):
+                    where = ", ".join(MOVING[reference]), _noise(noise), percent(model), cell.label
+                    errors, overshoots = (
+                        [evidence.median(cell, f"{metric}_{j}", x) for j in MOVING[reference]]
+                        for metric, x in (("rms_error", 1e3), ("overshoot", 1.0))
+                    )
+                    yield *where, *errors, *overshoots, _lost(evidence, cell)
 
 
-def told(entry: Entry) -> str:
-    """An entry in words."""
-    if isinstance(entry, Interval):
-        value, low, high = (float(x) for x in entry)
-        same = low == high or math.isnan(low)
-        return number(value) + ("" if same else f" ({number(low)} .. {number(high)})")
-    return number(entry) if isinstance(entry, float) else str(entry)
+def ablations(evidence: Evidence) -> Rows:
+    """What is left of `afsmc` without one of its parts, and what others reach."""
+    for label in (CONSEQUENT, SMC, INTEGRAL, *ABLATIONS):
+        for reference in (BENDS, SLIDES):
+            for noise in (NOISE, 0.0):
+                cells = Cell(label, reference=reference, noise=noise).models()
+                if evidence.has(*cells):
+                    ratios = [evidence.ratio(cell, PROPOSED) for cell in cells]
+                    restless = evidence.ratio(cells[0], PROPOSED, "chattering")
+                    yield label, ", ".join(MOVING[reference]), _noise(noise), *ratios, restless
 
 
-def _width(table: Table) -> int:
-    return len(table.columns)
+def gain_sets(evidence: Evidence) -> Rows:
+    """Tuned gains against hand-set ones."""
+    for name in CONTROLLERS:
+        for noise in (NOISE, 0.0):
+            cells = Cell(name, noise=noise).models()
+            if evidence.has(*cells, *Cell(by_hand(name), noise=noise).models()):
+                ratios = [evidence.ratio(cell, by_hand(name)) for cell in cells]
+                yield name, _noise(noise), *ratios
 
 
-def _plain(entry: Entry, spread: bool) -> list[str]:
-    values = [entry]
-    if spread:
-        values = list(entry) if isinstance(entry, Interval) else [entry, entry, entry]
-    return [
-        ("" if math.isnan(value) else f"{value:.9g}") if isinstance(value, float) else str(value)
-        for value in values
+def tuning(evidence: Evidence, gains: Path) -> Rows:
+    """What tuning gave, from the files of the gain sets."""
+    for name in CONTROLLERS:
+        file, tuned = gains / f"{name}.toml", evidence.variants[name].gains
+        if tuned == evidence.variants[by_hand(name)].gains or not file.is_file():
+            continue
+        origin = tomllib.loads(file.read_text(encoding="utf-8"))
+        if {"tuning", "search", "long_trial"} <= set(origin):
+            trials = (origin["search"], origin["long_trial"])
+            costs = [float(trial[key]) for trial in trials for key in ("cost", "recommended")]
+            better = "yes" if costs[2] < costs[3] else "no"
+            at_bounds = ", ".join(origin["tuning"]["at_bounds"]) or "none"
+            yield name, *costs, costs[3] / costs[2], better, at_bounds
+
+
+def rates(evidence: Evidence) -> Rows:
+    """Other control rates."""
+    studies = [study_of_rate(rate) for rate in RATES if rate != RATE]
+    for rate in RATES:
+        for label in _labels(evidence, *studies):
+            noisy = Cell(label, study_of_rate(rate), mismatch=WRONG, noise=NOISE)
+            both = (noisy, noisy._replace(noise=0.0))
+            if evidence.has(*both):
+                numbers = [f(cell) for f in (evidence.error, evidence.chattering) for cell in both]
+                yield f"{rate:g} Hz", label, *numbers, _lost(evidence, *both)
+
+
+def correlation(evidence: Evidence) -> Rows:
+    """Other correlation times of the noise."""
+    others = {cell.time for cell in evidence.rows if cell.study == "correlation"}
+    for time in sorted({*others, TIME}):
+        for label in _labels(evidence, "correlation"):
+            study = "tracking" if time == TIME else "correlation"
+            cell = Cell(label, study, mismatch=WRONG, noise=NOISE, time=time)
+            numbers = evidence.error(cell), evidence.chattering(cell)
+            yield f"{1e3 * time:g} ms", label, *numbers, _lost(evidence, cell)
+
+
+def degradation(evidence: Evidence) -> Table:
+    """Error over the strength of the noise."""
+    noises = evidence.noises()
+    rows = [
+        (label, *(evidence.error(Cell(label, "degradation", BENDS, WRONG, x)) for x in noises))
+        for label in _labels(evidence, "degradation")
     ]
+    return _table("degradation", rows, [f"{100 * noise:g} % noise" for noise in noises])
 
 
-def _marked(entry: Entry) -> str:
-    if isinstance(entry, Interval):
-        value, low, high = (float(x) for x in entry)
-        if low != high and not math.isnan(low):
-            return f"{number(value)}<small>{number(low)} .. {number(high)}</small>"
-        return number(value)
-    return _escaped(told(entry))
+def beyond(evidence: Evidence, name: str) -> Table:
+    """Payload, delay or loss, in the sweeps that vary nothing else."""
+    sort = BEYOND[name]
+    rows: list[Sequence[Entry]] = []
+    for label in CONTROLLERS:
+        for start in Cell(label, "beyond").models():
+            own = [start._replace(**{name: value}) for value in sort.values]
+            if evidence.has(*own):
+                rows.append((label, percent(start.mismatch), *map(evidence.error, own)))
+    heads = [f"{sort.factor * value:g} {sort.unit}" for value in sort.values]
+    return _table("beyond", rows, heads, name)
 
 
-def _side(table: Table, j: int) -> str:
-    words = any(isinstance(row[j], str) for row in table.rows)
-    return ' class="left"' if words else ""
+def drift(evidence: Evidence) -> Rows:
+    """What grows in long runs with and without safeguards."""
+    for label, name in LONG.items():
+        if name not in evidence.series:
+            continue
+        series = evidence.series[name]
+        bounds = np.asarray(evidence.variants[label].gains["E_max"])
+        largest = np.max(series.E / bounds, axis=2)  # of all coordinates, in bounds
+        lost = int(np.sum(~np.isnan(series.diverged_at)))
+        first = float(np.nanmin(series.diverged_at)) if lost else math.nan
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of arms that are lost from the start
+            late = [np.nanmax(largest[: round(t / EVERY)], axis=0) for t in (2.0, 5.0, 10.0, 20.0)]
+        yield label, *map(interval, late), f"{lost} of {len(series.noise)}", first
 
 
-def _escaped(text: str) -> str:
-    return html.escape(text)
+def stability(evidence: Evidence) -> Rows:
+    """How V went on sampled runs."""
+    for o in evidence.outcomes:
+        outside, inside = (
+            100.0 * grown / periods if periods else math.nan
+            for grown, periods in ((o.grown_outside, o.outside), (o.grown_inside, o.inside))
+        )
+        where = o.label, f"{o.rate:g} Hz", percent(o.mismatch), "yes" if o.covered else "no"
+        yield *where, o.outside, outside, o.inside, inside, 1e3 * o.start, 1e3 * o.bound
+
+
+def cells(evidence: Evidence) -> Rows:
+    """Everything: every cell of every study."""
+    for cell in evidence.rows:
+        lost, count = evidence.diverged(cell)
+        numbers = evidence.error(cell), evidence.chattering(cell)
+        yield cell.study, cell.label, *cell[2:], count, lost, *numbers
+
+
+def numbers_of(claims: Sequence[Claim]) -> Rows:
+    """All numbers of all claims but timings."""
+    for c in claims:
+        for row in c.rows:
+            if not row.varies:
+                yield c.letter, str(c.verdict), c.condition, row.name, *row.number, row.unit
+
+
+def timings(evidence: Evidence) -> Table:
+    """What a step takes on this machine."""
+    rows = [
+        (name, 1e6 * cost.many, 1e6 * cost.alone, 100.0 * cost.many * RATE)
+        for name, cost in evidence.costs.items()
+    ]
+    return _table("timings", rows)
+
+
+def _table(key: str, rows: Rows, columns: Sequence[str] = (), name: str = "") -> Table:
+    wording: dict[str, Any] = words()["tables"][key]
+    caption = worded(wording["caption"], name=name)
+    return Table(name or key, caption, [*wording["columns"], *columns], list(rows))
+
+
+def _noise(noise: float) -> str:
+    return percent(noise).lstrip("+") if noise else "none"
+
+
+def _lost(evidence: Evidence, *cells: Cell) -> str:
+    """How many of the episodes diverged."""
+    lost, count = evidence.diverged(*cells)
+    return f"{lost} of {count}"
+
+
+def _labels(evidence: Evidence, *studies: str) -> list[str]:
+    """The tuned controllers that studies have."""
+    labels = {cell.label for cell in evidence.rows if cell.study in studies}
+    return [name for name in CONTROLLERS if name in labels]
+
+
+def _plain(entry: Entry) -> str:
+    if isinstance(entry, float):
+        return "" if math.isnan(entry) else f"{entry:.9g}"
+    return str(entry)

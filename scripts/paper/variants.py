@@ -9,15 +9,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from octarm.arm.mjcf import nominal_parameters
-from octarm.arm.parameters import ArmParameters
-from octarm.interfaces import Controller
-from octarm.sweeps.tune_space import gains_of
+import octarm
+from controllers import make_controller
 
 CONTROLLERS = (
     "pd", "computed-torque", "fuzzy",
@@ -28,23 +25,10 @@ SIGN, SMC, PROPOSED = "smc", "smc-boundary", "afsmc"  # the paper's two, SMC in 
 INTEGRAL, CONSEQUENT, TWISTING = "smc-integral", "afsmc-consequent", "super-twisting"
 FIXED_PREMISES = "afsmc, eta3 = eta4 = 0"
 AS_PRINTED = "afsmc, sgn as printed"
-MATCHED = "smc-boundary, matched slope"
 UNGUARDED = "afsmc, no safeguards"
-
-
-class Factory(Protocol):
-    """`controllers.make_controller`, whose gains broadcast to (..., 2N)."""
-
-    def __call__(
-        self,
-        name: str,
-        nominal: ArmParameters,
-        gains: Mapping[str, npt.ArrayLike] | None = None,
-        *,
-        gain_set: str | Path | None = None,
-    ) -> Controller:
-        """A controller by name, with the model it believes; gains broadcast to (..., 2N)."""
-        ...
+MATCHED = "smc-boundary, matched slope"
+ABLATIONS = (FIXED_PREMISES, AS_PRINTED, UNGUARDED, MATCHED)
+HAND_SET = "{}, hand-set"  # the label of a controller with hand-set gains
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -55,94 +39,67 @@ class Variant:
         label: under which it stands in tables and figures.
         controller: name on the command line.
         gains: all that are numbers, as numbers or lists.
+        gain_set: on the command line, before any gain is changed; the shipped one when empty.
     """
 
     label: str
     controller: str
     gains: Mapping[str, Any]
+    gain_set: str = ""
 
     def changed(self, label: str, **gains: Any) -> Variant:
         """The same with some gains replaced."""
         return dataclasses.replace(self, label=label, gains={**self.gains, **gains})
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Cast:
-    """All variants by label.
-
-    Attributes:
-        tuned: each controller of `CONTROLLERS` with the gains it is shipped with.
-        by_hand: likewise with hand-set gains; labels end in `, hand-set`.
-        ablations: what takes something away from `afsmc`, or gives its slope to another one.
-        shipped: the controllers that come with tuned gains.
-    """
-
-    tuned: Mapping[str, Variant]
-    by_hand: Mapping[str, Variant]
-    ablations: Mapping[str, Variant]
-    shipped: tuple[str, ...]
-
-    def __getitem__(self, label: str) -> Variant:
-        return {**self.tuned, **self.by_hand, **self.ablations}[label]
-
-    def labels(self) -> list[str]:
-        """Of all variants."""
-        return [*self.tuned, *self.by_hand, *self.ablations]
+    def controls(self, nominal: octarm.ArmParameters) -> octarm.Controller:
+        """The controller with the nominal model that it believes."""
+        return make_controller(self.controller, nominal, self.gains)
 
 
 def by_hand(name: str) -> str:
     """The label of a controller with hand-set gains."""
-    return f"{name}, hand-set"
+    return HAND_SET.format(name)
 
 
-def cast(factory: Factory, folder: Path | None = None) -> Cast:
-    """All variants.
+def all_variants(folder: Path | None = None) -> dict[str, Variant]:
+    """All variants by label: tuned ones, hand-set ones, ablations of the tuned `afsmc`.
 
     Args:
-        factory: `controllers.make_controller`.
         folder: of gain sets NAME.toml to take instead of those shipped; a controller without one
             has its hand-set gains.
 
     Raises:
-        ValueError: if a gain set cannot be read.
+        OctarmError: if a gain set cannot be read.
     """
-    nominal = nominal_parameters()
+    nominal = octarm.nominal_parameters()
 
-    def gains(name: str, gain_set: str | Path | None) -> dict[str, Any]:
-        made = factory(name, nominal, gain_set=gain_set)
-        return {gain: _plain(value) for gain, value in gains_of(made).items()}
+    def variant(label: str, name: str, gain_set: str) -> Variant:
+        gains = _gains_of(make_controller(name, nominal, gain_set=gain_set or None))
+        return Variant(label=label, controller=name, gains=gains, gain_set=gain_set)
 
-    def choice(name: str) -> str | Path | None:
+    def tuned_set(name: str) -> str:
         if folder is None:
-            return None
-        return folder / f"{name}.toml" if (folder / f"{name}.toml").is_file() else "recommended"
+            return ""
+        file = folder / f"{name}.toml"
+        return str(file) if file.is_file() else "recommended"
 
-    tuned = {n: Variant(label=n, controller=n, gains=gains(n, choice(n))) for n in CONTROLLERS}
-    hand = {
-        by_hand(n): Variant(label=by_hand(n), controller=n, gains=gains(n, "recommended"))
-        for n in CONTROLLERS
-    }
-    proposed = tuned[PROPOSED]
-    ablations = (
+    tuned = [variant(name, name, tuned_set(name)) for name in CONTROLLERS]
+    hand_set = [variant(by_hand(name), name, "recommended") for name in CONTROLLERS]
+    proposed, smc = (tuned[CONTROLLERS.index(name)] for name in (PROPOSED, SMC))
+    ablations = [
         proposed.changed(FIXED_PREMISES, eta3=0.0, eta4=0.0),
         proposed.changed(AS_PRINTED, phi=0.0),
         proposed.changed(UNGUARDED, safeguards=0.0),
-        tuned[SMC].changed(MATCHED, **matched_slope(proposed.gains)),
-    )
-    own = [n for n in CONTROLLERS if tuned[n].gains != hand[by_hand(n)].gains]
-    return Cast(
-        tuned=tuned,
-        by_hand=hand,
-        ablations={variant.label: variant for variant in ablations},
-        shipped=tuple(own),
-    )
+        smc.changed(MATCHED, **matched_slope(proposed.gains)),
+    ]
+    return {one.label: one for one in (*tuned, *hand_set, *ablations)}
 
 
 def matched_slope(gains: Mapping[str, Any]) -> dict[str, Any]:
     """Gains of `smc-boundary` that give no less and no more than the bounds of `afsmc` allow.
 
     With E and all theta at their bounds, theta of each rule with the sign of its centre, and the
-    premises as they start, the force of `afsmc` beside K_v s is
+    premises as they start, the force of `afsmc` besides K_v s is
 
         E_max sat(s / phi) + theta_max f(s / scale),
         f(z) = sum_l sgn(alpha_l) exp(-(sigma_l (z - alpha_l))^2)
@@ -164,12 +121,22 @@ def matched_slope(gains: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "lambda": gains["lambda"],
         "K_v": gains["K_v"],
-        "K": _plain(K),
-        "phi": _plain(K / slope),
+        "K": _number_or_list(K),
+        "phi": _number_or_list(K / slope),
     }
 
 
-def _plain(gain: np.ndarray) -> Any:
+def _gains_of(controller: Any) -> dict[str, Any]:
+    """The gains that are numbers, by the names under which `make_controller` takes them."""
+    fields = {f.name: getattr(controller, f.name) for f in dataclasses.fields(controller)}
+    return {
+        name.rstrip("_"): _number_or_list(np.asarray(value))
+        for name, value in fields.items()
+        if isinstance(value, float | np.ndarray)
+    }
+
+
+def _number_or_list(gain: np.ndarray) -> Any:
     """A number where all are the same, else a list."""
     values = np.unique(gain)
-    return values.item() if values.size == 1 else np.asarray(gain).tolist()
+    return values.item() if values.size == 1 else gain.tolist()

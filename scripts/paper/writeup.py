@@ -1,51 +1,117 @@
-"""The write-up in Markdown, the numbers beside it as JSON, and the claims table of the README."""
+"""What is written: tables, claims, figures, the write-up in Markdown and as a page, the README."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
 
 from octarm.errors import OctarmError
-from paper.claims import Claim, rounded
+from octarm.reports.page import inline_svg
+from octarm.reports.statistics import Interval
+from paper import adaptation, figures, tables, tracking
+from paper.claims import TEMPLATES, Claim, claim, rounded, worded, words
 from paper.evidence import Evidence
-from paper.tables import Table, as_markdown
+from paper.jobs import write
+from paper.tables import Table, all_tables, as_csv, timings
 
-TITLE = "The paper's results on this arm"
-COMMAND = "python scripts/reproduce_paper.py"
-LEAD = (
-    "“On Line Tuning Premise and Consequence FIS Based on Lyapunov Theory with Application to "
-    "Continuum Robot” gives two figures and a few sentences of results, and neither parameters nor "
-    "gains. Here its claims are measured on one arm with documented numbers, all controllers tuned "
-    "with the same search and budget; each verdict follows from its numbers by a rule in code."
-)
-SETUP = (
-    "The arm is octarm's nominal one, stepped by MuJoCo at 0.5 ms (RK4), control at 2 kHz. "
-    "Controllers believe a nominal model with mass, inertia and damping -30 %, exact or +30 % "
-    "(stiffness half of that); all of them have the same input limits and see the same noise.",
-    "The reference is a sine of 0.5 Hz on the first two joints, read as theta1 and theta2 (0.35 "
-    "and 0.25 rad) and as s1 and s2 (20 and 15 mm). Errors count from 2 s on.",
-    "The noise is normal numbers held for 10 ms, on every joint, with an rms of 40 % of the "
-    "amplitude of that joint's undisturbed input, as a generalised force.",
-)
-PICTURE = "Errors of theta1 without noise and under 40 % noise, for three nominal models"
+PAGE, CLAIMS, TABLES, FIGURES = "report.html", "claims.json", "tables", "figures"
 START, END = "<!-- claims -->", "<!-- /claims -->"
-_SHOWN = ("ranking", "ablations", "tuning")
+_CLAIMS = {
+    "overshoot": tracking.overshoot,
+    "oscillations": tracking.oscillations,
+    "chattering": tracking.chattering,
+    "premises": adaptation.premises,
+    "stability": adaptation.stability,
+    "uncertainty": adaptation.uncertainty,
+    "load": adaptation.load,
+}
+_PACKAGES = ("octarm", "numpy", "mujoco", "dm-control")
+
+
+def all_claims(evidence: Evidence) -> list[Claim]:
+    """(a) to (g)."""
+    return [claim(name, examine(evidence)) for name, examine in _CLAIMS.items()]
+
+
+def write_all(evidence: Evidence, out: Path, gains: Path) -> list[Claim]:
+    """Writes tables, claims, figures, the write-up and the page into a folder.
+
+    All files in `tables` and `claims.json` are the same whenever the same is run; timings stand
+    in `timings.csv`.
+
+    Args:
+        evidence: what was run.
+        out: folder.
+        gains: of the tuned gain sets.
+
+    Returns:
+        The claims.
+
+    Raises:
+        OSError: if something cannot be written.
+    """
+    claims = all_claims(evidence)
+    written = all_tables(evidence, claims, gains)
+    drawn = list(figures.pictures(evidence))
+    for folder in (TABLES, FIGURES):
+        (out / folder).mkdir(parents=True, exist_ok=True)
+    for table in written.values():
+        write(out / TABLES / f"{table.name}.csv", as_csv(table))
+    write(out / "timings.csv", as_csv(timings(evidence)))
+    for picture in drawn:
+        write(out / FIGURES / f"{picture.name}.svg", picture.svg)
+        write(out / FIGURES / f"{picture.name}.png", picture.png)
+    write(out / CLAIMS, as_json(content(evidence, claims, written)))
+    write(out / "paper.md", markdown(evidence, claims, written, f"{FIGURES}/paper.png"))
+    write(out / PAGE, page(evidence, claims, drawn[1:], written))
+    return claims
+
+
+def publish(evidence: Evidence, out: Path, gains: Path, root: Path) -> None:
+    """Writes what the repository shows: `.readme/paper.*` and the claims in the README.
+
+    Args:
+        evidence: what was run.
+        out: folder that `write_all` has written.
+        gains: of the tuned gain sets.
+        root: of the checkout.
+
+    Raises:
+        OctarmError: if the README has no place for the claims.
+        OSError: if something cannot be written.
+    """
+    claims = all_claims(evidence)
+    written = all_tables(evidence, claims, gains)
+    numbers = content(evidence, claims, written, timings=True)
+    folder, readme = root / ".readme", root / "README.md"
+    text = with_claims(readme.read_text(encoding="utf-8"), numbers)
+    write(folder / "paper.json", as_json(numbers))
+    write(folder / "paper.md", markdown(evidence, claims, written, "paper.png"))
+    write(folder / "paper.png", (out / FIGURES / "paper.png").read_bytes())
+    write(readme, text)
 
 
 def content(
-    evidence: Evidence, claims: Sequence[Claim], tables: Sequence[Table], *, timings: bool = False
+    evidence: Evidence,
+    claims: Sequence[Claim],
+    written: Mapping[str, Table],
+    *,
+    timings: bool = False,
 ) -> dict[str, Any]:
     """Verdicts and numbers, ready for JSON; with or without what differs from run to run."""
-    ranking = next(table for table in tables if table.name == "ranking")
     return {
         "effort": evidence.effort.name,
-        "seeds": evidence.seeds,
-        "command": COMMAND,
-        "claims": [claim.to_dict(timings=timings) for claim in claims],
+        "seeds": evidence.effort.seeds,
+        "command": words()["command"],
+        "claims": [one.to_dict(timings=timings) for one in claims],
         "ranking": [
             {"controller": row[0], "error_with_noise": _triple(row[1]), "error": _triple(row[5])}
-            for row in ranking.rows
+            for row in written["ranking"].rows
         ],
     }
 
@@ -55,74 +121,69 @@ def as_json(value: Mapping[str, Any]) -> str:
     return json.dumps(value, indent=1, ensure_ascii=False) + "\n"
 
 
-def claims_table(written: Mapping[str, Any]) -> str:
-    """The claims in Markdown, from what `content` gave."""
-    rows = [
-        (
-            f"({claim['letter']})",
-            f"“{claim['quote']}”",
-            f"**{claim['verdict']}** {claim['condition']}".strip(),
-            claim["headline"],
-        )
-        for claim in written["claims"]
-    ]
-    return as_markdown(("", "the paper says", "here it", "measured"), rows)
-
-
-def with_claims(readme: str, written: Mapping[str, Any]) -> str:
-    """A README with the picture and the claims between its two markers.
+def with_claims(readme: str, numbers: Mapping[str, Any]) -> str:
+    """A README with the picture and the claims between its two markers, from what `content` gave.
 
     Raises:
-        ValueError: if it does not have the two markers, once each and in order.
+        OctarmError: if it does not have the two markers, once each and in order.
     """
-    if (
-        readme.count(START) != 1
-        or readme.count(END) != 1
-        or readme.index(START) > readme.index(END)
-    ):
+    before, start, rest = readme.partition(START)
+    _, end, after = rest.partition(END)
+    if not start or not end or START in rest or END in before + after:
         raise OctarmError(f"the README must have {START} and after it {END}, once each")
-    before, _, rest = readme.partition(START)
-    _, _, after = rest.partition(END)
-    picture = f"![{PICTURE}](.readme/paper.png)"
-    more = "Every number behind a verdict, and its rule: [.readme/paper.md](.readme/paper.md)."
-    return "\n\n".join((f"{before}{START}", picture, claims_table(written), more, f"{END}{after}"))
+    text = _rendered("readme.md.j2", claims=numbers["claims"]).strip()
+    return f"{before}{START}\n\n{text}\n\n{END}{after}"
 
 
 def markdown(
-    evidence: Evidence, claims: Sequence[Claim], tables: Sequence[Table], picture: str
+    evidence: Evidence, claims: Sequence[Claim], written: Mapping[str, Table], picture: str
 ) -> str:
     """The write-up."""
-    written = content(evidence, claims, tables, timings=True)
-    parts = [
-        f"# {TITLE}",
-        f"Generated by `{COMMAND}`; nothing here is typed by hand.",
-        LEAD,
-        *SETUP,
-        f"There are {evidence.seeds} seeds wherever noise acts; numbers are medians with 95 % "
-        "intervals over seeds in brackets.",
-        f"![{PICTURE}]({picture})",
-        claims_table(written),
-    ]
-    for claim in claims:
-        rows = [(row.name, row.told()) for row in claim.rows]
-        parts += [
-            f"## ({claim.letter}) {claim.title}",
-            f"> {claim.quote} ({claim.place})",
-            f"**{claim.told[0].upper()}{claim.told[1:]}.** {claim.why}",
-            f"The rule: {claim.rule}.",
-            _folded(f"The {len(rows)} numbers", as_markdown(("", "measured"), rows)),
-        ]
-    for table in tables:
-        if table.name in _SHOWN:
-            name = table.name.capitalize()
-            parts += [f"## {name}", table.caption, as_markdown(table.columns, table.rows)]
-    return "\n\n".join(parts) + "\n"
+    return _rendered(
+        "paper.md.j2",
+        picture_file=picture,
+        seeds=evidence.effort.seeds,
+        claims=claims,
+        tables=written,
+    )
 
 
-def _folded(title: str, text: str) -> str:
-    return f"<details><summary>{title}</summary>\n\n{text}\n\n</details>"
+def page(
+    evidence: Evidence,
+    claims: Sequence[Claim],
+    pictures: Sequence[figures.Picture],
+    written: Mapping[str, Table],
+) -> str:
+    """The report: one HTML file that needs nothing but itself."""
+    return _rendered(
+        "report.html.j2",
+        claims=claims,
+        pictures=[
+            {"name": one.name, "caption": one.caption,
+             "inline": inline_svg(one.svg, one.name, one.caption)}
+            for one in pictures
+        ],
+        tables={**written, "timings": timings(evidence)},
+        sides=_side,
+        seeds=evidence.effort.seeds,
+        versions=", ".join(f"{name} {version(name)}" for name in _PACKAGES),
+        gains={label: json.dumps(one.gains) for label, one in evidence.variants.items()},
+    )  # fmt: skip
 
 
-def _triple(entry: Any) -> list[float | str]:
-    values = cast(tuple[Any, ...], entry) if isinstance(entry, tuple) else (entry, entry, entry)
+def _side(table: Table, column: int) -> Markup:
+    """The class of a column of words; numbers stand to the right."""
+    words = any(isinstance(row[column], str) for row in table.rows)
+    return Markup(' class="left"' if words else "")
+
+
+def _rendered(template: str, **values: Any) -> str:
+    texts = words()
+    common = {key: texts[key] for key in ("title", "command", "picture")}
+    common |= {"lead": worded(texts["lead"]), "setup": [worded(text) for text in texts["setup"]]}
+    return TEMPLATES.get_template(template).render(**common, **values).strip("\n") + "\n"
+
+
+def _triple(entry: tables.Entry) -> list[float | str]:
+    values = entry if isinstance(entry, Interval) else (entry,) * 3
     return [rounded(float(x)) for x in values]

@@ -1,0 +1,262 @@
+"""Arms of one variant side by side over time, in one way for all that is looked at in them.
+
+Figures 1 and 2 show coordinates, the drift of the gain E is a question of long runs, and the
+Lyapunov functions need every control instant. All are arms under the one loop with a recorder of
+the fields that are wanted; what is kept of the rows is for the request to say.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from benchmarks.controller_step import controller_call
+from benchmarks.figures import fastest
+
+import octarm
+from octarm.disturbances.forces import BandLimitedNoise
+from octarm.errors import ExitCode, OctarmError
+from octarm.interfaces import Instant, Rows
+from octarm.simulation.recorder import Recorder
+from octarm.simulation.rollout import simulate
+from paper import lyapunov
+from paper.studies import BENDS, MODELS, NOISE, RATE, SEED, TIME, WRONG, Effort
+from paper.variants import CONTROLLERS, PROPOSED, UNGUARDED, Variant
+
+EVERY = 0.01  # between two instants that figures show [s]
+LONG = {PROPOSED: "long-guarded", UNGUARDED: "long-unguarded"}
+ARMS = 1024  # side by side, when a step of a controller is timed
+Arrays = dict[str, np.ndarray]
+
+
+class Request(NamedTuple):
+    """Arms of one variant: for each model error one without noise, and one for each seed.
+
+    Attributes:
+        name: of the file.
+        variant: what controls the arms.
+        reference: name of their desired motion.
+        duration: [s].
+        fields: that are recorded; besides those of the record there are `lost`, whether an arm has
+            left its limits, and `wanted_a`, the desired acceleration.
+        every: between two instants that are recorded; every control instant if 0 [s].
+        keep: makes the arrays that are kept from the recorded rows.
+        mismatches: model errors [1].
+        seeds: number of seeds of the noise; they are those of the sweeps.
+        quiet: whether there are arms without noise.
+        rate: of control [Hz].
+    """
+
+    name: str
+    variant: Variant
+    reference: str
+    duration: float
+    fields: tuple[str, ...]
+    every: float
+    keep: Callable[[Request, Rows], Mapping[str, np.ndarray]]
+    mismatches: tuple[float, ...] = MODELS
+    seeds: int = 0
+    quiet: bool = True
+    rate: float = RATE
+
+    @property
+    def mismatch(self) -> np.ndarray:
+        """Of the nominal model of each arm, shape (n,) [1]."""
+        return np.repeat(self.mismatches, self.seeds + self.quiet)
+
+    @property
+    def noise(self) -> np.ndarray:
+        """Rms over the input's amplitude of each arm, shape (n,) [1]."""
+        return np.tile([0.0] * self.quiet + [NOISE] * self.seeds, len(self.mismatches))
+
+    @property
+    def nominal(self) -> octarm.ArmParameters:
+        """What the controllers believe, with batch axis (n,)."""
+        return octarm.nominal_parameters().mismatched(self.mismatch)
+
+    @property
+    def seconds(self) -> float:
+        """What is simulated, all arms counted [s]."""
+        return len(self.mismatch) * self.duration
+
+
+def requests(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Request]:
+    """Those of figures 1 and 2 in both readings, the long ones, those of the Lyapunov functions."""
+    fields = ("q", "q_d", "lost", "E")
+    for label in effort.labels:
+        for reference in effort.readings:
+            yield Request(
+                name_of(label, reference), variants[label], reference, effort.duration, fields,
+                EVERY, kept, seeds=effort.seeds,
+            )  # fmt: skip
+    for label, name in LONG.items() if effort.long else ():
+        yield Request(
+            name, variants[label], BENDS, effort.long, fields, EVERY, kept, (WRONG,), effort.seeds,
+            quiet=False,
+        )  # fmt: skip
+    for label in effort.lyapunov:
+        for rate in effort.rates:
+            name = f"lyapunov-{label.replace(', ', '-')}-{rate:g}-Hz"
+            yield Request(
+                name, variants[label], BENDS, effort.duration, lyapunov.FIELDS, 0.0,
+                lyapunov.counts, rate=rate,
+            )  # fmt: skip
+
+
+def name_of(label: str, reference: str) -> str:
+    """The name of the runs of figures 1 and 2."""
+    return f"{reference}-{label}"
+
+
+def perform(request: Request) -> Arrays:
+    """Runs the arms; what is kept of them."""
+    noise, seeds = request.noise, [*[0] * request.quiet, *range(request.seeds)]
+    period = 1.0 / request.rate
+    environment = octarm.load(
+        request.reference,
+        disturbances=[BandLimitedNoise(ratio=noise[:, None], correlation_time=TIME)]
+        if noise.any()
+        else [],
+        batch=len(noise),
+        control_period=period,
+        timestep=min(period, 1.0 / RATE),
+        seed=[np.random.SeedSequence(SEED, spawn_key=(i,)) for i in seeds]
+        * len(request.mismatches),
+    )
+    blocks: list[Arrays] = []
+
+    def hand_on(rows: Rows) -> None:
+        blocks.append({name: column.copy() for name, column in rows.items()})
+
+    stride = max(1, round(request.every / period))
+    recorder = Recorder(hand_on, fields=request.fields, stride=stride)
+
+    def observe(instant: Instant) -> None:
+        lost = ~environment.physics.intact()
+        more = {"lost": lost, "wanted_a": np.atleast_2d(instant.reference.a)}
+        command = instant.command._replace(signals={**instant.command.signals, **more})
+        recorder(instant._replace(command=command))
+
+    controller = request.variant.controls(request.nominal)
+    simulate(environment, controller, request.duration, observe)
+    recorder.flush()
+    rows = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+    diverged_at = environment.physics.diverged_at()
+    with np.errstate(all="ignore"):  # a diverged arm may hold anything
+        return {**request.keep(request, rows), "diverged_at": diverged_at}
+
+
+class Series(NamedTuple):
+    """What n arms did at T instants.
+
+    Attributes:
+        t: shape (T,) [s].
+        q_d: desired coordinates, shape (T, 2N) [m], [rad].
+        q: true ones, shape (T, n, 2N); NaN from when an arm left its limits.
+        E: gain of the compensation, shape (T, n, 2N) [N], [N m]; empty where there is none.
+        mismatch: shape (n,) [1].
+        noise: shape (n,) [1].
+        diverged_at: shape (n,) [s]; NaN for arms that stayed within their limits.
+    """
+
+    t: np.ndarray
+    q_d: np.ndarray
+    q: np.ndarray
+    E: np.ndarray
+    mismatch: np.ndarray
+    noise: np.ndarray
+    diverged_at: np.ndarray
+
+    def of(self, mismatch: float, noise: float) -> np.ndarray:
+        """The coordinates of some of the arms, shape (T, k, 2N)."""
+        return self.q[:, (self.mismatch == mismatch) & (self.noise == noise)]
+
+
+def kept(request: Request, rows: Rows) -> Arrays:
+    """The fields of `Series`, less `diverged_at`."""
+    lost, nothing = rows["lost"][..., None], np.empty(0)
+    return {
+        "t": EVERY * np.arange(len(lost)),
+        "q_d": rows["q_d"][:, 0],
+        "q": np.where(lost, np.nan, rows["q"]),
+        "E": np.where(lost, np.nan, rows["E"]) if "E" in rows else nothing,
+        "mismatch": request.mismatch,
+        "noise": request.noise,
+    }
+
+
+class Recording(NamedTuple):
+    """A run of figure 1, one arm without noise, as a run folder with its recording.
+
+    Attributes:
+        name: of its folder.
+        variant: what controls it.
+        reference: name of the desired motion.
+        mismatch: of the nominal model [1].
+        duration: [s].
+    """
+
+    name: str
+    variant: Variant
+    reference: str
+    mismatch: float
+    duration: float
+
+    @property
+    def seconds(self) -> float:
+        """What is simulated, weighed by what a single arm costs against one of a batch [s]."""
+        return 8.0 * self.duration
+
+
+def recordings(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Recording]:
+    """All lines of figure 1, when all is run."""
+    for reference in effort.readings if effort.long else ():
+        for label in effort.labels:
+            for model in MODELS:
+                name = f"{name_of(label, reference)}-{100 * model:+.0f}"
+                yield Recording(name, variants[label], reference, model, effort.duration)
+
+
+def record(run: Recording, folder: Path) -> None:
+    """Has `octarm run` write the folder.
+
+    Raises:
+        OctarmError: if it does not.
+    """
+    command = [sys.executable, "-m", "octarm", "run", "--out", str(folder),
+               "--controller", run.variant.controller, "--reference", run.reference,
+               f"--mismatch={run.mismatch}", "--duration", str(run.duration)]  # fmt: skip
+    command += ["--gains", run.variant.gain_set] if run.variant.gain_set else []
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode not in (ExitCode.FINE, ExitCode.DIVERGED):
+        raise OctarmError(f"{run.name} was not recorded: {done.stderr.strip()}")
+
+
+class Cost(NamedTuple):
+    """What a step of a controller costs on this machine; timings differ from run to run.
+
+    Attributes:
+        many: an arm of `ARMS` side by side: the arithmetic [s].
+        alone: one arm alone: mostly what Python and NumPy take for each call [s].
+    """
+
+    many: float
+    alone: float
+
+
+def costs(variants: Mapping[str, Variant], seconds: float = 0.1) -> dict[str, Cost]:
+    """The shortest of many steps of each tuned controller, each measured for so long [s]."""
+    times = fastest(
+        [
+            controller_call(name, batch, variants[name].gains)
+            for name in CONTROLLERS
+            for batch in ((ARMS,), ())
+        ],
+        seconds,
+    )
+    pairs = zip(CONTROLLERS, times[::2], times[1::2], strict=True)
+    return {name: Cost(many / ARMS, alone) for name, many, alone in pairs}
