@@ -313,7 +313,7 @@ def _drift(evidence: Evidence) -> Figure:
         E = series.E[:, :, coordinates().index("theta1")]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of instants at which no arm is left
-            _median(gain, label, series.t, np.where(E > 0.0, E, np.nan), alpha=0.18)
+            _median(gain, label, series.t, np.where(E > 0.0, E, np.nan), np.nanpercentile)
         left.plot(series.t, 100.0 * np.mean(~np.isnan(E), axis=1), color=look(label).color)
     _logarithmic(gain, "y")
     gain.set(title="gain E of theta1 [N m]", xlabel="time [s]")
@@ -355,12 +355,14 @@ def _named_rows(ax: Axes, names: Sequence[str]) -> None:
     ax.tick_params(axis="y", length=0)
 
 
-def _median(ax: Axes, label: str, t: np.ndarray, own: np.ndarray, alpha: float = 0.22) -> None:
+def _median(
+    ax: Axes, label: str, t: np.ndarray, own: np.ndarray, percentile: Any = np.percentile
+) -> None:
     """The median of some arms over time, shape (T, k), and a band of 5 to 95 % of them."""
-    low, middle, high = np.nanpercentile(own, [5.0, 50.0, 95.0], axis=1)
+    low, middle, high = percentile(own, [5.0, 50.0, 95.0], axis=1)
     ax.plot(t, middle, color=look(label).color, label=title_of(label), linewidth=1.1)
     if own.shape[1] > 1:
-        ax.fill_between(t, low, high, color=look(label).color, alpha=alpha, linewidth=0.0)
+        ax.fill_between(t, low, high, color=look(label).color, alpha=0.22, linewidth=0.0)
 
 
 def _line(ax: Axes, label: str, x: np.ndarray, y: np.ndarray, *, marker: bool = True) -> None:

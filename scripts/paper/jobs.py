@@ -17,8 +17,8 @@ import octarm
 from controllers import make_controller
 from octarm.sweeps.workers import WorkerProcesses, cores
 from paper import runs
-from paper.runs import Recording, Request
-from paper.studies import Effort, Sweep, sweeps
+from paper.runs import Request
+from paper.studies import MODELS, Effort, Sweep, sweeps
 from paper.variants import Variant
 
 SPECS, SWEEPS, SERIES, RUNS = "specs", "sweeps", "series", "runs"  # folders
@@ -55,10 +55,12 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
     """
     for folder in (SPECS, SWEEPS, SERIES, RUNS):
         (out / folder).mkdir(parents=True, exist_ok=True)
+    requests = list(runs.requests(variants, effort))
+    figure_1 = [r for r in requests if r.seeds and r.quiet and effort.long]
     jobs = [
         *(_sweep_job(sweep, out) for sweep in sweeps(variants, effort)),
-        *(_run_job(request, out) for request in runs.requests(variants, effort)),
-        *(_recording_job(run, out) for run in runs.recordings(variants, effort)),
+        *(_run_job(request, out) for request in requests),
+        *(_recording_job(r, model, out) for r in figure_1 for model in MODELS),
     ]
     jobs.sort(key=lambda job: -job.seconds)
     lock = threading.Lock()
@@ -134,15 +136,16 @@ def _run_job(request: Request, out: Path) -> Job:
     return Job(request.seconds, do)
 
 
-def _recording_job(run: Recording, out: Path) -> Job:
-    folder = out / RUNS / run.name
+def _recording_job(request: Request, model: float, out: Path) -> Job:
+    folder = out / RUNS / f"{request.name}-{100 * model:+.0f}"
+    seconds = 8.0 * request.duration  # weighed by what an arm costs by itself
 
     def do(pool: Executor, advance: Advance) -> None:
         if not (folder / "run.rrd").is_file() or not (folder / "run.npz").is_file():
-            pool.submit(runs.record, run, folder).result()
-        advance(run.seconds)
+            pool.submit(runs.record, request, model, folder).result()
+        advance(seconds)
 
-    return Job(run.seconds, do)
+    return Job(seconds, do)
 
 
 def series_file(out: Path, request: Request) -> Path:

@@ -63,7 +63,9 @@ class Outcome(NamedTuple):
 def outcomes(request: Request, arrays: Mapping[str, np.ndarray]) -> list[Outcome]:
     """What `counts` gave, arm by arm."""
     columns = {name: arrays[name].tolist() for name in Outcome._fields if name in arrays}
-    arms = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+    arms = [
+        dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)
+    ]
     return [Outcome(label=request.variant.label, rate=request.rate, **arm) for arm in arms]
 
 

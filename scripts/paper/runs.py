@@ -189,51 +189,20 @@ def kept(request: Request, rows: Rows) -> Arrays:
     }
 
 
-class Recording(NamedTuple):
-    """A run of figure 1, one arm without noise, as a run folder with its recording.
-
-    Attributes:
-        name: of its folder.
-        variant: what controls it.
-        reference: name of the desired motion.
-        mismatch: of the nominal model [1].
-        duration: [s].
-    """
-
-    name: str
-    variant: Variant
-    reference: str
-    mismatch: float
-    duration: float
-
-    @property
-    def seconds(self) -> float:
-        """What is simulated, weighed by what a single arm costs against one of a batch [s]."""
-        return 8.0 * self.duration
-
-
-def recordings(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Recording]:
-    """All lines of figure 1, when all is run."""
-    for reference in effort.readings if effort.long else ():
-        for label in effort.labels:
-            for model in MODELS:
-                name = f"{name_of(label, reference)}-{100 * model:+.0f}"
-                yield Recording(name, variants[label], reference, model, effort.duration)
-
-
-def record(run: Recording, folder: Path) -> None:
-    """Has `octarm run` write the folder.
+def record(request: Request, model: float, folder: Path) -> None:
+    """Has `octarm run` write the folder of one arm without noise, with a recording.
 
     Raises:
         OctarmError: if it does not.
     """
+    variant = request.variant
     command = [sys.executable, "-m", "octarm", "run", "--out", str(folder),
-               "--controller", run.variant.controller, "--reference", run.reference,
-               f"--mismatch={run.mismatch}", "--duration", str(run.duration)]  # fmt: skip
-    command += ["--gains", run.variant.gain_set] if run.variant.gain_set else []
+               "--controller", variant.controller, "--reference", request.reference,
+               f"--mismatch={model}", "--duration", str(request.duration)]  # fmt: skip
+    command += ["--gains", variant.gain_set] if variant.gain_set else []
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode not in (ExitCode.FINE, ExitCode.DIVERGED):
-        raise OctarmError(f"{run.name} was not recorded: {done.stderr.strip()}")
+        raise OctarmError(f"{folder.name} was not recorded: {done.stderr.strip()}")
 
 
 class Cost(NamedTuple):

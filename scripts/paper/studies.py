@@ -10,23 +10,15 @@ import copy
 import dataclasses
 import math
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import tomlkit
 
-from paper.variants import (
-    AS_PRINTED,
-    FIXED_PREMISES,
-    HAND_SET,
-    MATCHED,
-    PROPOSED,
-    SIGN,
-    SMC,
-    Variant,
-)
+from paper.variants import Variant
 
+STUDIES = Path(__file__).parent / "studies"
 BENDS, SLIDES = "sine", "sine-slides"  # the two readings of "first two links"
 MOVING = {BENDS: ("theta1", "theta2"), SLIDES: ("s1", "s2")}  # what each of them moves
 MODELS = (-0.3, 0.0, 0.3)  # model errors of the paper's figures [1]
@@ -63,53 +55,13 @@ BEYOND = {
 }
 
 
-class Study(NamedTuple):
-    """A spec.
-
-    Attributes:
-        file: name of the spec, without its ending.
-        name: of the study that its cells belong to.
-        label: of a variant, with {} for the name of the controller.
-    """
-
-    file: str
-    name: str = "tracking"
-    label: str = "{}"
-
-
-_FULL = (
-    Study("tuned"),
-    Study("slides"),
-    Study("hand-set", label=HAND_SET),
-    Study("hand-set-slides", label=HAND_SET),
-    Study("premises", label=FIXED_PREMISES),
-    Study("premises-slides", label=FIXED_PREMISES),
-    Study("printed", label=AS_PRINTED),
-    Study("matched", label=MATCHED),
-    Study("matched-slides", label=MATCHED),
-    *(Study(name, "beyond") for name in BEYOND),
-    *(Study(f"rate-{rate:g}", f"rate-{rate:g}") for rate in RATES if rate != RATE),
-    Study("correlation", "correlation"),
-    Study("degradation", "degradation"),
-    Study("degradation-quiet", "degradation"),
-)
-_QUICK = (
-    Study("tuned"),
-    Study("slides"),
-    Study("hand-set", label=HAND_SET),
-    Study("premises", label=FIXED_PREMISES),
-    Study("printed", label=AS_PRINTED),
-    Study("beyond", "beyond"),
-)
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Effort:
-    """How much is run.
+    """How much is run, as `studies/index.toml` says it.
 
     Attributes:
         name: `full` or `quick`, the folder of the specs.
-        studies: in the order in which their cells are listed.
+        specs: study and label of each spec, in the order in which cells are listed.
         seeds: in each cell with noise.
         duration: of the runs of figures 1 and 2 [s].
         labels: of the variants of figures 1 and 2.
@@ -120,39 +72,19 @@ class Effort:
     """
 
     name: str
-    studies: tuple[Study, ...]
+    specs: Mapping[str, tuple[str, str]]
     seeds: int
     duration: float
-    labels: tuple[str, ...]
-    readings: tuple[str, ...]
+    labels: Sequence[str]
+    readings: Sequence[str]
     long: float
-    rates: tuple[float, ...]
-    lyapunov: tuple[str, ...]
+    rates: Sequence[float]
+    lyapunov: Sequence[str]
 
 
-# The sliding modes have hand-set gains there, which are above the model error.
-_LYAPUNOV = tuple(HAND_SET.format(name) for name in (SIGN, SMC, PROPOSED))
-FULL = Effort(
-    name="full",
-    studies=_FULL,
-    seeds=64,
-    duration=4.0,
-    labels=(SIGN, SMC, PROPOSED),
-    readings=(BENDS, SLIDES),
-    long=20.0,
-    rates=RATES,
-    lyapunov=(*_LYAPUNOV, PROPOSED),
-)
-QUICK = Effort(
-    name="quick",
-    studies=_QUICK,
-    seeds=4,
-    duration=4.0,
-    labels=(SMC, PROPOSED),
-    readings=(BENDS,),
-    long=0.0,
-    rates=(RATE,),
-    lyapunov=_LYAPUNOV,
+FULL, QUICK = (
+    Effort(name=name, **tomllib.loads((STUDIES / "index.toml").read_text("utf-8"))[name])
+    for name in ("full", "quick")
 )
 
 
@@ -183,14 +115,13 @@ class Sweep(NamedTuple):
 
 def sweeps(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Sweep]:
     """All sweeps."""
-    for study in effort.studies:
-        file = Path(__file__).parent / "studies" / effort.name / f"{study.file}.toml"
-        content = tomllib.loads(file.read_text(encoding="utf-8"))
+    for name, (study, label) in effort.specs.items():
+        content = tomllib.loads((STUDIES / effort.name / f"{name}.toml").read_text("utf-8"))
         content.pop("gain_set", None)
-        labels = {name: study.label.format(name) for name in content["grid"]["controller"]}
-        content["gains"] = {name: dict(variants[label].gains) for name, label in labels.items()}
-        for ending, part in _quiet_apart(content) if effort.name == "full" else [("", content)]:
-            yield Sweep(study.file + ending, study.name, {"seed": SEED, **part}, labels)
+        labels = {one: label.format(one) for one in content["grid"]["controller"]}
+        content["gains"] = {one: dict(variants[labels[one]].gains) for one in labels}
+        for ending, part in _quiet_apart(content) if effort is not QUICK else [("", content)]:
+            yield Sweep(name + ending, study, {"seed": SEED, **part}, labels)
 
 
 def study_of_rate(rate: float) -> str:

@@ -80,7 +80,9 @@ def all_tables(evidence: Evidence, claims: Sequence[Claim], gains: Path) -> dict
 
 def as_csv(table: Table) -> str:
     """The text of a CSV file; an interval takes three columns."""
-    wide = [any(isinstance(entry, Interval) for entry in own) for own in zip(*table.rows, strict=True)]
+    wide = [
+        any(isinstance(entry, Interval) for entry in own) for own in zip(*table.rows, strict=True)
+    ]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     heads = zip(table.columns, wide, strict=True)
