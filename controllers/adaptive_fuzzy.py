@@ -32,16 +32,22 @@ sigma and E of an instant are the arrays of the state that was passed in.
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+import functools
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from controllers.adaptive_gains import AdaptiveGains
+from controllers.adaptive_gains import (
+    COMPENSATION_BOUND,
+    CONSEQUENT_BOUND,
+    PREMISES,
+    AdaptiveLaw,
+    premise_rate,
+)
 from controllers.fuzzy.estimators import first_type, second_type, strengths
-from controllers.gains import Gain
-from controllers.shapes import elapsed
-from controllers.sliding_mode import equivalent_force, saturation
-from octarm.arm.lagrange import kinetic_energy
+from controllers.gains import Gain, GainField
+from controllers.law import elapsed
+from controllers.sliding_mode import Surface, saturation
 from octarm.errors import OctarmError
 from octarm.interfaces import Command, Measurement, Reference
 
@@ -78,14 +84,21 @@ class FuzzyState(NamedTuple):
     E: np.ndarray
 
 
+PREMISE_RATE = GainField(
+    "adaptation rate of alpha", "1/(N m), 1/(N m rad)", premise_rate, PREMISES, zero=True
+)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class AdaptiveConsequents(AdaptiveGains):
+class AdaptiveConsequents(AdaptiveLaw):
     """Law (63) with the first type of estimator: theta and E adapt, alpha and sigma are given.
 
-    It is `AdaptiveFuzzy` with eta3 = eta4 = 0, for less. The signals are s, equivalent (the model's
-    part of Q), switching (the rest), f_hat and E, each of shape (..., 2N), theta of shape
-    (..., 2N, M), and V of shape (..., 1) [J].
+    It is `AdaptiveFuzzy` with eta3 = eta4 = 0, for less. The signals hold f_hat and E of shape
+    (..., 2N), and theta of shape (..., 2N, M).
     """
+
+    theta_max: Annotated[np.ndarray, CONSEQUENT_BOUND]
+    E_max: Annotated[np.ndarray, COMPENSATION_BOUND]
 
     def initial_state(self, batch_shape: tuple[int, ...] = ()) -> ConsequentState:
         """Nothing learnt: theta = 0 and E = 0."""
@@ -98,46 +111,43 @@ class AdaptiveConsequents(AdaptiveGains):
         """The generalised force for this instant, shape (..., 2N) [N], [N m].
 
         Raises:
-            ValueError: if time went back since the last call.
+            OctarmError: if time went back since the last call.
         """
         before, theta, E = state
-        s, equivalent = equivalent_force(self.nominal, self.lambda_, measurement, reference)
+        surface = self.surface(measurement, reference)
+        s = surface.s
         z = (s / self.scale)[..., None]
         alpha, sigma = self.alpha0[..., None, :], self.sigma0[..., None, :]
         phi = strengths(z, alpha, sigma, normalised=self.normalised)
         f_hat = first_type(theta, phi)
-        command = _command(self, measurement.q, s, equivalent, f_hat, E, {"theta": theta})
+        command = _command(self, measurement, surface, f_hat, E, theta=theta)
 
         dt = 0.0 if before is None else elapsed(before, measurement.t)
         theta = theta + _each_rule(dt * self.eta2 * s) * phi
         if self.safeguards:
             _keep_near(0.0, theta, self.theta_max)
-        return command, ConsequentState(measurement.t, theta, _grown(self, E, s, dt))
+        return command, ConsequentState(measurement.t, theta, _grown(self, E, s, dt, self.E_max))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class AdaptiveFuzzy(AdaptiveGains):
+class AdaptiveFuzzy(AdaptiveLaw):
     """Law (63) with the second type of estimator: theta, alpha, sigma and E adapt.
 
     The signals are those of `AdaptiveConsequents`, and alpha and sigma of shape (..., 2N, M).
 
-    Attributes:
-        eta3: adaptation rate of alpha, broadcasts to (..., 2N) [1/(N m)], [1/(N m rad)].
-        eta4: adaptation rate of sigma, broadcasts to (..., 2N) [1/(N m)], [1/(N m rad)].
-        alpha_max: bound on |alpha - alpha0|, broadcasts to (..., 2N) [1]; inf for none.
-        sigma_min: smallest sigma, broadcasts to (..., 2N) [1]; 0 for none.
-        sigma_max: largest sigma, broadcasts to (..., 2N) [1]; inf for none.
-
     Raises:
-        ValueError: for a gain that is negative, not finite where it must be, or has a wrong shape,
-            or if sigma_min exceeds sigma_max.
+        OctarmError: if sigma_min exceeds sigma_max.
     """
 
-    eta3: Gain
-    eta4: Gain
-    alpha_max: np.ndarray
-    sigma_min: np.ndarray
-    sigma_max: np.ndarray
+    eta3: Annotated[Gain, PREMISE_RATE]
+    eta4: Annotated[Gain, dataclasses.replace(PREMISE_RATE, meaning="adaptation rate of sigma")]
+    theta_max: Annotated[np.ndarray, CONSEQUENT_BOUND]
+    E_max: Annotated[np.ndarray, COMPENSATION_BOUND]
+    alpha_max: Annotated[  # half the distance to the neighbour
+        np.ndarray, GainField("bound on |alpha - alpha0|", "1", 0.25, zero=True, infinite=True)
+    ]
+    sigma_min: Annotated[np.ndarray, GainField("smallest sigma; 0 for none", "1", 1.0, zero=True)]
+    sigma_max: Annotated[np.ndarray, GainField("largest sigma", "1", 3.0, zero=True, infinite=True)]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -160,16 +170,17 @@ class AdaptiveFuzzy(AdaptiveGains):
         """The generalised force for this instant, shape (..., 2N) [N], [N m].
 
         Raises:
-            ValueError: if time went back since the last call.
+            OctarmError: if time went back since the last call.
         """
         before, theta, alpha, sigma, E = state
-        s, equivalent = equivalent_force(self.nominal, self.lambda_, measurement, reference)
+        surface = self.surface(measurement, reference)
+        s = surface.s
         z = (s / self.scale)[..., None]
         f_hat, phi, B_theta, C_theta = second_type(
             theta, alpha[..., None, :], sigma[..., None, :], z, normalised=self.normalised
         )
         rules = {"theta": theta, "alpha": alpha, "sigma": sigma}
-        command = _command(self, measurement.q, s, equivalent, f_hat, E, rules)
+        command = _command(self, measurement, surface, f_hat, E, **rules)
 
         dt = 0.0 if before is None else elapsed(before, measurement.t)
         theta = theta + _each_rule(dt * self.eta2 * s) * phi
@@ -179,9 +190,11 @@ class AdaptiveFuzzy(AdaptiveGains):
             _keep_near(0.0, theta, self.theta_max)
             _keep_near(self.alpha0, alpha, self.alpha_max)
             _keep_between(self._sigma_low, sigma, _each_rule(self.sigma_max))
-        return command, FuzzyState(measurement.t, theta, alpha, sigma, _grown(self, E, s, dt))
+        return command, FuzzyState(
+            measurement.t, theta, alpha, sigma, _grown(self, E, s, dt, self.E_max)
+        )
 
-    @property
+    @functools.cached_property
     def _sigma_low(self) -> np.ndarray:
         """The lower bound on sigma, shape (..., 2N, 1); none where sigma_min is 0."""
         # A sigma projected onto 0 would stay there, as sigma' ~ sigma. One that passes 0 does not
@@ -190,28 +203,28 @@ class AdaptiveFuzzy(AdaptiveGains):
 
 
 def _command(
-    gains: AdaptiveGains,
-    q: np.ndarray,
-    s: np.ndarray,
-    equivalent: np.ndarray,
+    law: AdaptiveLaw,
+    measurement: Measurement,
+    surface: Surface,
     f_hat: np.ndarray,
     E: np.ndarray,
-    rules: dict[str, np.ndarray],
+    **rules: np.ndarray,
 ) -> Command:
     """Eqs (63) and (78): Q and its signals."""
-    switching = -(f_hat + E * saturation(s, gains.phi)) - gains.K_v * s
-    signals = {"s": s, "equivalent": equivalent, "switching": switching, "f_hat": f_hat, "E": E}
-    V = kinetic_energy(gains.nominal, q, s)[..., None]
-    return Command(equivalent + switching, signals | rules | {"V": V})
+    s = surface.s
+    switching = -(f_hat + E * saturation(s, law.phi)) - law.K_v * s
+    return law.command(measurement, surface, switching, layer=law.phi, f_hat=f_hat, E=E, **rules)
 
 
-def _grown(gains: AdaptiveGains, E: np.ndarray, s: np.ndarray, dt: float) -> np.ndarray:
+def _grown(
+    law: AdaptiveLaw, E: np.ndarray, s: np.ndarray, dt: float, E_max: np.ndarray
+) -> np.ndarray:
     """E after dt, eq (79), shape (..., 2N) [N], [N m]."""
     size = np.abs(s)
-    if not gains.safeguards:
-        return E + dt * gains.eta1 * size
-    size = size * (size >= gains.dead_zone)
-    return np.minimum(E + dt * gains.eta1 * size, gains.E_max)
+    if not law.safeguards:
+        return E + dt * law.eta1 * size
+    size = size * (size >= law.dead_zone)
+    return np.minimum(E + dt * law.eta1 * size, E_max)
 
 
 def _keep_near(centre: Gain, x: np.ndarray, reach: np.ndarray) -> None:

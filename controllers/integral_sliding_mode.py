@@ -11,16 +11,14 @@ integral, not the error, makes up for it: s' = 0 holds for e = 0 alone.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
-from typing import ClassVar, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from controllers.gains import Gain, as_gain, boundary_width
-from controllers.shapes import check_shapes, elapsed
-from controllers.sliding_mode import SlidingGains, Surface, saturation
-from octarm.arm.parameters import ArmParameters
+from controllers.gains import Gain, GainField
+from controllers.law import elapsed
+from controllers.recommended import LAYER_WIDTH, WIDTH, boundary_width
+from controllers.sliding_mode import Surface, SwitchingLaw, saturation
 from octarm.interfaces import Command, Measurement, Reference
 
 
@@ -37,7 +35,7 @@ class IntegralState(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class IntegralSlidingMode(SlidingGains):
+class IntegralSlidingMode(SwitchingLaw):
     """Q = D^ q_r'' + (C^ + B^) q_r' + G^ - K sat(s / phi) - K_v s with the integral surface.
 
     The integral starts where s = 0, so that there is no reaching phase: the initial error decays
@@ -45,33 +43,25 @@ class IntegralSlidingMode(SlidingGains):
     undo. It gives way where |s| would exceed s_max, for instance while an actuator is at its
     limit: |s| is then s_max, and nothing winds up.
 
-    For the other gains see `SlidingGains`; lambda is a double pole. Signals: s, the parts
-    `equivalent` and `switching`, `integral`, V = 1/2 s^T D^ s [J], and K when it is derived.
-
-    Attributes:
-        phi: half width of the boundary layer, 0 for sgn(s), broadcasts to (..., 2N) [m/s], [rad/s].
-        s_max: largest |s| that the integral leaves standing, broadcasts to (..., 2N) [m/s],
-            [rad/s].
+    Here lambda is a double pole. The signals hold the `integral` as well.
     """
 
-    recommended: ClassVar[Mapping[str, Callable[[ArmParameters], npt.ArrayLike]]] = {
-        "s_max": lambda nominal: 5.0 * boundary_width(nominal),
-    }
-
-    phi: Gain
-    s_max: Gain
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        phi = as_gain("phi", self.phi, self.nominal, zero_allowed=True)
-        object.__setattr__(self, "phi", phi)
-        object.__setattr__(self, "s_max", as_gain("s_max", self.s_max, self.nominal))
+    phi: Annotated[Gain, LAYER_WIDTH]
+    s_max: Annotated[
+        Gain,
+        GainField(
+            "largest |s| that the integral leaves standing",
+            "m/s, rad/s",
+            lambda nominal: 5.0 * boundary_width(nominal),
+            WIDTH,
+        ),
+    ]
 
     def __call__(
         self, state: IntegralState | None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, IntegralState]:
         """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
-        check_shapes(self.nominal, measurement, reference)
+        self.check(measurement, reference)
         e, e_dot = measurement.q - reference.q, measurement.v - reference.v
         s, integral = self._sliding_variable(state, e, e_dot)
         surface = Surface(
@@ -79,10 +69,10 @@ class IntegralSlidingMode(SlidingGains):
             v_r=measurement.v - s,
             a_r=reference.a - 2.0 * self.lambda_ * e_dot - self.lambda_ * self.lambda_ * e,
         )
-        force, signals, _ = self._command(measurement, surface, saturation(s, self.phi))
+        switch = saturation(s, self.phi)
+        command = self.switched(measurement, surface, switch, layer=self.phi, integral=integral)
         dt = 0.0 if state is None else elapsed(state.t, measurement.t)
-        advanced = IntegralState(measurement.t, integral + e * dt)
-        return Command(force, {**signals, "integral": integral}), advanced
+        return command, IntegralState(measurement.t, integral + e * dt)
 
     def _sliding_variable(
         self, state: IntegralState | None, e: np.ndarray, e_dot: np.ndarray

@@ -3,50 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
-from typing import ClassVar
+from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
-from controllers.gains import Gain, as_gain, layer_slope
-from controllers.shapes import check_shapes
-from octarm.arm.lagrange import inverse_dynamics
-from octarm.arm.parameters import ArmParameters
-from octarm.interfaces import Command, Measurement, Reference
+from controllers.gains import Gain, GainField
+from controllers.law import Law
+from controllers.recommended import layer_slope
+from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class ErrorFeedback:
-    """The gains of a linear feedback of e and e', with e = q - q_d.
-
-    Both K_p e and K_d e' enter with a minus sign; together they are -K_d s with
-    s = e' + (K_p / K_d) e.
-
-    Attributes:
-        nominal: the model that the controller believes.
-        K_p: position gain, broadcasts to (..., 2N); its units are the controller's.
-        K_d: velocity gain, broadcasts to (..., 2N).
-
-    Raises:
-        ValueError: for a gain that is not positive or has a wrong shape.
-    """
-
-    nominal: ArmParameters
-    K_p: Gain
-    K_d: Gain
-
-    def __post_init__(self) -> None:
-        for name in ("K_p", "K_d"):
-            object.__setattr__(self, name, as_gain(name, getattr(self, name), self.nominal))
-
-    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> None:
-        """There is nothing to remember."""
-        del batch_shape
+def position_gain(nominal: NominalModel) -> np.ndarray:
+    """K_p, shape (..., 2N) [N/m], [N m/rad]: lambda = 15 1/s times the slope of a layer."""
+    return 15.0 * layer_slope(nominal)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class ProportionalDerivative(ErrorFeedback):
+class ProportionalDerivative(Law):
     """Q = G^(q_d) - K_p e - K_d e', with e = q - q_d.
 
     G of eq (5) holds the arm against its weight and its springs. It is taken where the arm shall
@@ -56,29 +29,23 @@ class ProportionalDerivative(ErrorFeedback):
 
     Signals: `equivalent` G^(q_d), and `feedback` -K_p e - K_d e' = -K_d s with
     s = e' + (K_p / K_d) e.
-
-    Attributes:
-        nominal: the model that the controller believes.
-        K_p: position gain, broadcasts to (..., 2N) [N/m], [N m/rad].
-        K_d: velocity gain, broadcasts to (..., 2N) [N s/m], [N m s/rad].
-
-    Raises:
-        ValueError: for a gain that is not positive or has a wrong shape.
     """
 
-    recommended: ClassVar[Mapping[str, Callable[[ArmParameters], npt.ArrayLike]]] = {
-        "K_p": lambda nominal: 15.0 * layer_slope(nominal),  # lambda times the slope
-        "K_d": layer_slope,
-    }
+    K_p: Annotated[
+        Gain, GainField("position gain", "N/m, N m/rad", position_gain, Knob("K_p", apart=True))
+    ]
+    K_d: Annotated[
+        Gain, GainField("velocity gain", "N s/m, N m s/rad", layer_slope, Knob("K_d", apart=True))
+    ]
 
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
         """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
-        check_shapes(self.nominal, measurement, reference)
+        self.check(measurement, reference)
         e, e_dot = measurement.q - reference.q, measurement.v - reference.v
         rest = np.zeros_like(e)
-        equivalent = inverse_dynamics(self.nominal, reference.q, rest, rest)
+        equivalent = self.nominal.inverse_dynamics(reference.q, rest, rest)
         feedback = -self.K_p * e - self.K_d * e_dot
         s = e_dot + self.K_p / self.K_d * e
         signals = {"s": s, "equivalent": equivalent, "feedback": feedback}

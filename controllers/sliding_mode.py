@@ -14,25 +14,28 @@ By (42) V falls when K_i >= |F_i| + eta_i. The gain K is given, or it is derived
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import ClassVar, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from controllers.gains import Gain, as_gain, as_share, reaching_gain
-from controllers.model_error import largest_model_error, reaching_time_bound
-from controllers.shapes import check_shapes
-from octarm.arm.lagrange import inverse_dynamics, kinetic_energy
-from octarm.arm.parameters import ArmParameters
+from controllers.gains import Gain, GainField, ShareField
+from controllers.law import Law
+from controllers.recommended import (
+    DECAY_RATE,
+    LAYER_WIDTH,
+    LINEAR_GAIN,
+    SWITCHING_GAIN,
+    reaching_gain,
+)
 from octarm.errors import OctarmError
-from octarm.interfaces import Command, Measurement, Reference
+from octarm.interfaces import Command, Measurement, NominalModel, Reference
 
 
 class Surface(NamedTuple):
     """The sliding variable and the reference velocity behind it, each of shape (..., 2N).
 
     Attributes:
-        s: e' + lambda e [m/s], [rad/s].
+        s: e' + lambda e = q' - q_r' [m/s], [rad/s].
         v_r: q_r' = q_d' - lambda e [m/s], [rad/s].
         a_r: q_r'' = q_d'' - lambda e' [m/s^2], [rad/s^2].
     """
@@ -46,28 +49,8 @@ def sliding_surface(lambda_: Gain, measurement: Measurement, reference: Referenc
     """Eqs (17) and (18), for a lambda [1/s] that broadcasts to (..., 2N)."""
     e, e_dot = measurement.q - reference.q, measurement.v - reference.v
     return Surface(
-        s=e_dot + lambda_ * e,
-        v_r=reference.v - lambda_ * e,
-        a_r=reference.a - lambda_ * e_dot,
+        s=e_dot + lambda_ * e, v_r=reference.v - lambda_ * e, a_r=reference.a - lambda_ * e_dot
     )
-
-
-def equivalent_force(
-    nominal: ArmParameters, lambda_: Gain, measurement: Measurement, reference: Reference
-) -> tuple[np.ndarray, np.ndarray]:
-    """The sliding variable s and D^ q_r'' + (C^ + B^) q_r' + G^, each of shape (..., 2N).
-
-    Raises:
-        ValueError: if the measurement or the reference has a wrong shape.
-    """
-    check_shapes(nominal, measurement, reference)
-    surface = sliding_surface(lambda_, measurement, reference)
-    return surface.s, force_along(nominal, measurement, surface)
-
-
-def force_along(nominal: ArmParameters, measurement: Measurement, surface: Surface) -> np.ndarray:
-    """D^ q_r'' + (C^ + B^) q_r' + G^, eqs (28) and (55) corrected, shape (..., 2N) [N], [N m]."""
-    return inverse_dynamics(nominal, measurement.q, measurement.v, surface.a_r, surface.v_r)
 
 
 def saturation(s: np.ndarray, phi: Gain) -> np.ndarray:
@@ -76,32 +59,66 @@ def saturation(s: np.ndarray, phi: Gain) -> np.ndarray:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class SlidingGains:
-    """The gains that all sliding modes with a switching gain have.
+class SlidingLaw(Law):
+    """A law with a sliding surface: the model along q_r', and a robust part."""
 
-    Attributes:
-        nominal: the model that the controller believes.
-        lambda_: decay rate of the error on the surface, broadcasts to (..., 2N) [1/s].
-        K_v: linear gain, broadcasts to (..., 2N) [N s/m], [N m s/rad].
-        K: switching gain, broadcasts to (..., 2N) [N], [N m]; None when it is derived.
-        uncertainty: share u of the nominal model from which K is derived, below 1, shape () or
-            (..., 1) [1]; see `controllers.model_error`. None when K is given.
-        eta: what a derived K has above the model error, broadcasts to (..., 2N) [N], [N m]; the
-            recommended one when not given.
+    lambda_: Annotated[Gain, DECAY_RATE]
+
+    def surface(self, measurement: Measurement, reference: Reference) -> Surface:
+        """Eqs (17) and (18).
+
+        Raises:
+            OctarmError: if the measurement or the reference has a wrong shape.
+        """
+        self.check(measurement, reference)
+        return sliding_surface(self.lambda_, measurement, reference)
+
+    def command(
+        self,
+        measurement: Measurement,
+        surface: Surface,
+        switching: np.ndarray,
+        *,
+        layer: Gain | None = None,
+        **signals: np.ndarray,
+    ) -> Command:
+        """D^ q_r'' + (C^ + B^) q_r' + G^, eqs (28) and (55) corrected, and the robust part.
+
+        Its signals are s, the parts `equivalent` and `switching`, V = 1/2 s^T D^ s of shape
+        (..., 1) [J], and those that are given.
+
+        Args:
+            measurement: what the sensors report.
+            surface: the sliding surface there.
+            switching: the robust part, shape (..., 2N) [N], [N m].
+            layer: half width of the boundary layer, broadcasts to (..., 2N) [m/s], [rad/s].
+            **signals: more quantities to record.
+        """
+        s, (_, q, v) = surface.s, measurement
+        equivalent = self.nominal.inverse_dynamics(q, v, surface.a_r, surface.v_r)
+        V = self.nominal.kinetic_energy(q, s)[..., None]
+        parts = {"s": s, "equivalent": equivalent, "switching": switching, "V": V}
+        width = None if layer is None else np.asarray(layer)
+        return Command(equivalent + switching, {**parts, **signals}, width)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class SwitchingLaw(SlidingLaw):
+    """A sliding mode whose switching gain is given, or derived from an uncertainty.
 
     Raises:
-        ValueError: for a gain that is negative, not finite, or has a wrong shape; unless one of K
-            and uncertainty is given.
+        OctarmError: unless one of K and uncertainty is given.
     """
 
-    derived: ClassVar[Mapping[str, str]] = {"K": "uncertainty"}
-
-    nominal: ArmParameters
-    lambda_: Gain
-    K_v: Gain
-    K: Gain | None = None
-    uncertainty: Gain | None = None
-    eta: Gain | None = None
+    K: Annotated[Gain | None, dataclasses.replace(SWITCHING_GAIN, replaced_by="uncertainty")] = None
+    K_v: Annotated[Gain, LINEAR_GAIN]
+    uncertainty: Annotated[
+        Gain | None,
+        ShareField("share of the nominal model, see `largest_error`, from which K is derived", "1"),
+    ] = None
+    eta: Annotated[
+        Gain | None, GainField("what a derived K has above the model error", "N, N m")
+    ] = None
 
     def __post_init__(self) -> None:
         given = (self.K is not None) + (self.uncertainty is not None)
@@ -112,62 +129,51 @@ class SlidingGains:
             )
         if self.eta is not None and self.uncertainty is None:
             raise OctarmError("eta is given without uncertainty; only a derived K has that part")
-        gains = {
-            "lambda_": as_gain("lambda", self.lambda_, self.nominal),
-            "K_v": as_gain("K_v", self.K_v, self.nominal, zero_allowed=True),
-        }
-        if self.K is not None:
-            gains["K"] = as_gain("K", self.K, self.nominal, zero_allowed=True)
-        if self.uncertainty is not None:
-            eta = reaching_gain(self.nominal) if self.eta is None else self.eta
-            gains["eta"] = as_gain("eta", eta, self.nominal)
-            gains["uncertainty"] = as_share("uncertainty", self.uncertainty)
-        for name, gain in gains.items():
-            object.__setattr__(self, name, gain)
+        if self.eta is None and self.uncertainty is not None:
+            object.__setattr__(self, "eta", reaching_gain(self.nominal))
+        super().__post_init__()
 
-    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> None:
-        """Nothing is remembered from before the first call."""
-        del batch_shape
-
-    def _command(self, measurement: Measurement, surface: Surface, switch: np.ndarray) -> Command:
-        """The force with the robust part -K switch - K_v s, and its signals.
+    def switched(
+        self,
+        measurement: Measurement,
+        surface: Surface,
+        switch: np.ndarray,
+        *,
+        layer: Gain | None = None,
+        **signals: np.ndarray,
+    ) -> Command:
+        """The command with the robust part -K switch - K_v s; K is a signal when it is derived.
 
         The switch, shape (..., 2N) [1], is sgn(s) or what takes its place.
         """
-        s, equivalent = surface.s, force_along(self.nominal, measurement, surface)
         K = self._switching_gain(measurement, surface)
-        switching = -K * switch - self.K_v * s
-        V = kinetic_energy(self.nominal, measurement.q, s)[..., None]
-        signals = {"s": s, "equivalent": equivalent, "switching": switching, "V": V}
+        switching = -K * switch - self.K_v * surface.s
         derived = {} if self.uncertainty is None else {"K": K}
-        return Command(equivalent + switching, signals | derived)
+        return self.command(measurement, surface, switching, layer=layer, **derived, **signals)
 
     def _switching_gain(self, measurement: Measurement, surface: Surface) -> np.ndarray:
         """The given K, or max |F| + eta by eq (40), broadcasts to (..., 2N) [N], [N m]."""
         if self.uncertainty is None:
             return np.asarray(self.K)
-        _, q, v = measurement
-        u = np.asarray(self.uncertainty)
-        F = largest_model_error(self.nominal, u, q, v, surface.a_r, surface.v_r)
+        u, (_, q, v) = np.asarray(self.uncertainty), measurement
+        F = self.nominal.largest_error(u, q, v, surface.a_r, surface.v_r)
         return np.asarray(self.eta) + F
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class SlidingMode(SlidingGains):
+class SlidingMode(SwitchingLaw):
     """Q = D^ q_r'' + (C^ + B^) q_r' + G^ - K sgn(s) - K_v s, eqs (22), (31), (37) corrected.
 
-    For the gains see `SlidingGains`. Signals: s, the parts `equivalent` and `switching`, and
-    V = 1/2 s^T D^ s [J]. When K is derived, also K and `reaching_bound`, the time within which
-    s = 0 is reached [s], eqs (14) and (15).
+    When K is derived, the signals hold K and `reaching_bound`, the time within which s = 0 is
+    reached [s], eqs (14) and (15).
     """
 
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
         """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
-        check_shapes(self.nominal, measurement, reference)
-        surface = sliding_surface(self.lambda_, measurement, reference)
-        command = self._command(measurement, surface, np.sign(surface.s))
+        surface = self.surface(measurement, reference)
+        command = self.switched(measurement, surface, np.sign(surface.s))
         if self.uncertainty is None:
             return command, state
         u, eta, V = np.asarray(self.uncertainty), np.asarray(self.eta), command.signals["V"]
@@ -176,31 +182,47 @@ class SlidingMode(SlidingGains):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class BoundaryLayer(SlidingGains):
+class BoundaryLayer(SwitchingLaw):
     """Q = D^ q_r'' + (C^ + B^) q_r' + G^ - K sat(s / phi) - K_v s, eqs (51)-(57) corrected.
 
     Inside the layer |s| <= phi the switching is a linear term: no chattering, at the price of an
     error that only stays bounded. Eq (42) becomes V' <= -sum eta_i |s_i| + sum K_i phi_i / 4, and
     no time to reach s = 0 can be promised. With phi = 0 this is `SlidingMode`.
-
-    For the other gains see `SlidingGains`. Signals: s, the parts `equivalent` and `switching`,
-    V = 1/2 s^T D^ s [J], and K when it is derived.
-
-    Attributes:
-        phi: half width of the boundary layer, broadcasts to (..., 2N) [m/s], [rad/s].
     """
 
-    phi: Gain
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        phi = as_gain("phi", self.phi, self.nominal, zero_allowed=True)
-        object.__setattr__(self, "phi", phi)
+    phi: Annotated[Gain, LAYER_WIDTH]
 
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
         """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
-        check_shapes(self.nominal, measurement, reference)
-        surface = sliding_surface(self.lambda_, measurement, reference)
-        return self._command(measurement, surface, saturation(surface.s, self.phi)), state
+        surface, phi = self.surface(measurement, reference), self.phi
+        switch = saturation(surface.s, phi)
+        return self.switched(measurement, surface, switch, layer=phi), state
+
+
+def reaching_time_bound(
+    nominal: NominalModel, uncertainty: np.ndarray, eta: np.ndarray, q: np.ndarray, V: np.ndarray
+) -> np.ndarray:
+    """Longest time until s = 0, eqs (14) and (15) for a vector, shape (..., 1) [s].
+
+    By (42) V' <= -y with y = sum eta_i |s_i|. On the set of all s with the same y, the convex
+    V = 1/2 s^T D s is largest at a corner, where only one s_i differs from zero: V <= 1/2 L y^2
+    with L = max D_ii / eta_i^2. Hence V' <= -sqrt(2 V / L), and V is zero after sqrt(2 L V) at
+    most; for one coordinate this is D |s| / eta.
+
+    D is neither known nor constant. All its entries and V are sums over masses and inertias,
+    hence at most 1 / (1 - u) times the nominal ones. D_ii is the largest one for modules of these
+    lengths. Only modules that lengthen on the way are not foreseen: the bound grows at most by the
+    share by which they do. The bound is one of continuous time: under sampling the force is late,
+    and s ends in the chattering about zero.
+
+    Args:
+        nominal: the model that the controller believes.
+        uncertainty: share u in [0, 1), shape () or (..., 1) [1].
+        eta: reaching gain, broadcasts to (..., 2N) [N], [N m].
+        q: coordinates, shape (..., 2N) [m], [rad].
+        V: 1/2 s^T D^ s, shape (..., 1) [J].
+    """
+    L = np.max(nominal.largest_inertia(q) / (eta * eta), axis=-1, keepdims=True)
+    return np.sqrt(2.0 * L * V) / (1.0 - uncertainty)

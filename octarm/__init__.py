@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from octarm.simulation.rollout import rollout as rollout
     from octarm.simulation.trajectory import Trajectory as Trajectory
     from octarm.sweeps.execute import sweep as sweep
-    from octarm.sweeps.folder import read_sweep as read_sweep
-    from octarm.sweeps.parser import read_spec as read_spec
+    from octarm.sweeps.spec_file import read_spec as read_spec
+    from octarm.sweeps.store import read_sweep as read_sweep
 
 # Looked up when first used, so that `octarm --help` does not wait for MuJoCo.
 _HOMES = {
@@ -34,8 +34,8 @@ _HOMES = {
     "rollout": "simulation.rollout",
     "sweep": "sweeps.execute",
     "read_run": "runs.folder",
-    "read_sweep": "sweeps.folder",
-    "read_spec": "sweeps.parser",
+    "read_sweep": "sweeps.store",
+    "read_spec": "sweeps.spec_file",
     "Trajectory": "simulation.trajectory",
 }
 

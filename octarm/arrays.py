@@ -60,6 +60,11 @@ def coordinate_names(modules: int) -> list[str]:
     return [f"{kind}{i}" for kind in ("s", "theta") for i in range(1, modules + 1)]
 
 
+def coordinate_units(modules: int) -> list[str]:
+    """Units of the coordinates in the same order: m for slides, rad for bends."""
+    return ["m"] * modules + ["rad"] * modules
+
+
 def read_only(name: str, value: npt.ArrayLike, *, unbounded: bool = False) -> np.ndarray:
     """A read-only float64 copy, of the shape of the value.
 
@@ -69,7 +74,7 @@ def read_only(name: str, value: npt.ArrayLike, *, unbounded: bool = False) -> np
         unbounded: whether +infinity is allowed.
 
     Raises:
-        ValueError: if the value is not made of finite numbers.
+        OctarmError: if the value is not made of finite numbers.
     """
     try:
         array = np.array(value, dtype=np.float64)

@@ -8,17 +8,19 @@ import threading
 from collections.abc import Generator
 from pathlib import Path
 
+from octarm.errors import FileError
+
 
 @contextlib.contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Generator[Path]:
     """A neighbouring name to write to, which becomes `path` when the block ends well.
 
     Raises:
-        OSError: if the place cannot be written; it names `path`. Nothing is left behind.
+        FileError: if the place cannot be written; it names `path`. Nothing is left behind.
     """
     path = Path(path)
     if not path.name:
-        raise OSError(f"{os.fspath(path)!r} is not the name of a file")
+        raise FileError(f"{os.fspath(path)!r} is not the name of a file")
     part = path.with_name(path.name + ".part")
     try:
         part.touch()  # fails before the work rather than after
@@ -27,7 +29,7 @@ def whole_file(path: str | os.PathLike[str]) -> Generator[Path]:
             os.fsync(file.fileno())
         os.replace(part, path)
     except OSError as error:
-        raise OSError(f"{path} cannot be written: {error.strerror or error}") from error
+        raise FileError(f"{path} cannot be written: {error.strerror or error}") from error
     finally:
         with contextlib.suppress(OSError):
             part.unlink()
@@ -37,7 +39,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Writes a text file whole or not at all.
 
     Raises:
-        OSError: if it cannot be written.
+        FileError: if it cannot be written.
     """
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")

@@ -11,8 +11,8 @@ what a controller may know, tau = F_coeff(q measured)^-1 Q, and holds tau until 
 A controller is a frozen dataclass of gains, complete once constructed. It keeps nothing between
 calls: what it has to remember is the `state` it returns, and that state is handed back at the next
 call. The state that is passed in is consumed: its memory may be reused, so the caller goes on with
-the returned one. A controller has no clock and no randomness. It never sees the true plant; a
-model-based controller is given nominal parameters when it is built.
+the returned one. A controller has no clock and no randomness. It never sees the true plant; it is
+given a `NominalModel` when it is built, and asks that for all it has to know of the arm.
 
 All arrays carry the coordinate on the last axis, in the order q = [s1..sN, theta1..thetaN], and
 any batch axes before it: the same controller serves one arm and ten thousand. Gains broadcast
@@ -21,7 +21,7 @@ against the batch. SI units: slides in m, angles in rad.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
@@ -76,15 +76,15 @@ class Command(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """One control instant as the loop shows it to its observers.
+    """One control instant as the loop hands it to its observers.
 
     Attributes:
-        measurement: what the controller was told.
+        measurement: what the controller received.
         reference: what was wanted.
         command: what the controller answered.
         q: true coordinates, shape (..., 2N) [m], [rad].
         v: true velocities, shape (..., 2N) [m/s], [rad/s].
-        tau: input forces that were asked for until the next instant, shape (..., 2N) [N].
+        tau: input forces that are asked for until the next instant, shape (..., 2N) [N].
         disturbance: generalised force that was added, mean over the period, shape (..., 2N) [N],
             [N m].
     """
@@ -99,9 +99,98 @@ class Instant(NamedTuple):
 
 
 # k consecutive control instants as named fields, each of shape (k, ...): `t`, `q`, `v`, `q_d`,
-# `v_d`, `tau`, `force` and `disturbance` as in `Instant`, and the controller's signals by name.
+# `v_d`, `tau`, `force` and `disturbance` as in `Instant`, the controller's signals by name, and
+# `q_measured` and `v_measured` where one arm is recorded while sensors act.
 # The arrays are read-only for whoever gets them, and their memory may be used again afterwards.
 Rows = Mapping[str, np.ndarray]
+
+
+class NominalModel(Protocol):
+    """What a controller believes of the arm. `octarm.arm.nominal.LagrangeModel` is one.
+
+    N modules have 2N coordinates. The batch axes of a model's parameters broadcast against those of
+    the arguments; q, v, a and v_r have shape (..., 2N) [m], [rad] and their rates. A method raises
+    OctarmError when the last axis of an argument is not 2N long.
+    """
+
+    @property
+    def modules(self) -> int:
+        """Number of modules N."""
+        ...
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates 2N."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coordinates, in the order of q."""
+        ...
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the coordinates, "m" or "rad", in the order of q."""
+        ...
+
+    @property
+    def scale(self) -> np.ndarray:
+        """The size of a large motion: the rest length, or 1 rad, shape (..., 2N) [m], [rad]."""
+        ...
+
+    @property
+    def input_limit(self) -> np.ndarray:
+        """Bound on the absolute input forces tau, shape (2N,) [N]."""
+        ...
+
+    def inverse_dynamics(
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray, v_r: np.ndarray | None = None
+    ) -> np.ndarray:
+        """D(q) a + (C(q, v) + B) v_r + G(q), shape (..., 2N) [N], [N m]; v_r is v if not given."""
+        ...
+
+    def mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """Inertia matrix D(q), shape (..., 2N, 2N)."""
+        ...
+
+    def kinetic_energy(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """1/2 v^T D(q) v, shape (...) [J]."""
+        ...
+
+    def potential_force(self, q: np.ndarray) -> np.ndarray:
+        """G(q), the force that holds the arm still at q, shape (..., 2N) [N], [N m]."""
+        ...
+
+    def force_coefficients(self, q: np.ndarray) -> np.ndarray:
+        """F_coeff(q) of Q = F_coeff(q) tau, shape (..., 2N, 2N) [1], [m]."""
+        ...
+
+    def equilibrium(self) -> np.ndarray:
+        """The coordinates at which the arm hangs still, shape (..., 2N) [m], [rad]."""
+        ...
+
+    def largest_inertia(self, q: np.ndarray) -> np.ndarray:
+        """An upper bound on D_ii over all bends of modules as long as in q, shape (..., 2N)."""
+        ...
+
+    def largest_error(
+        self,
+        uncertainty: np.ndarray,
+        q: np.ndarray,
+        v: np.ndarray,
+        a: np.ndarray,
+        v_r: np.ndarray,
+    ) -> np.ndarray:
+        """The largest error of `inverse_dynamics`, shape (..., 2N) [N], [N m].
+
+        Args:
+            uncertainty: share in [0, 1) by which the parameters may be off, shape () or (..., 1).
+            q: coordinates.
+            v: velocities.
+            a: accelerations.
+            v_r: second velocities.
+        """
+        ...
 
 
 class Controller(Protocol):
@@ -115,6 +204,37 @@ class Controller(Protocol):
         self, state: Any, measurement: Measurement, reference: Reference
     ) -> tuple[Command, Any]:
         """The command for this instant, and the state to pass in at the next one."""
+        ...
+
+
+# Makes a controller: from its name, its nominal model of the arm and the gains that differ from
+# those of its gain set, which a keyword `gain_set` names. `controllers.make_controller` is one.
+ControllerFactory = Callable[..., Controller]
+
+
+class Knob(NamedTuple):
+    """A factor by which tuning multiplies the recommended values of gains.
+
+    Attributes:
+        name: of the knob, for people and files.
+        low: smallest factor [1].
+        high: largest factor [1].
+        apart: whether slides and bends have a factor each.
+        gains: names of the gains that it multiplies.
+    """
+
+    name: str
+    low: float = 0.1
+    high: float = 10.0
+    apart: bool = False
+    gains: tuple[str, ...] = ()
+
+
+class Tunable(Controller, Protocol):
+    """A controller whose gains can be tuned."""
+
+    def knobs(self) -> tuple[Knob, ...]:
+        """What tuning may turn; every gain belongs to one knob at most."""
         ...
 
 

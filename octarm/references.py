@@ -19,20 +19,28 @@ from octarm.interfaces import Motion, Reference
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class SetPoint:
+class _Fields:
+    """Makes the fields of a motion read-only float arrays.
+
+    Raises:
+        OctarmError: if a field is not finite.
+    """
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = read_only(field.name, getattr(self, field.name))
+            object.__setattr__(self, field.name, value)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class SetPoint(_Fields):
     """Rest at one place: q_d = q.
 
     Attributes:
         q: shape (..., 2N) [m], [rad].
-
-    Raises:
-        ValueError: if it is not finite.
     """
 
     q: np.ndarray
-
-    def __post_init__(self) -> None:
-        _freeze(self)
 
     def __call__(self, t: float) -> Reference:
         """The same at every time t [s]."""
@@ -42,7 +50,7 @@ class SetPoint:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Sine:
+class Sine(_Fields):
     """q_d = center + amplitude sin(2 pi frequency t + phase), coordinate by coordinate.
 
     Attributes:
@@ -50,18 +58,12 @@ class Sine:
         amplitude: shape (..., 2N) [m], [rad]; zero for the coordinates that rest.
         frequency: broadcasts to (..., 2N) [Hz].
         phase: broadcasts to (..., 2N) [rad].
-
-    Raises:
-        ValueError: if a field is not finite.
     """
 
     center: np.ndarray
     amplitude: np.ndarray
     frequency: np.ndarray | float
     phase: np.ndarray | float = 0.0
-
-    def __post_init__(self) -> None:
-        _freeze(self)
 
     def __call__(self, t: float) -> Reference:
         """Desired motion at time t [s]."""
@@ -83,7 +85,7 @@ class MultiSine:
         tones: at least one; their centers add up too.
 
     Raises:
-        ValueError: if there are none.
+        OctarmError: if there are none.
     """
 
     tones: tuple[Sine, ...]
@@ -102,7 +104,7 @@ class MultiSine:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class SmoothStep:
+class SmoothStep(_Fields):
     """From start to goal on the minimum-jerk quintic; at rest before and after.
 
     q_d = start + (goal - start) (10 x^3 - 15 x^4 + 6 x^5) with x = (t - begin) / duration. Its
@@ -115,7 +117,7 @@ class SmoothStep:
         duration: how long it takes, positive, broadcasts to (..., 2N) [s].
 
     Raises:
-        ValueError: if a field is not finite, or the duration not positive.
+        OctarmError: if the duration is not positive.
     """
 
     start: np.ndarray
@@ -124,7 +126,7 @@ class SmoothStep:
     duration: np.ndarray | float = 1.0
 
     def __post_init__(self) -> None:
-        _freeze(self)
+        super().__post_init__()
         if not np.all(np.asarray(self.duration) > 0.0):
             raise OctarmError(f"duration is {self.duration} s; a step takes a positive time")
 
@@ -141,7 +143,7 @@ class SmoothStep:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Spline:
+class Spline(_Fields):
     """Through given points at given times; at rest before the first and after the last.
 
     A spline of degree 5, whose velocity and acceleration are smooth: for a motion that is known as
@@ -152,14 +154,14 @@ class Spline:
         points: coordinates at these times, shape (K, 2N) [m], [rad].
 
     Raises:
-        ValueError: if a field has a wrong shape or is not finite, or the times do not rise.
+        OctarmError: if a field has a wrong shape, or the times do not rise.
     """
 
     times: np.ndarray
     points: np.ndarray
 
     def __post_init__(self) -> None:
-        _freeze(self)
+        super().__post_init__()
         times, points = self.times, self.points
         if times.ndim != 1 or len(times) < 6 or not np.all(np.diff(times) > 0.0):
             raise OctarmError(
@@ -200,12 +202,12 @@ def _slide_sine(rest: np.ndarray) -> Sine:
 def _multi_sine(rest: np.ndarray) -> MultiSine:
     """Three incommensurate tones on the first two modules, slides and bends."""
     big = _first_two(rest, slides=(0.008, 0.006), bends=(0.20, 0.15))
-    tones = ((1.0, 0.3, 0.0), (0.5, 0.3 * 2**0.5, 1.0), (0.25, 0.3 * 5**0.5, 2.0))
-    centers = (rest, 0.0 * rest, 0.0 * rest)
+    tones = ((rest, 1.0, 0.3, 0.0), (0.0 * rest, 0.5, 0.3 * 2**0.5, 1.0),
+             (0.0 * rest, 0.25, 0.3 * 5**0.5, 2.0))  # fmt: skip
     return MultiSine(
         tones=tuple(
             Sine(center=center, amplitude=share * big, frequency=frequency, phase=phase)
-            for center, (share, frequency, phase) in zip(centers, tones, strict=True)
+            for center, share, frequency, phase in tones
         )
     )
 
@@ -234,7 +236,7 @@ def named_reference(name: str, rest: np.ndarray) -> Motion:
     """A reference by name, about the pose `rest`, shape (..., 2N) [m], [rad].
 
     Raises:
-        ValueError: for an unknown name; it lists the known ones.
+        OctarmError: for an unknown name; it lists the known ones.
     """
     if name not in REFERENCES:
         raise OctarmError(f"unknown reference {name!r}{closest(name, REFERENCES)}")
@@ -250,10 +252,3 @@ def _first_two(
     out[..., : len(slides[:n])] = slides[:n]
     out[..., n : n + len(bends[:n])] = bends[:n]
     return out
-
-
-def _freeze(motion: SetPoint | Sine | SmoothStep | Spline) -> None:
-    """Makes the fields read-only float arrays; rejects values that are not finite."""
-    for field in dataclasses.fields(motion):
-        value = read_only(field.name, getattr(motion, field.name))
-        object.__setattr__(motion, field.name, value)

@@ -12,7 +12,7 @@ import numpy as np
 
 import octarm
 from controllers import make_controller
-from octarm.sweeps.bar import ProgressBar
+from octarm.sweeps.progress import ProgressBar
 
 SPEC = Path(__file__).with_suffix(".toml")
 METRIC = "tip_rms_error"
@@ -25,7 +25,7 @@ def run(out: Path, **changes: float) -> dict[str, np.ndarray]:
     with ProgressBar(spec) as bar:
         octarm.sweep(
             spec, make_controller, out, resume=True,
-            progress=bar.update, under_way=bar.go_on, say=bar.say,
+            progress=bar.update, partial=bar.go_on, say=bar.say,
         )  # fmt: skip
     table = octarm.read_sweep(out, ["controller", "noise", "mismatch", "status", METRIC])
     return {name: np.array(table[name].to_pylist()) for name in table.column_names}

@@ -17,10 +17,11 @@ import numpy as np
 
 import octarm
 from controllers import make_controller
-from controllers.gains import apparent_mass
-from controllers.shapes import elapsed
-from controllers.sliding_mode import equivalent_force
+from controllers.law import elapsed
+from controllers.recommended import apparent_mass
+from controllers.sliding_mode import SlidingLaw
 from octarm.arm.kinematics import positions
+from octarm.arm.nominal import LagrangeModel
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.interfaces import Command, Measurement, Reference
 from octarm.recordings.recording import write_recording
@@ -30,11 +31,9 @@ State = tuple[float, np.ndarray]  # time of the last call [s], and w, shape (...
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class LearningSlidingMode:
+class LearningSlidingMode(SlidingLaw):
     """The law above. The gains broadcast to (..., 2N), so that a batch can hold many of them."""
 
-    nominal: octarm.ArmParameters
-    lambda_: float  # [1/s]
     K_s: np.ndarray  # [N s/m], [N m s/rad]
     L: np.ndarray  # [N/m], [N m/rad]
 
@@ -46,9 +45,10 @@ class LearningSlidingMode:
         self, state: State, measurement: Measurement, reference: Reference
     ) -> tuple[Command, State]:
         """The generalised force at this instant, shape (..., 2N) [N], [N m]."""
-        s, equivalent = equivalent_force(self.nominal, self.lambda_, measurement, reference)
-        w = state[1] + elapsed(state[0], measurement.t) * self.L * s
-        return Command(equivalent - self.K_s * s - w, {"s": s, "w": w}), (measurement.t, w)
+        surface = self.surface(measurement, reference)
+        w = state[1] + elapsed(state[0], measurement.t) * self.L * surface.s
+        switching = -self.K_s * surface.s - w
+        return self.command(measurement, surface, switching, w=w), (measurement.t, w)
 
 
 def main() -> None:
@@ -59,7 +59,7 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     arm, disturbances = octarm.nominal_parameters(), [*map(parse_disturbance, DISTURBANCES)]
-    believed = arm.mismatched(-0.3)
+    believed = LagrangeModel(arm.mismatched(-0.3))
     K_s = 300.0 * apparent_mass(believed)  # alone, each coordinate's s decays at 300 1/s
     mine = LearningSlidingMode(nominal=believed, lambda_=80.0, K_s=K_s, L=60.0 * K_s)
     others = {name: make_controller(name, believed) for name in ("smc-boundary", "afsmc")}

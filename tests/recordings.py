@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import rerun as rr
 
@@ -22,8 +24,20 @@ def arm(modules):
     )
 
 
+def layer(modules=3):
+    """Half width of the boundary layer [m/s], [rad/s]."""
+    return np.repeat([0.05, 0.8], modules)
+
+
+def part_of(run, start, stop):
+    """Rows of a run as a run."""
+    arrays = {name: array[start:stop] for name, array in run.arrays() if name not in run.signals}
+    signals = {name: array[start:stop] for name, array in run.signals.items()}
+    return dataclasses.replace(run, **arrays, signals=signals)
+
+
 def described(modules=3, **more):
-    gains = {"lambda_": 10.0, "phi": [0.05] * modules + [0.8] * modules}
+    gains = {"lambda_": 10.0, "phi": layer(modules).tolist()}
     return {
         "controller": {"name": "smc", "gains": gains},
         "parameters": arm(modules).to_dict(),
@@ -43,6 +57,7 @@ def swinging(modules=3, rows=2500, rate=1000.0, **signals):
     noise = np.random.default_rng(0).normal(size=(rows, 2 * modules))
     shown = {"s": 2.0 * noise, "switching": -3.0 * noise, "V": noise[:, :1] ** 2}
     return Trajectory(
+        layer=layer(modules),
         t=t,
         q=q_d + 1e-3 * noise,
         q_d=q_d,

@@ -2,7 +2,6 @@
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false
 # (gains are fields of the classes behind the Controller protocol)
 
-import os
 from typing import Any, NamedTuple
 
 import mujoco
@@ -13,7 +12,7 @@ from scipy import stats
 
 from controllers.adaptive_gains import premise_rate
 from controllers.fuzzy.estimators import first_type, second_type, strengths
-from controllers.gains import boundary_width
+from controllers.recommended import boundary_width
 from octarm.arm.lagrange import (
     coriolis_matrix,
     damping_matrix,
@@ -22,6 +21,7 @@ from octarm.arm.lagrange import (
     potential_force,
 )
 from octarm.arm.mjcf import build_model, paper_order
+from octarm.arm.nominal import LagrangeModel
 from octarm.interfaces import Controller, Measurement, Reference
 from octarm.references import named_reference
 from octarm.simulation.environment import load
@@ -32,6 +32,8 @@ WRONG = P.mismatched(-0.3)
 ADAPTIVE = ("afsmc", "afsmc-consequent")
 both_kinds = pytest.mark.parametrize("normalised", [False, True])
 M = 5
+MODEL = LagrangeModel(WRONG)
+LAYER = boundary_width(MODEL)
 
 
 # ------------------------------------------------------------------------------- estimators
@@ -112,7 +114,9 @@ def test_far_from_all_rules_the_nearest_one_decides():
 def layer_instant(n: int, seed: int = 0) -> tuple[Measurement, Reference]:
     """Random instants with s within two boundary layers, where the rules are."""
     measurement, (q_d, _, a_d) = random_instant(n, seed=seed)
-    s = np.random.default_rng(seed + 1).uniform(-2.0, 2.0, (n, 6)) * boundary_width(P)
+    s = np.random.default_rng(seed + 1).uniform(-2.0, 2.0, (n, 6)) * boundary_width(
+        LagrangeModel(P)
+    )
     return measurement, Reference(q_d, measurement.v + 15.0 * (measurement.q - q_d) - s, a_d)
 
 
@@ -228,10 +232,10 @@ def test_safeguards_project_and_each_can_be_switched_off(name: str):
 
 
 def test_E_rests_in_the_dead_zone():
-    controller = hand_set("afsmc", WRONG, {"dead_zone": boundary_width(P), "E_max": np.inf})
+    controller = hand_set("afsmc", WRONG, {"dead_zone": LAYER, "E_max": np.inf})
     instant, before = layer_instant(50), random_state(controller, 50)
     command, after = controller(before, *instant)
-    resting = np.abs(command.signals["s"]) < boundary_width(P)
+    resting = np.abs(command.signals["s"]) < LAYER
     assert 0.1 < resting.mean() < 0.9
     np.testing.assert_array_equal(after.E == before.E, resting)
 
@@ -364,12 +368,7 @@ def least_trend(values: np.ndarray) -> np.ndarray:
     return slope - stats.t.ppf(1.0 - 0.025 / values[0].size, freedom) * spread
 
 
-LONG = pytest.mark.skipif(
-    "OCTARM_LONG_TESTS" not in os.environ, reason="takes a minute; set OCTARM_LONG_TESTS to run it"
-)
-
-
-@pytest.mark.parametrize("seconds", [12, pytest.param(120, marks=LONG)])
+@pytest.mark.parametrize("seconds", [12, pytest.param(120, marks=pytest.mark.slow)])
 def test_a_disturbed_arm_stays_within_bounds_and_gets_no_worse(seconds: int):
     controller = hand_set("afsmc", WRONG)
     run = disturbed(controller, seconds)
@@ -384,7 +383,10 @@ def test_a_disturbed_arm_stays_within_bounds_and_gets_no_worse(seconds: int):
 
 def test_unbounded_centres_gather_about_zero_and_chatter():
     """30 times faster than recommended, to see in 12 s what else takes minutes."""
-    gains = {"eta3": 30.0 * premise_rate(WRONG), "eta4": 30.0 * premise_rate(WRONG)}
+    gains = {
+        "eta3": 30.0 * premise_rate(MODEL),
+        "eta4": 30.0 * premise_rate(MODEL),
+    }
     loose = {"alpha_max": np.inf, "sigma_min": 0.0, "sigma_max": np.inf}
     kept, free = (disturbed(hand_set("afsmc", WRONG, gains | bounds), 12) for bounds in ({}, loose))
     theta1 = 3

@@ -12,15 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from recordings import swinging
+from recordings import part_of, swinging
 
 from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
-from octarm.recordings.recording import part_of
-from octarm.runs.archive import Archive, Ending, mapped, read_blocks
+from octarm.interfaces import Rows
+from octarm.runs.archive import Archive, mapped, read_blocks
 from octarm.simulation.environment import load
-from octarm.simulation.rollout import joined, rollout, stream
-from octarm.simulation.trajectory import Trajectory
+from octarm.simulation.rollout import ArmRecorder, copied, rollout
+from octarm.simulation.trajectory import Ending, Trajectory, joined
 
 ODD = {
     "a name/with: +é": np.ones((230, 2)),
@@ -32,9 +32,9 @@ ODD = {
 @contextlib.contextmanager
 def archived(path, run, *, block=100, expected=None):
     """An archive of a run, filled block by block."""
-    with Archive(path, rows=expected or len(run), block=block) as archive:
+    with Archive(path, rows=expected or len(run)) as archive:
         for k in range(0, len(run), block):
-            archive.add(part_of(run, k, k + block))
+            archive.add(dict(part_of(run, k, k + block).arrays()), run.layer)
         yield archive
 
 
@@ -43,22 +43,23 @@ def same(one: Trajectory, other: Trajectory) -> None:
         assert name == its_name
         np.testing.assert_array_equal(array, its)
         assert array.dtype == np.float64 and not array.flags.writeable
+    np.testing.assert_array_equal(one.layer, other.layer)
 
 
+@pytest.mark.parametrize("layer", [None, np.arange(6.0)])
 @pytest.mark.parametrize("rows", [1, 100, 230])
-def test_the_arrays_are_the_bytes_that_a_trajectory_saves(tmp_path, rows):
+def test_the_arrays_are_the_bytes_that_a_trajectory_saves(tmp_path, rows, layer):
     run = part_of(swinging(rows=230, **ODD), 0, rows)
-    run = dataclasses.replace(run, status="diverged", message="too far")
+    run = dataclasses.replace(run, status="diverged", message="too far", layer=layer)
     with archived(tmp_path / "blocks", run) as archive:
-        archive.ending = Ending(run.status, run.message, run.digest)
-        archive.save(tmp_path / "a.npz")
+        archive.save(tmp_path / "a.npz", Ending(layer, "diverged", "too far", run.digest))
     run.save(tmp_path / "b.npz")
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
     assert not (tmp_path / "blocks").exists()
 
 
 def test_a_mapped_run_is_the_run(tmp_path):
-    run = swinging(rows=230, **ODD)
+    run = dataclasses.replace(swinging(rows=230, **ODD), layer=np.arange(6.0))
     run.save(tmp_path / "a.npz")
     again = mapped(tmp_path / "a.npz")
     same(run, again)
@@ -68,7 +69,7 @@ def test_a_mapped_run_is_the_run(tmp_path):
     same(run, mapped(tmp_path / "b.npz"))
 
 
-@pytest.mark.parametrize("damage", ["nonsense", "flipped", "short", "other"])
+@pytest.mark.parametrize("damage", ["nonsense", "flipped", "short", "other", "objects", "words"])
 def test_a_damaged_file_is_no_trajectory(tmp_path, damage):
     path = tmp_path / "a.npz"
     swinging(rows=230).save(path)
@@ -78,21 +79,24 @@ def test_a_damaged_file_is_no_trajectory(tmp_path, damage):
     path.write_bytes({"nonsense": b"x", "short": content[:9000]}.get(damage, content))
     if damage == "other":
         np.savez(path, x=np.ones(3))
+    if damage in ("objects", "words"):
+        arrays = dict(np.load(path, allow_pickle=False))
+        arrays["s"] = np.full(230, None) if damage == "objects" else np.full(230, "word")
+        np.savez(path, **arrays)
     with pytest.raises(ValueError, match=r"a\.npz is not a trajectory file"):
         mapped(path)
 
 
 def test_blocks_can_be_read_when_nobody_closed_them(tmp_path):
-    run = swinging(rows=230, **ODD)
+    run = dataclasses.replace(swinging(rows=230, **ODD), layer=np.arange(6.0))
     path = tmp_path / "left"
     with archived(tmp_path / "blocks", run):
         shutil.copy(tmp_path / "blocks", path)
     left = read_blocks(path)
     same(run, left)
     assert (left.status, left.message) == ("interrupted", "killed after t = 0.229 s")
-    del left
     os.truncate(path, os.path.getsize(path) - 1)  # amid a block
-    same(part_of(run, 0, 200), read_blocks(path))
+    same(dataclasses.replace(part_of(run, 0, 200), layer=run.layer), read_blocks(path))
     for content in (b"", b"{}\n", path.read_bytes()[:3000]):
         path.write_bytes(content)
         with pytest.raises(ValueError, match="left holds no rows"):
@@ -128,14 +132,14 @@ def begun(duration=1.0):
 @pytest.mark.parametrize("block", [7, 20, 1000])
 def test_a_run_in_blocks_is_the_run_in_memory(block):
     environment, controller = begun()
-    blocks: list[Trajectory] = []
-    ending = stream(environment, controller, 0.02, keep=blocks.append, block=block)
+    blocks: list[Rows] = []
+    recorder = ArmRecorder(environment, lambda rows: blocks.append(copied(rows)), rows=block)
+    ending = recorder.run(controller, 0.02)
     whole = rollout(environment, controller, 0.02)
     same(whole, joined(blocks, ending))
-    assert ending == (whole.status, whole.message, whole.digest)
-    assert [len(rows) for rows in blocks] == [block] * (40 // block) + [40 % block] * bool(
-        40 % block
-    )
+    assert (ending.status, ending.message, ending.digest) == ("ok", "", whole.digest)
+    full, rest = divmod(40, block)
+    assert [len(rows["t"]) for rows in blocks] == [block] * full + [rest] * bool(rest)
 
 
 def test_the_memory_a_run_takes_does_not_grow_with_it():
@@ -143,7 +147,7 @@ def test_the_memory_a_run_takes_does_not_grow_with_it():
     peaks = []
     for duration in (0.02, 0.02, 0.4):  # the first one fills caches
         tracemalloc.start()
-        stream(environment, controller, duration, keep=len, block=20)
+        ArmRecorder(environment, len, rows=20).run(controller, duration)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[2] < peaks[1] + 20_000  # 760 rows more are 300 kB
@@ -152,14 +156,14 @@ def test_the_memory_a_run_takes_does_not_grow_with_it():
 @pytest.mark.skipif(os.name != "posix", reason="signals as on POSIX")
 def test_an_interrupted_run_has_whole_blocks():
     environment, controller = begun()
-    blocks: list[Trajectory] = []
+    blocks: list[Rows] = []
 
-    def keep(rows: Trajectory) -> None:
+    def keep(rows: Rows) -> None:
         if len(blocks) == 1:
             signal.raise_signal(signal.SIGINT)
-        blocks.append(rows)
+        blocks.append(copied(rows))
 
-    ending = stream(environment, controller, 0.5, keep=keep, block=10)
+    ending = ArmRecorder(environment, keep, rows=10).run(controller, 0.5)
     assert ending.status == "interrupted" and "interrupted at t = 0.01 s" in ending.message
     whole = rollout(environment, controller, 0.01)
     same(whole, joined(blocks, ending))

@@ -107,8 +107,10 @@ def test_it_says_when_an_arm_diverged():
     environment = load(batch=3)
     count: list[Instant] = []
     simulate(environment, Push(force), DURATION, count.append)
-    alone = rollout(load(), Push(force[1]), DURATION)
+    single = load()
+    alone = rollout(single, Push(force[1]), DURATION)
     diverged_at = environment.physics.diverged_at()
+    assert single.physics.diverged_at() == diverged_at[1] and not single.physics.intact()
     assert f"t = {diverged_at[1]:.6g} s" in alone.message
     np.testing.assert_array_equal(np.isnan(diverged_at), [True, False, True])
     assert len(count) == 60

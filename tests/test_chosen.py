@@ -1,5 +1,6 @@
 """Which episodes of a sweep are recorded, and that they are recorded as they were."""
 
+import functools
 import json
 import shutil
 from pathlib import Path
@@ -11,14 +12,13 @@ from test_verify import Inline
 import octarm
 from controllers import make_controller
 from octarm.checks.verify import check_run
-from octarm.checks.verify_episode import FinishedSweep
 from octarm.commands.cli import main
 from octarm.runs import folder as runs
-from octarm.sweeps import chosen
-from octarm.sweeps.chosen import METRIC, choose, experiment_of, record_chosen
-from octarm.sweeps.folder import RECORDED
-from octarm.sweeps.parser import parse_spec
+from octarm.sweeps import episodes
+from octarm.sweeps.episodes import METRIC, FinishedSweep, record_episodes, select
 from octarm.sweeps.shards import begin
+from octarm.sweeps.spec_file import parse_spec
+from octarm.sweeps.store import RECORDED
 
 SPEC = """\
 seed = 4
@@ -67,44 +67,44 @@ TABLE = table(
 
 
 def test_the_words_mean_one_episode_of_each_controller():
-    assert choose(TABLE, ["worst"]).reasons == {15: ("worst",), 17: ("worst",)}
+    assert select(TABLE, ["worst"]).reasons == {15: ("worst",), 17: ("worst",)}
     # Of 1, 2, 3, 9 and of 5, 7 the lower middle one.
-    assert choose(TABLE, ["median"]).reasons == {13: ("median",), 16: ("median",)}
-    assert choose(TABLE, ["diverged"]).reasons == {14: ("diverged",)}
-    assert choose(TABLE, ["diverged"]).notes == ()
-    assert choose(TABLE, []).reasons == {}
+    assert select(TABLE, ["median"]).reasons == {13: ("median",), 16: ("median",)}
+    assert select(TABLE, ["diverged"]).reasons == {14: ("diverged",)}
+    assert select(TABLE, ["diverged"]).notes == ()
+    assert select(TABLE, []).reasons == {}
 
 
 def test_the_order_of_the_rows_does_not_matter():
     upside_down = TABLE.take(list(range(len(TABLE)))[::-1])
     for word in ("worst", "median", "diverged"):
-        assert choose(upside_down, [word]).reasons == choose(TABLE, [word]).reasons
+        assert select(upside_down, [word]).reasons == select(TABLE, [word]).reasons
 
 
 def test_of_equals_it_is_the_first():
     equal = table(("a", 2.0, None), ("a", 1.0, None), ("a", 2.0, None), ("a", 2.0, None))
-    assert choose(equal, ["worst"]).reasons == {0: ("worst",)}
-    assert choose(equal, ["median"]).reasons == {0: ("median",)}
+    assert select(equal, ["worst"]).reasons == {0: ("worst",)}
+    assert select(equal, ["median"]).reasons == {0: ("median",)}
     lost = table(("a", None, 0.5), ("a", None, 0.5))
-    assert choose(lost, ["diverged"]).reasons == {0: ("diverged",)}
+    assert select(lost, ["diverged"]).reasons == {0: ("diverged",)}
 
 
 def test_one_episode_may_have_several_reasons():
     single = table(("a", 1.0, None), ("b", 2.0, None))
-    found = choose(single, ["worst", 1, "median", "worst"])
+    found = select(single, ["worst", 1, "median", "worst"])
     assert found.reasons == {0: ("worst", "median"), 1: ("worst", "chosen", "median")}
 
 
 def test_what_is_not_there_is_said():
     nothing = table(("a", None, None), ("a", None, 0.1), ("b", 1.0, None))
-    found = choose(nothing, ["median", "worst"])
+    found = select(nothing, ["median", "worst"])
     assert found.reasons == {2: ("median", "worst")}
     assert [note.partition(":")[0] for note in found.notes] == [
         "no episode of a is the median one",
         "no episode of a is the worst one",
     ]
     with pytest.raises(ValueError, match="there is no episode 18 in the table"):
-        choose(TABLE, [18])
+        select(TABLE, [18])
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def sweep(finished, tmp_path) -> Path:
 
 
 def record(folder: Path, reasons, **options):
-    return record_chosen(FinishedSweep(folder), reasons, make_controller, **options)
+    return record_episodes(FinishedSweep(folder), reasons, make_controller, **options)
 
 
 def recorded(folder: Path) -> set[str]:
@@ -129,8 +129,8 @@ def recorded(folder: Path) -> set[str]:
 
 def test_an_episode_is_a_run_of_one_arm(sweep):
     plan = FinishedSweep(sweep).plan
-    what = experiment_of(plan, 5)
-    environment, controller = what.begin(make_controller)
+    what = FinishedSweep(sweep).experiment(5)
+    environment, controller = what.begin(functools.partial(make_controller, gain_set="recommended"))
     other, same = begin(plan.spec, plan.episode(5), make_controller)
     assert environment.physics.timestep() == other.physics.timestep() == 0.001
     assert environment.control_timestep() == other.control_timestep() == 0.002
@@ -234,6 +234,6 @@ def test_the_command_records_after_the_sweep_and_when_it_goes_on(tmp_path, capsy
     def interrupted(*_args, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(chosen, "run_into", interrupted)
+    monkeypatch.setattr(episodes, "run_into", interrupted)
     assert main([*command, "--resume"]) == 130
     assert capsys.readouterr().err.strip().endswith("--workers 1 --resume goes on")

@@ -122,7 +122,7 @@ BAD = [
     (["run", "--gain", "K:nan"], "K holds nan; it must be finite"),
     (["run", "--gain", "K:1,2"], "K has 2 values; it needs 1 or 6"),
     (["run", "--gain", "lambda:-1"], "lambda holds -1; it must be above 0"),
-    (["run", "--gain", "Q:1"], "smc-boundary has no gain 'Q'.* known are lambda, K_v, K"),
+    (["run", "--gain", "Q:1"], "smc-boundary has no gain 'Q'.* known are lambda, K, K_v"),
     (["run", "--gain", "K"], "--gain is 'K'; it must read NAME:NUMBER"),
     (["run", "--parameter", "mass:1,2"], r"inertia has shape \(3,\).* the 2 modules that mass has"),
     (["run", "--parameter", "mass:1,1,-1"], "mass holds -1; it must be above 0"),
@@ -143,7 +143,7 @@ BAD = [
     (["run", "--parameter", "gravity:1e10"], "cannot hang in one piece: at rest s1"),
     (["run", "--out", "/dev/null/x"], "/dev/null/x cannot be written"),
     (["replay", "precious"], "precious has no recording run.rrd"),
-    (["replay", "broken"], "broken/run.json does not describe a run"),
+    (["replay", "broken"], "broken/run.json holds no table"),
     (["validate", "--seed", "-1"], "seed is -1; it must be at least 0"),
     (["validate", "--json", "nowhere/x.json"], "nowhere/x.json cannot be written"),
     (["run", "--duraton", "3"], "octarm run has no option '--duraton', did you mean '--duration'"),
@@ -166,7 +166,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(arguments, message, capsys
     Path("full").mkdir()
     Path("full/notes.txt").write_text("mine")
     Path("precious").mkdir()
-    Path("precious/run.json").write_text('{"controller": {}}')
+    Path("precious/run.json").write_text('{"format": 2, "controller": {}}')
     Path("precious/notes.txt").write_text("mine")
     Path("broken").mkdir()
     Path("broken/run.json").write_text("[]")
@@ -196,11 +196,25 @@ def test_a_diverging_run_is_kept_and_marked(capsys):
     assert len(run) < 20
 
 
+def test_a_run_says_its_format_and_another_one_is_refused(capsys):
+    assert short_run() == 0
+    text = Path("a/run.json").read_text()
+    description = json.loads(text)
+    assert description["format"] == 2
+    assert description["coordinates"][0] == {"name": "s1", "unit": "m"}
+    assert description["coordinates"][-1] == {"name": "theta3", "unit": "rad"}
+    Path("a/run.json").write_text(text.replace('"format": 2', '"format": 3'))
+    capsys.readouterr()
+    assert cli.main(["verify", "a"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "a/run.json has format 3" in line and "reads format 2" in line
+
+
 def test_an_interrupt_leaves_nothing_half_written(monkeypatch, capsys):
     def interrupted(*_args, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(experiment, "stream", interrupted)
+    monkeypatch.setattr(experiment.ArmRecorder, "run", interrupted)
     assert short_run() == 130
     assert "interrupted" in capsys.readouterr().err
     assert list(Path().iterdir()) == []
@@ -209,7 +223,8 @@ def test_an_interrupt_leaves_nothing_half_written(monkeypatch, capsys):
 def test_an_interrupt_while_replacing_keeps_the_earlier_run(monkeypatch):
     assert short_run() == 0
     before = Path("a/run.npz").read_bytes()
-    monkeypatch.setattr(runs, "write_run", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    failing = lambda *_: (_ for _ in ()).throw(OSError("disk full"))  # noqa: E731
+    monkeypatch.setattr(experiment.Archive, "save", failing)
     assert short_run("--mismatch", "0.1") == 2
     assert Path("a/run.npz").read_bytes() == before
     assert [p.name for p in Path().iterdir()] == ["a"]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from controllers import CONTROLLERS, make_controller
+from controllers.gains import gain_fields
 from octarm.arm.lagrange import equilibrium, mass_matrix
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
@@ -26,7 +27,7 @@ PERIOD = 5e-4  # [s]
 CASES = [
     pytest.param(name, gains, id=" ".join([name, *gains]))
     for name, kind in CONTROLLERS.items()
-    for gains in ({}, *({source: 0.3} for source in getattr(kind, "derived", {}).values()))
+    for gains in ({}, *({f.replaced_by: 0.3} for f in gain_fields(kind).values() if f.replaced_by))
 ]
 every_case = pytest.mark.parametrize(("name", "gains"), CASES)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from arm_states import hand_set
 
-from controllers.shapes import elapsed
+from controllers.law import elapsed
 from octarm.arm.lagrange import (
     equilibrium,
     forward_dynamics,

@@ -13,15 +13,18 @@ from hypothesis import strategies as st
 
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import nominal_parameters
-from octarm.disturbances.episode import Disturbance, Episode, field_kinds
+from octarm.disturbances.active import ActiveDisturbances
+from octarm.disturbances.episode import Disturbance, Episode
+from octarm.disturbances.fields import field_kinds
 from octarm.disturbances.forces import BandLimitedNoise, SineForce, StepForce
+from octarm.disturbances.ledger import asked
 from octarm.disturbances.plant import Payload, RandomMismatch
 from octarm.disturbances.sensors import MeasurementNoise
 from octarm.disturbances.spelling import (
     DISTURBANCES,
-    Acting,
-    describe,
     from_dict,
+    from_entry,
+    help_text,
     parse_disturbance,
     to_dict,
 )
@@ -70,7 +73,7 @@ def episode(arms: int | None = None, seeds=SEEDS, timestep: float = DT) -> Episo
 
 def ride(disturbances, start: Episode, steps: int = 60, period: int = 3) -> dict[str, np.ndarray]:
     """All that comes of them along a made-up motion under made-up inputs, one row a step."""
-    acting = Acting(disturbances, start)
+    acting = ActiveDisturbances(disturbances, start)
     # Arm i of four moves as it does alone: motion and inputs are picked by its seed.
     arms = [SEEDS.index(seed) for seed in np.atleast_1d(np.array(start.seeds, dtype=object))]
     draw = np.random.default_rng(0)
@@ -110,13 +113,13 @@ def assert_equal(one: dict[str, np.ndarray], other: dict[str, np.ndarray], row=.
 def test_every_disturbance_has_a_spelling_that_is_written_down():
     assert list(SPELLINGS) == list(DISTURBANCES)
     assert all(cls.name == name for name, cls in DISTURBANCES.items())
-    text = describe()
+    text = help_text()
     for name, cls in DISTURBANCES.items():
         assert f"{name}:" in text
-        assert (cls.__doc__ or "").splitlines()[0].rstrip(".") in text
+        assert (cls.__doc__ or "").splitlines()[0].rstrip(".:") in " ".join(text.split())
         for field, kind in field_kinds(cls).items():
-            assert kind.key or field in text
-    assert max(map(len, text.splitlines())) < 200
+            assert (kind.key or field) in text.lower()
+    assert max(map(len, text.splitlines())) <= 80
 
 
 @pytest.mark.parametrize("name", SPELLINGS)
@@ -177,7 +180,7 @@ def test_values_go_where_they_belong():
         ("payload:nan", "mass of payload holds nan; it must be finite"),
         ("payload:1/2", "'payload:1/2' gives mass 2 numbers; it takes one"),
         ("payload:-1", "mass of payload is -1 kg; it must be at least 0 kg"),
-        ("step:1,on=tip-z", "on of step is 'tip-z', did you mean 'tip-y'? known are s1"),
+        ("step:1,on=tip-z", "on of step is 'tip-z', did you mean 'tip-y'? known are all"),
         ("step:1,on=s1+s1", "on of step is 's1+s1'; it must name s1 once"),
         ("noise:0.4,rms=1", "noise needs either a ratio or an rms, and not both"),
     ],
@@ -198,6 +201,49 @@ def test_wrong_descriptions_are_refused():
     ):
         with pytest.raises(ValueError, match=sentence):
             from_dict(description)
+
+
+# What is drawn of them
+
+
+@pytest.mark.parametrize(
+    ("text", "events"),
+    [
+        ("payload:0.2,at=3", [(3.0, "payload 0.2")]),
+        ("step:-1,at=2", [(2.0, "step -1")]),
+        ("sine:0.1", [(0.0, "sine 0.1")]),
+        ("sine:0.1,at=1,length=2", [(1.0, "sine 0.1"), (3.0, "")]),
+        ("pulse:5,at=0.5,length=0.25", [(0.5, "pulse 5"), (0.75, "")]),
+        ("loss:0.3,at=1", [(1.0, "loss 0.3")]),
+        ("loss:0/0/0.5/0/0/0,at=1", [(1.0, "loss")]),
+        ("noise:0.4", []),
+        ("lag:0.01", []),
+    ],
+)
+def test_it_says_when_it_begins_and_ends(text: str, events: list[tuple[float, str]]):
+    assert [*parse_disturbance(text).events()] == events
+
+
+def test_it_says_what_it_carries_turns_and_bounds():
+    assert parse_disturbance("payload:0.2,at=3").carried() == (0.2, 3.0)
+    assert parse_disturbance("tilt:0.1").gravity_angle() == 0.1
+    assert parse_disturbance("mismatch:0.2,tilt=-0.3").gravity_angle() == -0.3
+    bound = parse_disturbance("saturation:1/1/1/2/2/inf").input_bound()
+    np.testing.assert_array_equal(np.asarray(bound), [1.0, 1.0, 1.0, 2.0, 2.0, np.inf])
+    several = Payload(mass=np.array([0.1, 0.2]), at=1.0)
+    assert several.carried() is None  # of one arm only
+    for name in set(SPELLINGS) - {"payload", "tilt", "mismatch", "saturation"}:
+        other = parse_disturbance(SPELLINGS[name])
+        assert (other.carried(), other.gravity_angle(), other.input_bound()) == (None, 0.0, None)
+
+
+@pytest.mark.parametrize("name", SPELLINGS)
+def test_an_entry_of_a_run_brings_it_back(name: str):
+    disturbance = parse_disturbance(SPELLINGS[name])
+    first, second = asked([disturbance, disturbance])
+    assert (first["name"], second["name"]) == (name, f"{name}-2")
+    for entry in (first, second):
+        assert to_dict(from_entry(json.loads(json.dumps(entry)))) == to_dict(disturbance)
 
 
 # Random streams
@@ -227,7 +273,7 @@ def test_other_disturbances_change_no_draws():
 
 def test_two_of_a_kind_have_streams_and_names_of_their_own():
     noise = BandLimitedNoise(rms=1.0)
-    acting = Acting([noise, StepForce(amplitude=2.0, on="all"), noise], episode())
+    acting = ActiveDisturbances([noise, StepForce(amplitude=2.0, on="all"), noise], episode())
     assert [name for name, _ in acting.forces] == ["noise", "noise-2", "step"]
     rows = []
     for k in range(0, 20_000, 10):
@@ -238,7 +284,7 @@ def test_two_of_a_kind_have_streams_and_names_of_their_own():
         rows.append(np.concatenate([first, second]))
     cross = np.corrcoef(np.array(rows).T)
     assert np.max(np.abs(cross - np.eye(12))) < 0.12  # of 2000 holds: 5 standard deviations
-    alone = Acting([noise], episode())
+    alone = ActiveDisturbances([noise], episode())
     alone.force(19_990, REST)
     np.testing.assert_array_equal(alone.shares["noise"], acting.shares["noise"])
 
@@ -246,7 +292,7 @@ def test_two_of_a_kind_have_streams_and_names_of_their_own():
 def test_measurement_delays_do_not_stack():
     delay = parse_disturbance("measurement-delay:0.01")
     with pytest.raises(ValueError, match="measurement-delay is given twice"):
-        Acting([delay, delay], episode())
+        ActiveDisturbances([delay, delay], episode())
 
 
 def test_nothing_in_the_realisation_depends_on_the_control_period():
@@ -264,7 +310,7 @@ def test_nothing_in_the_realisation_depends_on_the_control_period():
 
 
 def test_nothing_acts_when_nothing_is_listed():
-    acting = Acting([], episode(4))
+    acting = ActiveDisturbances([], episode(4))
     q, v, tau = np.random.default_rng(0).normal(size=(3, 4, 6))
     assert acting.received(0, tau) is tau
     assert acting.plant(0) is None
@@ -279,7 +325,7 @@ def test_the_order_of_listing_does_not_matter():
 
 
 def test_what_the_caller_gets_cannot_be_changed_by_it():
-    acting = Acting([BandLimitedNoise(rms=1.0), StepForce(amplitude=1.0)], episode())
+    acting = ActiveDisturbances([BandLimitedNoise(rms=1.0), StepForce(amplitude=1.0)], episode())
     for array in (acting.force(0, REST), *acting.shares.values()):
         with pytest.raises(ValueError, match="read-only"):
             array += 1.0
@@ -289,11 +335,11 @@ def test_what_the_caller_gets_cannot_be_changed_by_it():
 @pytest.mark.parametrize("arms", [None, 4])
 def test_a_copy_goes_on_alike_and_on_its_own(duplicate, arms: int | None):
     start = episode(arms)
-    acting = Acting([parse_disturbance(text) for text in SPELLINGS.values()], start)
+    acting = ActiveDisturbances([parse_disturbance(text) for text in SPELLINGS.values()], start)
     shape = (100, *start.batch_shape, 6)
     q, v, tau = REST + 0.1 * np.random.default_rng(0).normal(size=(3, *shape))
 
-    def go(which: Acting, steps: range) -> list[np.ndarray]:
+    def go(which: ActiveDisturbances, steps: range) -> list[np.ndarray]:
         out = []
         for k in steps:
             out += [which.force(k, q[k]), which.received(k, tau[k])]

@@ -19,7 +19,7 @@ from octarm.checks.validation import arm_with
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.interfaces import Controller, Instant, Measurement, Reference
-from octarm.metrics.table import Block, Metrics
+from octarm.metrics.table import Metrics
 from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout, simulate
@@ -194,11 +194,18 @@ def test_an_arm_that_diverges_changes_no_other(period: int):
             np.testing.assert_array_equal(value, arrays(its)[name][[0, 2]], err_msg=name)
     metrics = Metrics(control_period=period * DT)
     for row in rows:
-        signals = {"s": row.command.signals["s"][None]}
+        s = row.command.signals["s"]
         q, q_d, tau, force = row.q, row.reference.q, row.tau, row.command.force
         q_d = np.broadcast_to(q_d, q.shape)
-        t = np.array([row.measurement.t])
-        metrics.update(Block(t, q[None], q_d[None], tau[None], force[None], signals))
+        fields = {
+            "t": np.array(row.measurement.t),
+            "q": q,
+            "q_d": q_d,
+            "tau": tau,
+            "force": force,
+            "s": s,
+        }
+        metrics.update({name: array[None] for name, array in fields.items()})
     result = metrics.result(diverged=~three.physics.intact())
     for name, value in result.items():
         assert np.all(np.isnan(value[1])), name

@@ -10,8 +10,9 @@ import pytest
 from test_disturbances import SPELLINGS
 
 from octarm.commands import cli
-from octarm.disturbances.episode import Disturbance, field_kinds
-from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance, spelling
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.fields import field_defaults, field_keys, field_kinds
+from octarm.disturbances.spelling import DISTURBANCES, help_text, parse_disturbance, spelling
 from octarm.runs import folder as runs
 
 _NAMES = "|".join(sorted(DISTURBANCES, key=len, reverse=True))
@@ -27,48 +28,29 @@ def short_run(*options: str, duration: str = "0.05") -> int:
     return cli.main(["run", "--controller", "pd", "--duration", duration, "--out", "a", *options])
 
 
-@pytest.fixture(scope="module")
-def table() -> str:
-    """The disturbances in the help, each followed by what is said of it."""
-    from contextlib import redirect_stdout
-    from io import StringIO
-
-    out = StringIO()
-    with redirect_stdout(out), pytest.raises(SystemExit):
-        cli.main(["run", "--help"])
-    return out.getvalue().partition("Disturbances, by what")[2].partition("options")[0]
-
-
 def from_help(text: str) -> Disturbance:
     """A disturbance of the help, with a number for each word in capitals."""
     return parse_disturbance(re.sub(r"\b[A-Z]+\b", "0.25", text))
 
 
-def test_every_spelling_in_the_help_works_and_all_are_there(table: str):
-    found = [match[0] for match in _SPELLING.finditer(table)]
-    assert len(found) >= len(DISTURBANCES)
-    assert {from_help(text).name for text in found} == set(DISTURBANCES)
+def test_every_spelling_in_the_help_works_and_all_are_there():
+    listed = [match[0] for match in _SPELLING.finditer(help_text())]
+    assert [from_help(text).name for text in listed] == list(DISTURBANCES)
+    assert max(map(len, help_text().splitlines())) <= 80
 
 
-def test_the_help_names_all_keys_with_their_defaults(table: str):
-    shown: dict[str, set[str]] = {name: set() for name in DISTURBANCES}
-    starts = [*_SPELLING.finditer(table)]
-    ends = [*(match.start() for match in starts[1:]), len(table)]
-    for match, end in zip(starts, ends, strict=True):
-        also = re.search(r"also (\S+)", table[match.end() : end])
-        for item in f"{match[2]},{also[1] if also else ''}".split(",")[1:]:
-            key, equals, default = item.partition("=")
-            if equals:
-                cls = DISTURBANCES[match[1]]
-                field = next(f for f, k in field_kinds(cls).items() if (k.key or f) == key)
-                fields = {f.name: f for f in dataclasses.fields(cls)}  # pyright: ignore
-                assert str(fields[field].default) in (default, f"{default}.0"), match[0]
-                shown[match[1]].add(key)
-    assert "noise:rms=" in table
-    shown["noise"].add("rms")
-    for name, cls in DISTURBANCES.items():
-        _, *others = [kind.key or field for field, kind in field_kinds(cls).items()]
-        assert shown[name] == set(others)
+def test_the_help_names_all_keys_with_their_units_and_defaults():
+    matches = [*_SPELLING.finditer(help_text())]
+    ends = [*(match.start() for match in matches[1:]), len(help_text())]
+    for match, end, cls in zip(matches, ends, DISTURBANCES.values(), strict=True):
+        meaning = " ".join(help_text()[match.end() : end].split())
+        items = dict(item.split("=") for item in match[2].split(",")[1:])
+        for key, field in [*field_keys(cls).items()][1:]:
+            default, kind = field_defaults(cls)[field], field_kinds(cls)[field]
+            if default is not None:
+                assert items.pop(key) == (default if kind.unit == "" else f"{default:g}")
+            assert kind.unit in ("", "1") or f"{key} [{kind.unit}]" in meaning
+        assert not items
 
 
 @pytest.mark.parametrize("name", SPELLINGS)

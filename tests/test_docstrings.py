@@ -23,6 +23,8 @@ import pytest
 
 import controllers
 import octarm
+from controllers.gains import gain_fields
+from controllers.law import Law
 
 ARRAYS = re.compile(r"np\.ndarray|npt\.ArrayLike|npt\.NDArray")
 SHAPE = re.compile(
@@ -94,8 +96,9 @@ def fields() -> Iterator[tuple[str, str, str]]:
     """Public fields that are arrays: where, name, and the docstring of the class."""
     for module in modules():
         for name, cls in own(module, inspect.isclass):
+            gains = gain_fields(cls) if issubclass(cls, Law) else {}  # which say what they are
             for field, annotation in vars(cls).get("__annotations__", {}).items():
-                constant = not is_public(field) or "ClassVar" in str(annotation)
+                constant = not is_public(field) or "ClassVar" in str(annotation) or field in gains
                 if of_arrays(annotation, module) and not constant:
                     yield f"{module.__name__}.{name}.{field}", field, cls.__doc__ or ""
 

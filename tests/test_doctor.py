@@ -7,6 +7,7 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.specifiers import SpecifierSet
 
 from octarm.checks import doctor as machine
 from octarm.checks.doctor import State
@@ -118,7 +119,7 @@ def test_a_folder_that_cannot_be_written_is_told(monkeypatch):
 
 @pytest.mark.parametrize(("version", "asked", "good"), VERSIONS)
 def test_versions_are_compared_as_numbers(version, asked, good):
-    (finding,) = [machine._version("x", version, asked, "remedy")]
+    finding = machine.version("x", version, SpecifierSet(asked), "remedy")
     assert finding.state is (State.FINE if good else State.OUTSIDE)
 
 

@@ -274,14 +274,14 @@ def test_noise_is_the_same_in_another_process():
         "import numpy as np;"
         "from octarm.disturbances.streams import HeldNoise, stream;"
         "g = [stream(np.random.SeedSequence(11, spawn_key=(2,)), 'noise')];"
-        "noise = HeldNoise(g, 6, 0.01, 1e-3, ());"
+        "noise = HeldNoise(g, np.ones(6), 0.01, 1e-3);"
         "print(b''.join(noise(k).tobytes() for k in range(2000)).hex())"
     )
     outcome = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     generator = stream(np.random.SeedSequence(11, spawn_key=(2,)), "noise")
-    noise = HeldNoise([generator], 6, 0.01, 1e-3, ())
+    noise = HeldNoise([generator], np.ones(6), 0.01, 1e-3)
     here = np.array([noise(k) for k in range(2000)])
     there = np.frombuffer(bytes.fromhex(outcome.stdout.strip())).reshape(2000, 6)
     np.testing.assert_array_equal(here, there)

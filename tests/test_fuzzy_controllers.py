@@ -12,8 +12,8 @@ from arm_states import hand_set
 from controllers.fuzzy.inference import Mamdani, Variable
 from controllers.fuzzy.membership import Triangular
 from controllers.fuzzy_sliding_mode import SWITCHING
-from controllers.gains import apparent_mass
 from controllers.model_free_fuzzy import LEVELS, RULES, FuzzyController, error_scale
+from controllers.recommended import apparent_mass
 from octarm.arm.lagrange import (
     damping_matrix,
     equilibrium,
@@ -22,6 +22,7 @@ from octarm.arm.lagrange import (
     potential_hessian,
 )
 from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.nominal import LagrangeModel
 from octarm.interfaces import Measurement, Reference
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout
@@ -136,8 +137,8 @@ def test_mamdani_rules_serve_the_same_controller():
 
 
 def test_the_hand_set_forces_follow_the_rule_for_other_arms():
-    force = hand_set("fuzzy", P).force_scale
-    scaled = 300.0**2 * apparent_mass(P) * error_scale(P)
+    force, model = hand_set("fuzzy", P).force_scale, LagrangeModel(P)
+    scaled = 300.0**2 * apparent_mass(model) * error_scale(model)
     np.testing.assert_allclose(force, scaled, rtol=0.1)
     two = dataclasses.replace(
         P,

@@ -11,7 +11,7 @@ import skfuzzy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers.fuzzy.inference import Linear, Mamdani, Sugeno, Variable, probabilistic_sum
+from controllers.fuzzy.inference import Mamdani, Sugeno, Variable, linear, probabilistic_sum
 from controllers.fuzzy.membership import Gaussian, GeneralisedBell, Trapezoidal, Triangular
 from controllers.fuzzy.rule_base import RuleBase
 from controllers.model_free_fuzzy import LEVELS, RULES, SURFACE
@@ -123,7 +123,7 @@ def test_the_printed_sum_tends_to_the_centroid_of_scikit_fuzzy():
 def test_sugeno_is_the_weighted_mean_of_scikit_fuzzys_weights(conjunction):
     rules, (x, y) = random_rules(3), random_inputs(500)
     draw = np.random.default_rng(4).normal(size=(7, 3))
-    planes = {n: Linear(c, (a, b)) for n, (c, a, b) in zip(LABELS, draw, strict=True)}
+    planes = {n: linear(c, a, b) for n, (c, a, b) in zip(LABELS, draw, strict=True)}
     weights = np.stack(their_weights(rules, x, y, conjunction))
     z = {n: c + a * x + b * y for n, (c, a, b) in zip(LABELS, draw, strict=True)}
     for consequents, values in ((planes, z), (LEVELS, LEVELS)):
@@ -292,7 +292,7 @@ def test_the_recommended_surface_is_a_plane_near_zero():
                 rules=RuleBase.from_sentences("if e is N then N\nif e is P then N"),
                 consequents={"N": 0.0},
             ),
-            r"e = -2.999 belongs to no label; known are N, P, which must overlap and be open",
+            r"e = -inf belongs to no label; known are N, P, which must overlap and be open",
         ),
         (
             lambda: Sugeno(
@@ -305,7 +305,7 @@ def test_the_recommended_surface_is_a_plane_near_zero():
                 rules=RuleBase.from_sentences("if e is N then N\nif e is P then N"),
                 consequents={"N": 0.0},
             ),
-            "e = 0 belongs to no label",
+            r"e = -0\.\d+ belongs to no label",
         ),
         (lambda: seven_by_seven(inputs=(E, E)), "two inputs are called 'e'; they need different"),
         (
@@ -315,7 +315,6 @@ def test_the_recommended_surface_is_a_plane_near_zero():
         (lambda: seven_by_seven(universe=1.0), r"universe has shape \(\); it must be \(n,\)"),
         (lambda: seven_by_seven(universe=[math.nan]), "universe holds nan; it must be finite"),
         (lambda: seven_by_seven()(np.zeros(3)), "1 inputs are given; the rules need e, rate"),
-        (lambda: Linear(1.0, (2.0,))(np.zeros(3), np.zeros(3)), "has 1 slopes for 2 inputs"),
     ],
 )
 def test_systems_that_do_not_fit_together_are_refused(make: Callable, message: str):

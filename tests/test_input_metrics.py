@@ -1,9 +1,12 @@
 """Effort, saturation, work and energy against closed forms."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from octarm.metrics.inputs import ForceUse, InputUse
+from octarm.metrics.metric import Accumulator, Settings
 
 STEP = 1e-3
 
@@ -12,18 +15,22 @@ def times(duration: float = 4.0, step: float = STEP) -> np.ndarray:
     return step * np.arange(round(duration / step) + 1)
 
 
+def used(kind: type[Accumulator], limit: Any = np.inf, **rows: np.ndarray) -> dict[str, np.ndarray]:
+    """What an accumulator makes of rows."""
+    first = {name: array[0] for name, array in rows.items()}
+    use = kind(first, Settings(control_period=STEP, input_limit=limit))
+    use.update(rows, True)
+    return use.result()
+
+
 def work_of(q: np.ndarray, force: np.ndarray) -> tuple[float, float]:
-    use = ForceUse(np.zeros(1))
-    use.update(q[:, None], force[:, None])
-    found = use.result()
+    found = used(ForceUse, q=q[:, None], force=force[:, None])
     return found["work"].item(), found["energy"].item()
 
 
 def test_effort_and_peak_of_a_sine():
     tau = np.stack([3.0 * np.sin(np.pi * times()[:-1]), np.full(4000, -2.0)], axis=-1)
-    use = InputUse(tau[0])
-    use.update(tau)
-    found = use.result()
+    found = used(InputUse, tau=tau)
     np.testing.assert_allclose(found["effort"], [3.0 / np.sqrt(2.0), 2.0], rtol=1e-12)
     np.testing.assert_allclose(found["peak_input"], [3.0, 2.0], rtol=1e-12)
     np.testing.assert_array_equal(found["saturation_share"], 0.0)  # there is no limit
@@ -32,16 +39,15 @@ def test_effort_and_peak_of_a_sine():
 def test_the_share_of_saturated_periods_of_a_clipped_sine():
     tau = np.clip(3.0 * np.sin(np.pi * times()[:-1]), -1.2, 1.2)
     tau = np.stack([tau, tau, tau], axis=-1)
-    use = InputUse(tau[0], [1.2, 1.2000001, 1.1])
-    use.update(tau)
+    found = used(InputUse, [1.2, 1.2000001, 1.1], tau=tau)
     shares = [1.0 - 2.0 / np.pi * np.arcsin(1.2 / 3.0), 0.0, 1.0 - 2.0 / np.pi * np.arcsin(1.1 / 3)]
-    np.testing.assert_allclose(use.result()["saturation_share"], shares, atol=2e-3)
+    np.testing.assert_allclose(found["saturation_share"], shares, atol=2e-3)
 
 
 def test_saturation_is_counted_beyond_any_number_of_rows():
-    use = InputUse(np.zeros(2), 1.0)
+    use = InputUse({"tau": np.zeros(2)}, Settings(control_period=STEP, input_limit=1.0))
     for _ in range(7):
-        use.update(np.tile([1.0, -0.5], (1000, 1)))
+        use.update({"tau": np.tile([1.0, -0.5], (1000, 1))}, True)
     np.testing.assert_array_equal(use.result()["saturation_share"], [1.0, 0.0])
 
 
@@ -74,6 +80,5 @@ def test_a_spring_takes_nothing_and_a_damper_all(step):
 
 def test_the_effort_of_a_generalised_force_is_its_root_mean_square():
     t = times()[:-1]
-    use = ForceUse(np.zeros(1))
-    use.update(np.zeros((4000, 1)), (4.0 + np.sin(np.pi * t))[:, None])
-    np.testing.assert_allclose(use.result()["force_effort"], np.sqrt(16.5), rtol=1e-12)
+    found = used(ForceUse, q=np.zeros((4000, 1)), force=(4.0 + np.sin(np.pi * t))[:, None])
+    np.testing.assert_allclose(found["force_effort"], np.sqrt(16.5), rtol=1e-12)

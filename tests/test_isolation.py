@@ -22,9 +22,10 @@ from controllers import CONTROLLERS, make_controller
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.commands import cli
+from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Disturbance, Episode
 from octarm.disturbances.ledger import Ledger
-from octarm.disturbances.spelling import Acting, parse_disturbance
+from octarm.disturbances.spelling import parse_disturbance
 from octarm.interfaces import Command, Controller, Measurement, Reference
 from octarm.simulation.environment import TrackingTask, load
 from octarm.simulation.rollout import rollout, simulate
@@ -42,7 +43,7 @@ OF_THE_PLANT = (
     control.Environment,
     control.Task,
     TrackingTask,
-    Acting,
+    ActiveDisturbances,
     Disturbance,
     Episode,
     Ledger,

@@ -23,6 +23,7 @@ from controllers import (
 )
 from controllers.proofs import adaptive_ledger, lyapunov, misprints
 from controllers.proofs.ledger import ledger
+from controllers.sliding_mode import Surface
 from octarm.arm import lagrange
 from octarm.arm.mjcf import nominal_parameters
 from octarm.checks.validation import arm_with, random_arm
@@ -108,7 +109,7 @@ def along_the_motion(law: SlidingMode, state, measurement, reference):
     """The equivalent force with C q' in place of C q_r'."""
     command, state = SlidingMode.__call__(law, state, measurement, reference)
     a_r = reference.a - law.lambda_ * (measurement.v - reference.v)
-    force = lagrange.inverse_dynamics(law.nominal, measurement.q, measurement.v, a_r)
+    force = law.nominal.inverse_dynamics(measurement.q, measurement.v, a_r)
     return command._replace(force=force + command.signals["switching"]), state
 
 
@@ -309,7 +310,7 @@ def test_energy_rate_is_the_rate_of_the_kinetic_energy_when_nothing_is_wanted():
     at = draw(arm=P)
     force = np.full_like(at.measurement.q, 0.7)
     _, q, v = at.measurement
-    still = lyapunov.Sliding(v, np.zeros_like(v), np.zeros_like(v))
+    still = Surface(v, np.zeros_like(v), np.zeros_like(v))
     power = np.sum(v * (force - lagrange.potential_force(P, q)), axis=-1)
     power = power - np.einsum("ni,ij,nj->n", v, lagrange.damping_matrix(P), v)
     rate = lyapunov.energy_rate(at, still, force)
@@ -350,7 +351,7 @@ def test_the_error_of_the_approximation_is_what_eq_73_leaves(normalised: bool):
 
 def test_a_smaller_step_gives_the_same_rates():
     t = adaptive_ledger.adaptive_trial("afsmc", P, 50, np.random.default_rng(2))
-    controller, _ = adaptive_ledger.literal("afsmc", P, t.at.nominal)
+    controller = adaptive_ledger.literal("afsmc", P, t.at.nominal)
     whole, small = (adaptive_ledger.answer(controller, t.at, t.now, step) for step in (1.0, 1e-3))
     np.testing.assert_array_equal(whole.force, small.force)
     for one, other in zip(whole.rates, small.rates, strict=True):

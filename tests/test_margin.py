@@ -19,15 +19,18 @@ from octarm.commands.cli import main
 from octarm.disturbances.forces import PulseForce
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.interfaces import Command
-from octarm.sweeps.margin import Brackets, Outcome, estimate, search
-from octarm.sweeps.margin_trial import (
+from octarm.sweeps.margin import (
     NOMINAL,
-    RANGES,
+    Attempt,
     Bound,
-    Trial,
+    Brackets,
+    MarginRuns,
     is_varied,
+    margin_of,
     parse_bound,
     parse_varied,
+    search,
+    usual_range,
 )
 
 P = nominal_parameters()
@@ -42,7 +45,7 @@ class Proportional:
 
     def __call__(self, seeds, shares):
         self.calls.append((seeds.copy(), shares.copy()))
-        return Outcome(shares / self.margins[seeds], seeds)
+        return Attempt(shares / self.margins[seeds], seeds)
 
 
 def test_the_margin_of_each_seed_is_found():
@@ -80,7 +83,7 @@ def test_every_seed_meets_the_same_values_on_the_grid():
 
 def test_beyond_the_range_and_below_it_there_is_no_number():
     def attempt(seeds, shares):
-        return Outcome(np.array([0.4, 1.0, 1.1])[seeds] + 0.0 * shares, seeds)
+        return Attempt(np.array([0.4, 1.0, 1.1])[seeds] + 0.0 * shares, seeds)
 
     found = search(attempt, 3)
     assert found.margins.tolist() == [np.inf, np.inf, -np.inf]
@@ -90,7 +93,7 @@ def test_beyond_the_range_and_below_it_there_is_no_number():
 
 def test_what_diverges_breaks_the_bound():
     def attempt(seeds, shares):
-        return Outcome(np.where(shares > 0.4, np.inf, 0.1), seeds)
+        return Attempt(np.where(shares > 0.4, np.inf, 0.1), seeds)
 
     found = search(attempt, 1)
     assert found.met[0] <= 0.4 < found.failed[0]
@@ -99,7 +102,7 @@ def test_what_diverges_breaks_the_bound():
 def test_a_bound_that_is_met_again_further_on_is_noticed():
     def attempt(seeds, shares):
         island = (seeds == 1) & (shares > 0.7) & (shares < 0.8)
-        return Outcome(np.where((shares <= 0.3) | island, 0.5, 2.0), seeds)
+        return Attempt(np.where((shares <= 0.3) | island, 0.5, 2.0), seeds)
 
     found = search(attempt, 2)
     assert found.again.tolist() == [False, True]
@@ -108,7 +111,7 @@ def test_a_bound_that_is_met_again_further_on_is_noticed():
 
 def test_an_island_within_a_gap_is_noticed_too():
     def attempt(seeds, shares):
-        return Outcome(np.where((shares < 0.13) | (abs(shares - 0.1875) < 0.01), 0.5, 2.0), seeds)
+        return Attempt(np.where((shares < 0.13) | (abs(shares - 0.1875) < 0.01), 0.5, 2.0), seeds)
 
     assert search(attempt, 1).again.all()
 
@@ -118,13 +121,13 @@ def test_seeds_that_are_alike_are_run_once():
 
     def attempt(seeds, shares):
         calls.append(seeds)
-        return Outcome(shares / 0.3, np.round(1e6 * shares))
+        return Attempt(shares / 0.3, np.round(1e6 * shares))
 
     found = search(attempt, 5)
     assert found.alike
     assert len(found.met) == 5 and len(set(found.met.tolist())) == 1
     assert all((seeds == 0).all() for seeds in calls[1:])
-    assert math.isnan(estimate(found, 0.9).low)
+    assert math.isnan(margin_of(found, 0.9).low)
 
 
 def brackets(*margins: float) -> Brackets:
@@ -142,7 +145,7 @@ def brackets(*margins: float) -> Brackets:
 def test_the_margin_is_what_the_share_of_the_seeds_bears():
     tenths = brackets(*np.arange(10, 0, -1) / 10.0)
     for share, value in ((1.0, 0.1), (0.9, 0.2), (0.85, 0.2), (0.5, 0.6), (0.1, 1.0), (0.01, 1.0)):
-        assert estimate(tenths, share).value == value
+        assert margin_of(tenths, share).value == value
         assert np.mean(tenths.margins >= value) >= share
 
 
@@ -150,7 +153,7 @@ def test_the_interval_is_that_of_the_bootstrap_in_closed_form():
     """The k-th of n drawn with replacement is at most the j-th with P(Bin(n, j/n) >= k)."""
     n, share = 20, 0.8
     margins = np.sqrt(np.arange(1, n + 1)) / 5.0
-    found = estimate(brackets(*margins), share)
+    found = margin_of(brackets(*margins), share)
     place = n - 16 + 1  # the fifth smallest is borne by 16 of 20
     assert found.value == margins[place - 1]
     below = binom.sf(place - 1, n, np.arange(1, n + 1) / n)  # P(k-th of a sample <= j-th)
@@ -160,10 +163,10 @@ def test_the_interval_is_that_of_the_bootstrap_in_closed_form():
 
 
 def test_margins_beyond_the_range_have_their_place_in_the_order():
-    found = estimate(brackets(0.2, 0.3, np.inf, np.inf, np.inf, np.inf), 0.5)
+    found = margin_of(brackets(0.2, 0.3, np.inf, np.inf, np.inf, np.inf), 0.5)
     assert found.value == np.inf
     assert found.low == 0.3 and found.high == np.inf
-    lost = estimate(brackets(-np.inf, -np.inf, -np.inf, 0.5), 1.0)
+    lost = margin_of(brackets(-np.inf, -np.inf, -np.inf, 0.5), 1.0)
     assert (lost.value, lost.low) == (-np.inf, -np.inf)
 
 
@@ -189,7 +192,7 @@ class Spring:
         return Command(force, {}), state
 
 
-def trial(text: str, bound: str, low=None, high=None, **options) -> Trial:
+def trial(text: str, bound: str, low=None, high=None, **options) -> MarginRuns:
     plain = {
         "factory": Spring,
         "reference": "set-point",
@@ -197,13 +200,13 @@ def trial(text: str, bound: str, low=None, high=None, **options) -> Trial:
         "timestep": 0.002,
         "bounds": [parse_bound(bound)],
     }
-    return Trial(varied=parse_varied(text, low, high), **(plain | options))
+    return MarginRuns(varied=parse_varied(text, low, high), **(plain | options))
 
 
 STIFFNESS = 600.0 + 2.0 * 1200.0  # [N/m], of the controller and of both columns of module 1
 
 
-def margin_of(what: Trial) -> float:
+def found_margin(what: MarginRuns) -> float:
     what.rehearse()
     found = search(what, 2, intervals=4)
     assert found.alike and not found.again.any()
@@ -212,11 +215,11 @@ def margin_of(what: Trial) -> float:
 
 def test_the_payload_that_stretches_the_arm_to_the_bound():
     exact = 0.001 * STIFFNESS / 9.81
-    assert margin_of(trial("payload", "rms_error_s1:0.001")) == pytest.approx(exact, rel=0.011)
+    assert found_margin(trial("payload", "rms_error_s1:0.001")) == pytest.approx(exact, rel=0.011)
 
 
 def test_the_force_that_stretches_the_arm_to_the_bound_downwards():
-    found = margin_of(trial("step:on=s1", "peak_error_s1:0.001", low=0.0, high=-8.0))
+    found = found_margin(trial("step:on=s1", "peak_error_s1:0.001", low=0.0, high=-8.0))
     assert found == pytest.approx(-0.001 * STIFFNESS, rel=0.011)
 
 
@@ -224,7 +227,7 @@ def test_the_model_error_that_moves_the_arm_to_the_bound():
     # Of the pull of the springs, M g, the model has 1 + X/2, of the weight 1 + X.
     weight = 9.81 * P.mass.sum()
     exact = 0.0005 * STIFFNESS * 2.0 / weight
-    assert margin_of(trial(NOMINAL, "steady_error_s1:0.0005")) == pytest.approx(exact, rel=0.011)
+    assert found_margin(trial(NOMINAL, "steady_error_s1:0.0005")) == pytest.approx(exact, rel=0.011)
 
 
 def test_the_smallest_bound_counts():
@@ -234,8 +237,8 @@ def test_the_smallest_bound_counts():
     assert np.array_equal(both(seeds, shares).excess, what(seeds, shares).excess)
 
 
-def noisy(**options) -> Trial:
-    return Trial(
+def noisy(**options) -> MarginRuns:
+    return MarginRuns(
         factory=lambda nominal: hand_set("smc-boundary", nominal),
         varied=parse_varied("payload:at=0.5", 0.0, 0.4),
         bounds=[Bound("tip_rms_error", 0.01)],
@@ -282,7 +285,7 @@ def test_a_measure_that_a_run_cannot_have_is_refused():
 
 @pytest.mark.parametrize("name", [NOMINAL, *DISTURBANCES])
 def test_anything_can_vary(name):
-    low, high = RANGES.get(name, (9.0, 1.0))
+    low, high = usual_range(name) or (9.0, 1.0)
     varied = parse_varied(name, low, high)
     assert (varied.name, varied.low, varied.high) == (name, low, high)
     what = dataclasses.replace(noisy(), varied=varied)

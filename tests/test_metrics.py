@@ -1,24 +1,22 @@
 """The measures of whole runs: streaming, batches, divergence, and the control rate."""
 
 import itertools
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from octarm.interfaces import Rows
 from octarm.metrics import table as metrics
-from octarm.metrics.table import METRICS, SETTLED_AFTER, Block, Metrics
-from octarm.runs import folder as runs
-from octarm.simulation.trajectory import Trajectory
+from octarm.metrics.table import METRICS, SETTLED_AFTER, Metrics, as_json, columns
 
 PERIOD = 1e-2
 ROWS = 420  # past SETTLED_AFTER, and past 255
-PHI = 0.6
+LAYER = 0.6
 
 
-def noisy(rows: int = ROWS, batch: tuple[int, ...] = (), modules: int = 3, seed: int = 0) -> Block:
+def noisy(rows: int = ROWS, batch: tuple[int, ...] = (), modules: int = 3, seed: int = 0) -> Rows:
     """Arms that do all there is to measure, now and then."""
     draw, n = np.random.default_rng(seed), 2 * modules
     t = PERIOD * np.arange(rows)
@@ -27,41 +25,42 @@ def noisy(rows: int = ROWS, batch: tuple[int, ...] = (), modules: int = 3, seed:
     q_d = 0.3 * np.sin(np.pi * t.reshape(fading.shape) + draw.uniform(0.0, 6.0, (*batch, n)))
     q_d[..., n - 1] = 0.05
     s = draw.normal(size=shape) * fading + draw.choice([0.0, 2.0], (*batch, n))
-    return Block(
-        t=t,
-        q=q_d + draw.normal(size=shape) * fading * draw.choice([1e-3, 0.1], (*batch, n)),
-        q_d=q_d,
-        tau=np.clip(draw.normal(size=shape), -1.5, 1.5),
-        force=draw.normal(size=shape),
-        signals={"s": s, "reaching_bound": np.full((*shape[:-1], 1), 2.5)},
-    )
+    return {
+        "t": t,
+        "q": q_d + draw.normal(size=shape) * fading * draw.choice([1e-3, 0.1], (*batch, n)),
+        "q_d": q_d,
+        "tau": np.clip(draw.normal(size=shape), -1.5, 1.5),
+        "force": draw.normal(size=shape),
+        "s": s,
+        "reaching_bound": np.full((*shape[:-1], 1), 2.5),
+    }
 
 
-def take(block: Block, cut: slice | np.ndarray) -> Block:
-    """Rows of a block."""
-    arrays = [np.asarray(array)[cut] for array in block[:-1]]
-    return Block(*arrays, signals={name: value[cut] for name, value in block.signals.items()})
+def take(rows: Rows, cut: slice | np.ndarray) -> Rows:
+    """Some of the rows."""
+    return {name: array[cut] for name, array in rows.items()}
 
 
-def batch_first(block: Block) -> Block:
-    """The same block with the arms contiguous in memory, as sweeps have it."""
+def batch_first(rows: Rows) -> Rows:
+    """The same rows with the arms contiguous in memory, as sweeps have it."""
 
     def turned(array: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(np.swapaxes(array, -1, -2)).swapaxes(-1, -2)
 
-    arrays = [turned(array) for array in block[1:-1]]
-    signals = {name: turned(value) for name, value in block.signals.items()}
-    return Block(block.t, *arrays, signals=signals)
+    return {name: array if name == "t" else turned(array) for name, array in rows.items()}
 
 
-def arm(block: Block, i: int) -> Block:
+def arm(rows: Rows, i: int) -> Rows:
     """One arm of a batch."""
-    arrays = [array[:, i] for array in block[1:-1]]
-    return Block(block.t, *arrays, signals={k: v[:, i] for k, v in block.signals.items()})
+    return {name: array if name == "t" else array[:, i] for name, array in rows.items()}
 
 
-def measure(*blocks: Block, diverged: np.ndarray | bool = False, **options) -> dict:
-    whole = Metrics(**{"control_period": PERIOD, "input_limit": 1.5, "phi": PHI} | options)
+def without(rows: Rows, *names: str) -> Rows:
+    return {name: array for name, array in rows.items() if name not in names}
+
+
+def measure(*blocks: Rows, diverged: np.ndarray | bool = False, **options) -> dict:
+    whole = Metrics(**{"control_period": PERIOD, "input_limit": 1.5, "layer": LAYER} | options)
     for block in blocks:
         whole.update(block)
     return whole.result(diverged=diverged)
@@ -79,7 +78,10 @@ def test_every_metric_is_described_and_has_its_shape():
     assert list(found) == list(METRICS)
     for name, meaning in METRICS.items():
         assert found[name].shape == ((5,) if meaning.of == "arm" else (5, 6)), name
-        assert meaning.slide_unit and (meaning.bend_unit or meaning.of != "coordinate")
+        assert meaning.unit_for("m") and len(meaning.units) <= (
+            2 if meaning.of == "coordinate" else 1
+        )
+        assert meaning.waits_for in ("", *METRICS)
         assert meaning.text and "\n" not in meaning.text
     single = measure(noisy())
     assert all(single[n].shape == (() if m.of == "arm" else (6,)) for n, m in METRICS.items())
@@ -129,15 +131,15 @@ def test_an_arm_alone_is_its_row_of_the_batch_bit_for_bit(modules, arms):
 
 def test_arms_may_share_their_reference():
     block = noisy(batch=(4,))
-    shared = block.q_d[:, :1]
+    shared = block["q_d"][:, :1]
     full = np.repeat(shared, 4, axis=1)
-    assert_same_bits(measure(block._replace(q_d=shared)), measure(block._replace(q_d=full)))
+    assert_same_bits(measure({**block, "q_d": shared}), measure({**block, "q_d": full}))
 
 
 def test_limits_may_differ_from_arm_to_arm():
     block = noisy(batch=(3,))
     draw = np.random.default_rng(5)
-    options = {k: draw.uniform(0.01, 1.5, (3, 6)) for k in ("input_limit", "phi", "band")}
+    options = {k: draw.uniform(0.01, 1.5, (3, 6)) for k in ("input_limit", "layer", "band")}
     found = measure(block, **options)
     for i in range(3):
         alone = measure(arm(block, i), **{name: value[i] for name, value in options.items()})
@@ -146,23 +148,19 @@ def test_limits_may_differ_from_arm_to_arm():
 
 def test_a_loop_may_reuse_its_memory():
     block = noisy(batch=(2,))
-    memory = take(block, slice(0, 1))
-    memory = memory._replace(signals={k: v.copy() for k, v in memory.signals.items()})
-    memory = Block(*(np.copy(a) for a in memory[:-1]), signals=memory.signals)
-    whole = Metrics(control_period=PERIOD, input_limit=1.5, phi=PHI)
+    memory = {name: np.copy(array[:1]) for name, array in block.items()}
+    whole = Metrics(control_period=PERIOD, input_limit=1.5, layer=LAYER)
     for i in range(ROWS):
-        for kept, array in zip(memory[:-1], block[:-1], strict=True):
-            kept[...] = array[i : i + 1]
-        for name, kept in memory.signals.items():
-            kept[...] = block.signals[name][i : i + 1]
+        for name, kept in memory.items():
+            kept[...] = block[name][i : i + 1]
         whole.update(memory)
-    for kept in (*memory[:-1], *memory.signals.values()):
+    for kept in memory.values():
         kept[...] = np.nan
     assert_same_bits(whole.result(), measure(block))
 
 
 def test_asking_for_the_result_changes_nothing():
-    block, whole = noisy(), Metrics(control_period=PERIOD, input_limit=1.5, phi=PHI)
+    block, whole = noisy(), Metrics(control_period=PERIOD, input_limit=1.5, layer=LAYER)
     for i in range(0, ROWS, 60):
         whole.update(take(block, slice(i, i + 60)))
         for value in whole.result().values():
@@ -187,7 +185,7 @@ def test_a_diverged_arm_has_no_numbers_and_leaves_the_others_alone():
 @pytest.mark.parametrize("row", [0, 100, ROWS - 1])
 def test_what_was_not_finite_has_no_numbers_even_when_nobody_says_so(bad, where, row):
     block = noisy(batch=(3,))
-    getattr(block, where)[row, 1, 4] = bad
+    block[where][row, 1, 4] = bad
     found, intact = measure(block), measure(noisy(batch=(3,)))
     for name, value in found.items():
         assert not np.any(np.isinf(value)), name
@@ -207,16 +205,16 @@ def test_a_run_that_is_too_short_has_no_steady_regime():
 
 
 def test_without_a_sliding_variable_nothing_is_said_of_it():
-    found = measure(noisy()._replace(signals={}))
+    found = measure(without(noisy(), "s", "reaching_bound"))
     missing = {"reaching_time", "reaching_bound", "layer_share", "sliding_violations"}
     assert set(found) == set(METRICS) - missing
-    assert set(measure(noisy(), phi=None)) == set(METRICS) - {"layer_share"}
+    assert set(measure(noisy(), layer=None)) == set(METRICS) - {"layer_share"}
 
 
 def test_the_promised_reaching_time_is_the_first():
     block = noisy(batch=(2,))
     bound = np.linspace(3.0, 0.0, ROWS)[:, None, None] * np.array([[1.0], [2.0]])
-    found = measure(block._replace(signals={"s": block.signals["s"], "reaching_bound": bound}))
+    found = measure({**block, "reaching_bound": bound})
     np.testing.assert_array_equal(found["reaching_bound"], [3.0, 6.0])
 
 
@@ -226,7 +224,7 @@ def test_the_promised_reaching_time_is_the_first():
         ({"control_period": 0.0}, "control period holds 0; it must be above 0 and finite"),
         ({"control_period": np.nan}, "control period holds nan"),
         ({"input_limit": [1.0, -2.0]}, "input limit holds -2; it must be above 0"),
-        ({"phi": -1.0}, "phi holds -1; it must be at least 0 and finite"),
+        ({"layer": -1.0}, "layer holds -1; it must be at least 0 and finite"),
         ({"band": np.inf}, "band holds inf"),
         ({"corner": 0.0}, "corner holds 0"),
     ],
@@ -237,8 +235,8 @@ def test_settings_that_make_no_sense_are_refused(options, message):
 
 
 def test_settings_that_do_not_fit_the_arms_are_refused():
-    with pytest.raises(ValueError, match=r"phi has shape \(4,\); it must broadcast to \(2, 6\)"):
-        measure(noisy(batch=(2,)), phi=np.ones(4))
+    with pytest.raises(ValueError, match=r"layer has shape \(4,\); it must broadcast to \(2, 6\)"):
+        measure(noisy(batch=(2,)), layer=np.ones(4))
 
 
 def test_there_is_no_result_of_nothing():
@@ -247,7 +245,7 @@ def test_there_is_no_result_of_nothing():
     assert_same_bits(measure(take(noisy(), slice(0, 0)), noisy()), measure(noisy()))
 
 
-def smooth(period: float, duration: float = 6.0) -> Block:
+def smooth(period: float, duration: float = 6.0) -> Rows:
     """A motion that is smooth in time, at any control rate."""
     t = period * np.arange(round(duration / period))
     x, fade = t[:, None], np.exp(-3.0 * t)[:, None]
@@ -259,12 +257,13 @@ def smooth(period: float, duration: float = 6.0) -> Block:
     force = size * (5.0 * np.sin(np.pi * x) + 2.0 * np.sin((250.0 + 30.0 * pace) * x)) + 30.0 * fade
     s = 3.0 * fade + 0.4 * np.sin((5.0 + pace) * x) + np.array([0, 0, 0, 0, 0, 2.0])
     tau = np.clip(5.0 * np.sin((3.0 + pace) * x), -4.0, 4.0)
-    return Block(t, q_d + e, q_d, tau, force, {"s": s, "reaching_bound": 0.0 * x + 1.0})
+    fields = {"t": t, "q": q_d + e, "q_d": q_d, "tau": tau, "force": force, "s": s}
+    return {**fields, "reaching_bound": 0.0 * x + 1.0}
 
 
 def test_halving_the_control_period_changes_nothing_but_what_says_so():
     coarse, fine, true = (
-        measure(smooth(h), control_period=h, input_limit=4.0, phi=0.3)
+        measure(smooth(h), control_period=h, input_limit=4.0, layer=0.3)
         for h in (5e-4, 2.5e-4, 6.25e-5)
     )
     assert list(coarse) == list(METRICS)
@@ -286,8 +285,8 @@ def test_halving_the_period_of_a_force_that_switches_at_every_instant():
     found = []
     for period in (1e-3, 5e-4, 2.5e-4, 1.25e-4):
         block = smooth(period, 4.0)
-        switching = np.where(np.arange(len(block.t)) % 2, 1.0, -1.0)[:, None] * np.ones(6)
-        found.append(measure(block._replace(force=switching), control_period=period))
+        switching = np.where(np.arange(len(block["t"])) % 2, 1.0, -1.0)[:, None] * np.ones(6)
+        found.append(measure({**block, "force": switching}, control_period=period))
     chattering = np.array([one["chattering"][0] for one in found])
     variation = np.array([one["total_variation"][0] for one in found])
     steps = np.abs(np.diff(chattering))
@@ -295,26 +294,29 @@ def test_halving_the_period_of_a_force_that_switches_at_every_instant():
     np.testing.assert_allclose(variation[1:], 2.0 * variation[:-1])
 
 
-def trajectory(block: Block, **changes: Any) -> Trajectory:
-    rest: dict[str, Any] = {"v": block.q, "v_d": block.q_d, "disturbance": block.q}
-    return Trajectory(**block._asdict() | rest | changes)
-
-
-def test_a_run_is_measured_as_its_stream_would_be():
-    block = noisy()
-    found = runs.measure(trajectory(block), input_limit=1.5, phi=PHI)
-    expected = measure(*(take(block, slice(i, i + 1)) for i in range(ROWS)))
-    assert list(found) == list(expected)
-    for name, value in expected.items():
-        numbers = np.array(found[name], dtype=float)  # None becomes NaN
-        np.testing.assert_array_equal(numbers, value)
-    assert found["step_overshoot"] == [None] * 6 and isinstance(found["control_rate"], float)
+def test_metrics_are_plain_numbers_in_json():
+    results = measure(noisy())
+    plain = as_json(results)
+    assert list(plain) == list(results)
+    for name, values in results.items():
+        np.testing.assert_array_equal(np.array(plain[name], dtype=float), values)  # None is NaN
+    assert plain["step_overshoot"] == [None] * 6 and isinstance(plain["control_rate"], float)
 
 
 @pytest.mark.parametrize("rows", [1, ROWS])
 def test_a_diverged_run_has_no_numbers(rows):
     block = take(noisy(), slice(0, rows))
-    block.tau[-1] = np.nan
-    found = runs.measure(trajectory(block, status="diverged"))
-    assert found["effort"] == found["settling_time"] == [None] * 6
-    assert found["tip_rms_error"] is None
+    block["tau"][-1] = np.nan
+    plain = as_json(measure(block, diverged=True))
+    assert plain["effort"] == plain["settling_time"] == [None] * 6
+    assert plain["tip_rms_error"] is None
+
+
+def test_a_table_has_a_column_for_each_number_with_its_unit():
+    held = {column.name: column for column in columns(["a", "b"], ["m", "rad"])}
+    assert held["rms_error_a"] == ("rms_error_a", "rms_error", "a", 0, "m")
+    assert held["rms_error_b"].metadata == {"metric": "rms_error", "of": "b", "unit": "rad"}
+    assert [held[f"{name}_b"].unit for name in ("force_effort", "energy")] == ["N m", "J"]
+    assert held["effort_tau2"].unit == "N" and held["tip_rms_error"].of == ""
+    numbers = [1 if metric.of == "arm" else 2 for metric in METRICS.values()]
+    assert len(held) == sum(numbers)

@@ -14,6 +14,7 @@ from octarm import ArmParameters
 from octarm.arm import lagrange
 from octarm.arm.mjcf import (
     build_model,
+    build_slim_model,
     coordinate_names,
     nominal_parameters,
     paper_order,
@@ -256,3 +257,30 @@ def test_pictures_follow_the_sizes_of_the_arm(factors, longer, wider):
         was, now = before.geom(name), after.geom(name)
         np.testing.assert_allclose(now.pos[:2], was.pos[:2] * [longer, wider])
         np.testing.assert_allclose(now.size[:2], was.size[:2] * [wider, longer])
+
+
+@pytest.mark.parametrize("n", [1, 3, 5])
+def test_the_slim_model_moves_with_the_same_bits(n: int):
+    """Every bit of the integration state, over 500 steps from random states and inputs."""
+    arm, states = random_arm(n, n), []
+    for build in (build_model, build_slim_model):
+        model = build(arm, 1e-3)
+        data, (positions, velocities) = mujoco.MjData(model), paper_order(model)
+        np.testing.assert_array_equal(model.key("hanging").qpos, build_model(arm).key_qpos[0])
+        data.qpos[positions], data.qvel[velocities] = random_state(n, n)
+        draw, rows = np.random.default_rng(n), []
+        for _ in range(500):
+            data.ctrl[:] = draw.normal(size=2 * n)
+            data.qfrc_applied[:] = 0.01 * draw.normal(size=2 * n)
+            mujoco.mj_step(model, data)
+            rows.append(np.concatenate([data.qpos, data.qvel, data.qacc, [data.time]]))
+        states.append(np.stack(rows))
+    np.testing.assert_array_equal(*states)
+    assert np.all(np.isfinite(states[0]))
+
+
+def test_the_slim_model_has_nothing_but_what_moves():
+    model = build_slim_model()
+    empty = (model.ngeom, model.nsite, model.nsensor, model.ncam, model.nlight)
+    assert empty == (0, 0, 0, 0, 0)
+    assert (model.nq, model.nu, model.ntendon, model.nkey) == (6, 6, 6, 1)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from arm_states import REST, UNCERTAIN, P, U, hand_set, random_box, random_instant, simulated
 
-from controllers.model_error import largest_model_error, reaching_time_bound
-from controllers.sliding_mode import sliding_surface
+from controllers.sliding_mode import reaching_time_bound, sliding_surface
 from octarm.arm.lagrange import (
     coriolis_matrix,
     damping_matrix,
@@ -19,6 +18,7 @@ from octarm.arm.lagrange import (
     mass_matrix,
     potential_force,
 )
+from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
 from octarm.references import SetPoint, named_reference
 from octarm.simulation.environment import load
@@ -40,7 +40,7 @@ def test_the_bound_covers_every_arm_of_the_box_and_one_at_a_vertex_attains_it(mo
         gravity=9.81,
     )
     (_, q, v), (_, v_r, a_r) = random_instant(n, arm)
-    bound = largest_model_error(arm, np.array(U), q, v, a_r, v_r)
+    bound = LagrangeModel(arm).largest_error(np.array(U), q, v, a_r, v_r)
 
     def error(true: ArmParameters) -> np.ndarray:
         return inverse_dynamics(arm, q, v, a_r, v_r) - inverse_dynamics(true, q, v, a_r, v_r)
@@ -77,7 +77,7 @@ def test_the_uncertainty_is_what_a_mismatch_does(mismatch: float):
     (_, q, v), (_, v_r, a_r) = random_instant(3000)
     nominal = P.mismatched(mismatch)
     F = inverse_dynamics(nominal, q, v, a_r, v_r) - inverse_dynamics(P, q, v, a_r, v_r)
-    bound = largest_model_error(nominal, np.array(abs(mismatch)), q, v, a_r, v_r)
+    bound = LagrangeModel(nominal).largest_error(np.array(abs(mismatch)), q, v, a_r, v_r)
     assert np.all(np.abs(F) <= bound * (1.0 + 1e-9))
 
 
@@ -100,7 +100,7 @@ def test_the_gain_as_printed_is_too_small(mismatch: float):
     F = np.abs(inverse_dynamics(nominal, q, v, a) - inverse_dynamics(P, q, v, a))
     short = F > printed_gain(nominal, v, q, np.zeros_like(q))
     assert np.all(np.any(short, axis=-1))  # of some coordinate, at every instant of the sine
-    assert np.all(F <= largest_model_error(nominal, np.array(U), q, v, a, v) * (1.0 + 1e-9))
+    assert np.all(F <= LagrangeModel(nominal).largest_error(np.array(U), q, v, a, v) * (1.0 + 1e-9))
 
     measurement, reference = random_instant(3000)
     surface = sliding_surface(15.0, measurement, reference)
@@ -109,7 +109,7 @@ def test_the_gain_as_printed_is_too_small(mismatch: float):
     F = np.abs(inverse_dynamics(nominal, *arguments) - inverse_dynamics(P, *arguments))
     short = F > printed_gain(nominal, v, q, surface.s)
     assert np.mean(np.any(short, axis=-1)) > 0.01
-    assert np.all(F <= largest_model_error(nominal, np.array(U), *arguments) * (1.0 + 1e-9))
+    assert np.all(F <= LagrangeModel(nominal).largest_error(np.array(U), *arguments) * (1.0 + 1e-9))
 
 
 def test_a_gain_is_either_given_or_derived():
@@ -180,7 +180,7 @@ def test_the_reaching_bound_holds_for_every_arm_of_the_box_and_every_bend():
     q, s = random_instant(n)[0].q, random_instant(n, seed=1)[0].v
     eta, u = hand_set("smc", P, {"uncertainty": U}).eta, np.array(U)
     V = kinetic_energy(nominal, q, s)[..., None]
-    bound = reaching_time_bound(nominal, u, eta, q, V)[:, 0]
+    bound = reaching_time_bound(LagrangeModel(nominal), u, eta, q, V)[:, 0]
     bent = q.copy()
     bent[:, 3:] = draw.uniform(-3.0, 3.0, (n, 3))
     later = draw.normal(size=(n, 6)) / eta * draw.integers(0, 2, (n, 6))
@@ -189,6 +189,6 @@ def test_the_reaching_bound_holds_for_every_arm_of_the_box_and_every_bend():
     assert np.all(np.sqrt(2.0 * kinetic_energy(P, q, s) * L) <= bound)
     # For the exact model, the straight arm and the slowest coordinate alone there is nothing left.
     straight = np.concatenate([q[:, :3], np.zeros((n, 3))], axis=-1)
-    exact = reaching_time_bound(P, np.array(0.0), eta, straight, V)[:, 0]
+    exact = reaching_time_bound(LagrangeModel(P), np.array(0.0), eta, straight, V)[:, 0]
     D_ii = np.diagonal(mass_matrix(P, straight), axis1=-2, axis2=-1)
     np.testing.assert_allclose(exact, np.sqrt(2.0 * V[:, 0] * np.max(D_ii / eta**2, axis=-1)))

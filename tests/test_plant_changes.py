@@ -9,10 +9,16 @@ from scipy import stats
 from octarm.arm.lagrange import equilibrium, potential_force
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
-from octarm.disturbances.drift import CyclicDrift, Drift
+from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Episode, Plant, PlantChange
-from octarm.disturbances.plant import GravityTilt, Mismatch, Payload, RandomMismatch
-from octarm.disturbances.spelling import Acting
+from octarm.disturbances.plant import (
+    CyclicDrift,
+    Drift,
+    GravityTilt,
+    Mismatch,
+    Payload,
+    RandomMismatch,
+)
 from octarm.references import named_reference
 
 P = nominal_parameters()
@@ -94,7 +100,7 @@ def test_mismatch_has_further_factors():
 
 
 def test_tilted_gravity_adds_up():
-    acting = Acting(
+    acting = ActiveDisturbances(
         [GravityTilt(angle=0.1), Mismatch(tilt=0.05), GravityTilt(angle=-0.4)], episode()
     )
     plant = acting.plant(0)
@@ -199,7 +205,7 @@ def test_changes_act_in_a_fixed_order_from_the_undisturbed_arm():
     """The payload is not scaled, whatever the order in which they are listed."""
     changes = [Payload(mass=0.2, at=0.1), Mismatch(mass=1.5), Drift(rate=0.1, of="mass")]
     for listed in (changes, changes[::-1]):
-        acting = Acting(listed, episode(1e-3))
+        acting = ActiveDisturbances(listed, episode(1e-3))
         known = {k: plant for k in range(400) if (plant := acting.plant(k)) is not None}
         assert sorted(known) == list(range(0, 400, 10))
         for k, plant in known.items():

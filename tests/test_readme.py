@@ -49,7 +49,7 @@ def test_every_command_is_understood(line: str):
 
 def test_the_two_commands_are_the_only_ones_of_sh():
     first, second = [line for lang, code in BLOCKS if lang == "sh" for line in code.splitlines()]
-    assert first.endswith("octarm run --view") and second.endswith("pytest")
+    assert first.endswith("octarm run --view") and second.endswith("pytest -n auto")
 
 
 def test_every_command_controller_and_reference_that_stands_there_is_known():

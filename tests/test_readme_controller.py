@@ -19,7 +19,7 @@ README = Path(__file__).resolve().parent.parent / "README.md"
 def feedforward(monkeypatch: pytest.MonkeyPatch) -> str:
     """The name under which the README's controller is in the table."""
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-    (source,) = (block for block in blocks if "initial_state" in block)
+    (source,) = (block for block in blocks if "(Law)" in block)
     scope: dict = {"__name__": "controllers.feedforward"}
     exec(compile(source, "README.md", "exec"), scope)  # what a reader would paste into a file
     kinds = [x for x in scope.values() if dataclasses.is_dataclass(x)]

@@ -10,6 +10,8 @@ from dm_control.suite.wrappers import action_noise
 from controllers import make_controller
 from octarm.arm.lagrange import force_coefficients, forward_dynamics
 from octarm.arm.mjcf import nominal_parameters
+from octarm.disturbances.spelling import parse_disturbance
+from octarm.errors import OctarmError
 from octarm.interfaces import Command
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout
@@ -171,6 +173,26 @@ def test_the_twin_on_disk_is_equal_and_equal_runs_give_equal_bytes(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npz", "b.npz"]
 
 
+def test_the_layer_of_the_first_command_is_kept(tmp_path):
+    p = nominal_parameters()
+    run = rollout(load(), make_controller("smc-boundary", p, {"phi": 0.25}), 0.005)
+    np.testing.assert_array_equal(run.layer, np.full(6, 0.25))
+    run.save(tmp_path / "a.npz")
+    np.testing.assert_array_equal(Trajectory.load(tmp_path / "a.npz").layer, run.layer)
+    assert rollout(load(), make_controller("smc", p), 0.005).layer is None
+
+
+@pytest.mark.parametrize("name", ["q", "layer", "digest", "q_measured"])
+def test_a_signal_with_the_name_of_another_field_is_refused_at_once(name):
+    class Named(Probe):
+        def __call__(self, state, measurement, reference):
+            return Command(np.zeros(6), {name: np.zeros(6)}), state
+
+    environment = load(disturbances=[parse_disturbance("measurement-noise:0.001")])
+    with pytest.raises(ValueError, match=f"a signal cannot be called '{name}'"):
+        rollout(environment, Named(), 1.0)
+
+
 def test_a_trajectory_is_read_only_and_checks_itself(tmp_path):
     run = rollout(load(), Probe(), 0.005)
     with pytest.raises(ValueError, match="read-only"):
@@ -182,3 +204,5 @@ def test_a_trajectory_is_read_only_and_checks_itself(tmp_path):
     (tmp_path / "x.npz").write_bytes(b"nonsense")
     with pytest.raises(ValueError, match="is not a trajectory file"):
         Trajectory.load(tmp_path / "x.npz")
+    with pytest.raises(OctarmError, match=r"y\.npz cannot be read: No such file"):
+        Trajectory.load(tmp_path / "y.npz")

@@ -14,6 +14,7 @@ from arm_states import REST, P, energy_rate, random_instant
 
 from octarm.arm.kinematics import jacobian, positions
 from octarm.arm.lagrange import damping_matrix, stiffness_matrix
+from octarm.arm.nominal import LagrangeModel
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 Script = Callable[..., list[list[str]]]
@@ -80,7 +81,7 @@ def test_the_new_controller_has_the_lyapunov_function_that_it_claims():
     draw = np.random.default_rng(0)
     K_s, L = draw.uniform(1.0, 9.0, (2, 6))
     law = names_in("new_controller.py")["LearningSlidingMode"](
-        nominal=P, lambda_=20.0, K_s=K_s, L=L
+        nominal=LagrangeModel(P), lambda_=20.0, K_s=K_s, L=L
     )
     measurement, reference = random_instant(50)
     missing = draw.normal(size=(50, 6))  # pushes the arm; F is what balances it

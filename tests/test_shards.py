@@ -9,9 +9,9 @@ from controllers import CONTROLLERS, make_controller
 from octarm.metrics.table import METRICS
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.simulation.rollout import simulate
-from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.shards import begin, run_arms, run_shard, schema
+from octarm.sweeps.spec_file import parse_spec
 
 # Gains that stand the delays of EVERYTHING, and not the model error of WILD, whatever is tuned.
 FACTORY = functools.partial(make_controller, gain_set="recommended")

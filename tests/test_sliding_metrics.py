@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from octarm.metrics.metric import Settings
 from octarm.metrics.sliding import Sliding
 
 STEP = 1e-3
@@ -12,11 +13,11 @@ STEP = 1e-3
 
 def measure(s: np.ndarray, phi: float | None = None, step: float = STEP) -> dict[str, float]:
     rows, t = s[:, None], step * np.arange(len(s))
-    sliding = Sliding(rows[0], phi)
+    sliding = Sliding({"s": rows[0]}, Settings(control_period=step, layer=phi))
     for late in (False, True):
         now = (t >= 2.0) == late
         if now.any():
-            sliding.update(t[now], rows[now], late)
+            sliding.update({"t": t[now], "s": rows[now]}, late)
     return {name: value.item() for name, value in sliding.result().items()}
 
 

@@ -16,13 +16,13 @@ import pytest
 
 import octarm
 from controllers import make_controller
-from octarm.checks.verify_episode import FinishedSweep
+from octarm.checks.verify_episode import check_episode
+from octarm.sweeps.episodes import FinishedSweep
 from octarm.sweeps.execute import estimate
-from octarm.sweeps.folder import MANIFEST, read_manifest, read_row, shard_name
-from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.plan import Plan
-from octarm.sweeps.shard_file import labels_of
 from octarm.sweeps.shards import run_arms
+from octarm.sweeps.spec_file import parse_spec
+from octarm.sweeps.store import MANIFEST, origin_of, read_manifest, read_row
 from octarm.sweeps.workers import WorkerProcesses
 
 SPEC = """\
@@ -152,7 +152,7 @@ def test_an_error_in_shards_ends_the_sweep_soon_and_keeps_the_rest(tmp_path, und
 def test_resume_runs_what_is_missing_or_damaged_and_nothing_else(tmp_path, undisturbed):
     folder = tmp_path / "s"
     run(folder)
-    files = [folder / "episodes" / shard_name(i) for i in range(SHARDS)]
+    files = [folder / "episodes" / f"{i:05d}.parquet" for i in range(SHARDS)]
     files[0].unlink()
     files[1].write_bytes(files[1].read_bytes()[:-100])
     content = bytearray(files[2].read_bytes())
@@ -214,7 +214,7 @@ def test_the_gain_set_of_a_spec_is_used_and_written_down(tmp_path):
     assert set(asked) == {("pd", "recommended"), ("smc", None)}
     assert read_manifest(folder)["spec"]["gain_set.pd"] == "recommended"
     asked.clear()
-    assert FinishedSweep(folder).check(0, factory).identical
+    assert check_episode(FinishedSweep(folder), 0, factory).identical
     assert set(asked) == {("pd", "recommended")}
     with pytest.raises(ValueError, match=r"gain_set.pd is \"recommended\" there and is not given"):
         run(folder, text[: text.index("[gain_set]")], resume=True)
@@ -270,7 +270,7 @@ def test_a_full_disk_is_one_sentence_and_costs_no_finished_shard(
     with pytest.raises(OSError, match=r"00002.parquet cannot be written: No space left"):
         run(tmp_path / "s")
     monkeypatch.undo()
-    assert sorted(os.listdir(tmp_path / "s" / "episodes")) == [shard_name(0), shard_name(1)]
+    assert sorted(os.listdir(tmp_path / "s" / "episodes")) == ["00000.parquet", "00001.parquet"]
     done = []
     assert run(tmp_path / "s", resume=True, progress=done.append).equals(undisturbed)
     assert done[0] == 8
@@ -289,7 +289,7 @@ def test_the_manifest_says_what_was_run(tmp_path, undisturbed):
 
 def test_a_shard_says_where_it_was_run(tmp_path):
     run(tmp_path / "s")
-    facts = labels_of(read_row(tmp_path / "s", 23))
+    facts = origin_of(read_row(tmp_path / "s", 23))
     assert facts["versions"]["octarm"] == version("octarm")
     assert facts["host"]["cores"] == os.cpu_count()
     with pytest.raises(ValueError, match=r"episode 24 of .* is not finished"):
@@ -306,7 +306,7 @@ def test_chosen_columns_are_read_alone(tmp_path):
     run(tmp_path / "s")
     table = octarm.read_sweep(tmp_path / "s", ["controller", "effort_tau1"])
     assert table.column_names == ["controller", "effort_tau1"]
-    assert table.schema.field("effort_tau1").metadata == {b"unit": b"N"}
+    assert table.schema.field("effort_tau1").metadata[b"unit"] == b"N"
 
 
 def test_an_estimate_counts_episodes_and_writes_nothing(tmp_path, monkeypatch):
@@ -326,7 +326,7 @@ sys.path.insert(0, "tests")
 from test_sweep import SPEC, Inline
 import octarm
 from controllers import make_controller
-from octarm.sweeps.parser import parse_spec
+from octarm.sweeps.spec_file import parse_spec
 spec = SPEC.replace("batch = 4", "batch = 200")
 CASES = [(100, 0.0005), (100, 0.0005), (1000, 0.0005), (100, 0.04)]
 for i, (episodes, duration) in enumerate(CASES):

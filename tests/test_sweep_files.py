@@ -1,69 +1,82 @@
-"""The file of a shard comes back as it was written, or not at all."""
+"""The shards of a sweep come back as they were written, or not at all."""
 
 import itertools
+import json
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from test_sweep import Inline
 
-from octarm.sweeps.shard_file import labels_of, read_shard, write_shard
+import octarm
+from controllers import make_controller
+from octarm.sweeps.spec_file import parse_spec
+from octarm.sweeps.store import read_manifest
 
-LABELS = {"spec": "3f", "first": 8, "host": {"cpu": "x", "cores": 2}}
+SPEC = 'controller = "pd"\nduration = 0.002\nepisodes = 2\nbatch = 1'
 
 
-def rows() -> pa.Table:
-    """Numbers, words, lists and what is missing, as in the table of a sweep."""
-    marks = pa.array(np.arange(6, dtype=np.uint64))
-    return pa.table(
-        {
-            "episode": pa.array([8, 9, 10], pa.int64()),
-            "controller": ["pd", "smc", "smc"],
-            "effort": pa.array([0.0, None, 2.5e-3], pa.float64()),
-            "marks": pa.FixedSizeListArray.from_arrays(marks, 2),
-        }
-    )
+@pytest.fixture(scope="module")
+def original(tmp_path_factory) -> tuple[dict[str, bytes], pa.Table]:
+    folder = tmp_path_factory.mktemp("original") / "s"
+    octarm.sweep(parse_spec(SPEC), make_controller, folder, executor=Inline(), in_flight=1)
+    files = {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+    return files, octarm.read_sweep(folder)
 
 
 @pytest.fixture
-def file(tmp_path) -> Path:
-    write_shard(tmp_path / "00001.parquet", rows(), LABELS)
-    return tmp_path / "00001.parquet"
+def folder(original, tmp_path) -> Path:
+    for name, content in original[0].items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(content)
+    return tmp_path
 
 
-def test_rows_and_labels_come_back(file):
-    table = read_shard(file)
-    assert table.equals(rows())
-    assert labels_of(table) == LABELS
-    assert read_shard(file, ["effort"]).equals(rows().select(["effort"]))
-    assert pq.read_table(file).equals(rows())  # it is a Parquet file like any other
-    with pytest.raises(ValueError, match="no column 'effrot'"):
-        read_shard(file, ["effrot"])
+def test_a_shard_is_a_parquet_file_like_any_other(folder, original):
+    table = original[1]
+    assert pq.read_table(folder / "episodes/00001.parquet").equals(table.slice(1, 1))
+    assert octarm.read_sweep(folder, ["effort_tau1"]).equals(table.select(["effort_tau1"]))
+    with pytest.raises(ValueError, match="no column 'efort_tau1', did you mean 'effort_tau1'"):
+        octarm.read_sweep(folder, ["efort_tau1"])
 
 
-def test_a_bit_that_is_flipped_is_noticed_wherever_it_is_and_whatever_is_read(file):
+def test_a_bit_that_is_flipped_is_noticed_wherever_it_is(folder):
+    file = folder / "episodes/00001.parquet"
     content = file.read_bytes()
     damaged = bytearray(content)
-    for place in range(len(content)):
+    for place in range(0, len(content), 7):
         bit = 1 << place % 8
         damaged[place] ^= bit
         file.write_bytes(damaged)
         damaged[place] ^= bit
         with pytest.raises(ValueError, match=r"00001\.parquet is damaged"):
-            read_shard(file, ["effort"] if place % 2 else None)
+            octarm.read_sweep(folder, ["effort_tau1"] if place % 2 else None)
 
 
-def test_any_piece_that_is_lost_or_added_is_noticed(file):
+def test_any_piece_that_is_lost_or_added_is_noticed(folder):
+    file = folder / "episodes/00001.parquet"
     content = file.read_bytes()
-    cuts = itertools.chain(range(0, len(content), 50), range(len(content) - 100, len(content)))
-    for broken in (*(content[:cut] for cut in cuts), content[1:], content + b"\n", content * 2):
+    cuts = itertools.chain(range(0, len(content), 500), range(len(content) - 20, len(content)))
+    other = (folder / "episodes/00000.parquet").read_bytes()
+    pieces = (content[:cut] for cut in cuts)
+    for broken in (*pieces, content[1:], content + b"\n", content * 2, other):
         file.write_bytes(broken)
         with pytest.raises(ValueError, match="is damaged"):
-            read_shard(file)
+            octarm.read_sweep(folder)
 
 
-def test_a_file_by_another_hand_is_not_taken(tmp_path):
-    pq.write_table(rows(), tmp_path / "other.parquet")
-    with pytest.raises(ValueError, match="is damaged: it does not have the digest"):
-        read_shard(tmp_path / "other.parquet")
+def test_a_file_that_the_manifest_does_not_know_is_not_taken(folder):
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["shards"][1]["sha256"] = ""  # as if it was never finished
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    assert len(octarm.read_sweep(folder)) == 1
+
+
+def test_a_sweep_of_another_format_is_refused(folder):
+    manifest = read_manifest(folder)
+    assert manifest["format"] == 2
+    for version in (1, 3):
+        (folder / "manifest.json").write_text(json.dumps({**manifest, "format": version}))
+        with pytest.raises(ValueError, match=rf"manifest.json has format {version}; this version"):
+            octarm.read_sweep(folder)

@@ -20,7 +20,8 @@ import octarm
 from octarm.errors import ExitCode
 from octarm.sweeps.workers import WorkerProcesses, dask_cluster
 
-KILLS = 20 if "OCTARM_LONG_TESTS" in os.environ else 1
+KILLS = 20
+pytestmark = pytest.mark.slow
 LONGER = SPEC.replace("episodes = 3", "episodes = 12")  # 24 shards
 
 
@@ -102,7 +103,7 @@ def test_an_interrupted_command_finishes_its_shards_and_says_how_to_go_on(
     assert process.returncode == ExitCode.INTERRUPTED
     assert "Traceback" not in error
     assert f"octarm sweep {spec_file} --out {folder} --workers 2 --resume" in error
-    assert not (folder / ".under-way").exists()
+    assert not (folder / ".progress").exists()
     finished = len(octarm.read_sweep(folder, ["episode"]))
     assert 0 < finished < len(longer)
     done: list[int] = []

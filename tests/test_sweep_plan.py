@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from octarm.disturbances.forces import BandLimitedNoise
 from octarm.disturbances.streams import stream
-from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.plan import Plan
+from octarm.sweeps.spec_file import parse_spec
 
 SPEC = """\
 seed = 5

@@ -12,11 +12,10 @@ import pytest
 from test_sweep import SPEC, run
 
 from controllers import make_controller
-from octarm.interfaces import Controller
-from octarm.sweeps import under_way
-from octarm.sweeps.bar import ProgressBar
-from octarm.sweeps.parser import parse_spec
-from octarm.sweeps.under_way import Notes, Watched, run_noted_shard
+from octarm.sweeps import progress
+from octarm.sweeps.progress import Note, Notes, ProgressBar
+from octarm.sweeps.shards import run_shard
+from octarm.sweeps.spec_file import parse_spec
 
 
 @pytest.fixture(scope="module")
@@ -24,15 +23,12 @@ def undisturbed(tmp_path_factory) -> pa.Table:
     return run(tmp_path_factory.mktemp("undisturbed") / "sweep")
 
 
-def test_who_runs_a_shard_notes_how_far_it_is(tmp_path, monkeypatch, undisturbed):
-    spec, seen = parse_spec(SPEC), []
-    monkeypatch.setattr(under_way, "_EVERY", 0.0)
+def test_a_shard_notes_how_far_it_is(tmp_path, monkeypatch, undisturbed):
+    spec, shares = parse_spec(SPEC), []
+    monkeypatch.setattr(progress, "_EVERY", 0.0)
     with Notes(tmp_path / "notes") as notes:
-
-        def factory(*given) -> Controller:
-            return Watched(make_controller(*given), lambda _: seen.append(notes.share(1)))
-
-        table = run_noted_shard(spec, 1, factory, notes.file(1))
+        note = Note(notes.file(1), spec.duration)
+        table = run_shard(spec, 1, make_controller, note, lambda _: shares.append(notes.share(1)))
         assert notes.share(1) == pytest.approx(1.0, abs=0.05)
         assert notes.share(0) == 0.0
         notes.file(0).write_text("nan?")  # half of a note
@@ -40,12 +36,12 @@ def test_who_runs_a_shard_notes_how_far_it_is(tmp_path, monkeypatch, undisturbed
         notes.forget(1)
         assert notes.share(1) == 0.0
     assert not (tmp_path / "notes").exists()
-    assert seen == sorted(seen) and len(set(seen)) == 40  # of every control period
+    assert shares == sorted(shares) and len(set(shares)) == 40  # of every control period
     assert undisturbed.slice(4, 4).equals(
         table.drop_columns("wall_time").replace_schema_metadata(None)
     )
-    run_noted_shard(parse_spec('controller = "pd"\nduration = 0.001'), 0, make_controller,
-                    tmp_path / "not there" / "0")  # fmt: skip
+    short = parse_spec('controller = "pd"\nduration = 0.001')
+    run_shard(short, 0, make_controller, Note(tmp_path / "not there" / "0", 0.001))
 
 
 def test_parts_of_shards_are_reported_while_they_are_at_work(tmp_path, undisturbed):
@@ -63,10 +59,10 @@ def test_parts_of_shards_are_reported_while_they_are_at_work(tmp_path, undisturb
             return future
 
     parts = []
-    assert run(tmp_path / "s", executor=Slow(), under_way=parts.append).equals(undisturbed)
+    assert run(tmp_path / "s", executor=Slow(), partial=parts.append).equals(undisturbed)
     assert parts[0] == 2.0  # of four episodes
     assert parts[-1] == 0.0
-    assert not (tmp_path / "s" / ".under-way").exists()
+    assert not (tmp_path / "s" / ".progress").exists()
 
 
 class Terminal(io.StringIO):

@@ -1,6 +1,7 @@
 """The report on a sweep: its numbers, its doubts, its page."""
 
 import csv
+import hashlib
 import html.parser
 import json
 import re
@@ -18,19 +19,20 @@ from hypothesis import strategies as st
 
 import octarm
 from controllers import make_controller
+from octarm.arrays import coordinate_names, coordinate_units
 from octarm.commands.cli import main
 from octarm.errors import ExitCode
+from octarm.formats import FORMAT
 from octarm.metrics.table import METRICS
-from octarm.reports.checks import findings
-from octarm.reports.episodes import read_episodes
-from octarm.reports.figures import pictures
-from octarm.reports.findings import make_report, partners
-from octarm.reports.page import inline_svg
-from octarm.reports.panels import COLORS
-from octarm.reports.tables import number
-from octarm.sweeps.folder import labels
-from octarm.sweeps.parser import parse_spec
-from octarm.sweeps.shard_file import write_shard
+from octarm.metrics.table import columns as metric_columns
+from octarm.reports.charts import pictures
+from octarm.reports.comparisons import compare, partners
+from octarm.reports.consistency import remarks
+from octarm.reports.figures import COLORS, inline_svg
+from octarm.reports.frame import read_episodes
+from octarm.reports.page import number
+from octarm.sweeps.spec_file import parse_spec
+from octarm.sweeps.store import shard_bytes
 
 HOSTILE = '<script>alert("&")</script>'
 NOISES, MISMATCHES, SEEDS = (0.0, 0.2, 0.4), (-0.3, 0.3), 6
@@ -98,6 +100,7 @@ def write_sweep(folder: Path, table: dict[str, np.ndarray], **changes) -> Path:
     ]
     start = {"time": "2026-01-01", "versions": {"numpy": "2"}, "host": {"cpu": "x", "cores": 2}}
     manifest = {
+        "format": FORMAT,
         "spec": spec,
         "spec_hash": "abc",
         "episodes": n,
@@ -107,20 +110,22 @@ def write_sweep(folder: Path, table: dict[str, np.ndarray], **changes) -> Path:
     }
     for key, value in changes.items():
         (spec if key in spec or "." in key else manifest)[key] = value
-    (folder / "manifest.json").write_text(json.dumps(manifest))
     (folder / "spec.toml").write_text(f"# {HOSTILE}\nseed = 0\n")
-    metrics = {name for name in table if any(name.startswith(metric) for metric in METRICS)}
+    known = metric_columns(coordinate_names(3), coordinate_units(3))
+    metadata = {column.name: column.metadata for column in known}
     fields = []
     arrays = []
     for name, column in table.items():
         missing = np.isnan(column) if column.dtype.kind == "f" else None
         arrays.append(pa.array(column, mask=missing))
-        unit = {"unit": "m" if "tip" in name else "%" if "over" in name else "rad"}
-        fields.append(pa.field(name, arrays[-1].type, metadata=unit if name in metrics else None))
+        fields.append(pa.field(name, arrays[-1].type, metadata=metadata.get(name)))
     whole = pa.table(arrays, pa.schema(fields))
     for shard in shards:
         rows = whole.slice(shard["first"], shard["episodes"])
-        write_shard(folder / shard["file"], rows, labels("abc", shard["first"]))
+        content = shard_bytes(rows)
+        (folder / shard["file"]).write_bytes(content)
+        shard["sha256"] = hashlib.sha256(content).hexdigest()
+    (folder / "manifest.json").write_text(json.dumps(manifest))
     return folder
 
 
@@ -151,22 +156,22 @@ def test_the_default_metrics_are_those_of_what_moves(known):
         "rms_error_theta1", "rms_error_theta2", "tip_rms_error", "effort", "overshoot_theta1",
     ]  # fmt: skip
     assert episodes.absent == ("chattering", "overshoot_theta2")
-    assert [axis.name for axis in episodes.axes] == ["mismatch", "noise"]
-    assert episodes.axes[1].labels == ("0", "0.2", "0.4")
+    assert [axis.name for axis in episodes.factors] == ["mismatch", "noise"]
+    assert episodes.factors[1].labels == ("0", "0.2", "0.4")
 
 
 def test_medians_and_differences_are_those_of_the_formula(known):
-    report = make_report(read_episodes(known, ["rms_error_theta1"]), "plain")
-    noisy = [entry for entry in report.of(report.episodes.axes[1]) if entry.label == "0.4"]
+    report = compare(read_episodes(known, ["rms_error_theta1"]), "plain")
+    noisy = [entry for entry in report.of(report.episodes.factors[1]) if entry.label == "0.4"]
     for entry in noisy:
         factor = FACTOR[entry.controller]
         assert entry.episodes == SEEDS * len(MISMATCHES)
         assert entry.medians.value[0] == pytest.approx(factor * (0.01 + 0.4 * 0.0035))
         assert entry.medians.low[0] < entry.medians.value[0] < entry.medians.high[0]
-    assert noisy[0].comparison is None
+    assert noisy[0].difference is None
     for entry in noisy[1:]:
-        assert entry.comparison is not None
-        measured, sign = entry.comparison.measured, FACTOR[entry.controller] - 2.0
+        assert entry.difference is not None
+        measured, sign = entry.difference.measured, FACTOR[entry.controller] - 2.0
         assert measured.difference.value[0] == pytest.approx(sign * (0.01 + 0.4 * 0.0035))
         assert measured.won[0] == (12 if sign < 0.0 else 0)
         assert measured.lost[0] == (0 if sign < 0.0 else 12)
@@ -181,7 +186,7 @@ def test_partners_share_seed_and_cell(known):
     episodes = read_episodes(known)
     partner = partners(episodes, "better")
     assert np.all(episodes.controller[partner] == 1)
-    for axis in episodes.axes:
+    for axis in episodes.factors:
         assert np.array_equal(axis.code[partner], axis.code)
     assert np.array_equal(episodes.seed[partner], episodes.seed)
 
@@ -191,10 +196,10 @@ def test_diverged_episodes_lose_and_are_counted(tmp_path):
     per = len(table["seed"]) // 3
     diverge(table, np.isin(table["episode"], [0, 1, 2, per + 2, per + 3, 2 * per]))
     write_sweep(tmp_path / "s", table)
-    report = make_report(read_episodes(tmp_path / "s", ["tip_rms_error"]), "plain")
+    report = compare(read_episodes(tmp_path / "s", ["tip_rms_error"]), "plain")
     plain, better, other = report.of(None)
     assert (plain.failed, better.failed, other.failed) == (3, 2, 1)
-    c = better.comparison
+    c = better.difference
     assert c is not None
     assert (c.pairs, c.alone, c.other, c.both, c.unpaired) == (36, 1, 2, 1, 0)
     assert (c.measured.won[0], c.measured.lost[0]) == (34, 1)  # and one even
@@ -205,7 +210,7 @@ def test_a_median_does_not_gain_by_losing_the_hard_episodes(tmp_path):
     hard = (table["controller"] == "better") & (table["noise"] > 0.1)
     diverge(table, hard)
     write_sweep(tmp_path / "s", table)
-    report = make_report(read_episodes(tmp_path / "s", ["tip_rms_error", "layer_share_theta1"]))
+    report = compare(read_episodes(tmp_path / "s", ["tip_rms_error", "layer_share_theta1"]))
     better = report.of(None)[1]
     assert better.failed == 24
     np.testing.assert_array_equal(better.medians.value, [np.inf, -np.inf])
@@ -222,19 +227,19 @@ def test_a_measure_that_a_controller_does_not_have_is_not_held_against_it(tmp_pa
     table = columns(("plain", "better"))
     table["layer_share_theta1"][table["controller"] == "plain"] = np.nan
     diverge(table, table["episode"] == 0)
-    report = make_report(
+    report = compare(
         read_episodes(write_sweep(tmp_path / "s", table), ["layer_share_theta1"]), "better"
     )
     assert np.isnan(report.of(None)[0].medians.value[0])
 
 
 def test_signed_measures_are_compared_by_size(known):
-    report = make_report(read_episodes(known, ["overshoot_theta1"]), "plain")
+    report = compare(read_episodes(known, ["overshoot_theta1"]), "plain")
     better = report.of(None)[1]
     assert better.medians.value[0] < 0.0
-    assert better.comparison is not None
-    assert better.comparison.measured.won[0] == 36
-    assert better.comparison.measured.difference.high[0] < 0.0
+    assert better.difference is not None
+    assert better.difference.measured.won[0] == 36
+    assert better.difference.measured.difference.high[0] < 0.0
 
 
 def test_a_drawn_axis_is_cut_into_ranges(tmp_path):
@@ -242,13 +247,13 @@ def test_a_drawn_axis_is_cut_into_ranges(tmp_path):
     drawn = np.random.default_rng(1).uniform(0.0, 0.5, 12)
     table["payload"] = drawn[table["seed"]]
     folder = write_sweep(tmp_path / "s", table, **{"random.payload": [0.0, 0.5, "uniform"]})
-    (payload,) = (axis for axis in read_episodes(folder).axes if axis.name == "payload")
+    (payload,) = (axis for axis in read_episodes(folder).factors if axis.name == "payload")
     assert payload.unit == "kg" and len(payload.labels) == 3
     order = np.argsort(drawn)
     expected = np.empty(12, dtype=int)
     expected[order] = np.repeat([0, 1, 2], 4)
     assert np.array_equal(payload.code, expected[table["seed"]])
-    assert not [f for f in findings(read_episodes(folder)) if f.warning]
+    assert not [f for f in remarks(read_episodes(folder)) if f.warning]
 
 
 def test_tables_hold_the_same_numbers(written):
@@ -270,11 +275,11 @@ def test_tables_hold_the_same_numbers(written):
 
 
 def told(folder: Path) -> str:
-    return "\n".join(f"{f.warning:d} {f.text}" for f in findings(read_episodes(folder)))
+    return "\n".join(f"{f.warning:d} {f.text}" for f in remarks(read_episodes(folder)))
 
 
 def test_a_sound_sweep_raises_no_warning(known):
-    assert all(not finding.warning for finding in findings(read_episodes(known)))
+    assert all(not finding.warning for finding in remarks(read_episodes(known)))
 
 
 def test_controllers_that_move_the_arm_alike_are_told(tmp_path):
@@ -320,9 +325,9 @@ def test_an_unfinished_sweep_of_mixed_versions_is_told(tmp_path):
     assert f"1 The sweep is not finished: {PIECE} of 108 episodes are there" in text
     assert f"1 No episode of {HOSTILE} is finished" in text
     assert "1 Parts of the sweep ran with different numpy: 2 and 3" in text
-    entry = make_report(read_episodes(folder), "plain").of(None)[1]
-    assert entry.comparison is not None and entry.comparison.pairs == PIECE - 36
-    other = make_report(read_episodes(folder), HOSTILE).of(None)[0].comparison
+    entry = compare(read_episodes(folder), "plain").of(None)[1]
+    assert entry.difference is not None and entry.difference.pairs == PIECE - 36
+    other = compare(read_episodes(folder), HOSTILE).of(None)[0].difference
     assert other is not None and (other.pairs, other.unpaired) == (0, 36)
 
 
@@ -402,7 +407,7 @@ def test_figures_have_room_for_many_controllers_and_show_failures(tmp_path):
     table = {name: column[table["mismatch"] > 0.0] for name, column in table.items()}
     diverge(table, table["seed"] == 1)
     folder = write_sweep(tmp_path / "s", table, **{"grid.mismatch": [0.3]})
-    found = {p.name: p for p in pictures(make_report(read_episodes(folder, ["tip_rms_error"])))}
+    found = {p.name: p for p in pictures(compare(read_episodes(folder, ["tip_rms_error"])))}
     assert list(found) == ["degradation-noise", "distributions", "failures"]
     assert f"{names[3]}, 3 diverged" in found["distributions"].svg
     for color in COLORS:
@@ -432,9 +437,9 @@ def test_figures_in_a_page_take_its_colours():
 
 @given(st.floats(-1e300, 1e300))
 def test_numbers_are_told_to_three_digits(value):
-    shown = float(number(value).replace("&#8722;", "-"))
+    shown = float(number(value).replace("−", "-"))
     assert shown == pytest.approx(value, rel=0.0051)
-    assert number(float("nan")) == "-" and number(np.inf, signed=True) == "+&#8734;"
+    assert number(float("nan")) == "-" and number(np.inf, signed=True) == "+∞"
 
 
 # --- the command -----------------------------------------------------------------------------

@@ -6,14 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from octarm.arm.lagrange import positions
+from octarm.arm.tip import tip
+from octarm.metrics.metric import Settings, default_band
 from octarm.metrics.tracking import (
     DWELL,
     Overshoot,
     Settling,
     TipError,
     TrackingError,
-    default_band,
-    tip,
 )
 
 STEP = 1e-3
@@ -25,22 +25,23 @@ def times(duration: float = 6.0, step: float = STEP) -> np.ndarray:
 
 
 def errors_of(error: np.ndarray) -> dict[str, np.ndarray]:
-    measure = TrackingError(error[0])
-    measure.update(error, error * error)
+    measure = TrackingError({"q": error[0]}, Settings(control_period=STEP))
+    measure.update({"error": error, "squared_error": error * error}, True)
     return measure.result()
 
 
 def overshoot_of(t: np.ndarray, q: np.ndarray, q_d: np.ndarray) -> dict[str, float]:
     q, q_d, late = q[:, None], q_d[:, None], t >= 2.0
-    measure = Overshoot(q[0], q_d[0], BAND)
-    measure.update(q[~late], q_d[~late], False)
-    measure.update(q[late], q_d[late], True)
+    settings = Settings(control_period=STEP, band=BAND)
+    measure = Overshoot({"q": q[0], "q_d": q_d[0]}, settings)
+    measure.update({"q": q[~late], "q_d": q_d[~late]}, False)
+    measure.update({"q": q[late], "q_d": q_d[late]}, True)
     return {name: value.item() for name, value in measure.result().items()}
 
 
 def settling_of(error: np.ndarray, step: float = STEP, band: float = BAND) -> tuple[float, float]:
-    measure = Settling(np.zeros(1), step, band)
-    measure.update(np.square(error)[:, None])
+    measure = Settling({"q": np.zeros(1)}, Settings(control_period=step, band=band))
+    measure.update({"squared_error": np.square(error)[:, None]}, False)
     found = measure.result()
     return found["settling_time"].item(), found["settled"].item()
 
@@ -165,7 +166,7 @@ def test_an_arm_that_is_always_within_the_band_has_settled_at_zero():
 
 
 def test_the_default_band_is_a_millimetre_and_a_degree_or_so():
-    np.testing.assert_array_equal(default_band(2), [1e-3, 1e-3, 0.02, 0.02])
+    np.testing.assert_array_equal(default_band(["m", "m", "rad", "rad"]), [1e-3, 1e-3, 0.02, 0.02])
 
 
 @pytest.mark.parametrize("modules", [1, 2, 3, 6])
@@ -194,8 +195,8 @@ def test_tip_errors_of_a_stretched_and_of_a_turned_arm():
         (turned, 2.0 * 0.5 * np.sin(0.05), 2.0 * 0.5 * np.sin(0.05)),  # chord of what hangs there
     ):
         for reference in (q_d, q_d[:1].repeat(len(t), axis=0)):
-            measure = TipError(q[0])
-            measure.update(q, reference)
+            measure = TipError({"q": q[0]}, Settings(control_period=STEP))
+            measure.update({"q": q, "q_d": reference}, True)
             found = measure.result()
             np.testing.assert_allclose(found["tip_rms_error"], rms, rtol=1e-12)
             np.testing.assert_allclose(found["tip_peak_error"], peak, rtol=1e-12)

@@ -5,7 +5,7 @@ import datetime
 import functools
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
@@ -13,23 +13,44 @@ import pytest
 import controllers.gains
 from controllers import CONTROLLERS, make_controller
 from controllers.gain_sets import SHIPPED, GainSet, read_gain_set
+from controllers.gains import Gain, GainField, Switch
+from controllers.law import Law
 from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.nominal import LagrangeModel
 from octarm.commands import cli
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.disturbances.streams import stream
+from octarm.interfaces import Knob
 from octarm.metrics.chattering import Chattering
+from octarm.metrics.metric import Settings
 from octarm.references import named_reference
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout
-from octarm.sweeps.tune import Effort, State, StateFile, initial_population, next_generation, tune
-from octarm.sweeps.tune_objective import LONG, SCENARIOS, SHORT, EachItsOwn, Scenario, Trial, costs
-from octarm.sweeps.tune_space import KNOBS, Space, gains_of
+from octarm.sweeps.tune import (
+    Budget,
+    SearchState,
+    Space,
+    StateFile,
+    gains_of,
+    initial_population,
+    next_generation,
+    tune,
+)
+from octarm.sweeps.tune_cost import (
+    LONG,
+    SCENARIOS,
+    SHORT,
+    EachItsOwn,
+    Examination,
+    Scenario,
+    costs,
+)
 
 P = nominal_parameters()
 N = P.modules
-TINY = Trial(begin=0.02, duration=0.06)
-EFFORT = Effort(
-    population=5, generations=4, finalists=2, short=TINY, long=Trial(begin=0.03, duration=0.1)
+TINY = Examination(begin=0.02, duration=0.06)
+BUDGET = Budget(
+    population=5, generations=4, finalists=2, short=TINY, long=Examination(begin=0.03, duration=0.1)
 )
 
 
@@ -43,7 +64,7 @@ def by_hand(name: str):
 
 @pytest.mark.parametrize("i", range(len(SCENARIOS)))
 def test_the_cost_is_the_declared_formula(i: int):
-    scenario, trial = SCENARIOS[i], Trial(begin=0.1, duration=0.2)
+    scenario, trial = SCENARIOS[i], Examination(begin=0.1, duration=0.2)
     K = np.array([[1.0], [3.0]])
     both = costs(trial, by_hand("smc"), {"K": K})
     assert both.shape == (2, len(SCENARIOS))
@@ -55,9 +76,9 @@ def test_the_cost_is_the_declared_formula(i: int):
     controller = by_hand("smc")(P.mismatched(scenario.mismatch), {"K": 3.0})
     run = rollout(environment, controller, trial.duration)
     rms = np.sqrt(np.mean(run.error[200:] ** 2, axis=0))  # 2 kHz, from 0.1 s on
-    high_pass = Chattering(run.tau[0], 5e-4)
-    high_pass.update(run.tau[:200], steady=False)
-    high_pass.update(run.tau[200:])
+    high_pass = Chattering({"force": run.tau[0]}, Settings(control_period=5e-4))
+    high_pass.update({"force": run.tau[:200]}, False)
+    high_pass.update({"force": run.tau[200:]}, True)
     rattle = high_pass.result()["chattering"]
     e = np.sqrt(np.sum((rms[:3] / 0.0175) ** 2 + (rms[3:] / 0.3) ** 2) / 6)
     c = np.sqrt(np.sum(rattle**2) / 6) / (9.81 * (0.3 + 0.25 + 0.2))
@@ -95,7 +116,7 @@ def test_tuning_has_noise_that_no_experiment_has():
 
 def test_lost_arms_cost_the_more_the_earlier_and_touch_nobody():
     storm = Scenario(reference="sine", mismatch=0.0, noise=3.0)
-    trial = Trial(begin=0.02, duration=0.1, scenarios=(storm,))
+    trial = Examination(begin=0.02, duration=0.1, scenarios=(storm,))
     gains = np.array([[1000.0], [50.0], [10.0], [1e300]])  # K_d; the last asks beyond all numbers
     cost = costs(trial, by_hand("computed-torque"), {"K_d": gains})[:, 0]
     assert cost[0] < 1.0
@@ -105,7 +126,7 @@ def test_lost_arms_cost_the_more_the_earlier_and_touch_nobody():
 
 
 def test_no_candidate_gets_more_force_than_the_actuators_have():
-    trial = Trial(
+    trial = Examination(
         begin=0.02, duration=0.1, scenarios=(Scenario(reference="sine", mismatch=0.0, noise=0.0),)
     )
     mad = costs(trial, by_hand("computed-torque"), {"K_d": np.array([[1e5], [1e8]])})[:, 0]
@@ -159,29 +180,29 @@ def test_a_knob_turns_its_gains_by_a_factor():
     assert space.at_bounds(candidate[1]) == ["premises"]
 
 
-def test_a_gain_has_one_knob():
-    gains = [gain for knob in KNOBS for gain in knob.gains]
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_a_gain_has_one_knob(name: str):
+    gains = [gain for knob in by_hand(name)(P).knobs() for gain in knob.gains]
     assert len(gains) == len(set(gains))
 
 
-def test_a_new_controller_is_tuned_by_the_names_of_its_gains():
-    @dataclasses.dataclass(frozen=True)
-    class New:
-        nominal: object = P
-        K_p: float = 2.0
-        colour: float = 1.0
-        safe: bool = True
+def test_a_new_controller_is_tuned_by_the_knobs_of_its_gains():
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class New(Law):
+        stiffness: Annotated[Gain, GainField("how hard", "N/m", knob=Knob("how stiff", apart=True))]
+        colour: Annotated[Gain, GainField("to look at", "1")]
+        safe: Annotated[bool, Switch("for those who fear", "1")] = True
 
-    space = Space(New(), N)  # pyright: ignore[reportArgumentType]
-    assert [unknown.name for unknown in space.unknowns] == ["K_p of slides", "K_p of bends"]
+    space = Space(New(nominal=LagrangeModel(P), stiffness=2.0, colour=1.0), N)  # pyright: ignore
+    assert [u.name for u in space.unknowns] == ["how stiff of slides", "how stiff of bends"]
     assert space.fixed() == {"colour": 1.0}
 
     @dataclasses.dataclass(frozen=True)
-    class Untunable:
-        colour: float = 1.0
+    class Untunable(Law):
+        pass
 
-    with pytest.raises(ValueError, match="Untunable has no gain that can be tuned; those are lam"):
-        Space(Untunable(), N)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="Untunable has no gain that can be tuned"):
+        Space(Untunable(nominal=LagrangeModel(P)), N)  # pyright: ignore[reportArgumentType]
 
 
 # The search
@@ -200,7 +221,7 @@ def test_the_search_finds_the_bottom_of_a_bowl():
     population = initial_population(bounds, 24, draw)
     np.testing.assert_array_equal(population[0], 0.0)
     assert np.all(np.abs(population) <= 0.5) and np.ptp(population[1:], axis=0).min() > 0.9
-    state = State(0, population, bowl(population))
+    state = SearchState(0, population, bowl(population))
     for g in range(60):
         before, state = state, next_generation(bowl, bounds, state, np.random.default_rng(g))
         assert np.all(state.costs <= before.costs.max()) and state.costs[0] <= before.costs.min()
@@ -211,8 +232,8 @@ def test_the_search_finds_the_bottom_of_a_bowl():
 
 @pytest.fixture(scope="module")
 def uninterrupted():
-    states: list[State] = []
-    return tune(by_hand("smc-boundary"), EFFORT, seed=3, keep=states.append), states
+    states: list[SearchState] = []
+    return tune(by_hand("smc-boundary"), BUDGET, seed=3, keep=states.append), states
 
 
 def assert_same(one: Any, other: Any) -> None:
@@ -235,7 +256,7 @@ def test_it_is_at_least_as_good_as_the_hand_set_gains(uninterrupted):
     assert tuned.gains.keys() == space.gains.keys()
     rows = {name: np.broadcast_to(gain, (1, 6)) for name, gain in tuned.gains.items()}
     np.testing.assert_array_equal(costs(TINY, by_hand("smc-boundary"), rows)[0], tuned.short)
-    np.testing.assert_array_equal(costs(EFFORT.long, by_hand("smc-boundary"), rows)[0], tuned.long)
+    np.testing.assert_array_equal(costs(BUDGET.long, by_hand("smc-boundary"), rows)[0], tuned.long)
 
 
 def test_it_may_stop_anywhere_and_go_on_with_the_same_bits(uninterrupted, tmp_path):
@@ -243,37 +264,37 @@ def test_it_may_stop_anywhere_and_go_on_with_the_same_bits(uninterrupted, tmp_pa
     file = StateFile(tmp_path / "state", {"seed": 3})
     for last in (0, 2):
 
-        def keep(state: State, last: int = last) -> None:
+        def keep(state: SearchState, last: int = last) -> None:
             file.write(state)
             if state.generation == last:
                 raise KeyboardInterrupt
 
         start = file.read() if last else None
         with pytest.raises(KeyboardInterrupt):
-            tune(by_hand("smc-boundary"), EFFORT, seed=3, state=start, keep=keep)
+            tune(by_hand("smc-boundary"), BUDGET, seed=3, state=start, keep=keep)
     seconds: list[float] = []
     again = tune(
-        by_hand("smc-boundary"), EFFORT, seed=3, state=file.read(), progress=seconds.append
+        by_hand("smc-boundary"), BUDGET, seed=3, state=file.read(), progress=seconds.append
     )
     assert_same(again, tuned)
-    assert sum(seconds) == pytest.approx(EFFORT.seconds)
+    assert sum(seconds) == pytest.approx(BUDGET.seconds)
 
 
 def test_the_seed_changes_the_search_and_not_the_scenarios(uninterrupted):
     tuned, states = uninterrupted
-    other: list[State] = []
-    different = tune(by_hand("smc-boundary"), EFFORT, seed=4, keep=other.append)
+    other: list[SearchState] = []
+    different = tune(by_hand("smc-boundary"), BUDGET, seed=4, keep=other.append)
     assert not np.any(other[-1].costs == states[-1].costs[0])
     np.testing.assert_array_equal(different.short_by_hand, tuned.short_by_hand)
 
 
 def test_the_budget_counts_simulated_seconds():
-    effort = Effort.within(8000.0)
-    assert effort.population == 24 and effort.generations == 18
-    assert effort.search_seconds == 18 * 24 * 6 * 3.0
-    assert effort.seconds == effort.search_seconds + 8 * 6 * (3.0 + 10.0)
+    budget = Budget.within(8000.0)
+    assert budget.population == 24 and budget.generations == 18
+    assert budget.search_seconds == 18 * 24 * 6 * 3.0
+    assert budget.seconds == budget.search_seconds + 8 * 6 * (3.0 + 10.0)
     with pytest.raises(ValueError, match="budget is 400 s; it must be at least 432 s"):
-        Effort.within(400.0)
+        Budget.within(400.0)
 
 
 # Files
@@ -282,7 +303,7 @@ def test_the_budget_counts_simulated_seconds():
 @pytest.fixture
 def _small(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(Effort, "within", classmethod(lambda cls, budget: EFFORT))
+    monkeypatch.setattr(Budget, "within", classmethod(lambda cls, budget: BUDGET))
 
 
 @pytest.mark.usefixtures("_small")
@@ -302,7 +323,7 @@ def test_the_command_writes_gains_and_how_they_were_found(capsys):
     assert content["versions"].keys() == {
         "python", "octarm", "mujoco", "dm-control", "numpy", "scipy"
     }  # fmt: skip
-    for trial, table in ((EFFORT.short, content["search"]), (EFFORT.long, content["long_trial"])):
+    for trial, table in ((BUDGET.short, content["search"]), (BUDGET.long, content["long_trial"])):
         rows = table["scenarios"]
         keys = [field.name for field in dataclasses.fields(Scenario)]
         assert [Scenario(**{k: row[k] for k in keys}) for row in rows] == list(SCENARIOS)
@@ -327,7 +348,7 @@ def test_an_interrupted_command_goes_on(capsys, monkeypatch):
     assert "nothing to resume: smc.toml.state does not exist" in capsys.readouterr().err
     write, count = StateFile.write, iter(range(9))
 
-    def interrupted(self: StateFile, state: State) -> None:
+    def interrupted(self: StateFile, state: SearchState) -> None:
         write(self, state)
         if next(count) == 1:
             raise KeyboardInterrupt
@@ -350,7 +371,7 @@ def test_an_interrupted_command_goes_on(capsys, monkeypatch):
     assert Path("smc.toml").read_text() == resumed
     Path("smc.toml.state").write_text("{}")
     assert cli.main([*arguments, "--resume"]) == 2
-    assert "smc.toml.state is damaged" in capsys.readouterr().err
+    assert "smc.toml.state: it needs a value of settings" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -373,7 +394,7 @@ def test_bad_input_is_refused_in_one_sentence(arguments, sentence, tmp_path, mon
     assert not list(tmp_path.iterdir())
 
 
-def test_a_gain_set_survives_the_file():
+def test_a_gain_set_survives_the_file(tmp_path):
     whole = GainSet(
         controller="smc",
         modules=3,
@@ -383,7 +404,9 @@ def test_a_gain_set_survives_the_file():
             "search": {"good": True, "rows": [{"name": "x", "n": 1}, {"name": "y", "n": -2.5e-9}]},
         },
     )
-    assert GainSet.from_toml(whole.to_toml(), "x.toml") == whole
+    path = tmp_path / "x.toml"
+    path.write_text(whole.to_toml(), encoding="utf-8")
+    assert read_gain_set(path) == whole
 
 
 GIVEN = GainSet(controller="smc", modules=3, gains={"lambda": 33.0, "K": [1, 2, 3, 4, 5, 6]})
@@ -422,14 +445,17 @@ def test_a_set_that_does_not_fit_is_refused(tmp_path, changes, sentence):
 
 def test_what_is_no_gain_set_is_refused(tmp_path):
     path = tmp_path / "x.toml"
-    for text, sentence in {"a = ": "x.toml: ", "a = 1": "x.toml holds no gains; it needs"}.items():
+    for text, sentence in {
+        "a = ": "x.toml: ",
+        "a = 1": "x.toml: it needs a value of controller",
+    }.items():
         path.write_text(text)
         with pytest.raises(ValueError, match=sentence):
             read_gain_set(path)
     path.write_bytes(b"\xff\xfe")
-    with pytest.raises(ValueError, match="holds no gains: it is not text"):
+    with pytest.raises(ValueError, match="is not a text file"):
         read_gain_set(path)
-    with pytest.raises(ValueError, match="holds no gains: No such file"):
+    with pytest.raises(ValueError, match="cannot be read: No such file"):
         make_controller("smc", P, gain_set=tmp_path / "none.toml")
     with pytest.raises(ValueError, match="unknown gains 'tuend'; they are tuned, recommended, or"):
         make_controller("smc", P, gain_set="tuend")

@@ -1,6 +1,7 @@
 """What was run comes out again bit by bit, and a difference is found where it is."""
 
 import functools
+import hashlib
 import json
 import shutil
 import subprocess
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from test_disturbances import SPELLINGS
 
@@ -19,16 +21,16 @@ from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.differences import compare
 from octarm.checks.verify import RunCheck, check_run
-from octarm.checks.verify_episode import FinishedSweep, first_difference
+from octarm.checks.verify_episode import check_episode
 from octarm.commands.cli import main
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.runs import folder as runs
 from octarm.runs.digest import CHECKPOINTS
 from octarm.runs.experiment import Experiment, perform
 from octarm.simulation.trajectory import Trajectory
-from octarm.sweeps.folder import RECORDED
-from octarm.sweeps.parser import parse_spec
-from octarm.sweeps.shard_file import labels_of, read_shard, write_shard
+from octarm.sweeps.episodes import FinishedSweep, first_difference
+from octarm.sweeps.spec_file import parse_spec
+from octarm.sweeps.store import RECORDED, shard_bytes
 
 P = nominal_parameters()
 FACTORY = functools.partial(make_controller, gain_set="recommended")
@@ -139,6 +141,8 @@ def test_a_run_that_diverged_comes_out_again(tmp_path):
     gains = {"K": [1600.0, 1000.0, 800.0, 400.0, 250.0, 30.0]}
     trajectory = write(tmp_path / "run", experiment(gains=gains, duration=0.5))
     assert trajectory.status == "diverged"
+    metrics = json.loads((tmp_path / "run/run.json").read_text())["metrics"]
+    assert metrics["effort"] == [None] * 6 and metrics["tip_rms_error"] is None
     assert check(tmp_path / "run").identical
     edit(tmp_path / "run", "message", to=lambda text: text.replace("theta1", "theta2"))
     found = check(tmp_path / "run")
@@ -315,11 +319,11 @@ def test_what_cannot_be_repeated_is_said_in_a_sentence(run, capsys, tmp_path):
     edit(run, "reference", "name", to=lambda _: "my-own")
     assert "the run followed a custom reference, 'my-own'" in sentence(run)
     edit(run, "reference", to=lambda _: None)
-    assert "run.json does not say what was run" in sentence(run)
+    assert "run.json: reference is null; it must be a table" in sentence(run)
     description = json.loads((run / "run.json").read_text())
     del description["nominal"]
     (run / "run.json").write_text(json.dumps(description))
-    assert "run.json lacks nominal" in sentence(run)
+    assert "run.json: it needs a value of nominal" in sentence(run)
     (run / "run.npz").unlink()
     assert "has no run.npz to compare with: it is incomplete" in sentence(run)
     edit(run, "status", to=lambda _: "running")
@@ -373,21 +377,24 @@ def sweep(finished, tmp_path) -> Path:
 def doctor(folder: Path, episode: int, column: str, value) -> None:
     """Changes a number in the table."""
     file = folder / f"episodes/{episode // 8:05d}.parquet"
-    table = read_shard(file)
+    table = pq.read_table(file)
     values = table[column].to_pylist()
     values[episode % 8] = value(values[episode % 8])
     at = table.schema.get_field_index(column)
     field = table.schema.field(column)
     table = table.set_column(at, field, pa.array(values, field.type))
-    write_shard(file, table, labels_of(table))
+    file.write_bytes(content := shard_bytes(table))
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["shards"][episode // 8]["sha256"] = hashlib.sha256(content).hexdigest()
+    (folder / "manifest.json").write_text(json.dumps(manifest))
 
 
 def test_every_episode_of_a_batch_comes_out_again_alone(finished):
     sweep = FinishedSweep(finished)
     assert sweep.finished().tolist() == list(range(16))
-    found = sweep.check(15, make_controller)
+    found = check_episode(sweep, 15, make_controller)
     for episode in range(15):
-        each = sweep.check(episode, make_controller)
+        each = check_episode(sweep, episode, make_controller)
         assert each.identical, each.lines()
     assert found.identical
     assert found.label.startswith("afsmc, sine, mismatch 0.3, noise 0.4, payload 0.")
@@ -399,14 +406,14 @@ def test_the_first_checkpoint_that_differs_is_found(sweep):
         return [*marks[:13], *(mark ^ 1 for mark in marks[13:])]
 
     doctor(sweep, 10, "checkpoints", change)
-    found = FinishedSweep(sweep).check(10, make_controller)
+    found = check_episode(FinishedSweep(sweep), 10, make_controller)
     assert not found.identical
     assert found.between == pytest.approx((0.013, 0.014))  # 20 of them in 0.02 s
     assert found.recorded is None
     (sweep / RECORDED / "10-worst").mkdir(parents=True)
-    lines = FinishedSweep(sweep).check(10, make_controller).lines()
+    lines = check_episode(FinishedSweep(sweep), 10, make_controller).lines()
     assert f"octarm verify {sweep / RECORDED / '10-worst'} says from which one on" in lines[1]
-    assert FinishedSweep(sweep).check(11, make_controller).identical
+    assert check_episode(FinishedSweep(sweep), 11, make_controller).identical
 
 
 def test_the_checkpoint_narrows_where_motions_part():
@@ -418,7 +425,7 @@ def test_the_checkpoint_narrows_where_motions_part():
 
 def test_a_measure_that_was_changed_is_found(sweep):
     doctor(sweep, 3, "energy_s2", slightly)
-    found = FinishedSweep(sweep).check(3, make_controller)
+    found = check_episode(FinishedSweep(sweep), 3, make_controller)
     assert found.between is None
     assert [d.key for d in found.differences] == ["energy_s2"]
     assert "the motion is the same" in found.lines()[0]
@@ -430,7 +437,7 @@ def test_gains_that_are_not_what_they_were_are_told(sweep):
     def retuned(name, nominal, gains):
         return make_controller(name, nominal, {"lambda": 14.0, **gains})
 
-    found = FinishedSweep(sweep).check(0, retuned)
+    found = check_episode(FinishedSweep(sweep), 0, retuned)
     assert found.between is not None
     assert [(d.key, d.was, d.now) for d in found.gains] == [("lambda_", was, 14.0)]
     assert any(line.split() == ["lambda_", f"{was}", "->", "14.0"] for line in found.lines())

@@ -16,6 +16,7 @@ from PIL import Image
 from recordings import described, swinging
 
 from octarm.arm.mjcf import nominal_parameters
+from octarm.errors import OctarmError
 from octarm.recordings import viewer
 from octarm.recordings.comparison import Run, write_comparison
 from octarm.recordings.recording import write_recording
@@ -46,7 +47,7 @@ def picture(recording):
     png = recording.with_name("picture.png")
     try:
         screenshot(recording, png, time=0.5, size=(960, 600))
-    except RuntimeError as error:
+    except OctarmError as error:
         if "Vulkan" not in str(error) or os.environ.get("CI"):
             raise
         pytest.skip(str(error))
@@ -100,12 +101,11 @@ def test_the_viewer_serves_this_machine_only_and_is_gone_afterwards(
     picture, recording, started, tmp_path
 ):
     arguments = ["--headless", "--window-size", "320x200", str(recording)]
-    with viewer._viewer(arguments) as (process, _, _):
+    with viewer._running(arguments) as shown:
         served = []
-        deadline = time.monotonic() + 20.0
-        while not served and time.monotonic() < deadline:
-            time.sleep(0.05)
-            sockets = psutil.Process(process.pid).net_connections(kind="inet")
+        while not served:
+            shown.pause(20.0)
+            sockets = psutil.Process(shown.process.pid).net_connections(kind="inet")
             served = [s.laddr.ip for s in sockets if s.status == psutil.CONN_LISTEN]
     assert set(served) == {"127.0.0.1"}
     assert [p.poll() is not None for p in started] == [True]
@@ -113,7 +113,7 @@ def test_the_viewer_serves_this_machine_only_and_is_gone_afterwards(
 
 def test_a_damaged_recording_is_one_sentence(picture, tmp_path, started):
     (tmp_path / "bad.rrd").write_bytes(b"no recording")
-    with pytest.raises(RuntimeError, match=r"bad\.rrd cannot be drawn"):
+    with pytest.raises(OctarmError, match=r"bad\.rrd cannot be drawn"):
         screenshot(tmp_path / "bad.rrd", tmp_path / "bad.png")
     assert [p.name for p in tmp_path.iterdir()] == ["bad.rrd"]
     assert started[0].poll() is not None
@@ -126,7 +126,7 @@ def test_missing_vulkan_is_one_sentence_and_leaves_nothing(
     monkeypatch.setenv("VK_DRIVER_FILES", str(tmp_path / "none.json"))
     monkeypatch.setenv("VK_ICD_FILENAMES", str(tmp_path / "none.json"))
     began = time.monotonic()
-    with pytest.raises(RuntimeError, match="mesa-vulkan-drivers"):
+    with pytest.raises(OctarmError, match="mesa-vulkan-drivers"):
         screenshot(recording, tmp_path / "picture.png")
     assert time.monotonic() - began < 10.0
     assert list(tmp_path.iterdir()) == []
@@ -136,7 +136,7 @@ def test_missing_vulkan_is_one_sentence_and_leaves_nothing(
 @posix
 def test_a_viewer_that_hangs_is_ended(recording, tmp_path, stand_in, started):
     stand_in("exec sleep 60")
-    with pytest.raises(RuntimeError, match=r"within 0\.5 s"):
+    with pytest.raises(OctarmError, match=r"within 0\.5 s"):
         screenshot(recording, tmp_path / "picture.png", timeout=0.5)
     assert started[0].poll() is not None
     assert not list(tmp_path.glob("picture*"))
@@ -150,7 +150,7 @@ def test_an_unwritable_picture_fails_before_the_work(recording, tmp_path, starte
 
 def test_a_missing_recording_is_one_sentence(tmp_path):
     for show in (lambda path: open_viewer([path]), lambda path: screenshot(path, "a.png")):
-        with pytest.raises(FileNotFoundError, match=r"there is no recording .*run\.rrd$"):
+        with pytest.raises(OctarmError, match=r"there is no recording .*run\.rrd$"):
             show(tmp_path / "run.rrd")
 
 
@@ -158,7 +158,7 @@ def test_a_missing_recording_is_one_sentence(tmp_path):
 def test_without_a_display_a_screenshot_is_suggested(recording, monkeypatch, started):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(RuntimeError, match="--screenshot"):
+    with pytest.raises(OctarmError, match="--screenshot"):
         open_viewer([recording])
     assert started == []
 
@@ -176,7 +176,7 @@ def test_the_window_opens_all_files_on_this_machine_only(recording, tmp_path, st
 @posix
 def test_a_viewer_that_fails_is_one_sentence(recording, stand_in):
     stand_in("echo 'Error: no luck' >&2; exit 3")
-    with pytest.raises(RuntimeError, match="the rerun viewer failed: Error: no luck"):
+    with pytest.raises(OctarmError, match="the rerun viewer failed: Error: no luck"):
         open_viewer([recording])
 
 
@@ -212,12 +212,9 @@ def test_a_comparison_opens_without_warnings(picture, tmp_path):
 def shown_views(path):
     """How many views the viewer shows of a recording, none of which complains."""
     arguments = ["--headless", "--window-size", "960x600", str(path)]
-    with viewer._viewer(arguments) as (_, url, _):
-        client, deadline = None, time.monotonic() + 30.0
-        while client is None and time.monotonic() < deadline:
-            time.sleep(0.05)
-            client = viewer._connect(url, 0.3)
-        assert client is not None
+    with viewer._running(arguments) as shown:
+        while (client := shown.client(0.3)) is None:
+            shown.pause(30.0)
         for _ in range(3):
             client.take_screenshot()
         state, logs = client.get_state(), client.get_logs()

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 
-class Estimate(NamedTuple):
+class EstimatorValue(NamedTuple):
     """The value of an estimator of the second type, and its gradient.
 
     Attributes:
@@ -56,7 +56,7 @@ def first_type(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
 
 def second_type(
     theta: np.ndarray, alpha: np.ndarray, sigma: np.ndarray, x: np.ndarray, *, normalised: bool
-) -> Estimate:
+) -> EstimatorValue:
     """f = sum_l theta^l phi^l, eqs (59), (67), and its gradient in theta, alpha and sigma.
 
     A rule's mu depends on its own premises alone. Not normalised, B and C are therefore diagonal
@@ -75,7 +75,7 @@ def second_type(
     common = weight[..., None, :] * scaled
     d_alpha = common * sigma
     common *= d
-    return Estimate(value, phi, d_alpha, d_sigma=common)
+    return EstimatorValue(value, phi, d_alpha, d_sigma=common)
 
 
 def _differences(alpha: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -18,12 +18,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from controllers.fuzzy.membership import Family, Membership, Triangular
+from controllers.fuzzy.membership import Membership, Triangular
 from controllers.fuzzy.rule_base import RuleBase
 from octarm.arrays import read_only
 from octarm.errors import OctarmError
@@ -48,7 +49,7 @@ class Variable:
         sets: labels to membership functions, in rising order.
 
     Raises:
-        ValueError: if there are no labels.
+        OctarmError: if there are no labels.
     """
 
     name: str
@@ -66,7 +67,7 @@ class Variable:
         labels: str | Sequence[str],
         low: float = -1.0,
         high: float = 1.0,
-        family: Family = Triangular,
+        family: type[Membership] = Triangular,
     ) -> Variable:
         """Labels at equal distances from `low` to `high`, the first and the last open shoulders.
 
@@ -78,7 +79,7 @@ class Variable:
             family: the kind of membership functions.
 
         Raises:
-            ValueError: for fewer than two labels, a label given twice, or an empty range.
+            OctarmError: for fewer than two labels, a label given twice, or an empty range.
         """
         labels = labels.split() if isinstance(labels, str) else list(labels)
         if len(labels) < 2:
@@ -99,77 +100,98 @@ class Variable:
         return {label: membership(x) for label, membership in self.sets.items()}
 
     def hole(self) -> float | None:
-        """Some x at which no label has a membership of at least 0.001; None when there is none."""
-        covered = -math.inf
-        for low, high in sorted(membership.cut(_COVERED) for membership in self.sets.values()):
-            if low > covered:
-                return low - 1.0 if covered == -math.inf else 0.5 * (covered + low)
-            covered = max(covered, high)
-        return None if covered == math.inf else covered + 1.0
+        """Some x at which no label has a membership of at least 0.001; None when none is found."""
+        corners = {x for label in self.sets.values() for x in label.corners if math.isfinite(x)}
+        spans = [np.linspace(a, b, 101) for a, b in itertools.pairwise(sorted(corners))]
+        x = np.concatenate([[-math.inf], *spans, [math.inf]])
+        bare = x[np.max(list(self(x).values()), axis=0) < _COVERED]
+        return float(bare[0]) if bare.size else None
 
 
-@dataclasses.dataclass(frozen=True)
-class Linear:
-    """The consequent z = constant + slopes[0] x + slopes[1] y + .., eq (46).
+def linear(constant: float, *slopes: float) -> Callable[..., np.ndarray]:
+    """The consequent z = constant + slopes[0] x + .., eq (46), shape (...) as the inputs."""
 
-    Attributes:
-        constant: its value at the origin.
-        slopes: one for each input.
-    """
+    def z(*inputs: np.ndarray) -> np.ndarray:
+        terms = (slope * x for slope, x in zip(slopes, inputs, strict=True))
+        return np.asarray(sum(terms, start=constant))
 
-    constant: float
-    slopes: tuple[float, ...]
-
-    def __call__(self, *inputs: np.ndarray) -> np.ndarray:
-        """The consequent at these inputs, of the broadcast shape of the inputs.
-
-        Raises:
-            ValueError: unless there is one slope an input.
-        """
-        if len(inputs) != len(self.slopes):
-            raise OctarmError(
-                f"a consequent has {len(self.slopes)} slopes for {len(inputs)} inputs"
-            )
-        z = self.constant
-        for slope, x in zip(self.slopes, inputs, strict=True):
-            z = z + slope * x
-        return np.asarray(z)
+    return z
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Sugeno:
-    """Rules whose consequents are numbers or functions of the inputs, eq (46).
-
-    z = sum_j w_j z_j(x, y) / sum_j w_j, with w_j the weight of rule j.
+class FuzzySystem:
+    """Rules over some inputs; what they conclude is up to the kind of system.
 
     Attributes:
         inputs: the input variables, in the order in which they are passed.
         rules: what follows from what.
-        consequents: conclusion of a rule to its number, or to a function of all inputs,
-            of the broadcast shape of the inputs.
         conjunction: AND; above 0 where both of its sides are, so that some rule always fires.
         disjunction: OR.
 
     Raises:
-        ValueError: if the labels of an input leave a hole, or the rules do not fit, see
+        OctarmError: if the labels of an input leave a hole, or the rules do not fit, see
             `RuleBase.check`.
     """
 
     inputs: tuple[Variable, ...]
     rules: RuleBase
-    consequents: Mapping[str, float | Callable[..., np.ndarray]]
-    conjunction: Operator = np.multiply
+    conjunction: Operator = np.minimum
     disjunction: Operator = np.maximum
 
+    def _check(self, conclusions: Iterable[str]) -> None:
+        names = [variable.name for variable in self.inputs]
+        for variable in self.inputs:
+            if names.count(variable.name) > 1:
+                raise OctarmError(
+                    f"two inputs are called {variable.name!r}; they need different names"
+                )
+            hole = variable.hole()
+            if hole is not None:
+                raise OctarmError(
+                    f"{variable.name} = {hole:g} belongs to no label; known are "
+                    f"{', '.join(variable.sets)}, which must overlap and be open at both ends"
+                )
+        self.rules.check({variable.name: variable.sets for variable in self.inputs}, conclusions)
+
+    def _weights(self, inputs: Sequence[np.ndarray]) -> dict[str, list[np.ndarray]]:
+        """How far the antecedents of the rules hold [1], by the conclusions of the rules."""
+        if len(inputs) != len(self.inputs):
+            names = ", ".join(variable.name for variable in self.inputs)
+            raise OctarmError(f"{len(inputs)} inputs are given; the rules need {names}")
+        labels = {v.name: v(x) for v, x in zip(self.inputs, inputs, strict=True)}
+        weights: dict[str, list[np.ndarray]] = {}
+        for rule in self.rules:
+            cases = [
+                functools.reduce(self.conjunction, [labels[name][label] for name, label in case])
+                for case in rule.cases
+            ]
+            weight = functools.reduce(self.disjunction, cases)
+            weights.setdefault(rule.conclusion, []).append(weight)
+        return weights
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Sugeno(FuzzySystem):
+    """Rules whose consequents are numbers or functions of the inputs, eq (46).
+
+    z = sum_j w_j z_j(x, y) / sum_j w_j, with w_j the weight of rule j.
+
+    Attributes:
+        consequents: conclusion of a rule to its number, or to a function of all inputs,
+            of the broadcast shape of the inputs.
+    """
+
+    consequents: Mapping[str, float | Callable[..., np.ndarray]]
+    conjunction: Operator = np.multiply
+
     def __post_init__(self) -> None:
-        _check_inputs(self.inputs, self.rules, self.consequents)
+        self._check(self.consequents)
         object.__setattr__(self, "consequents", dict(self.consequents))
 
     def __call__(self, *inputs: np.ndarray) -> np.ndarray:
         """The crisp output, of the broadcast shape of the inputs."""
-        weights = _weights(self, inputs)
         above = below = 0.0
-        for label, parts in _by_conclusion(self.rules, weights).items():
+        for label, parts in self._weights(inputs).items():
             weight, z = functools.reduce(np.add, parts), self.consequents[label]
             above = above + weight * (z(*inputs) if callable(z) else z)
             below = below + weight
@@ -177,42 +199,33 @@ class Sugeno:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Mamdani:
+class Mamdani(FuzzySystem):
     """Rules whose consequents are labels of an output variable, eq (46).
 
     Attributes:
-        inputs: the input variables, in the order in which they are passed.
         output: the output variable.
-        rules: what follows from what.
         universe: the discrete elements U_i of the output, shape (n,).
-        conjunction: AND; above 0 where both of its sides are, so that some rule always fires.
-        disjunction: OR.
         implication: a t-norm of a rule's weight and the membership of its consequent.
         aggregation: of the rules' sets.
 
     Raises:
-        ValueError: if the labels of an input leave a hole, the rules do not fit, see
-            `RuleBase.check`, or no element of the universe belongs to a label of the output.
+        OctarmError: if no element of the universe belongs to a label of the output.
     """
 
-    inputs: tuple[Variable, ...]
     output: Variable
-    rules: RuleBase
     universe: np.ndarray
-    conjunction: Operator = np.minimum
-    disjunction: Operator = np.maximum
     implication: Operator = np.minimum
     aggregation: Operator = np.maximum
 
     def __post_init__(self) -> None:
-        _check_inputs(self.inputs, self.rules, self.output.sets)
+        self._check(self.output.sets)
         universe = read_only("universe", self.universe)
         if universe.ndim != 1 or not universe.size:
             raise OctarmError(f"universe has shape {universe.shape}; it must be (n,), n at least 1")
         object.__setattr__(self, "universe", universe)
-        found = {label for _, grades in self._slices for label, _ in grades}
+        present = {label for _, grades in self._slices for label, _ in grades}
         for rule in self.rules:
-            if rule.conclusion not in found:
+            if rule.conclusion not in present:
                 raise OctarmError(
                     f"no element of the universe, from {universe.min():g} to {universe.max():g}, "
                     f"belongs to {rule.conclusion} of {self.output.name}"
@@ -237,8 +250,7 @@ class Mamdani:
         return self._centre(inputs, np.add)
 
     def _centre(self, inputs: tuple[np.ndarray, ...], aggregation: Operator) -> np.ndarray:
-        weights = _weights(self, inputs)
-        sets = _by_conclusion(self.rules, weights)
+        sets = self._weights(inputs)
         if aggregation is np.maximum:  # max_j T(w_j, mu) = T(max_j w_j, mu) for any t-norm T
             sets = {label: [functools.reduce(np.maximum, w)] for label, w in sets.items()}
         above = below = 0.0
@@ -258,39 +270,3 @@ class Mamdani:
             (float(u), [(label, mu[i]) for label, mu in grades.items() if mu[i] > 0.0])
             for i, u in enumerate(self.universe)
         ]
-
-
-def _check_inputs(inputs: Sequence[Variable], rules: RuleBase, conclusions: Iterable[str]) -> None:
-    for i, variable in enumerate(inputs):
-        if variable.name in [other.name for other in inputs[:i]]:
-            raise OctarmError(f"two inputs are called {variable.name!r}; they need different names")
-        hole = variable.hole()
-        if hole is not None:
-            raise OctarmError(
-                f"{variable.name} = {hole:g} belongs to no label; known are "
-                f"{', '.join(variable.sets)}, which must overlap and be open at both ends"
-            )
-    rules.check({variable.name: variable.sets for variable in inputs}, conclusions)
-
-
-def _weights(system: Sugeno | Mamdani, inputs: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """How far the antecedent of each rule holds [1]."""
-    if len(inputs) != len(system.inputs):
-        names = ", ".join(variable.name for variable in system.inputs)
-        raise OctarmError(f"{len(inputs)} inputs are given; the rules need {names}")
-    labels = {v.name: v(x) for v, x in zip(system.inputs, inputs, strict=True)}
-    weights: list[np.ndarray] = []
-    for rule in system.rules:
-        cases = [
-            functools.reduce(system.conjunction, [labels[name][label] for name, label in case])
-            for case in rule.cases
-        ]
-        weights.append(functools.reduce(system.disjunction, cases))
-    return weights
-
-
-def _by_conclusion(rules: RuleBase, weights: Sequence[np.ndarray]) -> dict[str, list[np.ndarray]]:
-    sets: dict[str, list[np.ndarray]] = {}
-    for rule, weight in zip(rules, weights, strict=True):
-        sets.setdefault(rule.conclusion, []).append(weight)
-    return sets

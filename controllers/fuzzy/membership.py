@@ -11,38 +11,67 @@ the membership stays 1 on it. Each is called with arrays of any shape, elementwi
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 import itertools
 import math
-from typing import Protocol
+from typing import ClassVar, Self
 
 import numpy as np
 
 from octarm.errors import OctarmError
 
 
-class Membership(Protocol):
-    """A fuzzy set on the real line."""
+class Membership(abc.ABC):
+    """A fuzzy set on the real line, of a family that can be spread over a range."""
 
+    @property
+    @abc.abstractmethod
+    def corners(self) -> tuple[float, ...]:
+        """Where the membership stops rising or falling, in rising order; it may be infinite."""
+
+    @abc.abstractmethod
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Membership of x [1], in [0, 1]; of the shape of x."""
-        ...
 
-    def cut(self, level: float) -> tuple[float, float]:
-        """The ends of the interval in which the membership is at least `level`, in (0, 1]."""
-        ...
-
-
-class Family(Protocol):
-    """A family of membership functions that can be spread over a range."""
-
-    def between(self, before: float, peak: float, after: float) -> Membership:
+    @classmethod
+    @abc.abstractmethod
+    def between(cls, before: float, peak: float, after: float) -> Self:
         """The set at `peak` whose neighbours peak at `before` and `after`."""
-        ...
+
+
+class _Straight(Membership):
+    """Straight from 0 up to 1 and down to 0, between four corners."""
+
+    def __post_init__(self) -> None:
+        _, top_left, top_right, _ = corners = self.corners
+        if not all(a <= b for a, b in itertools.pairwise(corners)):
+            given = ", ".join(f"{x:g}" for x in vars(self).values())
+            raise OctarmError(f"the corners of {type(self).__name__} are {given}; they must rise")
+        if not math.isfinite(top_right - top_left):
+            raise OctarmError(f"the top of {type(self).__name__} is infinite; it must be finite")
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        left, top_left, top_right, right = self.corners
+        y = 1.0  # what lies under both slopes; a slope with no foot is not there
+        with np.errstate(over="ignore"):  # a slope that overflows is below 0 or above 1
+            if math.isfinite(left):
+                rising = (x - left) / (top_left - left) if left < top_left else _step(x - left)
+                y = np.minimum(rising, y)
+            if math.isfinite(right):
+                width = right - top_right
+                falling = (right - x) / width if top_right < right else _step(right - x)
+                y = np.minimum(falling, y)
+        return np.maximum(y, np.zeros_like(x))
+
+
+def _step(x: np.ndarray) -> np.ndarray:
+    """A vertical slope; NaN stays NaN."""
+    return np.heaviside(x, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
-class Triangular:
+class Triangular(_Straight):
     """Straight from 0 at `left` up to 1 at `peak`, and down to 0 at `right`.
 
     Attributes:
@@ -51,33 +80,26 @@ class Triangular:
         right: where it ends; inf for an open right shoulder.
 
     Raises:
-        ValueError: unless left <= peak <= right and the peak is finite.
+        OctarmError: unless left <= peak <= right and the peak is finite.
     """
 
     left: float
     peak: float
     right: float
 
-    def __post_init__(self) -> None:
-        _check_rising(self)
-        _check_finite(self, "peak")
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Membership of x [1], of the shape of x."""
-        return _below_slopes(x, self.left, self.peak, self.peak, self.right)
-
-    def cut(self, level: float) -> tuple[float, float]:
-        """The interval in which the membership is at least `level`."""
-        return _foot(self.left, self.peak, level), _foot(self.right, self.peak, level)
+    @property
+    def corners(self) -> tuple[float, float, float, float]:
+        """Left, peak, peak, right."""
+        return self.left, self.peak, self.peak, self.right
 
     @classmethod
-    def between(cls, before: float, peak: float, after: float) -> Triangular:
+    def between(cls, before: float, peak: float, after: float) -> Self:
         """Ends where its neighbours peak: the memberships of all sets add up to 1."""
         return cls(before, peak, after)
 
 
 @dataclasses.dataclass(frozen=True)
-class Trapezoidal:
+class Trapezoidal(_Straight):
     """Straight from 0 at `left` up to 1 on [top_left, top_right], and down to 0 at `right`.
 
     Attributes:
@@ -87,7 +109,7 @@ class Trapezoidal:
         right: where it ends; inf for an open right shoulder.
 
     Raises:
-        ValueError: unless left <= top_left <= top_right <= right and the top is finite.
+        OctarmError: unless left <= top_left <= top_right <= right and the top is finite.
     """
 
     left: float
@@ -95,20 +117,13 @@ class Trapezoidal:
     top_right: float
     right: float
 
-    def __post_init__(self) -> None:
-        _check_rising(self)
-        _check_finite(self, "top_left", "top_right")
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Membership of x [1], of the shape of x."""
-        return _below_slopes(x, self.left, self.top_left, self.top_right, self.right)
-
-    def cut(self, level: float) -> tuple[float, float]:
-        """The interval in which the membership is at least `level`."""
-        return _foot(self.left, self.top_left, level), _foot(self.right, self.top_right, level)
+    @property
+    def corners(self) -> tuple[float, float, float, float]:
+        """All fields."""
+        return self.left, self.top_left, self.top_right, self.right
 
     @classmethod
-    def between(cls, before: float, peak: float, after: float) -> Trapezoidal:
+    def between(cls, before: float, peak: float, after: float) -> Self:
         """Top over the middle half of the way to its neighbours; all memberships add up to 1."""
         before, after = peak - before, after - peak
         near, far = (0.25 * gap if math.isfinite(gap) else 0.0 for gap in (before, after))
@@ -116,46 +131,7 @@ class Trapezoidal:
 
 
 @dataclasses.dataclass(frozen=True)
-class GeneralisedBell:
-    """1 / (1 + |(x - center) / width|^(2 slope)), with a width for each side.
-
-    Attributes:
-        center: where it is 1.
-        left: width on the left, at which it is 1/2; inf for an open left shoulder.
-        right: width on the right; inf for an open right shoulder.
-        slope: how square the bell is [1].
-
-    Raises:
-        ValueError: unless the center is finite, and the widths and the slope are above 0.
-    """
-
-    center: float
-    left: float
-    right: float
-    slope: float = 2.0
-
-    def __post_init__(self) -> None:
-        _check_finite(self, "center", "slope")
-        _check_positive(self, "left", "right", "slope")
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Membership of x [1], of the shape of x."""
-        with np.errstate(over="ignore"):  # 1 / (1 + inf) is the 0 it should be
-            return 1.0 / (1.0 + np.power(_widths(x, self), 2.0 * self.slope))
-
-    def cut(self, level: float) -> tuple[float, float]:
-        """The interval in which the membership is at least `level`."""
-        reach = (1.0 / level - 1.0) ** (0.5 / self.slope)
-        return self.center - reach * self.left, self.center + reach * self.right
-
-    @classmethod
-    def between(cls, before: float, peak: float, after: float) -> GeneralisedBell:
-        """Crosses its neighbours at a membership of 1/2."""
-        return cls(peak, 0.5 * (peak - before), 0.5 * (after - peak))
-
-
-@dataclasses.dataclass(frozen=True)
-class Gaussian:
+class Gaussian(Membership):
     """exp(-((x - center) / width)^2), with a width for each side; 1 / width is the paper's sigma.
 
     Attributes:
@@ -164,93 +140,59 @@ class Gaussian:
         right: width on the right; inf for an open right shoulder.
 
     Raises:
-        ValueError: unless the center is finite and the widths are above 0.
+        OctarmError: unless the center is finite, and the other fields are above 0.
     """
+
+    half: ClassVar[float] = math.sqrt(math.log(2.0))  # widths at which the membership is 1/2
 
     center: float
     left: float
     right: float
 
     def __post_init__(self) -> None:
-        _check_finite(self, "center")
-        _check_positive(self, "left", "right")
+        for name, value in dataclasses.asdict(self).items():
+            allowed = "finite" if name == "center" else "above 0"
+            if not (math.isfinite(value) if name == "center" else value > 0.0):
+                kind = type(self).__name__
+                raise OctarmError(f"{name} of {kind} is {value:g}; it must be {allowed}")
+
+    @property
+    def corners(self) -> tuple[float, ...]:
+        """The center alone."""
+        return (self.center,)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Membership of x [1], of the shape of x."""
-        z = _widths(x, self)
-        with np.errstate(over="ignore"):  # exp(-inf) is the 0 it should be
-            return np.exp(-z * z)
+        with np.errstate(over="ignore"):  # beyond all numbers the membership is 0
+            z = np.zeros_like(x)
+            if math.isfinite(self.left):
+                z = z + np.maximum(self.center - x, 0.0) / self.left
+            if math.isfinite(self.right):
+                z = z + np.maximum(x - self.center, 0.0) / self.right
+            return self.profile(z)
 
-    def cut(self, level: float) -> tuple[float, float]:
-        """The interval in which the membership is at least `level`."""
-        reach = math.sqrt(-math.log(level))
-        return self.center - reach * self.left, self.center + reach * self.right
+    def profile(self, z: np.ndarray) -> np.ndarray:
+        """Membership [1] at a distance of z widths from the center, of the shape of z."""
+        return np.exp(-z * z)
 
     @classmethod
-    def between(cls, before: float, peak: float, after: float) -> Gaussian:
+    def between(cls, before: float, peak: float, after: float) -> Self:
         """Crosses its neighbours at a membership of 1/2."""
-        half = 2.0 * math.sqrt(math.log(2.0))
-        return cls(peak, (peak - before) / half, (after - peak) / half)
+        return cls(peak, (peak - before) / (2.0 * cls.half), (after - peak) / (2.0 * cls.half))
 
 
-def _below_slopes(
-    x: np.ndarray, left: float, top_left: float, top_right: float, right: float
-) -> np.ndarray:
-    """What lies under a rising slope, a falling one, and 1; a slope with no foot is not there."""
-    y = 1.0
-    with np.errstate(over="ignore"):  # a slope that overflows is below 0 or above 1
-        if math.isfinite(left):
-            rising = (x - left) / (top_left - left) if left < top_left else _step(x - left)
-            y = np.minimum(rising, y)
-        if math.isfinite(right):
-            falling = (right - x) / (right - top_right) if top_right < right else _step(right - x)
-            y = np.minimum(falling, y)
-    return np.maximum(y, np.zeros_like(x))
+@dataclasses.dataclass(frozen=True)
+class GeneralisedBell(Gaussian):
+    """1 / (1 + |(x - center) / width|^(2 slope)), which is 1/2 at one width from the center.
 
+    Attributes:
+        slope: how square the bell is [1].
+    """
 
-def _step(x: np.ndarray) -> np.ndarray:
-    """A vertical slope; NaN stays NaN."""
-    return np.heaviside(x, 1.0)
+    half: ClassVar[float] = 1.0
 
+    slope: float = 2.0
 
-def _foot(foot: float, top: float, level: float) -> float:
-    """Where a slope reaches a level."""
-    return foot + level * (top - foot) if math.isfinite(foot) else foot
-
-
-def _widths(x: np.ndarray, kind: GeneralisedBell | Gaussian) -> np.ndarray:
-    """Distance of x from the center, in widths of the side it is on; 0 on an open shoulder."""
-    z = np.zeros_like(x)
-    with np.errstate(over="ignore"):
-        if math.isfinite(kind.left):
-            z = z + np.maximum(kind.center - x, 0.0) / kind.left
-        if math.isfinite(kind.right):
-            z = z + np.maximum(x - kind.center, 0.0) / kind.right
-    return z
-
-
-def _check_rising(shape: Triangular | Trapezoidal) -> None:
-    corners = dataclasses.asdict(shape)
-    values = list(corners.values())
-    if not all(a <= b for a, b in itertools.pairwise(values)):
-        given = ", ".join(f"{value:g}" for value in values)
-        raise OctarmError(
-            f"the corners of {type(shape).__name__} are {given}; they must rise: "
-            f"{' <= '.join(corners)}"
-        )
-
-
-def _check_finite(shape: Membership, *names: str) -> None:
-    for name in names:
-        if not math.isfinite(getattr(shape, name)):
-            raise OctarmError(
-                f"{name} of {type(shape).__name__} is {getattr(shape, name):g}; it must be finite"
-            )
-
-
-def _check_positive(shape: Membership, *names: str) -> None:
-    for name in names:
-        if not getattr(shape, name) > 0.0:
-            raise OctarmError(
-                f"{name} of {type(shape).__name__} is {getattr(shape, name):g}; it must be above 0"
-            )
+    def profile(self, z: np.ndarray) -> np.ndarray:
+        """Membership [1] at a distance of z widths from the center, of the shape of z."""
+        return 1.0 / (1.0 + np.power(z, 2.0 * self.slope))

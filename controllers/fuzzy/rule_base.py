@@ -32,9 +32,6 @@ class Clause(NamedTuple):
     variable: str
     label: str
 
-    def __str__(self) -> str:
-        return f"{self.variable} is {self.label}"
-
 
 class Rule(NamedTuple):
     """If all clauses of at least one case hold, then the conclusion.
@@ -48,8 +45,7 @@ class Rule(NamedTuple):
     conclusion: str
 
     def __str__(self) -> str:
-        cases = " or ".join(_spoken(case) for case in self.cases)
-        return f"if {cases} then {self.conclusion}"
+        return f"if {' or '.join(map(_words, self.cases))} then {self.conclusion}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +56,7 @@ class RuleBase:
         rules: at least one.
 
     Raises:
-        ValueError: if there are no rules, or two of them share a case.
+        OctarmError: if there are no rules, or two of them share a case.
     """
 
     rules: tuple[Rule, ...]
@@ -68,16 +64,14 @@ class RuleBase:
     def __post_init__(self) -> None:
         if not self.rules:
             raise OctarmError("a rule base has no rules; it needs at least one")
-        seen: dict[frozenset[Clause], Rule] = {}
-        for rule in self.rules:
-            for case in rule.cases:
-                if frozenset(case) in seen:
-                    other = seen[frozenset(case)].conclusion
-                    raise OctarmError(
-                        f"two rules are for {_spoken(case)}, one concludes {other} and the other "
-                        f"{rule.conclusion}; there may be only one"
-                    )
-                seen[frozenset(case)] = rule
+        seen: dict[frozenset[Clause], str] = {}
+        for rule, case in self._cases():
+            if frozenset(case) in seen:
+                raise OctarmError(
+                    f"two rules are for {_words(case)}, one concludes {seen[frozenset(case)]} and "
+                    f"the other {rule.conclusion}; there may be only one"
+                )
+            seen[frozenset(case)] = rule.conclusion
 
     def __iter__(self) -> Iterator[Rule]:
         return iter(self.rules)
@@ -93,7 +87,7 @@ class RuleBase:
         """Reads one rule a line, such as `if e is NB and rate is PS then NM`.
 
         Raises:
-            ValueError: for a line that is not such a sentence, or two rules for one case.
+            OctarmError: for a line that is not such a sentence, or two rules for one case.
         """
         return cls(tuple(_sentence(line) for line in _lines(text)))
 
@@ -102,21 +96,19 @@ class RuleBase:
         """Reads a table whose first line is `row variable / column variable` and column labels.
 
         Raises:
-            ValueError: for a first line without `/`, a row that is too short or too long, or two
+            OctarmError: for a first line without `/`, a row that is too short or too long, or two
                 rows or columns with the same label.
         """
-        lines = _lines(text)
-        first, slash, rest = (lines[0] if lines else "").partition("/")
-        head = rest.split()
-        if not slash or len(first.split()) != 1 or len(head) < 2:
+        first, *lines = _lines(text) or [""]
+        head = re.fullmatch(r"(\S+)\s*/\s*(\S+)\s+(.+)", first)
+        if not head:
             raise OctarmError(
-                f"a rule table begins with {(lines or [''])[0]!r}; it needs the variables and the "
-                "labels of the columns, as in 'e / rate  N Z P'"
+                f"a rule table begins with {first!r}; it needs the variables and the labels of the "
+                "columns, as in 'e / rate  N Z P'"
             )
-        row_variable, (column_variable, *columns) = first.strip(), head
+        row_variable, column_variable, columns = head[1], head[2], head[3].split()
         rules: list[Rule] = []
-        for line in lines[1:]:
-            row, *conclusions = line.split()
+        for row, *conclusions in map(str.split, lines):
             if len(conclusions) != len(columns):
                 raise OctarmError(
                     f"row {row} of the rule table has {len(conclusions)} conclusions; it needs "
@@ -135,31 +127,27 @@ class RuleBase:
             conclusions: the labels that rules may conclude.
 
         Raises:
-            ValueError: for an unknown variable or label, or a combination without a rule.
+            OctarmError: for an unknown variable or label, or a combination without a rule.
         """
-        for rule in self.rules:
-            for variable, label in itertools.chain.from_iterable(rule.cases):
-                if variable not in inputs:
-                    raise OctarmError(
-                        f"unknown variable {variable!r} in the rule '{rule}'"
-                        f"{closest(variable, inputs)}"
-                    )
-                _check_label(rule, label, f"label {label!r} of {variable}", inputs[variable])
-            _check_label(rule, rule.conclusion, f"conclusion {rule.conclusion!r}", conclusions)
-        missing = list(self._missing(inputs))
+        for rule, case in self._cases():
+            for variable, label in case:
+                _check_known(f"variable {variable!r}", rule, variable, inputs)
+                _check_known(f"label {label!r} of {variable}", rule, label, inputs[variable])
+            word = rule.conclusion
+            _check_known(f"conclusion {word!r}", rule, word, conclusions)
+        cases = [frozenset(case) for _, case in self._cases()]
+        clauses = ([Clause(name, label) for label in labels] for name, labels in inputs.items())
+        combinations = [frozenset(x) for x in itertools.product(*clauses)]
+        covered = {x for x in combinations for case in cases if case <= x}
+        missing = [x for x in combinations if x not in covered]
         if missing:
             more = f", and {len(missing) - 1} other combinations" if missing[1:] else ""
-            raise OctarmError(f"no rule is for {_spoken(missing[0])}{more}; there must be one")
+            first = sorted(missing[0], key=lambda clause: [*inputs].index(clause.variable))
+            raise OctarmError(f"no rule is for {_words(first)}{more}; there must be one")
 
-    def _missing(self, inputs: Mapping[str, Iterable[str]]) -> Iterator[tuple[Clause, ...]]:
-        """The combinations of labels for which no case holds."""
-        cases = {frozenset(case) for rule in self.rules for case in rule.cases}
-        partial = [case for case in cases if len(case) < len(inputs)]
-        clauses = ([Clause(name, label) for label in labels] for name, labels in inputs.items())
-        for combination in itertools.product(*clauses):
-            held = frozenset(combination)
-            if held not in cases and not any(case <= held for case in partial):
-                yield combination
+    def _cases(self) -> Iterator[tuple[Rule, tuple[Clause, ...]]]:
+        """Each case of each rule."""
+        return ((rule, case) for rule in self.rules for case in rule.cases)
 
 
 def _lines(text: str) -> list[str]:
@@ -170,28 +158,18 @@ def _lines(text: str) -> list[str]:
 def _sentence(line: str) -> Rule:
     """One rule; OR separates its cases, AND the clauses of a case."""
     parts = re.fullmatch(r"if\s+(.+)\s+then\s+(\S+)", line)
-    if not parts:
-        raise _unreadable(line)
-    cases = re.split(r"\s+or\s+", parts[1])
-    return Rule(tuple(_case(case, line) for case in cases), parts[2])
+    cases = re.split(r"\s+or\s+", parts[1]) if parts else []
+    words = [[x.split() for x in re.split(r"\s+and\s+", case)] for case in cases]
+    if not parts or any(len(x) != 3 or x[1] != "is" for x in itertools.chain(*words)):
+        example = "if e is NB and rate is PS then NM"
+        raise OctarmError(f"the rule '{line}' cannot be read; write it as '{example}'")
+    return Rule(tuple(tuple(Clause(x[0], x[2]) for x in case) for case in words), parts[2])
 
 
-def _case(text: str, line: str) -> tuple[Clause, ...]:
-    words = [clause.split() for clause in re.split(r"\s+and\s+", text)]
-    if any(len(clause) != 3 or clause[1] != "is" for clause in words):
-        raise _unreadable(line)
-    return tuple(Clause(variable, label) for variable, _, label in words)
+def _check_known(what: str, rule: Rule, word: str, known: Iterable[str]) -> None:
+    if word not in known:
+        raise OctarmError(f"unknown {what} in the rule '{rule}'{closest(word, known)}")
 
 
-def _unreadable(line: str) -> ValueError:
-    example = "if e is NB and rate is PS then NM"
-    return ValueError(f"the rule '{line}' cannot be read; write it as '{example}'")
-
-
-def _check_label(rule: Rule, label: str, what: str, known: Iterable[str]) -> None:
-    if label not in known:
-        raise OctarmError(f"unknown {what} in the rule '{rule}'{closest(label, known)}")
-
-
-def _spoken(case: Iterable[Clause]) -> str:
-    return " and ".join(map(str, case))
+def _words(case: Iterable[Clause]) -> str:
+    return " and ".join(f"{variable} is {label}" for variable, label in case)

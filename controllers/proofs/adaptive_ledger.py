@@ -4,32 +4,33 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from controllers import make_controller
-from controllers.gains import boundary_width
+from controllers import AdaptiveFuzzy, make_controller
 from controllers.proofs.lyapunov import (
     LAMBDA,
+    Adapted,
     AdaptiveLaw,
-    Fuzzy,
     Instants,
-    Sliding,
     approximation_error,
-    as_claimed,
     below,
     damped,
     energy_rate,
+    layer_of,
     linear_gain_of,
     model_error,
     parameter_energy,
     parameter_rate,
+    proved,
     random_instants,
     random_nominal,
+    rates_of,
     rms,
     sliding,
 )
+from controllers.sliding_mode import Surface
 from octarm.arm.lagrange import equilibrium, forward_dynamics, kinetic_energy
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.report import Check
@@ -45,17 +46,16 @@ class Answer(NamedTuple):
     """
 
     force: np.ndarray
-    rates: Fuzzy
+    rates: Adapted
 
 
-class Trial(NamedTuple):
+class AdaptiveTrial(NamedTuple):
     """Instants with values of all that an adaptive controller adapts, and what it does there.
 
     Attributes:
         at: the instants.
+        law: the controller, for its scales and rates.
         surface: s and what follows from it.
-        K_v: linear gain, shape (2N,).
-        law: the controller's scales and rates.
         now: adapted values.
         best: their optimal values.
         eps: error of the approximation, eq (73), shape (n, 2N) [N], [N m].
@@ -63,20 +63,23 @@ class Trial(NamedTuple):
     """
 
     at: Instants
-    surface: Sliding
-    K_v: np.ndarray
     law: AdaptiveLaw
-    now: Fuzzy
-    best: Fuzzy
+    surface: Surface
+    now: Adapted
+    best: Adapted
     eps: np.ndarray
     answer: Answer
+
+    @property
+    def taken(self) -> np.ndarray:
+        """s^T (K_v + B) s, what the linear gain and the dampers take, shape (n,) [W]."""
+        return damped(self.at, self.surface.s, self.law.K_v)
 
     @property
     def claim(self) -> np.ndarray:
         """V' = sum s eps - E* |s| - s^T (K_v + B) s, eq (85), shape (n,) [W]."""
         s = self.surface.s
-        rest = np.sum(s * self.eps - self.best.E * np.abs(s), axis=-1)
-        return rest - damped(self.at, s, self.K_v)
+        return np.sum(s * self.eps - self.best.E * np.abs(s), axis=-1) - self.taken
 
     def rate(self, answer: Answer | None = None) -> np.ndarray:
         """V' by the chain rule through the true arm, eq (81), shape (n,) [W]."""
@@ -90,20 +93,18 @@ def adaptive(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterato
     for name, normalised in itertools.product(("afsmc", "afsmc-consequent"), (False, True)):
         label = f"{name} normalised" if normalised else name
         t = adaptive_trial(name, p, states, rng, normalised=normalised)
-        yield as_claimed(label, t.rate(), t.claim)
-        yield below(label, t.rate(), -damped(t.at, t.surface.s, t.K_v), rms(t.claim))
+        yield from proved(label, t.rate(), t.claim, -t.taken)
     yield from _saturated(p, states, rng)
     yield from _safeguarded(p, states, rng)
 
 
 def _saturated(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
     """E sat(s / phi) in place of E sgn(s): V' may exceed that by sum E phi / 4."""
-    phi = boundary_width(p)
+    phi = layer_of(p)
     t = adaptive_trial("afsmc", p, states, rng, phi=phi)
     claim = t.claim + np.sum(t.now.E * _unsaturated(t.surface.s, phi), axis=-1)
-    yield as_claimed("afsmc, E sat(s / phi)", t.rate(), claim)
-    bound = np.sum(0.25 * t.now.E * phi, axis=-1) - damped(t.at, t.surface.s, t.K_v)
-    yield below("afsmc, E sat(s / phi)", t.rate(), bound, rms(claim))
+    bound = np.sum(0.25 * t.now.E * phi, axis=-1) - t.taken
+    yield from proved("afsmc, E sat(s / phi)", t.rate(), claim, bound)
 
 
 def _safeguarded(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
@@ -113,22 +114,20 @@ def _safeguarded(p: ArmParameters, states: int, rng: np.random.Generator) -> Ite
     """
     at = random_instants(p, random_nominal(p, states, rng), LAMBDA, rng)
     s, F = sliding(at, LAMBDA).s, model_error(at, sliding(at, LAMBDA))
-    controller, law = _shipped("afsmc", p, at.nominal, phi=boundary_width(p))
-    c, moves = controller, each_rule(controller.alpha_max)
-    lowest = Fuzzy(
-        each_rule(-c.theta_max), c.alpha0 - moves, each_rule(c.sigma_min), np.zeros_like(c.E_max)
-    )
-    highest = Fuzzy(each_rule(c.theta_max), c.alpha0 + moves, each_rule(c.sigma_max), c.E_max)
+    law = cast("AdaptiveFuzzy", adaptive_law("afsmc", p, at.nominal, phi=layer_of(p)))
+    top, reach = each_rule(law.theta_max), each_rule(law.alpha_max)
+    lowest = Adapted(-top, law.alpha0 - reach, each_rule(law.sigma_min), np.zeros_like(law.E_max))
+    highest = Adapted(top, law.alpha0 + reach, each_rule(law.sigma_max), law.E_max)
 
-    def value(reach: float) -> Fuzzy:
+    def value(reach: float) -> Adapted:
         drawn = (rng.uniform(-reach, reach, part.shape) for part in _random_values(F, rng))
         places = (np.where(abs(x) > 0.9, np.sign(x), x) for x in drawn)
         spans = zip(lowest, highest, places, strict=True)
-        return Fuzzy(*(low + 0.5 * (high - low) * (1.0 + x) for low, high, x in spans))
+        return Adapted(*(low + 0.5 * (high - low) * (1.0 + x) for low, high, x in spans))
 
-    t = _compared(at, controller, law, value(1.35), value(0.9), step=1e-4)
-    resting = np.maximum(t.best.E - t.now.E, 0.0) * (np.abs(s) < controller.dead_zone)
-    bound = t.claim + np.sum(t.now.E * _unsaturated(s, c.phi) + resting * np.abs(s), axis=-1)
+    t = _compared(at, law, value(1.35), value(0.9), step=1e-4)
+    resting = np.maximum(t.best.E - t.now.E, 0.0) * (np.abs(s) < law.dead_zone)
+    bound = t.claim + np.sum(t.now.E * _unsaturated(s, law.phi) + resting * np.abs(s), axis=-1)
     yield below("afsmc, safeguards", t.rate(), bound, rms(t.claim))
 
 
@@ -138,7 +137,7 @@ def along_a_run(p: ArmParameters, rng: np.random.Generator) -> Iterator[Check]:
     That V falls along a run is no test of a law: with C_j as printed it falls as well. The law is
     the one with sat(s / phi), as integrators make no sense of sgn(s); V' then has a small bound.
     """
-    phi = boundary_width(p)
+    phi = layer_of(p)
     with np.errstate(over="ignore", invalid="ignore"):  # NaN passes no row
         t, trial = _closed_loop(p, rng, phi)
         trial = trial._replace(best=trial.best._replace(E=np.max(np.abs(trial.eps), axis=0)))
@@ -148,8 +147,8 @@ def along_a_run(p: ArmParameters, rng: np.random.Generator) -> Iterator[Check]:
         V = (energy + parameter_energy(trial.law, trial.now, trial.best)) / rms(claim)
         pairs = rate[:-2:2] + 4.0 * rate[1:-1:2] + rate[2::2]  # Simpson's rule over two steps
         integral = np.cumsum(pairs, axis=0) * (t[1] / 3.0) / rms(claim)
-        yield as_claimed("afsmc along a run", rate, claim)
-        yield below("afsmc along a run", rate, 0.25 * np.sum(E * phi, axis=-1), rms(claim))
+        bound = 0.25 * np.sum(E * phi, axis=-1)
+        yield from proved("afsmc along a run", rate, claim, bound)
         difference = np.max(np.abs(V[2::2] - V[0] - integral)) / t[-1]
         yield Check("afsmc along a run: V - its integrated V', a second", float(difference), 1e-3)
         left = float(np.max(V[-1] / V[0]))
@@ -162,7 +161,7 @@ def _closed_loop(
     phi: np.ndarray,
     steps: int = 500,
     dt: float = 5e-4,
-) -> tuple[np.ndarray, Trial]:
+) -> tuple[np.ndarray, AdaptiveTrial]:
     """Four arms that follow a sine with models up to 30 % off, by RK4 on law and arm together.
 
     Returns:
@@ -171,7 +170,7 @@ def _closed_loop(
     """
     off = 1.0 + 0.3 * np.array([-1.0, -0.5, 0.5, 1.0])[:, None]
     nominal = p.scaled(mass=off, inertia=off, stiffness=0.5 + 0.5 * off[..., None])
-    controller, law = literal("afsmc", p, nominal, phi=phi)
+    law = literal("afsmc", p, nominal, phi=phi)
     rest, size = equilibrium(p), np.repeat([0.01, 0.2], p.modules)
 
     def at(t: np.ndarray, x: Any) -> Instants:
@@ -182,19 +181,19 @@ def _closed_loop(
         return Instants(p, nominal, Measurement(1.0, x[0], x[1]), reference, np.zeros_like(x[0]))
 
     def rates(t: np.ndarray, x: Any) -> Any:
-        force, adaptation = answer(controller, at(t, x), Fuzzy(*x[2:]))
+        force, adaptation = answer(law, at(t, x), Adapted(*x[2:]))
         return (x[1], forward_dynamics(p, x[0], x[1], force), *adaptation)
 
-    first = controller.initial_state((4,))
+    first: Any = law.initial_state((4,))
     q = rest + size * rng.uniform(-1.0, 1.0, (4, rest.size))
     t = dt * np.arange(steps + 1)
-    path = [(q, np.zeros_like(q), *(getattr(first, name) for name in Fuzzy._fields))]
+    path = [(q, np.zeros_like(q), first.theta, first.alpha, first.sigma, first.E)]
     for now in t[:-1]:
         path.append(_rk4_step(rates, now, path[-1], dt))
     q, v, *adapted = map(np.stack, zip(*path, strict=True))
-    now = Fuzzy(*adapted)
-    best = Fuzzy(*(part[-1] for part in now))
-    return t, _compared(at(t, (q, v)), controller, law, now, best)
+    now = Adapted(*adapted)
+    best = Adapted(*(part[-1] for part in now))
+    return t, _compared(at(t, (q, v)), law, now, best)
 
 
 def _rk4_step(rates: Callable[[Any, Any], Any], t: Any, x: Any, h: float) -> Any:
@@ -211,68 +210,58 @@ def _rk4_step(rates: Callable[[Any, Any], Any], t: Any, x: Any, h: float) -> Any
 
 def adaptive_trial(
     name: str, p: ArmParameters, states: int, rng: np.random.Generator, **gains: Any
-) -> Trial:
+) -> AdaptiveTrial:
     """Random instants, values and optimal values, with the tightest E* = |eps|."""
     at = random_instants(p, random_nominal(p, states, rng), LAMBDA, rng)
     F = model_error(at, sliding(at, LAMBDA))
     now, best = _random_values(F, rng), _random_values(F, rng)
     premises = {"alpha0": now.alpha, "sigma0": now.sigma}  # where they do not adapt
-    controller, law = literal(name, p, at.nominal, **premises, **gains)
-    t = _compared(at, controller, law, now, best)
+    t = _compared(at, literal(name, p, at.nominal, **premises, **gains), now, best)
     return t._replace(best=t.best._replace(E=np.abs(t.eps)))
 
 
-def literal(
-    name: str, p: ArmParameters, nominal: ArmParameters, **gains: Any
-) -> tuple[Any, AdaptiveLaw]:
+def literal(name: str, p: ArmParameters, nominal: ArmParameters, **gains: Any) -> AdaptiveLaw:
     """The controller without safeguards and with sgn(s), as the theorem has it."""
-    return _shipped(name, p, nominal, **({"phi": 0.0, "safeguards": False} | gains))
+    return adaptive_law(name, p, nominal, **({"phi": 0.0, "safeguards": False} | gains))
 
 
-def _shipped(
-    name: str, p: ArmParameters, nominal: ArmParameters, **gains: Any
-) -> tuple[Any, AdaptiveLaw]:
-    """The controller of this name, with its scales and rates."""
+def adaptive_law(name: str, p: ArmParameters, nominal: ArmParameters, **gains: Any) -> AdaptiveLaw:
+    """The adaptive controller of this name, as it is shipped but for these gains."""
     given = {"lambda": LAMBDA, "K_v": linear_gain_of(p)} | gains
-    controller: Any = make_controller(name, nominal, given)
-    eta = (controller.eta1, controller.eta2)
-    eta += (getattr(controller, "eta3", 0.0), getattr(controller, "eta4", 0.0))
-    return controller, AdaptiveLaw(controller.scale, eta, controller.normalised)
+    return cast("AdaptiveLaw", make_controller(name, nominal, given))
 
 
 def _compared(
-    at: Instants, controller: Any, law: AdaptiveLaw, now: Fuzzy, best: Fuzzy, step: float = 1.0
-) -> Trial:
+    at: Instants, law: AdaptiveLaw, now: Adapted, best: Adapted, step: float = 1.0
+) -> AdaptiveTrial:
     surface = sliding(at, LAMBDA)
     # Premises that do not adapt cannot come closer to their best values.
-    fixed = not np.any(law.eta[2]) and not np.any(law.eta[3])
-    reached = best._replace(alpha=now.alpha, sigma=now.sigma) if fixed else best
+    adapts = np.any(rates_of(law)[2]) or np.any(rates_of(law)[3])
+    reached = best if adapts else best._replace(alpha=now.alpha, sigma=now.sigma)
     eps = approximation_error(law, surface.s, model_error(at, surface), now, reached)
-    done = answer(controller, at, now, step)
-    return Trial(at, surface, controller.K_v, law, now, best, eps, done)
+    return AdaptiveTrial(at, law, surface, now, best, eps, answer(law, at, now, step))
 
 
-def answer(controller: Any, at: Instants, now: Fuzzy, step: float = 1.0) -> Answer:
+def answer(law: AdaptiveLaw, at: Instants, now: Adapted, step: float = 1.0) -> Answer:
     """Force and rates, the rates from one Euler step [s], which is exact while no bound acts."""
-    state = controller.initial_state(at.measurement.q.shape[:-1])
-    adapted = [name for name in Fuzzy._fields if name in state._fields]
-    copies = {name: getattr(now, name).copy() for name in adapted}
-    state = state._replace(t=0.0, **copies)
-    command, after = controller(state, at.measurement._replace(t=step), at.reference)
-    rates = {name: (getattr(after, name) - getattr(now, name)) / step for name in adapted}
-    return Answer(command.force, Fuzzy(*map(np.zeros_like, now))._replace(**rates))
+    state: Any = law.initial_state(at.measurement.q.shape[:-1])
+    before = {name: part for name, part in now._asdict().items() if name in state._fields}
+    state = state._replace(t=0.0, **{name: part.copy() for name, part in before.items()})
+    command, after = law(state, at.measurement._replace(t=step), at.reference)
+    rates = {name: (getattr(after, name) - part) / step for name, part in before.items()}
+    return Answer(command.force, Adapted(*map(np.zeros_like, now))._replace(**rates))
 
 
-def _unsaturated(s: np.ndarray, phi: np.ndarray) -> np.ndarray:
+def _unsaturated(s: np.ndarray, phi: Any) -> np.ndarray:
     """|s| - s sat(s / phi), at most phi / 4, shape (..., 2N)."""
     return np.abs(s) - s * np.clip(s / phi, -1.0, 1.0)
 
 
-def _random_values(F: np.ndarray, rng: np.random.Generator) -> Fuzzy:
+def _random_values(F: np.ndarray, rng: np.random.Generator) -> Adapted:
     """Theta and E of the size of the model error, centres and widths around the usual ones."""
     size = np.sqrt(np.mean(F * F, axis=0))
     rules = (*F.shape, 5)
-    return Fuzzy(
+    return Adapted(
         theta=each_rule(size) * rng.normal(size=rules),
         alpha=rng.uniform(-1.5, 1.5, rules),
         sigma=rng.uniform(0.5, 4.0, rules),

@@ -1,8 +1,8 @@
 """The Lyapunov ledger: the controllers' proofs of stability, checked at random states, as a report.
 
 Every right law has to give V' as claimed, and never above its bound; every wrong one, made from the
-right one by a misprint of the paper, has to be noticed by the same comparison. The bounds hold
-beside what the dampers and K_v take, which must not make up for what a law lacks.
+right one by a misprint of the paper, has to be noticed by the same comparison. The bounds leave
+out what the dampers and K_v take, which must not make up for what a law lacks.
 """
 
 from __future__ import annotations
@@ -14,27 +14,27 @@ import numpy as np
 
 from controllers import make_controller
 from controllers.fuzzy_sliding_mode import FuzzySlidingMode
-from controllers.gains import boundary_width
 from controllers.integral_sliding_mode import IntegralState
 from controllers.proofs.adaptive_ledger import adaptive, along_a_run
 from controllers.proofs.lyapunov import (
     LAMBDA,
     Instants,
-    Sliding,
-    as_claimed,
     below,
     damped,
     energy_rate,
     integral_sliding,
+    layer_of,
     linear_gain_of,
     model_error,
     noticed,
+    proved,
     random_instants,
     random_nominal,
     rms,
     sliding,
 )
 from controllers.proofs.misprints import misprints
+from controllers.sliding_mode import Surface
 from controllers.super_twisting import SuperTwistingState
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.report import Check, Report, gathered
@@ -60,7 +60,7 @@ def ledger(
         progress: called with the name of each part before it starts.
 
     Raises:
-        ValueError: if `states` is below 100.
+        OctarmError: if `states` is below 100.
     """
     if states < FEWEST_STATES:
         raise OctarmError(
@@ -87,7 +87,7 @@ def ledger(
     return Report(title, parameters, states, seed, checks)
 
 
-class Trial(NamedTuple):
+class SwitchingTrial(NamedTuple):
     """Random instants with a switching gain that covers the model error there, eq (40).
 
     Attributes:
@@ -100,7 +100,7 @@ class Trial(NamedTuple):
     """
 
     at: Instants
-    surface: Sliding
+    surface: Surface
     F: np.ndarray
     eta: np.ndarray
     K: np.ndarray
@@ -118,28 +118,35 @@ class Trial(NamedTuple):
 
     def claim(self, robust: np.ndarray) -> np.ndarray:
         """V' = s^T (F + robust part) - s^T (K_v + B) s, eq (38), shape (n,) [W]."""
-        s = self.surface.s
-        return np.sum(s * (self.F + robust), axis=-1) - damped(self.at, s, self.K_v)
+        return np.sum(self.surface.s * (self.F + robust), axis=-1) - self.taken
 
     @property
     def reaching(self) -> np.ndarray:
         """-sum eta |s| - s^T (K_v + B) s, eq (42), shape (n,) [W]."""
-        s = self.surface.s
-        return -np.sum(self.eta * np.abs(s), axis=-1) - damped(self.at, s, self.K_v)
+        return -np.sum(self.eta * np.abs(self.surface.s), axis=-1) - self.taken
+
+    @property
+    def taken(self) -> np.ndarray:
+        """s^T (K_v + B) s, what the linear gain and the dampers take, shape (n,) [W]."""
+        return damped(self.at, self.surface.s, self.K_v)
+
+    def within(self, phi: np.ndarray) -> np.ndarray:
+        """The bound (42) with a boundary layer: sum K phi / 4 more, shape (n,) [W]."""
+        return self.reaching + np.sum(0.25 * self.K * phi, axis=-1)
 
 
-def _trial(at: Instants, surface: Sliding) -> Trial:
+def _trial(at: Instants, surface: Surface) -> SwitchingTrial:
     F = model_error(at, surface)
     eta = 0.01 * np.sqrt(np.mean(F * F, axis=0))
-    return Trial(at, surface, F, eta, np.abs(F) + eta, linear_gain_of(at.true))
+    return SwitchingTrial(at, surface, F, eta, np.abs(F) + eta, linear_gain_of(at.true))
 
 
 def _random_trial(
     p: ArmParameters,
     states: int,
     rng: np.random.Generator,
-    surface_of: Callable[[Instants, float], Sliding] = sliding,
-) -> Trial:
+    surface_of: Callable[[Instants, float], Surface] = sliding,
+) -> SwitchingTrial:
     at = random_instants(p, random_nominal(p, states, rng), LAMBDA, rng)
     return _trial(at, surface_of(at, LAMBDA))
 
@@ -150,8 +157,7 @@ def _sliding_mode(p: ArmParameters, states: int, rng: np.random.Generator) -> It
     robust = -t.K * np.sign(t.surface.s)
     force = t.answer("smc")[0].force
     rate, claim = t.rate(force), t.claim(robust)
-    yield as_claimed("smc", rate, claim)
-    yield below("smc", rate, t.reaching, rms(claim))
+    yield from proved("smc", rate, claim, t.reaching)
     yield noticed("+K sgn(s) as in (31)", t.rate(force - 2.0 * robust), claim)
 
 
@@ -175,7 +181,7 @@ def _derived_gain(p: ArmParameters, states: int, rng: np.random.Generator) -> It
     yield below(f"smc, K from an uncertainty of {UNCERTAINTY:g}", rate, bound, rms(rate))
 
 
-def _worst_model(at: Instants, surface: Sliding) -> ArmParameters:
+def _worst_model(at: Instants, surface: Surface) -> ArmParameters:
     """The model within the uncertainty that has the largest s^T F, one for each instant.
 
     F is linear in the parameters, so that each of them can be taken for itself.
@@ -195,13 +201,12 @@ def _worst_model(at: Instants, surface: Sliding) -> ArmParameters:
 
 def _boundary_layer(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
     """V' = s^T F - sum K s sat(s / phi) - s^T (K_v + B) s, at most (42) + sum K phi / 4."""
-    phi = boundary_width(p)
+    phi = layer_of(p)
     t = _random_trial(p, states, rng)
     s = t.surface.s
     rate = t.rate(t.answer("smc-boundary", phi=phi)[0].force)
     claim = t.claim(-t.K * np.clip(s / phi, -1.0, 1.0))
-    yield as_claimed("smc-boundary", rate, claim)
-    yield below("smc-boundary", rate, t.reaching + np.sum(0.25 * t.K * phi, axis=-1), rms(claim))
+    yield from proved("smc-boundary", rate, claim, t.within(phi))
     inside = np.all(np.abs(s) < phi, axis=-1)
     rising = float(np.mean(rate[inside] > 0.0))
     yield Check("smc-boundary inside the layer: share of V' > 0", rising, 1.0, 1e-3)
@@ -218,8 +223,7 @@ def _integral_surface(p: ArmParameters, states: int, rng: np.random.Generator) -
     actual = t.surface.a_r - LAMBDA**2 * (integrated - expected)
     rate = energy_rate(t.at, t.surface._replace(a_r=actual), command.force)
     claim = t.claim(-t.K * np.sign(t.surface.s))
-    yield as_claimed("smc-integral", rate, claim)
-    yield below("smc-integral", rate, t.reaching, rms(claim))
+    yield from proved("smc-integral", rate, claim, t.reaching)
 
 
 def _fuzzy_switching(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
@@ -227,12 +231,11 @@ def _fuzzy_switching(p: ArmParameters, states: int, rng: np.random.Generator) ->
 
     A fuzzy f(s / phi) on the far side of sat(s / phi) from zero pushes back at least as hard.
     """
-    phi = boundary_width(p)
+    phi = layer_of(p)
     t = _random_trial(p, states, rng)
     rate = t.rate(t.answer("fsmc", phi=phi)[0].force)
     claim = t.claim(-t.K * FuzzySlidingMode.fuzzy(t.surface.s / phi))
-    yield as_claimed("fsmc", rate, claim)
-    yield below("fsmc", rate, t.reaching + np.sum(0.25 * t.K * phi, axis=-1), rms(claim))
+    yield from proved("fsmc", rate, claim, t.within(phi))
 
 
 def _super_twisting(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
@@ -245,11 +248,10 @@ def _super_twisting(p: ArmParameters, states: int, rng: np.random.Generator) -> 
     size = np.abs(t.surface.s)
     w = t.K * rng.uniform(-1.0, 1.0, t.K.shape)
     # A root gain that balances the model error somewhere among these |s|.
-    k_1 = np.sqrt(np.mean(t.F * t.F, axis=0) / boundary_width(p))
+    k_1 = np.sqrt(np.mean(t.F * t.F, axis=0) / layer_of(p))
     state = SuperTwistingState(t.at.measurement.t, w.copy())
     command, _ = t.answer("super-twisting", state, k_1=k_1)
     rate = t.rate(command.force)
     claim = t.claim(w - k_1 * np.sqrt(size) * np.sign(t.surface.s))
-    yield as_claimed("super-twisting", rate, claim)
     bound = np.sum(4.0 * np.abs(t.F + w) ** 3 / (27.0 * k_1**2), axis=-1)
-    yield below("super-twisting", rate, bound - damped(t.at, t.surface.s, t.K_v), rms(claim))
+    yield from proved("super-twisting", rate, claim, bound - t.taken)

@@ -20,11 +20,15 @@ Shapes: (...) for the batch, 2N coordinates, M fuzzy rules a coordinate. Energie
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from controllers.gains import Gain, boundary_width, linear_gain
+from controllers import AdaptiveConsequents, AdaptiveFuzzy
+from controllers.gains import Gain
+from controllers.recommended import boundary_width, linear_gain
+from controllers.sliding_mode import Surface
 from octarm.arm.lagrange import (
     coriolis_matrix,
     damping_matrix,
@@ -32,6 +36,7 @@ from octarm.arm.lagrange import (
     mass_matrix,
     potential_force,
 )
+from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.report import Check
 from octarm.interfaces import Measurement, Reference
@@ -60,21 +65,7 @@ class Instants(NamedTuple):
     integral: np.ndarray
 
 
-class Sliding(NamedTuple):
-    """A sliding variable s = q' - q_r', each of shape (..., 2N).
-
-    Attributes:
-        s: [m/s], [rad/s].
-        v_r: q_r' [m/s], [rad/s].
-        a_r: q_r'' = q'' - s' [m/s^2], [rad/s^2].
-    """
-
-    s: np.ndarray
-    v_r: np.ndarray
-    a_r: np.ndarray
-
-
-class Fuzzy(NamedTuple):
+class Adapted(NamedTuple):
     """Values of all that an adaptive controller adapts; or their rates, per s.
 
     Attributes:
@@ -90,18 +81,7 @@ class Fuzzy(NamedTuple):
     E: np.ndarray
 
 
-class AdaptiveLaw(NamedTuple):
-    """What the theory needs to know of an adaptive controller.
-
-    Attributes:
-        scale: z_j = s_j / scale_j is the input of the membership functions, (..., 2N).
-        eta: rates of adaptation (eta1, .., eta4) of E, theta, alpha, sigma, each (..., 2N).
-        normalised: whether the membership functions are divided by their sum.
-    """
-
-    scale: Gain
-    eta: tuple[Gain, Gain, Gain, Gain]
-    normalised: bool
+AdaptiveLaw = AdaptiveConsequents | AdaptiveFuzzy
 
 
 def random_nominal(true: ArmParameters, count: int, rng: np.random.Generator) -> ArmParameters:
@@ -139,7 +119,7 @@ def random_instants(
     q = within(0.0, 1.5)
     q[:, :n] = true.rest_length * rng.uniform(0.4, 2.0, (count, n))
     v, e, a_d = within(1.0, 6.0), within(0.05, 0.5), within(20.0, 200.0)
-    layer = boundary_width(true)
+    layer = layer_of(true)
     s = within(2.5, 2.5) * layer * rng.uniform(0.0, 1.0, (count, 1))
     reference = Reference(q - e, v - (s - lambda_ * e), a_d)
     # The integral surface then differs from the plain one by less than a layer.
@@ -147,27 +127,32 @@ def random_instants(
     return Instants(true, nominal, Measurement(1.0, q, v), reference, integral)
 
 
+def layer_of(true: ArmParameters) -> np.ndarray:
+    """The recommended boundary layer phi, shape (2N,) [m/s], [rad/s]."""
+    return boundary_width(LagrangeModel(true))
+
+
 def linear_gain_of(true: ArmParameters) -> np.ndarray:
     """K_v for a trial, (..., 2N): the recommended one, and none for an arm without dampers."""
-    return linear_gain(true) * np.any(true.damping > 0.0)
+    return linear_gain(LagrangeModel(true)) * np.any(true.damping > 0.0)
 
 
-def sliding(at: Instants, lambda_: Gain) -> Sliding:
+def sliding(at: Instants, lambda_: Gain) -> Surface:
     """s = e' + lambda e and what follows from it, eqs (17), (18)."""
     e, e_dot = _errors(at)
     s = e_dot + lambda_ * e
-    return Sliding(s, at.measurement.v - s, at.reference.a - lambda_ * e_dot)
+    return Surface(s, at.measurement.v - s, at.reference.a - lambda_ * e_dot)
 
 
-def integral_sliding(at: Instants, lambda_: Gain) -> Sliding:
+def integral_sliding(at: Instants, lambda_: Gain) -> Surface:
     """s = e' + 2 lambda e + lambda^2 int e, eq (24) corrected."""
     e, e_dot = _errors(at)
     s = e_dot + 2.0 * lambda_ * e + np.square(lambda_) * at.integral
     a_r = at.reference.a - 2.0 * lambda_ * e_dot - np.square(lambda_) * e
-    return Sliding(s, at.measurement.v - s, a_r)
+    return Surface(s, at.measurement.v - s, a_r)
 
 
-def energy_rate(at: Instants, surface: Sliding, force: np.ndarray) -> np.ndarray:
+def energy_rate(at: Instants, surface: Surface, force: np.ndarray) -> np.ndarray:
     """d/dt (1/2 s^T D s) = s^T D s' + 1/2 s^T D' s of the true arm under `force`, (...) [W]."""
     _, q, v = at.measurement
     s, s_dot = surface.s, forward_dynamics(at.true, q, v, force) - surface.a_r
@@ -175,7 +160,7 @@ def energy_rate(at: Instants, surface: Sliding, force: np.ndarray) -> np.ndarray
     return _product(s, mass_matrix(at.true, q), s_dot) + 0.5 * _product(s, D_dot, s)
 
 
-def model_error(at: Instants, surface: Sliding) -> np.ndarray:
+def model_error(at: Instants, surface: Surface) -> np.ndarray:
     """F, what the nominal model gives too much along q_r', shape (..., 2N) [N], [N m]."""
 
     def force(p: ArmParameters) -> np.ndarray:
@@ -192,14 +177,20 @@ def damped(at: Instants, s: np.ndarray, K_v: Gain) -> np.ndarray:
     return _product(s, damping_matrix(at.true), s) + np.sum(K_v * s * s, axis=-1)
 
 
-def membership(law: AdaptiveLaw, s: np.ndarray, now: Fuzzy) -> np.ndarray:
+def rates_of(law: AdaptiveLaw) -> tuple[Gain, Gain, Gain, Gain]:
+    """eta1 to eta4, the rates of adaptation of E, theta, alpha and sigma, each (..., 2N)."""
+    eta3, eta4 = (law.eta3, law.eta4) if isinstance(law, AdaptiveFuzzy) else (0.0, 0.0)
+    return law.eta1, law.eta2, eta3, eta4
+
+
+def membership(law: AdaptiveLaw, s: np.ndarray, now: Adapted) -> np.ndarray:
     """phi of eqs (66), (88), or of (58) when normalised, shape (..., 2N, M)."""
     z = (s / law.scale)[..., None]
     mu = np.exp(-np.square(now.sigma * (z - now.alpha)))
     return mu / np.sum(mu, axis=-1, keepdims=True) if law.normalised else mu
 
 
-def membership_along(law: AdaptiveLaw, s: np.ndarray, now: Fuzzy, step: Fuzzy) -> np.ndarray:
+def membership_along(law: AdaptiveLaw, s: np.ndarray, now: Adapted, step: Adapted) -> np.ndarray:
     """B alpha + C sigma of eq (71): phi's derivative along step's alpha and sigma, (..., 2N, M)."""
     moved = now._replace(
         alpha=now.alpha + 1j * COMPLEX_STEP * step.alpha,
@@ -208,13 +199,13 @@ def membership_along(law: AdaptiveLaw, s: np.ndarray, now: Fuzzy, step: Fuzzy) -
     return np.imag(membership(law, s, moved)) / COMPLEX_STEP
 
 
-def estimate(law: AdaptiveLaw, s: np.ndarray, now: Fuzzy) -> np.ndarray:
+def estimate(law: AdaptiveLaw, s: np.ndarray, now: Adapted) -> np.ndarray:
     """The estimated model error f^ = theta^T phi, eq (67), shape (..., 2N) [N], [N m]."""
     return np.sum(now.theta * membership(law, s, now), axis=-1)
 
 
 def approximation_error(
-    law: AdaptiveLaw, s: np.ndarray, error: np.ndarray, now: Fuzzy, best: Fuzzy
+    law: AdaptiveLaw, s: np.ndarray, error: np.ndarray, now: Adapted, best: Adapted
 ) -> np.ndarray:
     """eps of eq (73): what of F - f^ is not linear in the parameters' errors, shape (..., 2N).
 
@@ -233,20 +224,20 @@ def approximation_error(
     return np.sum(now.theta * higher_order + tilde.theta * change, axis=-1) + beyond_estimator
 
 
-def parameter_energy(law: AdaptiveLaw, now: Fuzzy, best: Fuzzy) -> np.ndarray:
+def parameter_energy(law: AdaptiveLaw, now: Adapted, best: Adapted) -> np.ndarray:
     """The part of V, eq (80), that lies in the parameters' errors, shape (...) [J]."""
     tilde = difference(best, now)
     return 0.5 * _weighted(law, tilde, tilde)
 
 
-def parameter_rate(law: AdaptiveLaw, now: Fuzzy, best: Fuzzy, rates: Fuzzy) -> np.ndarray:
+def parameter_rate(law: AdaptiveLaw, now: Adapted, best: Adapted, rates: Adapted) -> np.ndarray:
     """Its time derivative at these rates: x~' = -x', eq (84) corrected, shape (...) [W]."""
     return -_weighted(law, difference(best, now), rates)
 
 
-def difference(a: Fuzzy, b: Fuzzy) -> Fuzzy:
+def difference(a: Adapted, b: Adapted) -> Adapted:
     """a - b, part by part."""
-    return Fuzzy(*(x - y for x, y in zip(a, b, strict=True)))
+    return Adapted(*(x - y for x, y in zip(a, b, strict=True)))
 
 
 def as_claimed(name: str, rate: np.ndarray, claim: np.ndarray) -> Check:
@@ -265,6 +256,14 @@ def below(name: str, rate: np.ndarray, bound: np.ndarray | float, scale: float) 
     return Check(f"{name}: largest V' - bound", float(np.max(rate - bound)) / scale, EXACT)
 
 
+def proved(
+    name: str, rate: np.ndarray, claim: np.ndarray, bound: np.ndarray | float
+) -> Iterator[Check]:
+    """The rows for a right law: V' equals its claim, and never exceeds its bound."""
+    yield as_claimed(name, rate, claim)
+    yield below(name, rate, bound, rms(claim))
+
+
 def rms(x: np.ndarray) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(x))))
@@ -274,9 +273,9 @@ def _largest(x: np.ndarray) -> float:
     return float(np.max(np.abs(x)))
 
 
-def _weighted(law: AdaptiveLaw, a: Fuzzy, b: Fuzzy) -> np.ndarray:
+def _weighted(law: AdaptiveLaw, a: Adapted, b: Adapted) -> np.ndarray:
     """sum of a b / eta; where eta is 0, nothing adapts and any weight does: 1."""
-    eta1, eta2, eta3, eta4 = (np.where(np.equal(eta, 0.0), 1.0, eta) for eta in law.eta)
+    eta1, eta2, eta3, eta4 = (np.where(np.equal(eta, 0.0), 1.0, eta) for eta in rates_of(law))
     rules = a.theta * b.theta / eta2[..., None]
     rules = rules + a.alpha * b.alpha / eta3[..., None] + a.sigma * b.sigma / eta4[..., None]
     return np.sum(a.E * b.E / eta1 + np.sum(rules, axis=-1), axis=-1)

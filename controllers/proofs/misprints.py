@@ -6,8 +6,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from controllers.proofs.adaptive_ledger import Answer, Trial, adaptive_trial, each_rule
-from controllers.proofs.lyapunov import as_claimed, estimate, membership, membership_along, noticed
+from controllers.proofs.adaptive_ledger import AdaptiveTrial, Answer, adaptive_trial, each_rule
+from controllers.proofs.lyapunov import (
+    as_claimed,
+    estimate,
+    membership,
+    membership_along,
+    noticed,
+    rates_of,
+)
 from octarm.arm.lagrange import coriolis_matrix
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.report import Check
@@ -28,27 +35,27 @@ def misprints(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterat
     yield noticed("normalised as if sum mu = 1", t.rate(as_if_sum_is_one(t)), t.claim)
 
 
-def printed_C(t: Trial) -> Answer:
+def printed_C(t: AdaptiveTrial) -> Answer:
     """C_j as printed in (72): d/d alpha where d/d sigma is meant."""
-    _, _, eta3, eta4 = t.law.eta
+    _, _, eta3, eta4 = rates_of(t.law)
     rates = t.answer.rates
     return t.answer._replace(rates=rates._replace(sigma=each_rule(eta4 / eta3) * rates.alpha))
 
 
-def delta_gradient(t: Trial) -> Answer:
+def delta_gradient(t: AdaptiveTrial) -> Answer:
     """Sigma moved by the gradient in the delta of (59): d/d delta = -sigma^2 d/d sigma."""
     rates = t.answer.rates
     return t.answer._replace(rates=rates._replace(sigma=-np.square(t.now.sigma) * rates.sigma))
 
 
-def added_estimate(t: Trial) -> Answer:
+def added_estimate(t: AdaptiveTrial) -> Answer:
     """(63) with + F^ + F_cp."""
     s = t.surface.s
     learnt = estimate(t.law, s, t.now) + t.now.E * np.sign(s)
     return t.answer._replace(force=t.answer.force + 2.0 * learnt)
 
 
-def paper_coriolis(t: Trial) -> Answer:
+def paper_coriolis(t: AdaptiveTrial) -> Answer:
     """C laid out as in (4) in the law: for it, D' - 2C is not skew."""
     nominal, (_, q, v) = t.at.nominal, t.at.measurement
     change = layout_of_the_paper(nominal, q, v) - coriolis_matrix(nominal, q, v)
@@ -65,9 +72,9 @@ def layout_of_the_paper(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.nd
     return out
 
 
-def printed_layout(t: Trial) -> Answer:
+def printed_layout(t: AdaptiveTrial) -> Answer:
     """B_j and C_j laid out as in (72), the transpose: B theta in place of B^T theta."""
-    _, _, eta3, eta4 = t.law.eta
+    _, _, eta3, eta4 = rates_of(t.law)
     s, still = t.surface.s, np.zeros_like(t.now.theta)
     along_alpha = t.now._replace(alpha=t.now.theta, sigma=still)
     along_sigma = t.now._replace(alpha=still, sigma=t.now.theta)
@@ -78,9 +85,9 @@ def printed_layout(t: Trial) -> Answer:
     return t.answer._replace(rates=rates)
 
 
-def as_if_sum_is_one(t: Trial) -> Answer:
+def as_if_sum_is_one(t: AdaptiveTrial) -> Answer:
     """The gradients that (65) suggests: phi^l is divided by the sum, yet moves alone."""
-    _, _, eta3, eta4 = t.law.eta
+    _, _, eta3, eta4 = rates_of(t.law)
     s, (theta, alpha, sigma, _) = t.surface.s, t.now
     away = each_rule(s / t.law.scale) - alpha
     slope = 2.0 * theta * membership(t.law, s, t.now) * sigma * away

@@ -131,6 +131,20 @@ def plate_entries(q: np.ndarray) -> list[tuple[Entry, Entry]]:
     return axes
 
 
+def tip_position(q: np.ndarray) -> np.ndarray:
+    """The tip of an arm at q, shape (..., 2N) [m], [rad], in the world frame, shape (..., 3) [m].
+
+    It is the last of `positions`, worked out entry by entry along the batch.
+    """
+    x: Entry = 0.0
+    y: Entry = 0.0
+    for length, (cos, sin) in zip(split(q), plate_entries(q), strict=False):
+        x, y = x + length * cos, y + length * sin
+    out = np.zeros_like(q, shape=(*q.shape[:-1], 3))
+    out[..., 0], out[..., 2] = y, -x
+    return out
+
+
 def _plate_angles(q: np.ndarray) -> np.ndarray:
     """phi_{i-1}, the angle of the plate that module i stands on, shape (..., N) [rad]."""
     n = q.shape[-1] // 2

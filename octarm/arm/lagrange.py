@@ -13,7 +13,7 @@ matrices are built from the Jacobians instead, so that each checks the other.
 
 Shapes: coordinates q = [s1..sN, theta1..thetaN] [m], [rad], velocities v, accelerations a and
 generalised forces are arrays of shape (..., 2N). Their batch axes broadcast against those of the
-parameters. An array whose last axis is not 2N long raises ValueError.
+parameters. An array whose last axis is not 2N long raises OctarmError.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 from octarm.arm.kinematics import jacobian, jacobian_rate, plate_axes
 from octarm.arm.kinematics import positions as positions
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import Entry, cos_sin, entry, join, split
+from octarm.arrays import Entry, cos_sin, join, split
 from octarm.errors import OctarmError
 
 
@@ -53,7 +53,7 @@ def inverse_dynamics(
         Generalised force, shape (..., 2N) [N], [N m].
 
     Raises:
-        ValueError: if the last axis of an array is not 2N long.
+        OctarmError: if the last axis of an array is not 2N long.
     """
     if v_r is None:
         v_r = v
@@ -61,13 +61,13 @@ def inverse_dynamics(
 
     # One entry a coordinate: a number for one arm, an array for a batch.
     x, x_v, x_a, x_vr = split(q), split(v), split(a), split(v_r)
-    mass, inertia = split(p.mass), split(p.inertia)
+    mass, inertia = p.entries.mass, p.entries.inertia
     pushes, couples = _column_forces(p, x, x_vr)
 
     # Outwards: axes and angular rates of the plates, accelerations and forces of the ends.
     cos, sin = 1.0, 0.0
     phi = w = w_r = alpha = 0.0
-    ax, ay = -entry(p.gravity), 0.0  # the ground accelerates against gravity
+    ax, ay = -p.entries.gravity, 0.0  # the ground accelerates against gravity
     axes: list[tuple[Entry, Entry]] = []
     forces: list[tuple[Entry, Entry, Entry]] = []
     for i in range(n):
@@ -162,7 +162,7 @@ def forward_dynamics(
     """Generalised accelerations under a generalised force, shape (..., 2N) [m/s^2], [rad/s^2].
 
     Raises:
-        ValueError: if the last axis of an array is not 2N long.
+        OctarmError: if the last axis of an array is not 2N long.
     """
     _modules(p, q=q, v=v, force=force)
     rest = inverse_dynamics(p, q, v, np.zeros_like(q))
@@ -192,11 +192,11 @@ def kinetic_energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray
         v: velocities, shape (..., 2N) [m/s], [rad/s].
 
     Raises:
-        ValueError: if the last axis of an array is not 2N long.
+        OctarmError: if the last axis of an array is not 2N long.
     """
     n = _modules(p, q=q, v=v)
     x, rate = split(q), split(v)
-    mass, inertia = split(p.mass), split(p.inertia)
+    mass, inertia = p.entries.mass, p.entries.inertia
     cos, sin = 1.0, 0.0
     phi = w = vx = vy = twice = 0.0
     for i in range(n):
@@ -217,7 +217,7 @@ def equilibrium(p: ArmParameters) -> np.ndarray:
     Newton's method from the unloaded arm.
 
     Raises:
-        ValueError: if it does not converge: the springs are too soft for this weight.
+        OctarmError: if it does not converge: the springs are too soft for this weight.
     """
     n = p.modules
     q = np.zeros((*p.batch_shape, 2 * n))
@@ -265,10 +265,8 @@ def _column_forces(
 ) -> tuple[list[Entry], list[Entry]]:
     """Forces on s_i and couples on theta_i of the springs and dampers, from unstacked q and v."""
     n = p.modules
-    half = 0.5 * entry(p.width)
-    rest = split(p.rest_length)
-    k1, k2 = (split(p.stiffness[..., a, :]) for a in (0, 1))
-    c1, c2 = (split(p.damping[..., a, :]) for a in (0, 1))
+    half, rest = p.entries.half_width, p.entries.rest_length
+    (k1, k2), (c1, c2) = p.entries.stiffness, p.entries.damping
     pushes: list[Entry] = []
     couples: list[Entry] = []
     for i in range(n):

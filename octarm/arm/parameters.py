@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from octarm.arrays import read_only
+from octarm.arrays import Entry, entry, read_only, split
 from octarm.errors import OctarmError, closest
 
 if TYPE_CHECKING:
@@ -28,6 +28,30 @@ _RULES: dict[str, tuple[str, float, bool]] = {
 }
 
 _AXES = {"N": 1, "2N": 2, "": 0}
+
+
+class Entries(NamedTuple):
+    """Parameters entry by entry, for arithmetic along the arm; see `octarm.arrays.split`.
+
+    An entry is a number, or an array of shape (...).
+
+    Attributes:
+        mass: of each module, N entries of shape (...) [kg].
+        inertia: of each module, N entries of shape (...) [kg m^2].
+        half_width: half the distance between the columns, shape (...) [m].
+        stiffness: for columns 1 and 2, N entries of shape (...) [N/m].
+        damping: for columns 1 and 2, N entries of shape (...) [N s/m].
+        rest_length: of each module, N entries of shape (...) [m].
+        gravity: along the hanging arm, shape (...) [m/s^2].
+    """
+
+    mass: Sequence[Entry]
+    inertia: Sequence[Entry]
+    half_width: Entry
+    stiffness: tuple[Sequence[Entry], Sequence[Entry]]
+    damping: tuple[Sequence[Entry], Sequence[Entry]]
+    rest_length: Sequence[Entry]
+    gravity: Entry
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,7 +73,7 @@ class ArmParameters:
         gravity: acceleration along the hanging arm, shape (...) [m/s^2].
 
     Raises:
-        ValueError: if a field has the wrong shape, sign, or a value that is not finite.
+        OctarmError: if a field has the wrong shape, sign, or a value that is not finite.
     """
 
     mass: np.ndarray
@@ -111,11 +135,24 @@ class ArmParameters:
             listed = ", ".join(f"{n} {b}" for n, b in zip(_RULES, batch, strict=True) if b)
             raise OctarmError(f"the batch axes of the parameters do not fit: {listed}") from None
 
+    @functools.cached_property
+    def entries(self) -> Entries:
+        """The parameters entry by entry: floats for one arm, views of shape (...) for a batch."""
+        return Entries(
+            mass=split(self.mass),
+            inertia=split(self.inertia),
+            half_width=0.5 * entry(self.width),
+            stiffness=(split(self.stiffness[..., 0, :]), split(self.stiffness[..., 1, :])),
+            damping=(split(self.damping[..., 0, :]), split(self.damping[..., 1, :])),
+            rest_length=split(self.rest_length),
+            gravity=entry(self.gravity),
+        )
+
     def arm(self, i: int) -> ArmParameters:
         """The parameters of arm i of a batch with one batch axis."""
         fields = {name: getattr(self, name) for name in _RULES}
-        own = {n: x[i] if x.ndim > _AXES[_RULES[n][0]] else x for n, x in fields.items()}
-        return ArmParameters(**own)
+        rows = {n: x[i] if x.ndim > _AXES[_RULES[n][0]] else x for n, x in fields.items()}
+        return ArmParameters(**rows)
 
     def scaled(self, **factors: npt.ArrayLike) -> ArmParameters:
         """A copy with the named fields multiplied.
@@ -124,7 +161,7 @@ class ArmParameters:
             **factors: field name to factor [1], anything that broadcasts against the field.
 
         Raises:
-            ValueError: for an unknown field, or a factor that makes a field invalid.
+            OctarmError: for an unknown field, or a factor that makes a field invalid.
         """
         changed = {}
         for name, factor in factors.items():
@@ -146,7 +183,7 @@ class ArmParameters:
         Mass, inertia and damping are multiplied by 1 + mismatch, stiffness by 1 + mismatch/2.
 
         Raises:
-            ValueError: unless mismatch is above -1 and at most 1e6.
+            OctarmError: unless mismatch is above -1 and at most 1e6.
         """
         wrong = np.asarray(mismatch, dtype=np.float64)
         good = (wrong > -1.0) & (wrong <= 1e6)
@@ -170,7 +207,7 @@ class ArmParameters:
         """The inverse of `to_dict`.
 
         Raises:
-            ValueError: if a field is missing, unknown or invalid.
+            OctarmError: if a field is missing, unknown or invalid.
         """
         wrong = set(fields) ^ set(_RULES)
         if wrong:

@@ -6,8 +6,6 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
-from octarm.toml_table import items
-
 _SHOWN = 12  # differences that are listed
 _IDLE = ("name", "cores")  # facts of a machine that no result depends on
 
@@ -75,7 +73,7 @@ def _compare(key: str, was: Any, now: Any) -> Iterator[Difference]:
         for name, value in table.items():
             yield from _compare(f"{key}.{name}".lstrip("."), value, other.get(name, "absent"))
         return
-    old, new = items(was), items(now)
+    old, new = _list(was), _list(now)
     if old is not None and new is not None and len(old) == len(new):
         for i, pair in enumerate(zip(old, new, strict=True)):
             yield from _compare(f"{key}[{i}]", *pair)
@@ -85,3 +83,7 @@ def _compare(key: str, was: Any, now: Any) -> Iterator[Difference]:
 
 def _table(value: Any) -> dict[str, Any] | None:
     return cast(dict[str, Any], value) if isinstance(value, dict) else None
+
+
+def _list(value: Any) -> list[Any] | None:
+    return cast(list[Any], value) if isinstance(value, list) else None

@@ -1,6 +1,7 @@
 """What a machine has for octarm: tried out, each in a process of its own, for it may crash.
 
-This module needs only the standard library, so that it can say what is missing of the rest.
+This module needs only the standard library and `packaging`, so that it can say what is missing of
+the rest.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
 
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+
 _PATIENCE = 120.0  # [s]
 _ROOM = 1e9  # [byte]; below, a sweep may fill the disk
 _NAMES = {"X86_V4": "X86_V4 (AVX-512)", "X86_V3": "X86_V3 (AVX2)"}  # NumPy's, of instructions
@@ -34,7 +38,7 @@ class State(enum.Enum):
     """
 
     FINE = "ok"
-    TOLD = "-"
+    NOTE = "-"
     MISSING = "missing"
     OUTSIDE = "outside"
     BROKEN = "BROKEN"
@@ -60,55 +64,38 @@ class Finding:
 def versions() -> Iterator[Finding]:
     """Python, octarm, and what octarm needs, each against what octarm asks for."""
     try:
-        own = metadata.metadata("octarm")
-        needed = metadata.requires("octarm") or []
+        octarm = metadata.metadata("octarm")
+        requirements = metadata.requires("octarm") or []
     except metadata.PackageNotFoundError:
         yield Finding("octarm", State.BROKEN, "is not installed", "pip install -e . in its folder")
         return
-    yield _version("python", platform.python_version(), own["Requires-Python"], "")
-    yield Finding("octarm", State.FINE, f"{own['Version']}, in {Path(__file__).parents[1]}")
-    for requirement in needed:
-        name, asked, extra = _requirement(requirement)
-        if extra not in ("", "cluster"):
-            continue
+    python = SpecifierSet(octarm["Requires-Python"])
+    yield version("python", platform.python_version(), python, "")
+    yield Finding("octarm", State.FINE, f"{octarm['Version']}, in {Path(__file__).parents[1]}")
+    for requirement in map(Requirement, requirements):
+        name, asked, marker = requirement.name, requirement.specifier, requirement.marker
+        extra = "" if marker is None or marker.evaluate({"extra": ""}) else "cluster"
+        if extra and not (marker and marker.evaluate({"extra": extra})):
+            continue  # what tests and other extras need
         remedy = f"pip install 'octarm[{extra}]'" if extra else f"pip install '{name}{asked}'"
         try:
-            yield _version(name, metadata.version(name), asked, remedy)
+            yield version(name, metadata.version(name), asked, remedy)
         except metadata.PackageNotFoundError:
-            told = f"not installed; {asked} is needed" + (" by --cluster" if extra else "")
-            yield Finding(name, State.MISSING, told, remedy)
+            text = f"not installed; {asked} is needed" + (" by --cluster" if extra else "")
+            yield Finding(name, State.MISSING, text, remedy)
 
 
-def _requirement(text: str) -> tuple[str, str, str]:
-    """Name, versions and extra of a line such as `distributed>=2024.8; extra == "cluster"`."""
-    wanted, _, marker = text.partition(";")
-    name = re.match(r"[\w.-]+", wanted)
-    extra = re.search(r"extra == ['\"]([\w-]+)", marker)
-    assert name is not None
-    return name[0], wanted[name.end() :].strip(), extra[1] if extra else ""
-
-
-def _version(name: str, found: str, asked: str, remedy: str) -> Finding:
-    if all(_meets(found, condition) for condition in asked.split(",")):
-        return Finding(name, State.FINE, found)
-    return Finding(name, State.OUTSIDE, f"{found}; {asked} is supported", remedy)
-
-
-def _meets(version: str, condition: str) -> bool:
-    """Whether a version meets one condition: `>=2`, `<4` or `==0.41.*`."""
-    match = re.fullmatch(r"(>=|<|==)([\d.]+?)(\.\*)?", condition.strip())
-    assert match is not None, condition
-    bound = [int(part) for part in match[2].split(".")]
-    own = [int(part) for part in re.findall(r"\d+", version)]
-    if match[1] == "==":
-        return own[: len(bound)] == bound
-    return own >= bound if match[1] == ">=" else own < bound
+def version(name: str, installed: str, asked: SpecifierSet, remedy: str) -> Finding:
+    """A version against those that are supported."""
+    if asked.contains(installed, prereleases=True):
+        return Finding(name, State.FINE, installed)
+    return Finding(name, State.OUTSIDE, f"{installed}; {asked} is supported", remedy)
 
 
 def processor() -> Iterator[Finding]:
     """Cores, and the instructions on which last bits depend."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    yield Finding("cores", State.TOLD, f"{usable} of {os.cpu_count()}")
+    yield Finding("cores", State.NOTE, f"{usable} of {os.cpu_count()}")
     code = "import json; from octarm.runs.versions import host; print(json.dumps(host()))"
     done = _run([sys.executable, "-c", code])
     if done.returncode:
@@ -116,10 +103,10 @@ def processor() -> Iterator[Finding]:
         return
     host = json.loads(done.stdout)
     kernels = host["kernels"]
-    yield Finding("processor", State.TOLD, f"{host['cpu']} ({host['machine']})")
+    yield Finding("processor", State.NOTE, f"{host['cpu']} ({host['machine']})")
     yield Finding(
         "instructions",
-        State.TOLD,
+        State.NOTE,
         f"{_NAMES.get(kernels, kernels or 'unknown')}, for NumPy's sin, cos, exp and tanh. With "
         "others, AVX2 instead of AVX-512 for one, they round some last bits otherwise: on such a "
         "machine octarm verify may find other digests for the same run",
@@ -193,13 +180,13 @@ def _window() -> Finding:
     """Whether a display answers, without opening a window on it."""
     name = "viewer"
     if sys.platform != "linux":
-        return Finding(name, State.TOLD, "opens a window of this desktop")
+        return Finding(name, State.NOTE, "opens a window of this desktop")
     if _answers(_wayland()) or _answers(_x11()):
         return Finding(name, State.FINE, "a display answers")
     tried = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
-    told = f"the display {tried} does not answer" if tried else "there is no display"
+    text = f"the display {tried} does not answer" if tried else "there is no display"
     remedy = "octarm replay RUN --web, or --screenshot FILE.png, which need none"
-    return Finding(name, State.MISSING, told, remedy)
+    return Finding(name, State.MISSING, text, remedy)
 
 
 def _wayland() -> str | tuple[str, int] | None:
@@ -246,10 +233,10 @@ def _folder(name: str, folder: Path, remedy: str) -> Finding:
             file.flush()
         free = shutil.disk_usage(folder).free
     except OSError as error:
-        told = f"{folder.resolve()} cannot be written: {error.strerror}"
-        return Finding(name, State.MISSING, told, remedy)
-    told = f"{folder.resolve()} can be written, {free / 1e9:.1f} GB free"
-    return Finding(name, State.FINE if free > _ROOM else State.MISSING, told)
+        text = f"{folder.resolve()} cannot be written: {error.strerror}"
+        return Finding(name, State.MISSING, text, remedy)
+    text = f"{folder.resolve()} can be written, {free / 1e9:.1f} GB free"
+    return Finding(name, State.FINE if free > _ROOM else State.MISSING, text)
 
 
 def _run(command: list[str], **environment: str) -> subprocess.CompletedProcess[str]:

@@ -12,8 +12,9 @@ import numpy as np
 from octarm.arm.mjcf import coordinate_names
 from octarm.checks.differences import Difference, beside, compare, despite, flat, moved, told
 from octarm.errors import OctarmError
+from octarm.interfaces import ControllerFactory
 from octarm.runs import folder as runs
-from octarm.runs.experiment import Experiment, Factory, perform
+from octarm.runs.experiment import Experiment, perform
 from octarm.simulation.trajectory import Trajectory
 
 _MOTION = ("q", "v")
@@ -121,7 +122,7 @@ class RunCheck:
 
 
 def check_run(
-    folder: Path, factory: Factory, progress: Callable[[], object] | None = None
+    folder: Path, factory: ControllerFactory, progress: Callable[[], object] | None = None
 ) -> RunCheck:
     """Runs again what `run.json` of a run folder says, and compares.
 

@@ -7,26 +7,20 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 
 from octarm.arm.mjcf import nominal_parameters
 from octarm.checks.differences import Difference, beside, compare, despite, flat, told
-from octarm.errors import OctarmError
+from octarm.interfaces import ControllerFactory
 from octarm.runs import folder as runs
-from octarm.runs.digest import CHECKPOINTS
-from octarm.runs.experiment import Factory
 from octarm.runs.versions import host, versions
-from octarm.sweeps.folder import RECORDED, SPEC, read_manifest, read_row
-from octarm.sweeps.gain_sets import of_sets
-from octarm.sweeps.parser import read_spec
+from octarm.sweeps.episodes import FinishedSweep, first_difference
 from octarm.sweeps.plan import Plan
-from octarm.sweeps.shard_file import labels_of
-from octarm.sweeps.shards import run_arms
+from octarm.sweeps.store import RECORDED, origin_of
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EpisodeCheck:
-    """A row of a sweep's table beside that of the episode run alone.
+    """A row of a sweep's table compared with that of the episode run alone.
 
     Attributes:
         episode: its number.
@@ -55,112 +49,60 @@ class EpisodeCheck:
         return self.between is None and not self.differences
 
     def lines(self) -> list[str]:
-        """What was found, for the terminal."""
+        """The result, for the terminal."""
         head = f"episode {self.episode} ({self.label})"
         if self.identical:
-            said = f"{head}: identical when run alone: digest, checkpoints and all measures"
-            return [said, *despite(self.then, self.now)]
+            same = f"{head}: identical when run alone: digest, checkpoints and all measures"
+            return [same, *despite(self.then, self.now)]
         if self.between is None:
-            found = [f"{head}: the motion is the same, but not what the table says of it"]
+            lines = [f"{head}: the motion is the same, but not what the table says of it"]
         else:
             begin, end = self.between
-            found = [f"{head}: different from an instant between t = {begin:g} s and {end:g} s on"]
+            lines = [f"{head}: different from an instant between t = {begin:g} s and {end:g} s on"]
             if self.recorded is not None:
-                found.append(f"  octarm verify {self.recorded} says from which one on")
-        found += told(self.differences, "column") if self.differences else []
-        found += told(self.gains, "gain") if self.gains else []
-        return [*found, *beside(self.then, self.now)]
+                lines.append(f"  octarm verify {self.recorded} says from which one on")
+        lines += told(self.differences, "column") if self.differences else []
+        lines += told(self.gains, "gain") if self.gains else []
+        return [*lines, *beside(self.then, self.now)]
 
 
-class FinishedSweep:
-    """A sweep folder, whose episodes can be run again one by one.
-
-    Attributes:
-        path: the folder.
-        plan: of its episodes.
-    """
-
-    def __init__(self, path: Path) -> None:
-        """Reads what was run.
-
-        Raises:
-            ValueError: if the folder holds no sweep, or its spec was changed.
-            OSError: if the spec cannot be read.
-        """
-        self.path = path
-        self._manifest = read_manifest(path)
-        self.plan = Plan(read_spec(path / SPEC))
-        if self.plan.spec.hash() != self._manifest["spec_hash"]:
-            raise OctarmError(f"{path / SPEC} was changed: it is not what the sweep was run with")
-
-    def finished(self) -> np.ndarray:
-        """The numbers of the episodes that are there, shape (n,)."""
-        ranges: list[np.ndarray] = [
-            np.arange(shard["first"], shard["first"] + shard["episodes"])
-            for shard in self._manifest["shards"]
-            if (self.path / shard["file"]).is_file()
-        ]
-        return np.concatenate([np.empty(0, dtype=np.int64), *ranges])
-
-    def row(self, episode: int) -> pa.Table:
-        """The row of an episode.
-
-        Raises:
-            ValueError: if there is none, or it is damaged.
-        """
-        self.plan.episode(episode)  # raises when there is no such episode
-        return read_row(self.path, episode)
-
-    def check(self, episode: int, factory: Factory) -> EpisodeCheck:
-        """Runs an episode alone, and compares.
-
-        Args:
-            episode: number.
-            factory: of the controllers, the one that the sweep had.
-
-        Raises:
-            ValueError: if the episode is not there, or cannot be made again.
-        """
-        row = self.row(episode)
-        (stored,) = row.to_pylist()
-        arms = self.plan.episode(episode)
-        factory = of_sets(factory, self.plan.spec)
-        again = run_arms(self.plan, arms, factory).to_pylist()[0]
-        was, now = (row.pop("checkpoints") for row in (stored, again))
-        del stored["wall_time"]
-        own = self.plan.spec.gains.get(arms.controller, {})
-        gains = runs.gains_of(factory(arms.controller, nominal_parameters(), own))
-        return EpisodeCheck(
-            episode=episode,
-            label=self._label(episode),
-            between=first_difference(was, now, self.plan.spec.duration),
-            differences=tuple(compare(stored, again)),
-            gains=tuple(compare(self._manifest["gains"].get(arms.controller, {}), gains)),
-            recorded=next(iter((self.path / RECORDED).glob(f"{episode}-*")), None),
-            then=flat(labels_of(row)),
-            now=flat({"versions": versions(), "host": host()}),
-        )
-
-    def _label(self, episode: int) -> str:
-        number = np.array([episode])
-        values = {name: column[0] for name, column in self.plan.values(number).items()}
-        words = [str(values.pop(name)) for name in ("controller", "reference")]
-        words += [
-            f"{name} {value}" if isinstance(value, str) else f"{name} {value:g}"
-            for name, value in values.items()
-        ]
-        return ", ".join([*words, f"seed {self.plan.seeds(number)[0]}"])
-
-
-def first_difference(was: list[int], now: list[int], duration: float) -> tuple[float, float] | None:
-    """Between which instants [s] two motions part; None if they do not.
+def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory) -> EpisodeCheck:
+    """Runs an episode of a sweep alone, and compares.
 
     Args:
-        was: checkpoints of one of them, see `octarm.runs.digest.StateDigest`.
-        now: of the other one.
-        duration: of both [s].
+        sweep: the sweep.
+        episode: number.
+        factory: of the controllers, the one that the sweep had.
+
+    Raises:
+        OctarmError: if the episode is not there, or cannot be made again.
     """
-    for k, pair in enumerate(zip(was, now, strict=True)):
-        if pair[0] != pair[1]:
-            return duration * k / CHECKPOINTS, duration * (k + 1) / CHECKPOINTS
-    return None
+    row = sweep.row(episode)
+    (stored,) = row.to_pylist()
+    (again,) = sweep.run_again(episode, factory).to_pylist()
+    was, now = (values.pop("checkpoints") for values in (stored, again))
+    del stored["wall_time"]
+    name = sweep.plan.episode(episode).controller
+    gains = runs.gains_of(sweep.plan.spec.controller(name, nominal_parameters(), factory))
+    return EpisodeCheck(
+        episode=episode,
+        label=_label(sweep.plan, episode),
+        between=first_difference(was, now, sweep.plan.spec.duration),
+        differences=tuple(compare(stored, again)),
+        gains=tuple(compare(sweep.gains.get(name, {}), gains)),
+        recorded=next(iter((sweep.path / RECORDED).glob(f"{episode}-*")), None),
+        then=flat(origin_of(row)),
+        now=flat({"versions": versions(), "host": host()}),
+    )
+
+
+def _label(plan: Plan, episode: int) -> str:
+    """What an episode is, in words."""
+    number = np.array([episode])
+    values = {name: column[0] for name, column in plan.values(number).items()}
+    words = [str(values.pop(name)) for name in ("controller", "reference")]
+    words += [
+        f"{name} {value}" if isinstance(value, str) else f"{name} {value:g}"
+        for name, value in values.items()
+    ]
+    return ", ".join([*words, f"seed {plan.seeds(number)[0]}"])

@@ -6,10 +6,9 @@ import csv
 import dataclasses
 import functools
 import io
-import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
@@ -18,9 +17,20 @@ from controllers import make_controller
 from octarm.disturbances.spelling import parse_disturbance, spelling
 from octarm.errors import ExitCode, OctarmError
 from octarm.files import write_text
+from octarm.formats import to_json
 from octarm.runs.versions import host, versions
-from octarm.sweeps.margin import Brackets, Outcome, estimate, search
-from octarm.sweeps.margin_trial import NOMINAL, Trial, Varied, is_varied, parse_bound, parse_varied
+from octarm.sweeps.margin import (
+    NOMINAL,
+    Attempt,
+    Brackets,
+    MarginRuns,
+    Varied,
+    is_varied,
+    margin_of,
+    parse_bound,
+    parse_varied,
+    search,
+)
 from octarm.sweeps.workers import cores
 
 if TYPE_CHECKING:
@@ -48,16 +58,16 @@ def margin(options: Margin) -> int:
     if options.csv is not None:
         write_text(options.csv, _csv(rows))
     if options.json is not None:
-        write_text(options.json, json.dumps(_report(options, varied, rows), indent=1) + "\n")
+        write_text(options.json, to_json(_report(options, varied, rows)))
     return ExitCode.FINE
 
 
-def _trials(options: Margin, varied: Varied) -> dict[str, Trial]:
+def _trials(options: Margin, varied: Varied) -> dict[str, MarginRuns]:
     """The runs of each controller."""
     fixed = [parse_disturbance(text) for text in options.disturbance if not is_varied(text)]
     bounds = [parse_bound(text) for text in options.bound]
     return {
-        name: Trial(
+        name: MarginRuns(
             factory=functools.partial(_controller, name, options.gains),
             varied=varied,
             bounds=bounds,
@@ -110,14 +120,14 @@ def _varied(options: Margin) -> Varied:
     return varied
 
 
-def _search(name: str, trial: Trial, options: Margin) -> Brackets:
+def _search(name: str, trial: MarginRuns, options: Margin) -> Brackets:
     """The brackets of one controller, with a bar on the progress."""
     with tqdm(
         desc=name, total=0, unit=" simulated s", unit_scale=True, disable=None, leave=False
     ) as bar:
         counted = dataclasses.replace(trial, progress=bar.update)
 
-        def attempt(seeds: np.ndarray, shares: np.ndarray) -> Outcome:
+        def attempt(seeds: np.ndarray, shares: np.ndarray) -> Attempt:
             bar.total = (bar.total or 0.0) + len(seeds) * trial.duration
             values = trial.varied.at(np.array([shares.min(), shares.max()]))
             bar.set_postfix_str(f"{len(seeds)} arms, {values[0]:.4g} .. {values[1]:.4g}")
@@ -128,7 +138,7 @@ def _search(name: str, trial: Trial, options: Margin) -> Brackets:
 
 def _row(name: str, brackets: Brackets, share: float, varied: Varied) -> dict[str, Any]:
     """What is known of one controller; inf: beyond the high value, -inf: not even the low one."""
-    found = estimate(brackets, share)
+    found = margin_of(brackets, share)
     margins = np.sort(brackets.margins)
     middle = margins[(len(margins) - 1) // 2]
     shares = dict(zip(_NUMBERS, (*found, margins[0], middle, margins[-1]), strict=True))
@@ -211,7 +221,7 @@ def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _report(options: Margin, varied: Varied, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Everything, ready for JSON: infinity as a word, None for NaN."""
+    """Everything, for a JSON file."""
     settings = {
         key: value
         for key, value in dataclasses.asdict(options).items()
@@ -225,17 +235,7 @@ def _report(options: Margin, varied: Varied, rows: Sequence[Mapping[str, Any]]) 
             "unit": varied.unit,
         },
         "settings": settings,
-        "controllers": [_plain(row) for row in rows],
+        "controllers": list(rows),
         "versions": versions(),
         "host": host(),
     }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in cast(Mapping[str, Any], value).items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in cast(list[Any], value)]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else str(value)
-    return value

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 
 from octarm.errors import ExitCode, OctarmError
 from octarm.files import whole_file, write_text
-from octarm.reports.checks import Finding, findings
-from octarm.reports.episodes import read_episodes
-from octarm.reports.figures import Picture, pictures
-from octarm.reports.findings import TABLES, Report, make_report, tables
+from octarm.reports.charts import pictures
+from octarm.reports.comparisons import TABLES, Comparisons, compare, tables
+from octarm.reports.consistency import Remark, remarks
+from octarm.reports.figures import Picture
+from octarm.reports.frame import read_episodes
 from octarm.reports.page import Source, page
-from octarm.sweeps.folder import SPEC
+from octarm.sweeps.store import SPEC
 
 if TYPE_CHECKING:
     from octarm.options import sweeps
@@ -28,8 +29,8 @@ def report(options: sweeps.Report) -> int:
     out = options.sweep / "report" if options.out is None else options.out
     _check_place(out, options.sweep)
     episodes = read_episodes(options.sweep, options.metric)
-    numbers = make_report(episodes, options.baseline)
-    found = findings(episodes)
+    numbers = compare(episodes, options.baseline)
+    remarked = remarks(episodes)
     drawn = list(pictures(numbers))
     files = tables(numbers)
     source = Source(
@@ -38,19 +39,19 @@ def report(options: sweeps.Report) -> int:
         commands=_commands(options),
         files=list(files),
     )
-    _write(out, page(numbers, found, drawn, source), files, drawn)
-    _say(numbers, found, out)
+    _write(out, page(numbers, remarked, drawn, source), files, drawn)
+    _say(numbers, remarked, out)
     return ExitCode.FINE
 
 
 def _check_place(out: Path, sweep: Path) -> None:
-    """Raises ValueError if the folder holds something else; an earlier report is replaced."""
+    """Raises OctarmError if the folder holds something else; an earlier report is replaced."""
     if out.exists() and not out.is_dir():
         raise OctarmError(f"{out} is not a folder; choose another --out")
     if out.resolve() == sweep.resolve():
         raise OctarmError(f"{out} is the sweep itself; choose another --out")
-    found = {entry.name for entry in (out.iterdir() if out.is_dir() else ())}
-    if PAGE not in found and found - {FIGURES, *TABLES}:
+    names = {entry.name for entry in (out.iterdir() if out.is_dir() else ())}
+    if PAGE not in names and names - {FIGURES, *TABLES}:
         raise OctarmError(f"{out} exists and is not a report; choose another --out")
 
 
@@ -85,14 +86,14 @@ def _commands(options: sweeps.Report) -> list[str]:
     return [shlex.join(["octarm", "sweep", spec, "--out", again]), shlex.join(words)]
 
 
-def _say(numbers: Report, found: list[Finding], out: Path) -> None:
+def _say(numbers: Comparisons, remarked: list[Remark], out: Path) -> None:
     """A row a controller, the warnings, and where to look."""
     measure = numbers.episodes.measures[0]
     print(f"controller            episodes  diverged  median {measure.name} [{measure.unit}]")
-    for entry in numbers.of(None):
-        middle, low, high = (float(x[0]) for x in entry.medians)
-        told = f"{middle:.3e}  ({low:.3e} .. {high:.3e})"
-        print(f"{entry.controller:<20} {entry.episodes:>9} {entry.failed:>9}  {told}")
-    for finding in found:
-        print(f"{'warning' if finding.warning else 'note'}: {finding.text}")
+    for group in numbers.of(None):
+        middle, low, high = (float(x[0]) for x in group.medians)
+        median = f"{middle:.3e}  ({low:.3e} .. {high:.3e})"
+        print(f"{group.controller:<20} {group.episodes:>9} {group.failed:>9}  {median}")
+    for remark in remarked:
+        print(f"{'warning' if remark.warning else 'note'}: {remark.text}")
     print(f"wrote {out / PAGE}")

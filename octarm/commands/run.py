@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 def run(options: Run) -> int:
     """`octarm run`: one controller against the arm, as a run folder."""
+    from octarm.recordings.recording import run_recording  # the import takes half a second
+
     true = _true_parameters(options)
     nominal = true.mismatched(options.mismatch).scaled(**named_values("--nominal", options.nominal))
     experiment = Experiment(
@@ -61,8 +63,9 @@ def run(options: Run) -> int:
     started, swing = time.perf_counter(), Swing()
     with tqdm(total=periods, unit=" periods", disable=None, leave=False) as bar:
         trajectory, description = run_into(
-            out, environment, controller, announced, progress=bar.update, keep=swing.add
-        )
+            out, environment, controller, announced, recording=run_recording, progress=bar.update,
+            keep=swing.add,
+        )  # fmt: skip
     elapsed = time.perf_counter() - started
     print(summary(len(trajectory), swing.amplitude(), description, elapsed))
     print(f"wrote {out}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
@@ -168,7 +171,7 @@ def _view(folder: Path) -> int:
 
     try:
         viewer.open_viewer([folder / runs.RECORDING])
-    except RuntimeError as error:
+    except OctarmError as error:
         print(f"the viewer did not open: {error}")
         print(f"a picture: octarm replay {shlex.quote(str(folder))} --screenshot picture.png")
     return ExitCode.FINE

@@ -9,8 +9,8 @@ import numpy as np
 
 from octarm.arm.mjcf import coordinate_names
 from octarm.disturbances.ledger import in_words
+from octarm.interfaces import Rows
 from octarm.metrics.table import SETTLED_AFTER
-from octarm.simulation.trajectory import Trajectory
 
 _HEADINGS = ("rms", "peak", "rms/amplitude", "overshoot", "chattering", "reached s=0")
 
@@ -23,10 +23,10 @@ class Swing:
         self._low: np.ndarray | float = np.inf
         self._high: np.ndarray | float = -np.inf
 
-    def add(self, rows: Trajectory) -> None:
+    def add(self, rows: Rows) -> None:
         """Takes up further rows."""
-        self._low = np.minimum(self._low, rows.q_d.min(axis=0))
-        self._high = np.maximum(self._high, rows.q_d.max(axis=0))
+        self._low = np.minimum(self._low, rows["q_d"].min(axis=0))
+        self._high = np.maximum(self._high, rows["q_d"].max(axis=0))
 
     def amplitude(self) -> np.ndarray:
         """Half of the way from the smallest to the largest, shape (2N,) [m], [rad]."""

@@ -15,19 +15,17 @@ from tqdm import tqdm
 
 from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
-from octarm.checks.verify_episode import FinishedSweep
 from octarm.errors import ExitCode, OctarmError
-from octarm.sweeps.bar import ProgressBar, digits
-from octarm.sweeps.chosen import COLUMNS, choose, record_chosen
+from octarm.formats import read_toml
+from octarm.sweeps.episodes import COLUMNS, FinishedSweep, record_episodes, select
 from octarm.sweeps.execute import estimate
 from octarm.sweeps.execute import sweep as run_sweep
-from octarm.sweeps.folder import RECORDED, read_sweep
-from octarm.sweeps.parser import read_spec
 from octarm.sweeps.plan import Plan
+from octarm.sweeps.progress import ProgressBar, digits
 from octarm.sweeps.spec import SweepSpec
-from octarm.sweeps.store import SweepFolder
+from octarm.sweeps.spec_file import read_spec
+from octarm.sweeps.store import RECORDED, SweepFolder, read_sweep
 from octarm.sweeps.workers import WorkerProcesses, cores, dask_cluster
-from octarm.toml_table import Source
 
 _SHOWN = "tip_rms_error"  # by it episodes are worst and median ones, too
 _RECORDED = 2000  # [byte] a control period; from 1000 without signals to 4000 with rules
@@ -56,12 +54,12 @@ def sweep(options: Sweep) -> int:
 
 
 def _record(spec: SweepSpec, options: Sweep, out: Path) -> bool:
-    """Records the episodes that the spec chooses; whether they are what the table says."""
+    """Records the episodes that the spec selects; whether they are what the table says."""
     if not spec.record:
         return True
     done = FinishedSweep(out)
-    chosen = choose(read_sweep(out, COLUMNS), spec.record)
-    for note in chosen.notes:
+    selection = select(read_sweep(out, COLUMNS), spec.record)
+    for note in selection.notes:
         print(f"octarm: {note}", file=sys.stderr)
     with (
         SweepFolder(out, done.plan).locked(),
@@ -73,14 +71,14 @@ def _record(spec: SweepSpec, options: Sweep, out: Path) -> bool:
             bar.set_description(label)
 
         try:
-            different = record_chosen(
-                done, chosen.reasons, make_controller, begin=begin, progress=bar.update
+            different = record_episodes(
+                done, selection.reasons, make_controller, begin=begin, progress=bar.update
             )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"all rows are there; {_resume(options)} goes on") from None
     for sentence in different.values():
         print(f"octarm: {sentence}", file=sys.stderr)
-    names = [f"{episode} ({', '.join(why)})" for episode, why in chosen.reasons.items()]
+    names = [f"{episode} ({', '.join(why)})" for episode, why in selection.reasons.items()]
     print(f"recorded in {out / RECORDED}/: {', '.join(names) or 'none'}")
     return not different
 
@@ -98,7 +96,7 @@ def _run(spec: SweepSpec, options: Sweep, out: Path) -> None:
                 in_flight=in_flight,
                 resume=options.resume,
                 progress=bar.update,
-                under_way=bar.go_on,
+                partial=bar.go_on,
                 say=bar.say,
             )
         except KeyboardInterrupt as interrupt:
@@ -123,28 +121,25 @@ def _pool(options: Sweep, plan: Plan) -> Generator[tuple[Executor, int | Callabl
 
 
 def _check_controllers(spec: SweepSpec, file: Path) -> None:
-    """Raises ValueError, with the line, unless every controller can be made."""
-    source = Source(spec.text, str(file))
+    """Raises OctarmError, with the line, unless every controller can be made."""
     for name in spec.controllers:
-        gains, gain_set = spec.gains.get(name, {}), spec.gain_sets.get(name)
         try:
-            make_controller(name, nominal_parameters(), gains, gain_set=gain_set)
+            spec.controller(name, nominal_parameters(), make_controller)
         except ValueError as error:
-            keys = ("gain_set", name) if gain_set else ("grid", "controller")
-            keys = ("gains", name) if gains else keys
-            raise OctarmError(f"{source.where(*keys)}: {error}") from None
+            keys = ("gain_set", name) if name in spec.gain_sets else ("grid", "controller")
+            keys = ("gains", name) if name in spec.gains else keys
+            raise read_toml(file).error(str(error), *keys) from None
 
 
 def _check_recorded(spec: SweepSpec, file: Path) -> None:
-    """Raises ValueError, with the line, for the number of an episode that there is not."""
+    """Raises OctarmError, with the line, for the number of an episode that there is not."""
     plan = Plan(spec)
     for episode in spec.record:
         if isinstance(episode, int):
             try:
                 plan.episode(episode)
             except ValueError as error:
-                where = Source(spec.text, str(file)).where("record", "episodes")
-                raise OctarmError(f"{where}: {error}") from None
+                raise read_toml(file).error(str(error), "record", "episodes") from None
 
 
 def _dry_run(spec: SweepSpec, workers: int) -> int:

@@ -17,10 +17,9 @@ from controllers.gain_sets import GainSet, read_gain_set, shortest
 from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import ExitCode, OctarmError
 from octarm.files import write_text
-from octarm.sweeps.tune import Effort, State, StateFile, Tuned, settings, versions
+from octarm.sweeps.tune import Budget, SearchState, Space, StateFile, Tuned, settings, versions
 from octarm.sweeps.tune import tune as tune_gains
-from octarm.sweeps.tune_objective import FORMULA, Trial
-from octarm.sweeps.tune_space import Space
+from octarm.sweeps.tune_cost import FORMULA, Examination
 
 if TYPE_CHECKING:
     from octarm.options.tune import Tune
@@ -28,39 +27,39 @@ if TYPE_CHECKING:
 
 def tune(options: Tune) -> int:
     """`octarm tune`: gains for one controller, as a TOML file."""
-    effort = Effort.within(options.budget)
+    budget = Budget.within(options.budget)
     if options.seed < 0:
         raise OctarmError(f"seed is {options.seed}; it must be at least 0")
     out = options.out or Path(f"{options.controller}.toml")
-    tuned = _search(options, effort, out)
-    write_text(out, gain_set(options, effort, tuned).to_toml())
+    tuned = _search(options, budget, out)
+    write_text(out, gain_set(options, budget, tuned).to_toml())
     state_file(out).unlink(missing_ok=True)
-    _print_summary(options.controller, effort, tuned)
+    _print_summary(options.controller, budget, tuned)
     print(f"wrote {out}")
     print(f"try it: octarm run --controller {options.controller} --gains {shlex.quote(str(out))}")
     return ExitCode.FINE
 
 
-def _search(options: Tune, effort: Effort, out: Path) -> Tuned:
+def _search(options: Tune, budget: Budget, out: Path) -> Tuned:
     """The search, with a bar on its progress and its state on disk."""
     factory = functools.partial(make_controller, options.controller, gain_set="recommended")
     nominal = nominal_parameters()
     space = Space(factory(nominal), nominal.modules)
-    file = StateFile(state_file(out), settings(options.controller, space, effort, options.seed))
+    file = StateFile(state_file(out), settings(options.controller, space, budget, options.seed))
     _check_place(out, file, options)
     state = file.read() if options.resume else None
     bar = tqdm(
-        total=effort.seconds, unit=" simulated s", unit_scale=True, disable=None, leave=False
+        total=budget.seconds, unit=" simulated s", unit_scale=True, disable=None, leave=False
     )
 
-    def keep(state: State) -> None:
+    def keep(state: SearchState) -> None:
         file.write(state)
         bar.set_postfix_str(f"generation {state.generation + 1}, cost {state.costs[0]:.4g}")
 
     try:
         with bar:
             return tune_gains(
-                factory, effort, seed=options.seed, state=state, keep=keep, progress=bar.update
+                factory, budget, seed=options.seed, state=state, keep=keep, progress=bar.update
             )
     except KeyboardInterrupt:
         if not file.path.exists():
@@ -98,17 +97,17 @@ def state_file(out: Path) -> Path:
     return out.with_name(out.name + ".state")
 
 
-def gain_set(options: Tune, effort: Effort, tuned: Tuned) -> GainSet:
+def gain_set(options: Tune, budget: Budget, tuned: Tuned) -> GainSet:
     """The result, with all that is needed to find it again."""
     tuning = {
         "command": _command(options.controller, options.budget, options.seed),
         "date": datetime.date.today(),
         "seed": options.seed,
         "budget": options.budget,
-        "candidates": effort.generations * effort.population,
-        "simulated_seconds": effort.seconds,
+        "candidates": budget.generations * budget.population,
+        "simulated_seconds": budget.seconds,
         "objective": FORMULA,
-        "selection": f"the best of the last generation's best {effort.finalists} and the "
+        "selection": f"the best of the last generation's best {budget.finalists} and the "
         "recommended gains in the long trial",
         "at_bounds": tuned.at_bounds,
     }
@@ -119,25 +118,25 @@ def gain_set(options: Tune, effort: Effort, tuned: Tuned) -> GainSet:
         origin={
             "tuning": tuning,
             "versions": versions(),
-            "search": _outcome(effort.short, tuned.short, tuned.short_by_hand),
-            "long_trial": _outcome(effort.long, tuned.long, tuned.long_by_hand),
+            "search": _outcome(budget.short, tuned.short, tuned.short_by_hand),
+            "long_trial": _outcome(budget.long, tuned.long, tuned.long_by_hand),
         },
     )
 
 
-def _outcome(trial: Trial, tuned: np.ndarray, by_hand: np.ndarray) -> dict[str, Any]:
+def _outcome(examination: Examination, tuned: np.ndarray, by_hand: np.ndarray) -> dict[str, Any]:
     """What the gains cost, in all and in each scenario."""
     rows = [
         {**dataclasses.asdict(scenario), "cost": cost, "recommended": other}
         for scenario, cost, other in zip(
-            trial.scenarios, tuned.tolist(), by_hand.tolist(), strict=True
+            examination.scenarios, tuned.tolist(), by_hand.tolist(), strict=True
         )
     ]
     return {
         "cost": tuned.mean().item(),
         "recommended": by_hand.mean().item(),
-        "measured_from": trial.begin,
-        "duration": trial.duration,
+        "measured_from": examination.begin,
+        "duration": examination.duration,
         "scenarios": rows,
     }
 
@@ -147,16 +146,16 @@ def _command(controller: str, budget: float, seed: int, *more: str) -> str:
     return shlex.join(["octarm", "tune", controller, *budget_and_seed, *more])
 
 
-def _print_summary(controller: str, effort: Effort, tuned: Tuned) -> None:
+def _print_summary(controller: str, budget: Budget, tuned: Tuned) -> None:
     print(
-        f"{controller}: {effort.generations * effort.population} candidates, "
-        f"{effort.seconds:.0f} simulated s"
+        f"{controller}: {budget.generations * budget.population} candidates, "
+        f"{budget.seconds:.0f} simulated s"
     )
     print("  cost                     tuned  recommended")
-    for name, trial, cost, other in (
-        ("search", effort.short, tuned.short, tuned.short_by_hand),
-        ("long trial", effort.long, tuned.long, tuned.long_by_hand),
+    for name, duration, cost, other in (
+        ("search", budget.short.duration, tuned.short, tuned.short_by_hand),
+        ("long trial", budget.long.duration, tuned.long, tuned.long_by_hand),
     ):
-        print(f"  {name:<10} of {trial.duration:>4g} s {cost.mean():>11.5f} {other.mean():>12.5f}")
+        print(f"  {name:<10} of {duration:>4g} s {cost.mean():>11.5f} {other.mean():>12.5f}")
     if tuned.at_bounds:
         print(f"  as small or large as allowed: {', '.join(tuned.at_bounds)}")

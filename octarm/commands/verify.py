@@ -11,10 +11,11 @@ from tqdm import tqdm
 
 from controllers import make_controller
 from octarm.checks.verify import check_run
-from octarm.checks.verify_episode import FinishedSweep
+from octarm.checks.verify_episode import check_episode
 from octarm.errors import ExitCode, OctarmError
 from octarm.runs import folder as runs
-from octarm.sweeps.folder import MANIFEST
+from octarm.sweeps.episodes import FinishedSweep
+from octarm.sweeps.store import MANIFEST
 
 if TYPE_CHECKING:
     from octarm.options.checks import Verify
@@ -60,7 +61,7 @@ def _sweep(folder: Path, options: Verify) -> bool:
     good = True
     with tqdm(episodes, unit=" episodes", disable=None, leave=False) as bar:
         for episode in bar:
-            check = sweep.check(episode, make_controller)
+            check = check_episode(sweep, episode, make_controller)
             bar.clear()
             print("\n".join([f"{folder}: {check.lines()[0]}", *check.lines()[1:]]), flush=True)
             good = good and check.identical

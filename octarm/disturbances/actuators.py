@@ -8,45 +8,59 @@ a physics step, so that nothing depends on the control period.
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, ClassVar
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from octarm.disturbances.delays import DelayLine
-from octarm.disturbances.episode import ActuatorFault, Episode
+from octarm.disturbances.delivered import Measured
+from octarm.disturbances.episode import (
+    ActuatorFault,
+    ActuatorProcess,
+    Disturbance,
+    Episode,
+    Event,
+)
 from octarm.disturbances.fields import Amount, Quantity
-from octarm.disturbances.streams import first_step
+from octarm.disturbances.streams import DelayLine, first_step
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class LossOfEffectiveness(ActuatorFault):
-    """Columns that lose a share of their force: (1 - share) tau from the time `at` on.
+class Delay(Disturbance):
+    """What passes arrives late.
 
     Attributes:
-        share: lost, broadcasts to shape (..., 2N), one value a column [1].
-        at: when it is lost, shape (...) [s].
+        delay: rounded to whole physics steps, which need not be whole control periods, shape (...)
+            [s].
     """
 
-    name: ClassVar[str] = "loss"
-    share: Annotated[Amount, Quantity("1", at_least=0.0, at_most=1.0, each=True)]
-    at: Annotated[Amount, Quantity("s", at_least=0.0, at_most=1e9)] = 0.0
+    units: ClassVar[Mapping[str, str]] = {"delay": "s"}
+    delay: Annotated[Amount, Quantity("s", at_least=0.0, at_most=10.0, usual=(0.0, 0.05))]
 
-    def start(self, episode: Episode) -> _Loss:
-        """The loss in one episode.
-
-        Raises:
-            ValueError: if a field does not suit the arm.
-        """
-        onset = first_step(episode.per_arm("at of loss", self.at), episode.timestep)
-        return _Loss(1.0 - _columns("share of loss", self.share, episode), onset[..., None])
+    def delivered(self, measured: Measured) -> dict[str, Any]:
+        """How much it changed what passes, and how late this arrived."""
+        return measured.signal.sizes() | {"delay": measured.signal.delay()}
 
 
-class _Loss:
-    def __init__(self, kept: np.ndarray, onset: np.ndarray) -> None:
-        self._kept, self._onset = kept, onset
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class ActuationDelay(Delay, ActuatorFault):
+    """Input forces that arrive late; none, until the delay has passed once."""
+
+    name: ClassVar[str] = "actuation-delay"
+
+    def start(self, episode: Episode) -> _LateInputs:
+        """The delay in one episode; its attribute `delay` is what it really is."""
+        return _LateInputs(episode.value(self, "delay"), episode.timestep, episode.batch_shape)
+
+
+class _LateInputs(DelayLine):
+    """The input forces of a while ago."""
 
     def __call__(self, step: int, tau: np.ndarray) -> np.ndarray:
-        return tau * np.where(self._onset <= step, self._kept, 1.0)
+        self.put(step, tau)
+        (late,) = self.take(step - self.steps)
+        return late
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,25 +72,17 @@ class DeadZone(ActuatorFault):
     """
 
     name: ClassVar[str] = "dead-zone"
-    width: Annotated[Amount, Quantity("N", at_least=0.0, each=True)]
+    width: Annotated[Amount, Quantity("N", at_least=0.0, each=True, usual=(0.0, 5.0))]
 
-    def start(self, episode: Episode) -> _DeadZone:
-        """The dead zone in one episode.
-
-        Raises:
-            ValueError: if the width does not suit the arm.
-        """
-        return _DeadZone(_columns("width of dead-zone", self.width, episode))
+    def start(self, episode: Episode) -> ActuatorProcess:
+        """The dead zone in one episode."""
+        return functools.partial(_beyond, _columns(self, "width", episode))
 
 
-class _DeadZone:
-    def __init__(self, width: np.ndarray) -> None:
-        self._width, self._active = width, width > 0.0
-
-    def __call__(self, step: int, tau: np.ndarray) -> np.ndarray:
-        del step
-        beyond = tau - _clip(tau, -self._width, self._width)
-        return np.where(self._active, beyond, tau)  # for a width of 0 the sign of 0 stays too
+def _beyond(width: np.ndarray, step: int, tau: np.ndarray) -> np.ndarray:
+    del step
+    beyond = tau - _clip(tau, -width, width)
+    return np.where(width > 0.0, beyond, tau)  # for a width of 0 the sign of 0 stays too
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,22 +96,39 @@ class Saturation(ActuatorFault):
     name: ClassVar[str] = "saturation"
     limit: Annotated[Amount, Quantity("N", at_least=0.0, each=True, unbounded=True)]
 
-    def start(self, episode: Episode) -> _Saturation:
-        """The saturation in one episode.
+    def start(self, episode: Episode) -> ActuatorProcess:
+        """The saturation in one episode."""
+        return functools.partial(_limited, _columns(self, "limit", episode))
 
-        Raises:
-            ValueError: if the limit does not suit the arm.
-        """
-        return _Saturation(_columns("limit of saturation", self.limit, episode))
+    def input_bound(self) -> Amount:
+        """The limit, broadcasts to (2N,) [N]; infinite where there is none."""
+        return self.limit
 
 
-class _Saturation:
-    def __init__(self, limit: np.ndarray) -> None:
-        self._limit = limit
+def _limited(limit: np.ndarray, step: int, tau: np.ndarray) -> np.ndarray:
+    del step
+    return _clip(tau, -limit, limit)
 
-    def __call__(self, step: int, tau: np.ndarray) -> np.ndarray:
-        del step
-        return _clip(tau, -self._limit, self._limit)
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class SlewLimit(ActuatorFault):
+    """A force that follows tau no faster than the rate, from 0 at the start.
+
+    Attributes:
+        rate: largest change in time, may be infinite, broadcasts to shape (..., 2N) [N/s].
+    """
+
+    name: ClassVar[str] = "slew"
+    rate: Annotated[Amount, Quantity("N/s", above=0.0, each=True, unbounded=True)]
+
+    def start(self, episode: Episode) -> ActuatorProcess:
+        """The slew limit in one episode."""
+        most = _columns(self, "rate", episode) * episode.timestep  # change in a physics step [N]
+        return _Follower(functools.partial(_slewed, most))
+
+
+def _slewed(most: np.ndarray, y: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    return _clip(tau, y - most, y + most)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,103 +143,68 @@ class Lag(ActuatorFault):
     """
 
     name: ClassVar[str] = "lag"
-    time_constant: Annotated[Amount, Quantity("s", at_least=0.0, each=True, key="time")]
+    time_constant: Annotated[
+        Amount, Quantity("s", at_least=0.0, each=True, key="time", usual=(0.0, 0.2))
+    ]
 
-    def start(self, episode: Episode) -> _Lag:
-        """The lag in one episode.
-
-        Raises:
-            ValueError: if the time constant does not suit the arm.
-        """
-        T = _columns("time of lag", self.time_constant, episode)
+    def start(self, episode: Episode) -> ActuatorProcess:
+        """The lag in one episode."""
+        T = _columns(self, "time_constant", episode)
         with np.errstate(divide="ignore", over="ignore"):  # exp(-inf) = 0: no lag
-            return _Lag(np.exp(-(episode.timestep / T)))
+            decay = np.exp(-(episode.timestep / T))
+        return _Follower(functools.partial(_lagged, decay))
 
 
-class _Lag:
-    def __init__(self, decay: np.ndarray) -> None:
-        self._decay, self._active = decay, decay > 0.0
+def _lagged(decay: np.ndarray, y: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    return np.where(decay > 0.0, tau + decay * (y - tau), tau)
+
+
+class _Follower:
+    """A force y that follows tau: what comes next depends on y and tau, and y is 0 at first."""
+
+    def __init__(self, follow: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
+        self._follow = follow
         self._applied: np.ndarray | None = None
 
     def __call__(self, step: int, tau: np.ndarray) -> np.ndarray:
         del step
         y = np.zeros_like(tau) if self._applied is None else self._applied
-        self._applied = np.where(self._active, tau + self._decay * (y - tau), tau)
+        self._applied = self._follow(y, tau)
         return self._applied
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class SlewLimit(ActuatorFault):
-    """A force that follows tau no faster than the rate, from 0 at the start.
+class LossOfEffectiveness(ActuatorFault):
+    """Columns that lose a share of their force: (1 - share) tau from the time `at` on.
 
     Attributes:
-        rate: largest change in time, may be infinite, broadcasts to shape (..., 2N) [N/s].
+        share: lost, broadcasts to shape (..., 2N), one value a column [1].
+        at: when it is lost, shape (...) [s].
     """
 
-    name: ClassVar[str] = "slew"
-    rate: Annotated[Amount, Quantity("N/s", above=0.0, each=True, unbounded=True)]
+    name: ClassVar[str] = "loss"
+    share: Annotated[Amount, Quantity("1", at_least=0.0, at_most=1.0, each=True, usual=(0.0, 1.0))]
+    at: Annotated[Amount, Quantity("s", at_least=0.0, at_most=1e9)] = 0.0
 
-    def start(self, episode: Episode) -> _SlewLimit:
-        """The slew limit in one episode.
+    def start(self, episode: Episode) -> ActuatorProcess:
+        """The loss in one episode."""
+        onset = first_step(episode.value(self, "at"), episode.timestep)
+        return functools.partial(
+            _weakened, 1.0 - _columns(self, "share", episode), onset[..., None]
+        )
 
-        Raises:
-            ValueError: if the rate does not suit the arm.
-        """
-        return _SlewLimit(_columns("rate of slew", self.rate, episode) * episode.timestep)
-
-
-class _SlewLimit:
-    def __init__(self, most: np.ndarray) -> None:
-        self._most = most  # change in a physics step [N]
-        self._applied: np.ndarray | None = None
-
-    def __call__(self, step: int, tau: np.ndarray) -> np.ndarray:
-        del step
-        y = np.zeros_like(tau) if self._applied is None else self._applied
-        self._applied = _clip(tau, y - self._most, y + self._most)
-        return self._applied
+    def events(self) -> Sequence[Event]:
+        """When it is lost."""
+        return self.span(self.at)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class ActuationDelay(ActuatorFault):
-    """Input forces that arrive late; none, until the delay has passed once.
-
-    Attributes:
-        delay: rounded to whole physics steps, which need not be whole control periods, shape (...)
-            [s].
-    """
-
-    name: ClassVar[str] = "actuation-delay"
-    delay: Annotated[Amount, Quantity("s", at_least=0.0, at_most=10.0)]
-
-    def start(self, episode: Episode) -> _ActuationDelay:
-        """The delay in one episode; its attribute `delay` is what it really is.
-
-        Raises:
-            ValueError: if the delay does not suit the batch.
-        """
-        return _ActuationDelay(DelayLine("delay of actuation-delay", self.delay, episode))
+def _weakened(kept: np.ndarray, onset: np.ndarray, step: int, tau: np.ndarray) -> np.ndarray:
+    return tau * np.where(onset <= step, kept, 1.0)
 
 
-class _ActuationDelay:
-    """The inputs of a while ago.
-
-    Attributes:
-        delay: of each arm, whole physics steps, shape (...) [s].
-    """
-
-    def __init__(self, line: DelayLine) -> None:
-        self.delay, self._line = line.delay, line
-
-    def __call__(self, step: int, tau: np.ndarray) -> np.ndarray:
-        self._line.put(step, tau)
-        (late,) = self._line.take(step - self._line.steps)
-        return late
-
-
-def _columns(name: str, value: Amount, episode: Episode) -> np.ndarray:
+def _columns(fault: ActuatorFault, field: str, episode: Episode) -> np.ndarray:
     """One value a column, shape (..., 2N), contiguous along the arms."""
-    return np.asfortranarray(episode.per_coordinate(name, value))
+    return np.asfortranarray(episode.value(fault, field))
 
 
 def _clip(x: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -18,17 +18,23 @@ import abc
 import copy
 import dataclasses
 import functools
-from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple, Protocol, get_type_hints
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
+from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
-from octarm.disturbances.amplitude import input_amplitude
-from octarm.disturbances.fields import Amount, Quantity, Words
-from octarm.disturbances.streams import stream
-from octarm.errors import OctarmError
+from octarm.disturbances.delivered import Measured
+from octarm.disturbances.fields import Amount, Quantity, field_defaults, field_kinds
+from octarm.disturbances.streams import HeldNoise, stream
+from octarm.errors import OctarmError, closest
 from octarm.interfaces import Motion
+
+# The input amplitude is measured on this grid, whatever the physics step.
+_WINDOW = 10.0  # [s]
+_SAMPLES = 1000
+_AT_ONCE = 20_000  # arms times instants
 
 
 class Plant(NamedTuple):
@@ -69,7 +75,7 @@ class Episode:
         occurrence: 1, or which one of several disturbances of the same class is started.
 
     Raises:
-        ValueError: if the number of seeds is not that of the arms.
+        OctarmError: if the number of seeds is not that of the arms.
     """
 
     parameters: ArmParameters
@@ -96,6 +102,24 @@ class Episode:
         """Number of coordinates 2N."""
         return self.parameters.coordinates
 
+    @property
+    def model(self) -> LagrangeModel:
+        """The analytic model of the undisturbed arm: names, scales and equations of motion."""
+        return LagrangeModel(self.parameters)
+
+    def selected(self, names: str) -> np.ndarray:
+        """Whether each coordinate is named in `names`, such as `s1+theta2` or `all`, shape (2N,).
+
+        Raises:
+            OctarmError: if the arm has no coordinate of one of these names.
+        """
+        known = self.model.names
+        wanted = known if names == "all" else names.split("+")
+        for name in wanted:
+            if name not in known:
+                raise OctarmError(f"unknown coordinate {name!r}{closest(name, known)}")
+        return np.array([name in wanted for name in known])
+
     def again(self, occurrence: int) -> Episode:
         """The same episode for a further disturbance of the same class."""
         other = copy.copy(self)
@@ -104,31 +128,45 @@ class Episode:
 
     def streams(self, name: str) -> list[np.random.Generator]:
         """The random streams of this name, one for each arm; see `stream`."""
-        name = name if self.occurrence == 1 else f"{name}-{self.occurrence}"
+        name = numbered(name, self.occurrence)
         return [stream(seed, name) for seed in self._seeds]
 
-    def per_arm(self, name: str, value: Amount) -> Amount:
-        """A number, or one for each arm, shape () or the batch's.
+    def noise(self, disturbance: Disturbance, scale: np.ndarray) -> HeldNoise:
+        """Noise of a disturbance with a field `correlation_time`, times a scale, shape (..., k).
 
         Raises:
-            ValueError: if the shape is another one; `name` says whose it is.
+            OctarmError: if the correlation time is shorter than a physics step.
         """
-        arms = f", or one for each of the {self.batch_shape[0]} arms" if self.batch_shape else ""
-        value = self._fitting(name, value, self.batch_shape, f"one number{arms}")
-        return np.broadcast_to(value, self.batch_shape) if np.ndim(value) else value
+        time = self.value(disturbance, "correlation_time")
+        return HeldNoise(self.streams(disturbance.name), scale, time, self.timestep)
 
-    def per_coordinate(self, name: str, value: Amount) -> np.ndarray:
-        """Numbers for each coordinate, broadcast to shape (..., 2N).
+    def value(self, disturbance: Disturbance, field: str) -> Amount:
+        """A field of numbers for the arms of this episode.
+
+        Returns:
+            Shape (..., 2N) if coordinates may have values of their own, otherwise shape () or the
+            batch's.
 
         Raises:
-            ValueError: if the shape does not fit; `name` says whose it is.
+            OctarmError: if the shape of the field does not suit the arms.
         """
-        shape = (*self.batch_shape, self.coordinates)
-        arms = (
-            f", for each of the {self.batch_shape[0]} arms or for all" if self.batch_shape else ""
-        )
-        wanted = f"one number, or {self.coordinates}, one for each coordinate{arms}"
-        return np.broadcast_to(self._fitting(name, value, shape, wanted), shape)
+        kind = field_kinds(type(disturbance))[field]
+        each = isinstance(kind, Quantity) and kind.each
+        value = getattr(disturbance, field)
+        shape = (*self.batch_shape, self.coordinates) if each else self.batch_shape
+        try:
+            fits = np.broadcast_shapes(np.shape(value), shape) == shape
+        except ValueError:
+            fits = False
+        if not fits:
+            wanted, arms = "one number", f"each of the {sum(self.batch_shape)} arms"
+            if each:
+                wanted += f", or {self.coordinates}, one for each coordinate"
+            if self.batch_shape:
+                wanted += f", for {arms} or for all" if each else f", or one for {arms}"
+            name = f"{kind.key or field} of {disturbance.name}"
+            raise OctarmError(f"{name} has shape {np.shape(value)}; it must be {wanted}")
+        return np.broadcast_to(value, shape) if each or np.ndim(value) else value
 
     @functools.cached_property
     def input_amplitude(self) -> np.ndarray:
@@ -136,85 +174,31 @@ class Episode:
 
         sqrt(2) times the standard deviation over time of each generalised force that the
         undisturbed arm needs to follow the reference exactly, D a_d + (C + B) v_d + G [N], [N m].
+
+        Sums of differences from the first value, one instant after another: no cancellation, and
+        the same bits for an arm and its row of a batch.
         """
-        arms = int(np.prod(self.batch_shape, dtype=int))
-        return input_amplitude(self.parameters, self.reference, arms)
+        forces = self._needed_forces()
+        first = next(forces)
+        total, square = np.zeros_like(first), np.zeros_like(first)
+        for force in forces:
+            change = force - first
+            total += change
+            square += change * change
+        mean = total / _SAMPLES
+        variance = square / _SAMPLES - mean * mean
+        return np.sqrt(2.0 * np.maximum(variance, 0.0))
 
-    def _fitting(self, name: str, value: Amount, shape: tuple[int, ...], wanted: str) -> Amount:
-        try:
-            fits = np.broadcast_shapes(np.shape(value), shape) == shape
-        except ValueError:
-            fits = False
-        if not fits:
-            raise OctarmError(f"{name} has shape {np.shape(value)}; it must be {wanted}")
-        return value
-
-
-class ForceProcess(Protocol):
-    """A force that acts on the arm."""
-
-    def __call__(self, step: int, q: np.ndarray) -> np.ndarray:
-        """The generalised force held over a physics step, shape (..., 2N) [N], [N m].
-
-        Args:
-            step: number of the physics step.
-            q: true coordinates at its start, shape (..., 2N) [m], [rad].
-        """
-        ...
-
-
-class PlantProcess(Protocol):
-    """A change of the arm itself."""
-
-    def changes_at(self, step: int) -> bool:
-        """Whether `apply` at this physics step differs from the one before it."""
-        ...
-
-    def apply(self, step: int, plant: Plant) -> Plant:
-        """The plant from this physics step on, given what it would be without this process."""
-        ...
-
-
-class ActuatorProcess(Protocol):
-    """Something between the commanded input forces and the plant."""
-
-    def __call__(self, step: int, tau: np.ndarray) -> np.ndarray:
-        """The input forces that the plant receives at a physics step, shape (..., 2N) [N].
-
-        Called once at every physics step, in order.
-
-        Args:
-            step: number of the physics step.
-            tau: input forces that are asked for, shape (..., 2N) [N].
-        """
-        ...
-
-
-class SensorProcess(Protocol):
-    """Something between the true motion and what the controller reads."""
-
-    def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
-        """Takes note of the true motion, at step 0 and after every physics step, in order.
-
-        Args:
-            step: number of physics steps that are done.
-            q: true coordinates, shape (..., 2N) [m], [rad].
-            v: true velocities, shape (..., 2N) [m/s], [rad/s].
-        """
-        ...
-
-    def __call__(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The readings at a control instant.
-
-        Args:
-            step: number of the physics step that begins.
-            q: coordinates as read so far, shape (..., 2N) [m], [rad].
-            v: velocities as read so far, shape (..., 2N) [m/s], [rad/s].
-
-        Returns:
-            q and v as the controller gets them, of the same shapes and units.
-        """
-        ...
+    def _needed_forces(self) -> Iterator[np.ndarray]:
+        """The force at each instant, shape (..., 2N); computed for many instants at once."""
+        size = max(1, _AT_ONCE // len(self._seeds))
+        for k in range(0, _SAMPLES, size):
+            grid = range(k, min(k + size, _SAMPLES))
+            instants = [self.reference(i * (_WINDOW / _SAMPLES)) for i in grid]
+            parts = [np.stack(part) for part in zip(*instants, strict=True)]
+            if self.parameters.batch_shape:  # after the axis of time
+                parts = [part[:, None] if part.ndim == 2 else part for part in parts]
+            yield from self.model.inverse_dynamics(*parts)
 
 
 class Disturbance(abc.ABC):
@@ -222,32 +206,42 @@ class Disturbance(abc.ABC):
 
     Subclasses are frozen, keyword-only dataclasses without `eq`, since fields may be arrays. Every
     field is annotated with a `Quantity` or `Words`, by which it is checked; numbers become floats
-    or read-only arrays. The command line takes the first field without a key.
+    or read-only arrays. The command line takes the first field without a key. The first line of
+    the docstring stands in the help.
 
     Attributes:
         name: as the command line, `run.json` and the random streams spell it.
+        family: what it acts on; a heading in the help.
+        instead_of_two: what to give instead of two of this class; empty if two may act together.
+        units: of what `delivered` returns, by name, where there is one unit for all coordinates.
 
     Raises:
-        ValueError: if a field is not of its kind.
+        OctarmError: if a field is not of its kind.
     """
 
     name: ClassVar[str]
+    family: ClassVar[str]
+    instead_of_two: ClassVar[str] = ""
+    units: ClassVar[Mapping[str, str]] = {}
 
     def __post_init__(self) -> None:
-        optional = {f.name for f in dataclasses.fields(self) if f.default is None}  # pyright: ignore
         for name, kind in field_kinds(type(self)).items():
-            value = getattr(self, name)
-            if not (value is None and name in optional):
+            value, optional = getattr(self, name), field_defaults(type(self)).get(name, ...) is None
+            if not (optional and value is None):
                 checked = kind.check(f"{kind.key or name} of {self.name}", value)
                 object.__setattr__(self, name, checked)
 
     @abc.abstractmethod
     def start(self, episode: Episode) -> Any:
-        """A fresh process for one episode.
+        """A fresh process for one episode; the families say of which kind.
 
         Raises:
-            ValueError: if a field does not suit the arm, the batch or the timestep.
+            OctarmError: if a field does not suit the arm, the batch or the timestep.
         """
+
+    def delivered(self, measured: Measured) -> dict[str, Any]:
+        """What the ledger states of an episode of one arm: numbers and arrays by name."""
+        return measured.signal.sizes()
 
     def events(self) -> Sequence[Event]:
         """The moments at which it begins and ends, to be marked in pictures; of one arm."""
@@ -265,23 +259,102 @@ class Disturbance(abc.ABC):
         """By how much it turns gravity, to be drawn [rad]."""
         return 0.0
 
+    def span(self, at: Amount, length: Amount = np.inf) -> list[Event]:
+        """The events of one arm's disturbance that begins at a time [s] and lasts for a length [s].
+
+        There are none if these are arrays of shape (n,), and no end if the length is infinite.
+        """
+        if np.ndim(at) or np.ndim(length):
+            return []
+        size = getattr(self, next(iter(field_kinds(type(self)))))
+        text = f"{self.name} {size:g}" if isinstance(size, float) else self.name
+        events = [Event(float(at), text), Event(float(at + length), "")]
+        return events if np.isfinite(length) else events[:1]
+
+
+# What `start` of a `Force` and of an `ActuatorFault` returns.
+ForceProcess = ActuatorProcess = Callable[[int, np.ndarray], np.ndarray]
+
+
+class PlantProcess(Protocol):
+    """A change of the arm itself."""
+
+    def changes_at(self, step: int) -> bool:
+        """Whether `apply` at this physics step differs from the one before it."""
+        ...
+
+    def apply(self, step: int, plant: Plant) -> Plant:
+        """The plant from this physics step on, given what it would be without this process."""
+        ...
+
+
+class SensorProcess(Protocol):
+    """Something between the true motion and what the controller reads."""
+
+    def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
+        """Takes note of the true motion, at step 0 and after every physics step, in order.
+
+        Args:
+            step: number of physics steps that are done.
+            q: true coordinates, shape (..., 2N) [m], [rad].
+            v: true velocities, shape (..., 2N) [m/s], [rad/s].
+        """
+
+    def __call__(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The readings at a control instant.
+
+        Args:
+            step: number of the physics step that begins.
+            q: coordinates as read so far, shape (..., 2N) [m], [rad].
+            v: velocities as read so far, shape (..., 2N) [m/s], [rad/s].
+
+        Returns:
+            q and v as the controller gets them, of the same shapes and units.
+        """
+        ...
+
 
 class Force(Disturbance):
-    """A disturbance that pushes the arm."""
+    """A disturbance that pushes the arm.
+
+    Its process is called with the number of a physics step and the true coordinates at its start,
+    shape (..., 2N) [m], [rad]. It returns the generalised force held over this step, shape
+    (..., 2N) [N], [N m].
+    """
+
+    family: ClassVar[str] = "forces"
+    units: ClassVar[Mapping[str, str]] = {"from": "s", "until": "s"}
 
     @abc.abstractmethod
     def start(self, episode: Episode) -> ForceProcess: ...  # noqa: D102
+
+    def delivered(self, measured: Measured) -> dict[str, Any]:
+        """How strong it was, when it acted, and the largest force that no disturbance explains."""
+        sizes = measured.signal.sizes() | measured.signal.presence()
+        return sizes | {"unexplained": measured.unexplained}
 
 
 class PlantChange(Disturbance):
     """A disturbance that makes the arm another one."""
 
+    family: ClassVar[str] = "the arm"
+
     @abc.abstractmethod
     def start(self, episode: Episode) -> PlantProcess: ...  # noqa: D102
 
+    def delivered(self, measured: Measured) -> dict[str, Any]:
+        """The parameters of the arm that were not always what they are undisturbed."""
+        return measured.changes()
+
 
 class ActuatorFault(Disturbance):
-    """A disturbance of the input forces on their way to the plant."""
+    """A disturbance of the input forces on their way to the plant.
+
+    Its process is called once at every physics step, in order, with the number of the step and the
+    input forces that are asked for, shape (..., 2N) [N]. It returns those that the plant receives.
+    """
+
+    family: ClassVar[str] = "the inputs"
 
     @abc.abstractmethod
     def start(self, episode: Episode) -> ActuatorProcess: ...  # noqa: D102
@@ -290,12 +363,22 @@ class ActuatorFault(Disturbance):
 class SensorFault(Disturbance):
     """A disturbance of the readings on their way to the controller."""
 
+    family: ClassVar[str] = "the readings"
+
     @abc.abstractmethod
     def start(self, episode: Episode) -> SensorProcess: ...  # noqa: D102
 
 
-@functools.cache
-def field_kinds(cls: type[Disturbance]) -> dict[str, Quantity | Words]:
-    """What the fields of a disturbance may be, by name, in their order."""
-    hints = get_type_hints(cls, include_extras=True)
-    return {f.name: hints[f.name].__metadata__[0] for f in dataclasses.fields(cls)}  # pyright: ignore
+def occurrences(disturbances: Iterable[Disturbance]) -> list[int]:
+    """For each disturbance, which one of its name it is: 1, 2 and so on."""
+    counts: dict[str, int] = {}
+    out: list[int] = []
+    for disturbance in disturbances:
+        counts[disturbance.name] = counts.get(disturbance.name, 0) + 1
+        out.append(counts[disturbance.name])
+    return out
+
+
+def numbered(name: str, occurrence: int) -> str:
+    """The name itself of the first one, then `noise-2` and so on."""
+    return name if occurrence == 1 else f"{name}-{occurrence}"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import re
-from typing import Any, ClassVar
+from typing import Any, ClassVar, get_type_hints
 
 import numpy as np
 
@@ -16,7 +17,7 @@ Amount = float | np.ndarray
 
 @dataclasses.dataclass(frozen=True)
 class Quantity:
-    """What a field of a disturbance may be; used as `Annotated[Amount, Quantity(...)]`.
+    """What a field of numbers may be; used as `Annotated[Amount, Quantity(...)]`.
 
     Attributes:
         unit: for people; "1" for a ratio.
@@ -27,7 +28,9 @@ class Quantity:
         each: whether coordinates may have values of their own, on the last axis; otherwise only
             arms may.
         unbounded: whether infinity is allowed.
-        key: how the command line spells the field; as the code does, when empty.
+        key: how the command line and files spell the field; as the code does, when empty.
+        usual: the values from which and to which it is varied when nothing else is said; the first
+            one should do no harm.
     """
 
     unit: str
@@ -38,12 +41,13 @@ class Quantity:
     each: bool = False
     unbounded: bool = False
     key: str = ""
+    usual: tuple[float, float] | None = None
 
     def check(self, name: str, value: Any) -> Amount:
         """A float, or a read-only array of the shape of the value.
 
         Raises:
-            ValueError: if it is not made of finite numbers in the range; `name` says whose it is.
+            OctarmError: if it is not made of finite numbers in the range; `name` says whose it is.
         """
         array = read_only(name, value, unbounded=self.unbounded)
         for bound, words, good in (
@@ -61,17 +65,18 @@ class Quantity:
 
 @dataclasses.dataclass(frozen=True)
 class Words:
-    """What a field of words may be: one of `alone`, or several of `joined`, joined by `+`.
+    """What a field of words may be: one of `alone`, or several words joined by `+`.
 
     Attributes:
-        joined: the words, or examples of them.
+        joined: words that may be joined.
         alone: words that stand alone.
-        pattern: regular expression of the words that may be joined; those of `joined` when empty.
+        coordinates: whether names of coordinates, such as `theta1`, may be joined as well. Which
+            there are depends on the arm: `Episode.selected` checks them.
     """
 
-    joined: tuple[str, ...]
+    joined: tuple[str, ...] = ()
     alone: tuple[str, ...] = ()
-    pattern: str = ""
+    coordinates: bool = False
     unit: ClassVar[str] = ""
     key: ClassVar[str] = ""
 
@@ -79,14 +84,35 @@ class Words:
         """The words as they are.
 
         Raises:
-            ValueError: if one of them is unknown; `name` says whose they are.
+            OctarmError: if one of them is unknown or given twice; `name` says whose they are.
         """
-        allowed = self.pattern or "|".join(map(re.escape, self.joined))
         words = str(value).split("+")
         for word in words if value not in self.alone else []:
-            if not re.fullmatch(allowed, word):
+            coordinate = self.coordinates and re.fullmatch(r"[a-z_]+[1-9]\d*", word)
+            if not (coordinate or word in self.joined):
                 known = closest(word, (*self.joined, *self.alone))
-                raise OctarmError(f"{name} is {value!r}{known}")
+                names = " and the names of coordinates" if self.coordinates else ""
+                raise OctarmError(f"{name} is {value!r}{known}{names}")
             if words.count(word) > 1:
                 raise OctarmError(f"{name} is {value!r}; it must name {word} once")
         return str(value)
+
+
+@functools.cache
+def field_kinds(cls: type) -> dict[str, Quantity | Words]:
+    """What the fields of a disturbance may be, by name, in their order."""
+    hints = get_type_hints(cls, include_extras=True)
+    return {f.name: hints[f.name].__metadata__[0] for f in dataclasses.fields(cls)}  # pyright: ignore
+
+
+@functools.cache
+def field_defaults(cls: type) -> dict[str, Any]:
+    """The defaults of the fields that need not be given, by name."""
+    fields = dataclasses.fields(cls)  # pyright: ignore
+    return {f.name: f.default for f in fields if f.default is not dataclasses.MISSING}
+
+
+@functools.cache
+def field_keys(cls: type) -> dict[str, str]:
+    """The names of the fields, by how the command line and files spell them."""
+    return {kind.key or name: name for name, kind in field_kinds(cls).items()}

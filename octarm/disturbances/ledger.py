@@ -1,27 +1,54 @@
 """The disturbance ledger: what each disturbance was asked to do, and what was delivered.
 
-Measured on one arm, on what really arrived: the forces that MuJoCo was stepped with, the parameters
-in its model, and the readings that the controller got. Sums, peaks and times are of the whole run;
-spectra and delays are of its first 65 536 physics steps.
+Measured on one arm, on what really arrived: the forces that the simulation was stepped with, the
+parameters in its model, and the readings that the controller got. What is stated of a disturbance,
+it says itself in `Disturbance.delivered`.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 
-from octarm.arm.parameters import ArmParameters
-from octarm.disturbances.actuators import ActuationDelay
-from octarm.disturbances.delivered import Record, band, line
-from octarm.disturbances.episode import ActuatorFault, Disturbance, Force, PlantChange, SensorFault
-from octarm.disturbances.forces import BandLimitedNoise, SineForce
-from octarm.disturbances.sensors import MeasurementDelay, MeasurementNoise
-from octarm.disturbances.spelling import Acting, from_dict, spelling, to_dict
-from octarm.simulation.physics import ArmPhysics
+from octarm.disturbances.active import ActiveDisturbances
+from octarm.disturbances.delivered import Measured, Record
+from octarm.disturbances.episode import Disturbance, Plant, numbered, occurrences
+from octarm.disturbances.spelling import from_entry, spelling, to_dict
+
+_NOT_IN_LINES = ("peak", "unexplained")
+
+
+class MeasuredArm(Protocol):
+    """What the ledger asks of the simulation of one arm."""
+
+    acting: ActiveDisturbances | None
+
+    def steps(self) -> int:
+        """Number of physics steps since the start."""
+        ...
+
+    def q(self) -> np.ndarray:
+        """True coordinates, shape (2N,) [m], [rad]."""
+        ...
+
+    def v(self) -> np.ndarray:
+        """True velocities, shape (2N,) [m/s], [rad/s]."""
+        ...
+
+    def tau(self) -> np.ndarray:
+        """The input forces that are asked for, shape (2N,) [N]."""
+        ...
+
+    def added(self) -> np.ndarray:
+        """Generalised force that acted in the last physics step, shape (2N,) [N], [N m]."""
+        ...
+
+    def plant(self) -> Plant:
+        """The arm as it is in the simulation's model."""
+        ...
 
 
 class Ledger:
@@ -30,25 +57,25 @@ class Ledger:
     It starts anew with every episode.
     """
 
-    def __init__(self, disturbances: Sequence[Disturbance], physics: ArmPhysics) -> None:
+    def __init__(self, disturbances: Sequence[Disturbance], arm: MeasuredArm) -> None:
         """Watches this arm, whose episodes have these disturbances."""
         self._disturbances = disturbances
-        self._physics = physics
-        self._begin()
+        self._arm = arm
+        self._signals: dict[str, Record] = {}
 
-    def step(self, physics: ArmPhysics) -> None:
+    def step(self, arm: MeasuredArm) -> None:
         """An episode has begun, or a physics step has been done."""
-        acting, step = physics.acting, physics.steps() - 1
-        if acting is None:
+        active, step = arm.acting, arm.steps() - 1
+        if active is None:
             return
         if step < 0:
-            self._begin()
+            self._begin(active)
         else:
-            self._take_up(step)
-        if step < 0 or any(process.changes_at(step) for _, process in acting.plant_changes):
-            self._arms.append(_arm(physics))
-        if acting.sensors:
-            self._truth = np.concatenate([physics.q(), physics.v()])
+            self._measure(active, step)
+        if step < 0 or active.plant_changes_at(step):
+            self._plants.append(arm.plant())
+        if active.sensors:
+            self._truth = np.concatenate([arm.q(), arm.v()])
             self._motion.add(step + 1, self._truth)
 
     def rows(self) -> list[dict[str, Any]]:
@@ -57,116 +84,99 @@ class Ledger:
         Lists are in the order of q, of tau for inputs, and of q, then v for readings. None stands
         for what could not be seen, or was not finite.
         """
-        rows, acting = asked(self._disturbances), self._physics.acting
+        rows, active = asked(self._disturbances), self._arm.acting
         with np.errstate(all="ignore"):  # a diverged arm may hold anything
-            if acting is not None and self._truth.size and self._physics.steps() == 0:
-                self._hear(acting, 0)  # the run ended with the first readings
+            if active is not None and active.sensors and self._arm.steps() == 0:
+                self._read(active, 0)  # the run ended with the first readings
             for row, disturbance in zip(rows, self._disturbances, strict=True):
-                row["delivered"] = _finite(self._delivered(disturbance, row["name"]))
+                row["delivered"] = _finite(self._delivered(active, row["name"], disturbance))
         return rows
 
-    def _begin(self) -> None:
-        self._arms: list[dict[str, np.ndarray]] = []  # whenever they changed, from the start on
-        self._tau, self._motion = Record(), Record()
+    def _begin(self, active: ActiveDisturbances) -> None:
+        self._timestep = active.episode.timestep
+        self._plants: list[Plant] = []  # whenever they changed, from the start on
+        self._tau, self._motion = Record(self._timestep), Record(self._timestep)
+        self._signals = {name: Record(self._timestep) for name, _ in active.plant_changes}
+        self._last_read: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self._truth = np.empty(0)
-        self._forces: dict[str, Record] = {}
-        self._inputs: dict[str, Record] = {}
-        self._readings: dict[str, Record] = {}
-        self._read: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        self._unexplained = np.zeros(())
+        self._unexplained = 0.0
 
     @np.errstate(all="ignore")
-    def _take_up(self, step: int) -> None:
+    def _measure(self, active: ActiveDisturbances, step: int) -> None:
         """What acted during a physics step, and the readings if it is the first of a period."""
-        physics = self._physics
-        acting = physics.acting
-        assert acting is not None
-        for name, share in acting.shares.items():
-            self._forces.setdefault(name, Record()).add(step, share)
-        if acting.forces:
-            missing = np.abs(physics.added() - sum(acting.shares.values()))
+        for name, share in active.shares.items():
+            self._signals.setdefault(name, Record(self._timestep)).add(step, share)
+        if active.forces:
+            missing = np.abs(self._arm.added() - sum(active.shares.values()))
             self._unexplained = np.maximum(self._unexplained, np.max(missing))
-        before, source = physics.tau(), self._tau
-        if acting.actuators:
+        before, source = self._arm.tau(), self._tau
+        if active.actuators:
             source.add(step, before)
-        for name, received in acting.inputs.items():
-            record = self._inputs.setdefault(name, Record(source))
+        for name, received in active.inputs.items():
+            record = self._signals.setdefault(name, Record(self._timestep, source))
             record.add(step, received, before=before)
             before, source = received, record
-        self._hear(acting, step)
+        self._read(active, step)
 
-    def _hear(self, acting: Acting, step: int) -> None:
+    def _read(self, active: ActiveDisturbances, step: int) -> None:
         """The readings, if they are new."""
         before, source = self._truth, self._motion
-        for name, reading in acting.readings.items():
-            if reading is self._read.get(name):
+        for name, reading in active.readings.items():
+            if reading is self._last_read.get(name):
                 break  # the controller still goes by what it got earlier
-            self._read[name], after = reading, np.concatenate(reading)
-            record = self._readings.setdefault(name, Record(source))
+            self._last_read[name], after = reading, np.concatenate(reading)
+            record = self._signals.setdefault(name, Record(self._timestep, source))
             record.add(step, after, before=before)
             before, source = after, record
 
-    def _delivered(self, disturbance: Disturbance, name: str) -> dict[str, Any]:
-        acting = self._physics.acting
-        if isinstance(disturbance, PlantChange) and acting is not None and self._arms:
-            return _changes(_table(acting.undisturbed.parameters, 0.0), self._arms)
-        for family, records in (
-            (Force, self._forces),
-            (ActuatorFault, self._inputs),
-            (SensorFault, self._readings),
-        ):
-            if isinstance(disturbance, family) and name in records:
-                return self._character(disturbance, name, records[name])
-        return {}
-
-    def _character(self, disturbance: Disturbance, name: str, record: Record) -> dict[str, Any]:
-        """How strong it was, and what makes a disturbance of its class what it is."""
-        dt, sizes = self._physics.timestep(), record.sizes()
-        acting = self._physics.acting
-        assert acting is not None
-        processes: dict[str, Any] = dict([*acting.forces, *acting.sensors])
-        match disturbance:
-            case BandLimitedNoise():
-                wanted = {"rms_asked": processes[name].rms}
-                more = band(record.rows(), dt) | {"unexplained": self._unexplained}
-                return wanted | sizes | more
-            case MeasurementNoise():
-                process = processes[name]
-                return {"rms_asked": np.concatenate([process.rms_q, process.rms_v])} | sizes
-            case SineForce():
-                return sizes | line(record.rows(), dt) | {"unexplained": self._unexplained}
-            case Force():
-                return sizes | record.presence(dt) | {"unexplained": self._unexplained}
-            case ActuationDelay() | MeasurementDelay():
-                return sizes | {"delay": dt * record.delay()}
-            case _:
-                return sizes
+    def _delivered(
+        self, active: ActiveDisturbances | None, name: str, disturbance: Disturbance
+    ) -> dict[str, Any]:
+        signal = self._signals.get(name)
+        if active is None or signal is None:
+            return {}
+        measured = Measured(active.episode, signal, self._plants, self._unexplained)
+        return disturbance.delivered(measured)
 
 
-def _arm(physics: ArmPhysics) -> dict[str, np.ndarray]:
-    """The parameters in MuJoCo's model, and where its gravity points."""
-    model = physics.model.ptr
-    gravity = model.opt.gravity
-    return _table(ArmParameters.from_model(model), np.arctan2(gravity[0], -gravity[2]))
+def asked(disturbances: Sequence[Disturbance]) -> list[dict[str, Any]]:
+    """An entry for each disturbance, `name` and `asked`: the ledger before a run."""
+    rows: list[dict[str, Any]] = []
+    for disturbance, count in zip(disturbances, occurrences(disturbances), strict=True):
+        fields = to_dict(disturbance)
+        rows.append({"name": numbered(fields.pop("name"), count), "asked": fields})
+    return rows
 
 
-def _table(p: ArmParameters, gravity_angle: float) -> dict[str, np.ndarray]:
-    """Parameters by name, with the angle of gravity [rad] for its size, which nothing changes."""
-    fields = {name: np.asarray(value) for name, value in p.to_dict().items() if name != "gravity"}
-    return fields | {"gravity_angle": np.asarray(gravity_angle)}
+def in_words(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """What was asked and what was delivered, a line a disturbance, for the terminal."""
+    return [_line(from_entry(row), row["delivered"]) for row in rows]
 
 
-def _changes(
-    undisturbed: dict[str, np.ndarray], arms: Sequence[dict[str, np.ndarray]]
-) -> dict[str, Any]:
-    """Parameters that were not always what they are undisturbed: at some moments, and extremes."""
-    out: dict[str, Any] = {}
-    for name, original in undisturbed.items():
-        values = np.stack([arm[name] for arm in arms])
-        if np.any(values != original):
-            moments = {"undisturbed": original, "start": values[0], "end": values[-1]}
-            out[name] = moments | {"least": values.min(axis=0), "most": values.max(axis=0)}
-    return out
+def _line(disturbance: Disturbance, delivered: dict[str, Any]) -> str:
+    parts: list[str] = []
+    for name, value in delivered.items():
+        if isinstance(value, dict):
+            parts.append(_change(name, cast("dict[str, Any]", value)))
+        elif name not in _NOT_IN_LINES:
+            unit = "" if value is None else f" {disturbance.units.get(name, '')}".rstrip()
+            parts.append(f"{name.replace('_', ' ')} {_number(value)}{unit}")
+    return f"  {spelling(disturbance)} -> {'; '.join(parts) or 'nothing'}"
+
+
+def _change(name: str, moments: dict[str, Any]) -> str:
+    """A parameter before and at the end, and what it was in between if that is beyond both."""
+    before, end, least, most = (moments[key] for key in ("undisturbed", "end", "least", "most"))
+    change = f"{name} {_number(before)} -> {_number(end)}"
+    if np.any(least < np.minimum(before, end)) or np.any(most > np.maximum(before, end)):
+        return f"{change}, in between {_number(least)} to {_number(most)}"
+    return change
+
+
+def _number(value: Any) -> str:
+    if isinstance(value, list):
+        return "(" + ", ".join(map(_number, cast("list[Any]", value))) + ")"
+    return "unknown" if value is None else f"{value:.3g}"
 
 
 def _finite(value: Any) -> Any:
@@ -178,63 +188,3 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list):
         return [_finite(item) for item in cast("list[Any]", value)]
     return value if math.isfinite(value) else None
-
-
-def asked(disturbances: Sequence[Disturbance]) -> list[dict[str, Any]]:
-    """An entry for each disturbance, `name` and `asked`: the ledger before a run."""
-    rows: list[dict[str, Any]] = []
-    counts: dict[str, int] = {}
-    for disturbance in disturbances:
-        fields = to_dict(disturbance)
-        kind = fields.pop("name")
-        count = counts[kind] = counts.get(kind, 0) + 1
-        rows.append({"name": kind if count == 1 else f"{kind}-{count}", "asked": fields})
-    return rows
-
-
-def in_words(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """What was asked and what was delivered, a line a disturbance, for the terminal."""
-    return [f"  {_spelt(row)} -> {_words(row['delivered'])}" for row in rows]
-
-
-def _spelt(row: dict[str, Any]) -> str:
-    name = re.sub(r"-\d+$", "", row["name"])  # noise-2 is a noise
-    return spelling(from_dict({"name": name, **row["asked"]}))
-
-
-def _words(delivered: dict[str, Any]) -> str:
-    if not delivered:
-        return "nothing"
-    parts: list[str] = []
-    for name, value in delivered.items():
-        if isinstance(value, dict):
-            parts.append(_change(name, cast("dict[str, Any]", value)))
-        elif name not in ("peak", "unexplained"):
-            unit = "" if value is None else _UNITS.get(name, "")
-            parts.append(f"{name.replace('_', ' ')} {_number(value)}{unit}")
-    return "; ".join(parts)
-
-
-def _change(name: str, moments: dict[str, Any]) -> str:
-    """A parameter before and at the end, and what it was in between if that is beyond both."""
-    before, end, least, most = (moments[key] for key in ("undisturbed", "end", "least", "most"))
-    said = f"{name} {_number(before)} -> {_number(end)}"
-    if np.any(least < np.minimum(before, end)) or np.any(most > np.maximum(before, end)):
-        return f"{said}, in between {_number(least)} to {_number(most)}"
-    return said
-
-
-def _number(value: Any) -> str:
-    if isinstance(value, list):
-        return "(" + ", ".join(map(_number, cast("list[Any]", value))) + ")"
-    return "unknown" if value is None else f"{value:.3g}"
-
-
-_UNITS = {
-    "hold": " s",
-    "corner": " Hz",
-    "frequency": " Hz",
-    "delay": " s",
-    "from": " s",
-    "until": " s",
-}

@@ -7,20 +7,25 @@ nothing accumulates.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, ClassVar
 
 import numpy as np
 
-from octarm.disturbances.episode import Episode, Plant, PlantChange
-from octarm.disturbances.fields import Amount, Quantity
-from octarm.disturbances.streams import first_step
+from octarm.disturbances.episode import Episode, Event, Plant, PlantChange
+from octarm.disturbances.fields import Amount, Quantity, Words
+from octarm.disturbances.streams import first_step, periods_begun
 
 # The parameters that have factors, and how many axes each has after the batch axes.
 SCALABLE = {"mass": 1, "inertia": 1, "stiffness": 2, "damping": 2, "rest_length": 1}
 
+_GRID = 0.01  # [s]; parameters that drift stay as they are for so long, whatever the physics step
+
 Factor = Annotated[Amount, Quantity("1", above=0.0, at_most=1e6)]
-Share = Annotated[Amount, Quantity("1", at_least=0.0, below=1.0)]
+Share = Annotated[Amount, Quantity("1", at_least=0.0, below=1.0, usual=(0.0, 0.95))]
+Angle = Annotated[Amount, Quantity("rad", usual=(0.0, 1.5))]
+Of = Annotated[str, Words(joined=tuple(SCALABLE))]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,32 +41,28 @@ class Mismatch(PlantChange):
         damping: further factor, shape (...) [1].
         rest_length: factor, shape (...) [1].
         tilt: angle by which gravity is turned, see `Plant`, shape (...) [rad].
-
-    Raises:
-        ValueError: if a value is out of range.
     """
 
     name: ClassVar[str] = "mismatch"
-    mismatch: Annotated[Amount, Quantity("1", above=-1.0, at_most=1e6)] = 0.0
+    mismatch: Annotated[Amount, Quantity("1", above=-1.0, at_most=1e6, usual=(0.0, 3.0))] = 0.0
     mass: Factor = 1.0
     inertia: Factor = 1.0
     stiffness: Factor = 1.0
     damping: Annotated[Amount, Quantity("1", at_least=0.0, at_most=1e6)] = 1.0
     rest_length: Factor = 1.0
-    tilt: Annotated[Amount, Quantity("rad")] = 0.0
+    tilt: Angle = 0.0
 
     def start(self, episode: Episode) -> _Fixed:
-        """The change of one episode.
-
-        Raises:
-            ValueError: if a field does not suit the batch.
-        """
-        fields = [field.name for field in dataclasses.fields(self)]
-        value = {n: episode.per_arm(f"{n} of mismatch", getattr(self, n)) for n in fields}
+        """The change of one episode."""
+        value = {name: episode.value(self, name) for name in ("mismatch", *SCALABLE, "tilt")}
         full, half = 1.0 + value["mismatch"], 1.0 + value["mismatch"] / 2.0
         common = {"mass": full, "inertia": full, "stiffness": half, "damping": full}
-        factors = {n: spread(n, common.get(n, 1.0) * value[n]) for n in SCALABLE}
+        factors = {n: _spread(n, common.get(n, 1.0) * value[n]) for n in SCALABLE}
         return _Fixed(factors, value["tilt"])
+
+    def gravity_angle(self) -> float:
+        """The tilt, if it is one number [rad]."""
+        return 0.0 if np.ndim(self.tilt) else float(self.tilt)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,9 +76,6 @@ class RandomMismatch(PlantChange):
         share: of mass, inertia, stiffness and damping, shape (...) [1].
         rest_length: share of the rest lengths, shape (...) [1].
         tilt: gravity is turned by at most this angle, shape (...) [rad].
-
-    Raises:
-        ValueError: if a value is out of range.
     """
 
     name: ClassVar[str] = "random-mismatch"
@@ -86,27 +84,18 @@ class RandomMismatch(PlantChange):
     tilt: Annotated[Amount, Quantity("rad", at_least=0.0)] = 0.0
 
     def start(self, episode: Episode) -> _Fixed:
-        """The arms of one episode.
-
-        Raises:
-            ValueError: if a field does not suit the batch.
-        """
-        share, rest_length, tilt = (
-            episode.per_arm(f"{n} of random-mismatch", getattr(self, n))
-            for n in ("share", "rest_length", "tilt")
-        )
+        """The arms of one episode."""
         n, batch = episode.parameters.modules, episode.batch_shape
-        shapes = {name: (2, n)[2 - axes :] for name, axes in SCALABLE.items()}
-        drawn: dict[str, list[np.ndarray]] = {name: [] for name in (*shapes, "tilt")}
+        shapes = {name: (2, n)[2 - axes :] for name, axes in SCALABLE.items()} | {"tilt": ()}
+        drawn: dict[str, list[np.ndarray]] = {name: [] for name in shapes}
         for generator in episode.streams(self.name):
-            for name, shape in (*shapes.items(), ("tilt", ())):
+            for name, shape in shapes.items():
                 drawn[name].append(2.0 * np.asarray(generator.random(shape)) - 1.0)
         u = {name: np.stack(rows).reshape((*batch, *rows[0].shape)) for name, rows in drawn.items()}
-        factors = {
-            name: 1.0 + spread(name, rest_length if name == "rest_length" else share) * u[name]
-            for name in shapes
-        }
-        return _Fixed(factors, tilt * u["tilt"])
+        shares = dict.fromkeys(SCALABLE, episode.value(self, "share"))
+        shares["rest_length"] = episode.value(self, "rest_length")
+        factors = {name: 1.0 + _spread(name, share) * u[name] for name, share in shares.items()}
+        return _Fixed(factors, episode.value(self, "tilt") * u["tilt"])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,56 +104,23 @@ class GravityTilt(PlantChange):
 
     Attributes:
         angle: from the x axis of the base frame towards its y axis, shape (...) [rad].
-
-    Raises:
-        ValueError: if it is not a finite number.
     """
 
     name: ClassVar[str] = "tilt"
-    angle: Annotated[Amount, Quantity("rad")]
+    angle: Angle
 
     def start(self, episode: Episode) -> _Fixed:
-        """The change of one episode.
+        """The change of one episode."""
+        return _Fixed({}, episode.value(self, "angle"))
 
-        Raises:
-            ValueError: if the angle does not suit the batch.
-        """
-        return _Fixed({}, episode.per_arm("angle of tilt", self.angle))
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Payload(PlantChange):
-    """A point mass at the tip, from a given time on.
-
-    It has the tip's velocity when it is picked up: there is no impact.
-
-    Attributes:
-        mass: shape (...) [kg].
-        at: when it is picked up, shape (...) [s].
-
-    Raises:
-        ValueError: if a value is negative.
-    """
-
-    name: ClassVar[str] = "payload"
-    mass: Annotated[Amount, Quantity("kg", at_least=0.0)]
-    at: Annotated[Amount, Quantity("s", at_least=0.0)] = 0.0
-
-    def start(self, episode: Episode) -> _Payload:
-        """The load of one episode.
-
-        Raises:
-            ValueError: if a field does not suit the batch.
-        """
-        mass = episode.per_arm("mass of payload", self.mass)
-        at = episode.per_arm("at of payload", self.at)
-        first = first_step(at, episode.timestep)
-        return _Payload(mass, first, frozenset([0, *np.ravel(first).tolist()]))
+    def gravity_angle(self) -> float:
+        """The angle, if it is one number [rad]."""
+        return 0.0 if np.ndim(self.angle) else float(self.angle)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Fixed:
-    """Factors on parameters, and a turn of gravity, from the start."""
+    """Factors on parameters, by name, and a turn of gravity, shape (...) [rad], from the start."""
 
     factors: Mapping[str, Amount]
     tilt: Amount
@@ -178,9 +134,40 @@ class _Fixed:
         return Plant(scaled, plant.gravity_angle + self.tilt)
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Payload(PlantChange):
+    """A point mass at the tip, from a given time on.
+
+    It has the tip's velocity when it is picked up: there is no impact.
+
+    Attributes:
+        mass: shape (...) [kg].
+        at: when it is picked up, shape (...) [s].
+    """
+
+    name: ClassVar[str] = "payload"
+    mass: Annotated[Amount, Quantity("kg", at_least=0.0, usual=(0.0, 1.0))]
+    at: Annotated[Amount, Quantity("s", at_least=0.0)] = 0.0
+
+    def start(self, episode: Episode) -> _Load:
+        """The load of one episode."""
+        first = first_step(episode.value(self, "at"), episode.timestep)
+        return _Load(episode.value(self, "mass"), first, frozenset([0, *np.ravel(first).tolist()]))
+
+    def events(self) -> Sequence[Event]:
+        """When it is picked up."""
+        return self.span(self.at)
+
+    def carried(self) -> tuple[float, float] | None:
+        """Its mass [kg] and when it is picked up [s], if both are one number."""
+        if np.ndim(self.mass) or np.ndim(self.at):
+            return None
+        return float(self.mass), float(self.at)
+
+
 @dataclasses.dataclass(frozen=True)
-class _Payload:
-    """A mass at the tip, which is the last body's place, from a step on."""
+class _Load:
+    """A mass [kg] at the tip, which is the last body's place, from a step on; shapes (...)."""
 
     mass: Amount
     first: np.ndarray
@@ -198,6 +185,86 @@ class _Payload:
         return plant._replace(parameters=dataclasses.replace(p, mass=mass))
 
 
-def spread(name: str, factor: Amount) -> Amount:
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Drift(PlantChange):
+    """Parameters that change steadily until they have changed by a limit.
+
+    They are multiplied by 1 + rate t, which stays within 1 - limit and 1 + limit. They change
+    every 10 ms.
+
+    Attributes:
+        rate: shape (...) [1/s].
+        of: what drifts, such as `stiffness` or `stiffness+damping`.
+        limit: shape (...) [1].
+    """
+
+    name: ClassVar[str] = "drift"
+    rate: Annotated[Amount, Quantity("1/s", usual=(0.0, 0.5))]
+    of: Of = "stiffness"
+    limit: Share = 0.5
+
+    def start(self, episode: Episode) -> _Drift:
+        """The drift of one episode."""
+        rate, limit = episode.value(self, "rate"), episode.value(self, "limit")
+        return _Drift(functools.partial(_ramp, rate, limit), self.of, episode.timestep)
+
+
+def _ramp(rate: Amount, limit: Amount, t: float) -> np.ndarray:
+    """1 + rate t, within 1 +- limit."""
+    return 1.0 + np.clip(rate * t, -np.asarray(limit), limit)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class CyclicDrift(PlantChange):
+    """Parameters that swing about their values.
+
+    They are multiplied by 1 + share sin(2 pi t / period + phase). They change every 10 ms.
+
+    Attributes:
+        share: shape (...) [1].
+        period: shape (...) [s].
+        phase: shape (...) [rad].
+        of: what drifts, such as `stiffness` or `stiffness+damping`.
+    """
+
+    name: ClassVar[str] = "cyclic-drift"
+    share: Share
+    period: Annotated[Amount, Quantity("s", at_least=10.0 * _GRID)] = 10.0
+    phase: Annotated[Amount, Quantity("rad")] = 0.0
+    of: Of = "stiffness"
+
+    def start(self, episode: Episode) -> _Drift:
+        """The drift of one episode."""
+        share, period, phase = (episode.value(self, n) for n in ("share", "period", "phase"))
+        swing = functools.partial(_swing, share, 2.0 * np.pi / period, phase)
+        return _Drift(swing, self.of, episode.timestep)
+
+
+def _swing(share: Amount, omega: Amount, phase: Amount, t: float) -> np.ndarray:
+    """1 + share sin(omega t + phase)."""
+    return 1.0 + share * np.sin(omega * t + phase)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Drift:
+    """A factor, shape (...), on some parameters that follows time [s] on a grid of its own."""
+
+    factor: Callable[[float], np.ndarray]
+    of: str
+    timestep: float
+
+    def changes_at(self, step: int) -> bool:
+        return step == 0 or self._grid(step) != self._grid(step - 1)
+
+    def apply(self, step: int, plant: Plant) -> Plant:
+        factor = self.factor(self._grid(step) * _GRID)
+        factors = {name: _spread(name, factor) for name in self.of.split("+")}
+        return plant._replace(parameters=plant.parameters.scaled(**factors))
+
+    def _grid(self, step: int) -> int:
+        return int(periods_begun(step, self.timestep, _GRID))
+
+
+def _spread(name: str, factor: Amount) -> Amount:
     """A factor for each arm, shape (...), with the further axes of the parameter of this name."""
     return np.asarray(factor)[(..., *(None,) * SCALABLE[name])]

@@ -5,17 +5,24 @@ On the command line a disturbance is NAME:VALUE[,KEY=VALUE]*, such as `payload:0
 
 from __future__ import annotations
 
-import dataclasses
+import re
+import textwrap
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from octarm.arrays import plain
-from octarm.disturbances.acting import Acting as Acting
 from octarm.disturbances.catalogue import DISTURBANCES as DISTURBANCES
-from octarm.disturbances.episode import Disturbance, field_kinds
-from octarm.disturbances.fields import Amount, Quantity
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.fields import (
+    Amount,
+    Quantity,
+    Words,
+    field_defaults,
+    field_keys,
+    field_kinds,
+)
 from octarm.errors import OctarmError, closest
 
 
@@ -26,11 +33,11 @@ def parse_disturbance(text: str) -> Disturbance:
     for each of them as well, separated by `/`, as in `loss:0/0/0.5/0/0/0`.
 
     Raises:
-        ValueError: if a name or key is unknown or given twice, or a value missing or not allowed.
+        OctarmError: if a name or key is unknown or given twice, or a value missing or not allowed.
     """
     name, _, rest = text.partition(":")
     cls = _named(name)
-    keys = _keys(cls)
+    keys = field_keys(cls)
     values: dict[str, Any] = {}
     for i, item in enumerate(rest.split(",") if rest else []):
         key, equals, value = item.partition("=")
@@ -42,7 +49,7 @@ def parse_disturbance(text: str) -> Disturbance:
         if keys[key] in values:
             raise OctarmError(f"{text!r} gives {key} twice")
         values[keys[key]] = _value(text, key, value, field_kinds(cls)[keys[key]])
-    if not values or any(field not in values for field in _required(cls)):
+    if not values or not _required(cls) <= values.keys():
         raise OctarmError(f"{text!r} is incomplete; it must read {_usage(cls)}")
     return cls(**values)
 
@@ -52,28 +59,28 @@ def spelling(disturbance: Disturbance) -> str:
 
     Numbers have 6 digits.
     """
-    main, *_ = keys = _keys(type(disturbance))
-    defaults = {f.name: f.default for f in dataclasses.fields(disturbance)}  # pyright: ignore[reportArgumentType]
+    main, *_ = keys = field_keys(type(disturbance))
+    defaults = field_defaults(type(disturbance))
     values = {key: getattr(disturbance, field) for key, field in keys.items()}
-    shown = [
-        f"{key}={_spelt(value)}"
+    parts = [
+        f"{key}={_format(value)}"
         for key, value in values.items()
         if value is not None and (key == main or np.ndim(value) > 0 or value != defaults[keys[key]])
     ]
-    return f"{disturbance.name}:{','.join(shown).removeprefix(f'{main}=')}"
+    return f"{disturbance.name}:{','.join(parts).removeprefix(f'{main}=')}"
 
 
 def to_dict(disturbance: Disturbance) -> dict[str, Any]:
     """Name and fields as words, numbers and lists, ready for JSON; infinity as a word."""
-    fields = {f.name: getattr(disturbance, f.name) for f in dataclasses.fields(disturbance)}  # pyright: ignore[reportArgumentType]
-    return {"name": disturbance.name, **{name: plain(value) for name, value in fields.items()}}
+    fields = {field: plain(getattr(disturbance, field)) for field in field_kinds(type(disturbance))}
+    return {"name": disturbance.name, **fields}
 
 
 def from_dict(description: Mapping[str, Any]) -> Disturbance:
     """The inverse of `to_dict`.
 
     Raises:
-        ValueError: if the name or a field is unknown, missing or not allowed.
+        OctarmError: if the name or a field is unknown, missing or not allowed.
     """
     cls = _named(str(description.get("name")))
     fields = {key: value for key, value in description.items() if key != "name"}
@@ -81,25 +88,40 @@ def from_dict(description: Mapping[str, Any]) -> Disturbance:
     for key in fields:
         if key not in known:
             raise OctarmError(f"{cls.name} has no field {key!r}{closest(key, known)}")
-    for key in _required(cls):
-        if key not in fields:
+    for key in known:
+        if key in _required(cls) and key not in fields:
             raise OctarmError(f"{cls.name} needs the field {key!r}")
     return cls(**fields)
 
 
-def describe() -> str:
-    """How the disturbances are spelt and what they are, for `--help`."""
-    lines: list[str] = []
+def from_entry(entry: Mapping[str, Any]) -> Disturbance:
+    """The disturbance of an entry of `run.json`, `{"name": "noise-2", "asked": {...}}`.
+
+    Raises:
+        OctarmError: if the name or a field is unknown, missing or not allowed.
+    """
+    name = re.sub(r"-\d+$", "", str(entry["name"]))  # noise-2 is the second noise
+    return from_dict({"name": name, **entry["asked"]})
+
+
+def help_text() -> str:
+    """All disturbances by family: spelling, meaning and units, in lines of at most 80 columns."""
+    sections: dict[str, list[str]] = {}
+    indent = " " * 6
     for cls in DISTURBANCES.values():
-        kinds = field_kinds(cls).values()
-        units = [
-            f"{key} [{kind.unit}]"
-            for key, kind in zip(_keys(cls), kinds, strict=True)
-            if isinstance(kind, Quantity)
-        ]
+        keys = zip(field_keys(cls), field_kinds(cls).values(), strict=True)
+        units = [f"{key} [{kind.unit}]" for key, kind in keys if kind.unit not in ("", "1")]
         meaning = (cls.__doc__ or "").partition("\n")[0].rstrip(".:")
-        lines += [_usage(cls), f"    {meaning}; {', '.join(units)}."]
-    return "\n".join(lines)
+        text = f"{meaning}; {', '.join(units)}" if units else meaning
+        lines = sections.setdefault(cls.family, [])
+        lines.append(f"  {_usage(cls)}")
+        lines += textwrap.wrap(text, 80, initial_indent=indent, subsequent_indent=indent)
+    blocks = ["\n".join([family, *lines]) for family, lines in sections.items()]
+    several = [cls.name for cls in DISTURBANCES.values() if first_field(cls)[1].each]
+    each = (
+        f"{', '.join(several)} take a number for each coordinate or column as well: 0/0/0.5/0/0/0"
+    )
+    return "\n\n".join([*blocks, textwrap.fill(each, 80)])
 
 
 def _named(name: str) -> type[Disturbance]:
@@ -108,29 +130,34 @@ def _named(name: str) -> type[Disturbance]:
     return DISTURBANCES[name]
 
 
-def _keys(cls: type[Disturbance]) -> dict[str, str]:
-    """The spelling of each field, to its name."""
-    return {kind.key or name: name for name, kind in field_kinds(cls).items()}
+def first_field(cls: type[Disturbance]) -> tuple[str, Quantity]:
+    """The field that stands without a key; the one that varies when nothing else is said.
+
+    Raises:
+        OctarmError: if it is a field of words.
+    """
+    field, kind = next(iter(field_kinds(cls).items()))
+    if not isinstance(kind, Quantity):
+        raise OctarmError(f"{cls.name} begins with {field}, which is no number")
+    return field, kind
 
 
-def _required(cls: type[Disturbance]) -> list[str]:
-    fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
-    return [field.name for field in fields if field.default is dataclasses.MISSING]
+def _required(cls: type[Disturbance]) -> set[str]:
+    """The fields without a default."""
+    return field_kinds(cls).keys() - field_defaults(cls).keys()
 
 
 def _usage(cls: type[Disturbance]) -> str:
-    """The spelling with all keys: NAME:VALUE,KEY=default and so on."""
-    defaults = {f.name: f.default for f in dataclasses.fields(cls)}  # pyright: ignore[reportArgumentType]
-    main, *others = _keys(cls)
+    """The spelling with all keys that have a value: NAME:VALUE,KEY=default and so on."""
+    main, *others = keys = field_keys(cls)
     parts = [f"{cls.name}:{main.upper()}"]
     for key in others:
-        default = defaults[_keys(cls)[key]]
-        shown = f"{default:g}" if isinstance(default, float) else default or key.upper()
-        parts.append(f"{key}={shown}")
+        default = field_defaults(cls).get(keys[key], key.upper())
+        parts += [f"{key}={_format(default)}"] if default is not None else []
     return ",".join(parts)
 
 
-def _value(text: str, key: str, value: str, kind: Any) -> Amount | str:
+def _value(text: str, key: str, value: str, kind: Quantity | Words) -> Amount | str:
     if not isinstance(kind, Quantity):
         return value
     try:
@@ -144,6 +171,6 @@ def _value(text: str, key: str, value: str, kind: Any) -> Amount | str:
     return numbers[0] if len(numbers) == 1 else np.array(numbers)
 
 
-def _spelt(value: Any) -> str:
+def _format(value: Any) -> str:
     numbers = value.tolist() if isinstance(value, np.ndarray) else [value]
     return "/".join(x if isinstance(x, str) else f"{x:g}" for x in numbers)

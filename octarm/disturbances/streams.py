@@ -1,4 +1,4 @@
-"""Random streams by name, and the noise that is held between two draws.
+"""What depends on time: random streams by name, noise held between two draws, and delays.
 
 One `SeedSequence` belongs to one arm and one episode. Every stream is derived from it and from its
 own name, so that what one stream draws depends neither on the other streams nor on their order.
@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from octarm.arrays import Entry, entry
 from octarm.errors import OctarmError
 
 _BLOCK = 64  # holds an arm draws at once; the draws are the same for any number
@@ -28,8 +29,8 @@ def stream(seed: np.random.SeedSequence, name: str) -> np.random.Generator:
     digest = hashlib.sha256(name.encode()).digest()
     words = (int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4))
     key = (*seed.spawn_key, *words)
-    own = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
-    return np.random.Generator(np.random.PCG64(own))
+    derived = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
+    return np.random.Generator(np.random.PCG64(derived))
 
 
 def in_steps(time: np.ndarray | float, timestep: float) -> np.ndarray:
@@ -70,32 +71,33 @@ def periods_begun(step: int, timestep: float, period: np.ndarray | float) -> np.
 
 
 class HeldNoise:
-    """Standard normal numbers, held: draw h of an arm's generator from h t_c to (h+1) t_c.
+    """Normal numbers times a scale, held: draw h of an arm's generator from h t_c to (h+1) t_c.
 
     White up to its corner: the one-sided spectral density is 2 t_c sinc^2(f t_c), half of which is
     left at f = 0.443 / t_c. The value at an instant depends on the generator and t_c alone: not on
     the timestep, on how often or when it was asked for, nor on the batch.
+
+    Attributes:
+        scale: rms of each number, shape (..., k).
     """
 
     def __init__(
         self,
         generators: Sequence[np.random.Generator],
-        width: int,
+        scale: np.ndarray,
         correlation_time: np.ndarray | float,
         timestep: float,
-        batch_shape: tuple[int, ...],
     ) -> None:
         """Noise from its beginning.
 
         Args:
             generators: one an arm, used by nothing else.
-            width: numbers an arm draws at once.
+            scale: rms of each number that an arm draws, shape (k,) or (n, k).
             correlation_time: t_c, how long a draw is held, shape () or the batch's [s].
             timestep: physics step [s].
-            batch_shape: () for one arm, (n,) for a batch.
 
         Raises:
-            ValueError: if t_c is shorter than the timestep.
+            OctarmError: if t_c is shorter than the timestep.
         """
         least = float(np.min(correlation_time))
         if float(in_steps(least, timestep)) < 1.0:
@@ -103,22 +105,21 @@ class HeldNoise:
                 f"the correlation time of a noise is {least:g} s; it must be at least the physics "
                 f"step, {timestep:g} s"
             )
+        self.scale = np.asfortranarray(scale)
         self._generators = generators
-        self._width = width
-        self._batch_shape = batch_shape
         self._correlation_time = correlation_time
         self._timestep = timestep
-        self._draws = np.empty((_BLOCK, width, len(generators)))
+        self._draws = np.empty((_BLOCK, scale.shape[-1], len(generators)))
         self._block: np.ndarray | int = -1  # of the draws at hand: one number, or each arm's
         self._hold: np.ndarray | int = -1
         self._step, self._next = 0, 0  # `_held` is valid in between
         self._held = np.empty(0)
 
     def __call__(self, step: int) -> np.ndarray:
-        """The numbers at a physics step, shape (..., width); read-only, one object a hold.
+        """The numbers at a physics step, shape (..., k); read-only, one object a hold.
 
         Raises:
-            ValueError: if the step comes before one that was asked for earlier.
+            OctarmError: if the step comes before one that was asked for earlier.
         """
         if self._step <= step < self._next:
             return self._held
@@ -133,15 +134,15 @@ class HeldNoise:
         return self._held
 
     def _take(self, hold: np.ndarray | int) -> np.ndarray:
-        """The draws of this hold, or of one for each arm, shape (..., width)."""
+        """The numbers of this hold, or of one for each arm, shape (..., k)."""
         block, place = hold // _BLOCK, hold % _BLOCK
         if np.any(block != self._block):
             self._draw(block)
         if isinstance(place, int):
-            taken = self._draws[place].copy()
+            drawn = self._draws[place]
         else:
-            taken = np.take_along_axis(self._draws, place[None, None, :], axis=0)[0]
-        held = taken.T.reshape((*self._batch_shape, self._width))
+            drawn = np.take_along_axis(self._draws, place[None, None, :], axis=0)[0]
+        held = self.scale * drawn.T.reshape(self.scale.shape)
         held.setflags(write=False)
         return held
 
@@ -150,8 +151,43 @@ class HeldNoise:
         ahead = np.broadcast_to(np.asarray(block) - self._block, len(self._generators))
         for i, (generator, blocks) in enumerate(zip(self._generators, ahead.tolist(), strict=True)):
             if blocks:
-                numbers = np.empty((_BLOCK, self._width))
+                numbers = np.empty(self._draws.shape[:2])
                 for _ in range(blocks):  # more than one when some were skipped
                     generator.standard_normal(out=numbers)
                 self._draws[:, :, i] = numbers
         self._block = block
+
+
+class DelayLine:
+    """The last rows, as many as the longest delay takes; before the first row all are zero.
+
+    Attributes:
+        delay: of each arm, whole physics steps, shape (...) [s].
+        steps: the same in physics steps, shape (...) of integers.
+    """
+
+    delay: Entry
+    steps: np.ndarray
+
+    def __init__(self, delay: Entry, timestep: float, batch_shape: tuple[int, ...]) -> None:
+        """An empty line; the delay, shape () or the batch's [s], is rounded to whole steps."""
+        steps = np.rint(in_steps(delay, timestep)).astype(np.int64)
+        self.steps = np.broadcast_to(steps, batch_shape)
+        self.delay = entry(self.steps * timestep)
+        self._length = int(np.max(self.steps)) + 1
+        self._ring = np.empty(0)
+        self._place = np.empty(0, dtype=np.int64)
+
+    def put(self, step: int, *rows: np.ndarray) -> None:
+        """Keeps what belongs to a step: arrays of one shape (..., 2N), the same number always."""
+        if not self._ring.size:  # the arms' axis is last, so that it is contiguous
+            shape = (len(rows), *rows[0].T.shape)
+            self._ring = np.zeros_like(rows[0], shape=(self._length, *shape))
+            self._place = np.arange(math.prod(shape)).reshape(shape)
+        for kept, row in zip(self._ring[step % self._length], rows, strict=True):
+            kept[...] = row.T
+
+    def take(self, steps: np.ndarray) -> list[np.ndarray]:
+        """What was put at these steps, one an arm, shape (...): arrays of shape (..., 2N)."""
+        row = steps % self._length
+        return [kept.T for kept in self._ring.take(self._place + row * self._place.size)]

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
 
-from octarm.metrics.blocks import Before, add_rows
+from octarm.interfaces import Rows
+from octarm.metrics.metric import FORCE, STEADY, Accumulator, Metric, Settings
+from octarm.metrics.rows import Before, add_rows
 
-# [Hz]; twice the arm's highest mode (24.5 Hz) and far above its references.
-CORNER = 50.0
 
-
-class Chattering:
+class Chattering(Accumulator):
     """How restless the generalised force Q is in the steady regime.
 
     `chattering` is the root mean square of what passes a high-pass filter [N], [N m],
@@ -34,10 +34,22 @@ class Chattering:
     Each but the last has the shape (..., 2N) and is NaN without a row.
     """
 
-    def __init__(self, like: np.ndarray, period: float, corner: float = CORNER) -> None:
-        """Like a row of Q; control period [s] and corner frequency [Hz]."""
-        self._period = period
-        x = 2.0 * math.pi * corner * period
+    metrics: ClassVar = {
+        "chattering": Metric(
+            "coordinate", FORCE, f"high-pass root mean square of Q {STEADY}, any control rate"
+        ),
+        "total_variation": Metric(
+            "coordinate", ("N/s", "N m/s"), f"sum |dQ| a second {STEADY}, at one control rate"
+        ),
+        "switching_activity": Metric(
+            "coordinate", FORCE, f"mean |dQ| a control period {STEADY}, at one control rate"
+        ),
+        "control_rate": Metric("arm", ("Hz",), "control instants a second", better="neither"),
+    }
+
+    def __init__(self, first: Rows, settings: Settings) -> None:
+        like, self._period = first["force"], settings.control_period
+        x = 2.0 * math.pi * settings.corner * self._period
         self._decay = math.exp(-x)
         self._weights = _mean_square(x)
         self._rows = 0
@@ -47,8 +59,8 @@ class Chattering:
         self._yy, self._yz, self._zz = (np.zeros_like(like) for _ in range(3))
         self._variation = np.zeros_like(like)
 
-    def update(self, force: np.ndarray, steady: bool = True) -> None:
-        """Rows of Q, shape (k, ..., 2N) [N], [N m], and whether they are in the steady regime."""
+    def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
+        force = rows["force"]
         change = force - self._before(force)
         y, z = self._advance(change)
         if not steady:
@@ -71,8 +83,7 @@ class Chattering:
             ys[i], zs[i] = y, z
         return ys, zs
 
-    def result(self) -> dict[str, np.ndarray]:
-        """The measures so far, each of shape (..., 2N)."""
+    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
         rows = self._rows or math.nan
         yy, yz, zz = self._weights
         square = (yy * self._yy + yz * self._yz + zz * self._zz) / rows

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
-from octarm.metrics.blocks import Before, Count, add_rows, filled, keep_largest
+from octarm.interfaces import Rows
+from octarm.metrics.metric import FORCE, Accumulator, Metric, Settings
+from octarm.metrics.rows import Before, Count, MeanSquare, Size, add_rows, filled
 
 
-class InputUse:
+class InputUse(Accumulator):
     """How much of the input forces tau is asked for, over the whole run.
 
     `effort`, the root mean square, and `peak_input` = max |tau|, both [N]; `saturation_share`, the
@@ -18,35 +20,34 @@ class InputUse:
     the order of the columns of eq (2).
     """
 
-    def __init__(self, like: np.ndarray, limit: npt.ArrayLike = math.inf) -> None:
-        """Like a row of tau; the bound on |tau| broadcasts to it [N]."""
-        self._limit = filled("input limit", limit, like)
+    metrics: ClassVar = {
+        "effort": Metric("input", ("N",), "root mean square of the input forces", together="rms"),
+        "peak_input": Metric("input", ("N",), "largest absolute input force", together="max"),
+        "saturation_share": Metric("input", ("1",), "share of periods at the input limit"),
+    }
+
+    def __init__(self, first: Rows, settings: Settings) -> None:
+        self._limit = filled("input limit", settings.input_limit, first["tau"])
         self._unlimited = not np.any(np.isfinite(self._limit))
         self._rows = 0
-        self._squares = np.zeros_like(like)
-        self._largest = np.zeros_like(like)
-        self._saturated = Count(like)
+        self._size, self._saturated = Size(first["tau"]), Count(first["tau"])
 
-    def update(self, tau: np.ndarray) -> None:
-        """Rows of shape (k, ..., 2N) [N]."""
-        self._rows += len(tau)
-        size = np.abs(tau)
-        add_rows(self._squares, size * size)
-        keep_largest(self._largest, size)
+    def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
+        size = np.abs(rows["tau"])
+        self._rows += len(size)
+        self._size.update(size * size)
         if not self._unlimited:
             self._saturated.update(size >= self._limit)
 
-    def result(self) -> dict[str, np.ndarray]:
-        """The measures so far, each of shape (..., 2N)."""
-        rows = self._rows or math.nan
+    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
         return {
-            "effort": np.sqrt(self._squares / rows),
-            "peak_input": self._largest * (rows / rows),
-            "saturation_share": self._saturated.result() / rows,
+            "effort": self._size.root(),
+            "peak_input": self._size.peak(),
+            "saturation_share": self._saturated.result() / (self._rows or math.nan),
         }
 
 
-class ForceUse:
+class ForceUse(Accumulator):
     """Size and work of the controller's generalised force Q, over the whole run.
 
     `force_effort` is its root mean square [N], [N m]. While Q_j is held, it does the work
@@ -57,27 +58,29 @@ class ForceUse:
     nothing is known about its end.
     """
 
-    def __init__(self, like: np.ndarray) -> None:
-        """Like a row of Q."""
-        self._rows = 0
-        self._force_before, self._q_before = Before(), Before()
-        self._squares = np.zeros_like(like)
-        self._net = np.zeros_like(like)
-        self._absolute = np.zeros_like(like)
+    metrics: ClassVar = {
+        "force_effort": Metric("coordinate", FORCE, "root mean square of Q"),
+        "energy": Metric("coordinate", ("J",), "integral of |Q_j q_j'|"),
+        "work": Metric("coordinate", ("J",), "integral of Q_j q_j'", better="neither"),
+    }
 
-    def update(self, q: np.ndarray, force: np.ndarray) -> None:
-        """Rows of q [m], [rad] and Q [N], [N m], both of shape (k, ..., 2N)."""
-        self._rows += len(force)
-        add_rows(self._squares, force * force)
+    def __init__(self, first: Rows, settings: Settings) -> None:
+        like = first["force"]
+        self._force_before, self._q_before = Before(), Before()
+        self._size = MeanSquare(like)
+        self._net, self._absolute = np.zeros_like(like), np.zeros_like(like)
+
+    def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
+        q, force = rows["q"], rows["force"]
+        self._size.update(force * force)
         work = q - self._q_before(q)
         work *= self._force_before(force)
         add_rows(self._net, work)
         add_rows(self._absolute, np.abs(work, out=work))
 
-    def result(self) -> dict[str, np.ndarray]:
-        """The measures so far, each of shape (..., 2N)."""
+    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
         return {
-            "force_effort": np.sqrt(self._squares / (self._rows or math.nan)),
+            "force_effort": self._size.root(),
             "energy": self._absolute.copy(),
             "work": self._net.copy(),
         }

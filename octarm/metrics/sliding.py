@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
-from octarm.metrics.blocks import Before, Count, filled, first_true
+from octarm.interfaces import Rows
+from octarm.metrics.metric import STEADY, Accumulator, Metric, Settings
+from octarm.metrics.rows import Before, Count, filled, first_true
 
 
-class Sliding:
+class Sliding(Accumulator):
     """Reaching, residence in the boundary layer, and violations of the sliding condition.
 
     `reaching_time` is the first instant at which |s| <= phi, or at which s no longer has the sign
@@ -26,10 +28,23 @@ class Sliding:
     Each has the shape (..., 2N).
     """
 
-    def __init__(self, start: np.ndarray, phi: npt.ArrayLike | None = None) -> None:
-        """The first row of s; the half width of the layer broadcasts to it [m/s], [rad/s]."""
-        self._layered = phi is not None
-        self._phi = filled("phi", 0.0 if phi is None else phi, start)
+    metrics: ClassVar = {
+        "reaching_time": Metric(
+            "coordinate", ("s",), "when s first enters its layer", waits_for="sliding_violations"
+        ),
+        "sliding_violations": Metric(
+            "coordinate", ("1",), "share of periods outside the layer over which |s| grew"
+        ),
+        "layer_share": Metric(
+            "coordinate", ("1",), f"share of time with |s| <= phi {STEADY}", better="more"
+        ),
+    }
+    signals: ClassVar = ("s",)
+
+    def __init__(self, first: Rows, settings: Settings) -> None:
+        start, layer = first["s"], settings.layer
+        self._layered = layer is not None
+        self._phi = filled("layer", 0.0 if layer is None else layer, start)
         self._start = np.sign(start)
         self._time = np.full_like(start, np.nan)
         self._waiting = np.ones_like(start, dtype=bool)
@@ -37,8 +52,8 @@ class Sliding:
         self._early, self._late, self._grown = (Count(start) for _ in range(3))
         self._size_before, self._outside_before = Before(), Before()
 
-    def update(self, t: np.ndarray, s: np.ndarray, steady: bool) -> None:
-        """Rows of t, shape (k,) [s], and s, shape (k, ..., 2N); are they in the steady regime."""
+    def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
+        t, s = rows["t"], rows["s"]
         size = np.abs(s)
         outside = size > self._phi
         if self._waiting.any():
@@ -52,12 +67,11 @@ class Sliding:
     def _reach(self, t: np.ndarray, there: np.ndarray) -> None:
         arriving = there & self._waiting
         if arriving.any():
-            found, row = first_true(arriving)
-            self._time = np.where(found, t[row], self._time)
-            self._waiting &= ~found
+            arrived, row = first_true(arriving)
+            self._time = np.where(arrived, t[row], self._time)
+            self._waiting &= ~arrived
 
-    def result(self) -> dict[str, np.ndarray]:
-        """The measures so far, each of shape (..., 2N)."""
+    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
         early, late = self._early.result(), self._late.result()
         # Nothing is known about the end of the period that begins at the last instant.
         begun = early + late - self._outside_before.last
@@ -68,3 +82,27 @@ class Sliding:
         if self._layered:
             results["layer_share"] = 1.0 - late / (self._steady_rows or math.nan)
         return results
+
+
+class ReachingBound(Accumulator):
+    """The time within which the controller promised s = 0 at the start, shape (...) [s].
+
+    A controller gives one for the arm, or one for each coordinate: then all of them have reached
+    s = 0 after the largest.
+    """
+
+    metrics: ClassVar = {
+        "reaching_bound": Metric(
+            "arm", ("s",), "what the controller promised for s = 0 at the start", better="neither"
+        ),
+    }
+    signals: ClassVar = ("reaching_bound",)
+
+    def __init__(self, first: Rows, settings: Settings) -> None:
+        self._bound = np.max(first["reaching_bound"], axis=-1)
+
+    def update(self, rows: Rows, steady: bool) -> None:
+        """Takes nothing more: the promise at the start counts."""
+
+    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
+        return {"reaching_bound": self._bound}

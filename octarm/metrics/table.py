@@ -1,4 +1,4 @@
-"""Measures of a run, streaming: `update` with a block of control instants, `result` at the end.
+"""The table of metrics, and `Metrics`, which measures a run or a batch while it goes on.
 
 No trajectory is held. Results do not depend on how the run is cut into blocks, and are the same
 for an arm alone and as a row of a batch, bit for bit.
@@ -6,228 +6,192 @@ for an arm alone and as a row of a batch, bit for bit.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from typing import Literal, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from octarm.errors import OctarmError
-from octarm.metrics.blocks import SETTLED_AFTER as SETTLED_AFTER
-from octarm.metrics.blocks import Block as Block
-from octarm.metrics.blocks import parts
-from octarm.metrics.chattering import CORNER, Chattering
+from octarm.interfaces import Rows
+from octarm.metrics.chattering import Chattering
 from octarm.metrics.inputs import ForceUse, InputUse
-from octarm.metrics.sliding import Sliding
-from octarm.metrics.tracking import DWELL, Overshoot, Settling, TipError, TrackingError
-from octarm.metrics.tracking import default_band as default_band
+from octarm.metrics.metric import CORNER, Accumulator, Metric, Settings
+from octarm.metrics.metric import SETTLED_AFTER as SETTLED_AFTER
+from octarm.metrics.rows import parts
+from octarm.metrics.sliding import ReachingBound, Sliding
+from octarm.metrics.tracking import Overshoot, Settling, TipError, TrackingError
 
+_FIELDS = ("t", "q", "q_d", "tau", "force")
 _NUMBERS_A_PART = 50_000  # of a coordinate array; more at a time would leave the caches
 
 
-class Meaning(NamedTuple):
-    """What a metric is.
+class Catalogue(Mapping[str, Metric]):
+    """The metrics by name, as accumulators declare them.
 
     Attributes:
-        of: what there is a number for: each `coordinate` s1 .. thetaN, each `input`, a column of
-            eq (2), or each `arm`.
-        slide_unit: unit for slides, inputs or arms.
-        bend_unit: unit for bends.
-        text: one line.
+        accumulators: the classes, in the order of their metrics.
     """
 
-    of: Literal["coordinate", "input", "arm"]
-    slide_unit: str
-    bend_unit: str
-    text: str
+    def __init__(self, *accumulators: type[Accumulator]) -> None:
+        """The catalogue of the metrics of these classes."""
+        self.accumulators = accumulators
+
+    def __getitem__(self, name: str) -> Metric:
+        return {n: m for each in self.accumulators for n, m in each.metrics.items()}[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for each in self.accumulators for name in each.metrics)
+
+    def __len__(self) -> int:
+        return sum(len(each.metrics) for each in self.accumulators)
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Names of the fields of rows that are measured, signals included; for a recorder."""
+        signals = [name for each in self.accumulators for name in each.signals]
+        return (*_FIELDS, *dict.fromkeys(signals))
 
 
-_STEADY = f"after {SETTLED_AFTER:g} s"
-
-METRICS: Mapping[str, Meaning] = {
-    "rms_error": Meaning("coordinate", "m", "rad", f"root mean square of q - q_d {_STEADY}"),
-    "peak_error": Meaning("coordinate", "m", "rad", f"largest |q - q_d| {_STEADY}"),
-    "steady_error": Meaning("coordinate", "m", "rad", f"mean of q - q_d {_STEADY}, signed"),
-    "overshoot": Meaning(
-        "coordinate", "%", "%", f"by how much q exceeds the reference's swing {_STEADY}, signed"
-    ),
-    "undershoot": Meaning(
-        "coordinate", "%", "%", "the same at the end of the swing where q exceeds it least"
-    ),
-    "step_overshoot": Meaning(
-        "coordinate", "%", "%", "by how much q goes beyond a step, in percent of it"
-    ),
-    "settling_time": Meaning(
-        "coordinate", "s", "s", f"when |q - q_d| is within its band for good, {DWELL:g} s at least"
-    ),
-    "settled": Meaning("coordinate", "1", "1", "1 if there is a settling time, else 0"),
-    "tip_rms_error": Meaning("arm", "m", "", f"root mean square distance of the tips {_STEADY}"),
-    "tip_peak_error": Meaning("arm", "m", "", f"largest distance of the tips {_STEADY}"),
-    "effort": Meaning("input", "N", "", "root mean square of the input forces"),
-    "peak_input": Meaning("input", "N", "", "largest absolute input force"),
-    "saturation_share": Meaning("input", "1", "", "share of periods at the input limit"),
-    "force_effort": Meaning("coordinate", "N", "N m", "root mean square of Q"),
-    "energy": Meaning("coordinate", "J", "J", "integral of |Q_j q_j'|"),
-    "work": Meaning("coordinate", "J", "J", "integral of Q_j q_j'"),
-    "chattering": Meaning(
-        "coordinate", "N", "N m", f"high-pass root mean square of Q {_STEADY}, any control rate"
-    ),
-    "total_variation": Meaning(
-        "coordinate", "N/s", "N m/s", f"sum |dQ| a second {_STEADY}, at one control rate"
-    ),
-    "switching_activity": Meaning(
-        "coordinate", "N", "N m", f"mean |dQ| a control period {_STEADY}, at one control rate"
-    ),
-    "control_rate": Meaning("arm", "Hz", "", "control instants a second"),
-    "reaching_time": Meaning("coordinate", "s", "s", "when s first enters its layer"),
-    "reaching_bound": Meaning(
-        "arm", "s", "", "what the controller promised for s = 0 at the start"
-    ),
-    "layer_share": Meaning("coordinate", "1", "1", f"share of time with |s| <= phi {_STEADY}"),
-    "sliding_violations": Meaning(
-        "coordinate", "1", "1", "share of periods outside the layer over which |s| grew"
-    ),
-}
+METRICS = Catalogue(
+    TrackingError, Overshoot, Settling, TipError, InputUse, ForceUse, Chattering, Sliding,
+    ReachingBound,
+)  # fmt: skip
 
 
 class Metrics:
-    """All that is measured of a run or of a batch of runs; `METRICS` says what.
+    """All that is measured of a run or of a batch of runs; `METRICS` describes it.
 
-    What is said of sliding is there only when the controller's signals hold `s` (`layer_share` only
-    with phi, too), and `reaching_bound` only when they hold it.
+    Metrics that need a signal are there only when the rows hold it (`layer_share` only with a
+    boundary layer, too).
     """
 
     def __init__(
         self,
         *,
         control_period: float,
-        input_limit: npt.ArrayLike = math.inf,
-        phi: npt.ArrayLike | None = None,
+        input_limit: npt.ArrayLike = np.inf,
+        layer: npt.ArrayLike | None = None,
         band: npt.ArrayLike | None = None,
         corner: float = CORNER,
     ) -> None:
-        """Measures for arms of any number and batch shape.
+        """Metrics of arms of any number and batch shape; the arguments are those of `Settings`.
+
+        Raises:
+            OctarmError: if one of them is not positive (layer: negative), or not finite (the input
+                limit excepted).
+        """
+        self._settings = Settings(
+            control_period=control_period,
+            input_limit=input_limit,
+            layer=layer,
+            band=band,
+            corner=corner,
+        )
+        self._accumulators: list[Accumulator] = []
+        self._sum: np.ndarray | float = 0.0  # not finite where something was not
+
+    def update(self, rows: Rows) -> None:
+        """Takes the next control instants.
 
         Args:
-            control_period: time between two control instants [s].
-            input_limit: bound on |tau|, broadcasts to (..., 2N) [N].
-            phi: half width of the boundary layer, broadcasts to (..., 2N) [m/s], [rad/s]; zero
-                where there is none.
-            band: |q - q_d| within it counts as settled, broadcasts to (..., 2N) [m], [rad];
-                `default_band` when not given.
-            corner: of what counts as chattering [Hz].
+            rows: with the fields `t`, `q`, `q_d`, `tau`, `force`, and the controller's signals. The
+                arms of a batch may share their q_d, of shape (k, 1, 2N) then.
 
         Raises:
-            ValueError: if one of them is not positive (phi: negative), or not finite (the input
-                limit aside).
+            OctarmError: if a limit, the layer or the band does not fit the arms.
         """
-        self._settings = _Settings(control_period, input_limit, phi, band, corner)
-        for name, value in zip(_Settings._fields, self._settings, strict=True):
-            if value is not None:
-                largest = math.inf if name == "input_limit" else np.finfo(float).max
-                spoken = name.replace("_", " ")
-                _check(spoken, value, zero_allowed=name == "phi", largest=largest)
-        self._measures: _Measures | None = None
-
-    def update(self, block: Block) -> None:
-        """Takes up the next control instants.
-
-        Raises:
-            ValueError: if a limit, phi or the band does not fit the arms.
-        """
-        if len(block.t) == 0:
+        if len(rows["t"]) == 0:
             return
-        if self._measures is None:
-            self._measures = _Measures(block, self._settings)
-        rows = max(1, _NUMBERS_A_PART // block.q[0].size)
+        rows = {name: rows[name] for name in METRICS.fields if name in rows}
+        if not self._accumulators:
+            first = {name: array[0] for name, array in rows.items()}
+            self._accumulators = [
+                make(first, self._settings)
+                for make in METRICS.accumulators
+                if set(make.signals) <= set(rows)
+            ]
+        most = max(1, _NUMBERS_A_PART // rows["q"][0].size)
         with np.errstate(all="ignore"):  # a diverged arm may hold anything
-            for part, steady in parts(block, rows):
-                self._measures.update(part, steady)
+            for part, steady in parts(rows, most):
+                error = part["q"] - part["q_d"]
+                self._sum = self._sum + np.sum(part["q"] + part["tau"] + part["force"], axis=0)
+                complete = {**part, "error": error, "squared_error": error * error}
+                for accumulator in self._accumulators:
+                    accumulator.update(complete, steady)
 
     def result(self, diverged: npt.ArrayLike = False) -> dict[str, np.ndarray]:
-        """The measures so far, each of shape (..., 2N), or (...) for what there is one an arm.
+        """The metrics so far, each of shape (..., 2N), or (...) for those of the arm.
 
         Args:
-            diverged: which arms diverged, broadcasts to the batch shape. Their measures are NaN,
+            diverged: which arms diverged, broadcasts to the batch shape. Their metrics are NaN,
                 and so are those of arms whose q, Q or tau was not finite at any time.
 
         Raises:
-            ValueError: if there was no control instant.
+            OctarmError: if there was no control instant.
         """
-        if self._measures is None:
-            raise OctarmError("there is nothing to measure: no control instant was taken up")
+        if not self._accumulators:
+            raise OctarmError("there is nothing to measure: no control instant was taken")
         with np.errstate(all="ignore"):
-            results = self._measures.result()
-            lost = self._measures.unsound(results) | np.asarray(diverged, dtype=bool)
+            results = {k: x for each in self._accumulators for k, x in each.result().items()}
+        arm = {name for name in results if METRICS[name].of == "arm"}
+        lost = np.any(~np.isfinite(self._sum), axis=-1) | np.asarray(diverged, dtype=bool)
+        for name, values in results.items():  # too large to square
+            infinite = np.isinf(values)
+            lost = lost | (infinite if name in arm else np.any(infinite, axis=-1))
         return {
-            name: np.where(lost if meaning.of == "arm" else lost[..., None], np.nan, results[name])
-            for name, meaning in METRICS.items()
-            if name in results
+            name: np.where(lost if name in arm else lost[..., None], np.nan, values)
+            for name, values in results.items()
         }
 
 
-class _Settings(NamedTuple):
-    control_period: float
-    input_limit: npt.ArrayLike
-    phi: npt.ArrayLike | None
-    band: npt.ArrayLike | None
-    corner: float
+def as_json(results: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Metrics of one arm as plain numbers, or lists of shape (2N,); None stands for NaN."""
+    return {
+        name: np.where(np.isnan(values), None, values.astype(object)).tolist()  # pyright: ignore
+        for name, values in results.items()
+    }
 
 
-class _Measures:
-    """The accumulators, for arms like those of a first block."""
+class Column(NamedTuple):
+    """A column of a table with a row for each arm.
 
-    def __init__(self, first: Block, settings: _Settings) -> None:
-        q, force, signals = first.q[0], first.force[0], first.signals
-        band = default_band(q.shape[-1] // 2) if settings.band is None else settings.band
-        self._error, self._tip = TrackingError(q), TipError(q)
-        self._settling = Settling(q, settings.control_period, band)
-        self._overshoot = Overshoot(q, first.q_d[0], band)
-        self._inputs = InputUse(first.tau[0], settings.input_limit)
-        self._forces = ForceUse(force)
-        self._chattering = Chattering(force, settings.control_period, settings.corner)
-        self._sliding = Sliding(signals["s"][0], settings.phi) if "s" in signals else None
-        # One for the arm, or one a coordinate: then s = 0 is promised for the last of them.
-        bound = signals.get("reaching_bound")
-        self._bound = None if bound is None else np.max(bound[0], axis=-1)
+    Attributes:
+        name: of the column: `rms_error_theta1`, `effort_tau2`, `tip_rms_error`.
+        metric: name of the metric.
+        of: the coordinate or input whose number it holds; empty for the arm.
+        place: of that number along the last axis of the metric.
+        unit: of the values.
+    """
 
-    def update(self, rows: Block, steady: bool) -> None:
-        error = rows.q - rows.q_d
-        squares = error * error
-        self._settling.update(squares)
-        self._overshoot.update(rows.q, rows.q_d, steady)
-        self._inputs.update(rows.tau)
-        self._forces.update(rows.q, rows.force)
-        self._chattering.update(rows.force, steady)
-        if self._sliding is not None:
-            self._sliding.update(rows.t, rows.signals["s"], steady)
-        if steady:
-            self._error.update(error, squares)
-            self._tip.update(rows.q, rows.q_d)
+    name: str
+    metric: str
+    of: str
+    place: int
+    unit: str
 
-    def result(self) -> dict[str, np.ndarray]:
-        tracking = self._error.result() | self._settling.result() | self._overshoot.result()
-        cost = self._inputs.result() | self._forces.result() | self._chattering.result()
-        results = tracking | self._tip.result() | cost
-        if self._sliding is not None:
-            results |= self._sliding.result()
-        if self._bound is not None:
-            results["reaching_bound"] = self._bound
-        return results
-
-    def unsound(self, results: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Which arms held something that was not finite or too large to square, shape (...)."""
-        largest, smallest = self._overshoot.reached()
-        seen = results["effort"] + results["force_effort"] + results["energy"]
-        lost = np.isinf(results["rms_error"]) | ~np.isfinite(seen + (largest - smallest))
-        return np.any(lost, axis=-1)
+    @property
+    def metadata(self) -> dict[str, str]:
+        """What a table's schema says of the column, so that nobody has to parse its name."""
+        return {"metric": self.metric, "of": self.of, "unit": self.unit}
 
 
-def _check(name: str, value: npt.ArrayLike, *, zero_allowed: bool, largest: float) -> None:
-    array = np.asarray(value, dtype=np.float64)
-    good = ((array >= 0.0) if zero_allowed else (array > 0.0)) & (array <= largest)
-    if not np.all(good):
-        allowed = "at least 0" if zero_allowed else "above 0"
-        finite = " and finite" if math.isfinite(largest) else ""
-        raise OctarmError(f"{name} holds {array[~good].flat[0]:g}; it must be {allowed}{finite}")
+def columns(
+    coordinates: Sequence[str], units: Sequence[str], metrics: Iterable[str] = METRICS
+) -> list[Column]:
+    """The columns of metrics, metric by metric.
+
+    Args:
+        coordinates: their names, in the order of q; there are as many inputs, tau1 and so on.
+        units: those of the coordinates, `m` or `rad`.
+        metrics: names of metrics.
+    """
+    inputs = [f"tau{i}" for i in range(1, len(coordinates) + 1)]
+    held: list[Column] = []
+    for name in metrics:
+        metric = METRICS[name]
+        parts = {"coordinate": coordinates, "input": inputs, "arm": [""]}[metric.of]
+        for place, part in enumerate(parts):
+            unit = metric.unit_for(units[place] if metric.of == "coordinate" else "m")
+            held.append(Column(f"{name}_{part}" if part else name, name, part, place, unit))
+    return held

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
-from octarm.arrays import Entry, split
-from octarm.metrics.blocks import Extremes, add_rows, filled, first_true, keep_largest
+from octarm.arm.tip import tip
+from octarm.interfaces import Rows
+from octarm.metrics.metric import POSITION, STEADY, Accumulator, Metric, Settings
+from octarm.metrics.rows import Extremes, Size, add_rows, filled, first_true
 
-SLIDE_BAND = 1e-3  # [m]; an error within it counts as settled
-BEND_BAND = 0.02  # [rad]
 # The band has to hold for half a period of the default sine at least: every phase of |e|.
 DWELL = 1.0  # [s]
 
 
-class TrackingError:
+class TrackingError(Accumulator):
     """Size of the error e = q - q_d in the steady regime.
 
     `rms_error`, `peak_error` = max |e| and `steady_error`, the mean of e with its sign, each of
@@ -24,36 +24,33 @@ class TrackingError:
     over whole periods.
     """
 
-    def __init__(self, like: np.ndarray) -> None:
-        """Like a row of the error."""
+    metrics: ClassVar = {
+        "rms_error": Metric("coordinate", POSITION, f"root mean square of q - q_d {STEADY}"),
+        "peak_error": Metric("coordinate", POSITION, f"largest |q - q_d| {STEADY}"),
+        "steady_error": Metric(
+            "coordinate", POSITION, f"mean of q - q_d {STEADY}, signed", zero_best=True
+        ),
+    }
+
+    def __init__(self, first: Rows, settings: Settings) -> None:
         self._rows = 0
-        self._sum = np.zeros_like(like)
-        self._squares = np.zeros_like(like)
-        self._largest = np.zeros_like(like)
+        self._sum, self._size = np.zeros_like(first["q"]), Size(first["q"])
 
-    def update(self, error: np.ndarray, squares: np.ndarray) -> None:
-        """Rows of e [m], [rad] and of e^2, both of shape (k, ..., 2N)."""
-        self._rows += len(error)
-        add_rows(self._sum, error)
-        add_rows(self._squares, squares)
-        keep_largest(self._largest, squares)
+    def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
+        if steady:
+            self._rows += len(rows["error"])
+            add_rows(self._sum, rows["error"])
+            self._size.update(rows["squared_error"])
 
-    def result(self) -> dict[str, np.ndarray]:
-        """The measures so far, each of shape (..., 2N)."""
-        rows = self._rows or math.nan
+    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
         return {
-            "rms_error": np.sqrt(self._squares / rows),
-            "peak_error": np.sqrt(self._largest * (rows / rows)),  # sqrt(e^2) is exactly |e|
-            "steady_error": self._sum / rows,
+            "rms_error": self._size.root(),
+            "peak_error": self._size.peak(),
+            "steady_error": self._sum / (self._rows or math.nan),
         }
 
 
-def default_band(modules: int) -> np.ndarray:
-    """`SLIDE_BAND` for slides and `BEND_BAND` for bends, shape (2N,) [m], [rad]."""
-    return np.repeat([SLIDE_BAND, BEND_BAND], modules)
-
-
-class Settling:
+class Settling(Accumulator):
     """When the error enters a band for good.
 
     `settling_time` is the first instant from which |e| <= band until the end of the run, shape
@@ -62,27 +59,36 @@ class Settling:
     and the length of the run says nothing about it.
     """
 
-    def __init__(self, like: np.ndarray, period: float, band: npt.ArrayLike) -> None:
-        """Like a row of the error; control period [s] and a band that broadcasts to it."""
-        self._period = period
+    metrics: ClassVar = {
+        "settling_time": Metric(
+            "coordinate",
+            ("s",),
+            f"when |q - q_d| is within its band for good, {DWELL:g} s at least",
+            waits_for="settled",
+        ),
+        "settled": Metric("coordinate", ("1",), "1 if there is a settling time, else 0", "more"),
+    }
+
+    def __init__(self, first: Rows, settings: Settings) -> None:
+        like, self._period = first["q"], settings.control_period
+        band = settings.band_of(like.shape[-1])
         self._limit = np.square(filled("settling band", band, like))
         self._rows = 0
         self._last_outside = np.full_like(like, -1.0)  # number of a row
 
-    def update(self, squares: np.ndarray) -> None:
-        """Rows of e^2, shape (k, ..., 2N), from the start of the run on."""
+    def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
+        squares = rows["squared_error"]
         outside = squares > self._limit
         if np.any(outside):
             last = float(self._rows + len(squares) - 1)
             if len(squares) == 1:
                 self._last_outside = np.where(outside[0], last, self._last_outside)
             else:
-                found, back = first_true(outside[::-1])
-                self._last_outside = np.where(found, last - back, self._last_outside)
+                ever, back = first_true(outside[::-1])
+                self._last_outside = np.where(ever, last - back, self._last_outside)
         self._rows += len(squares)
 
-    def result(self) -> dict[str, np.ndarray]:
-        """The measures so far, each of shape (..., 2N)."""
+    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
         inside = self._rows - 1.0 - self._last_outside  # rows at the end of the run
         settled = inside * self._period >= DWELL * (1.0 - 1e-9)
         time = (self._last_outside + 1.0) * self._period
@@ -92,7 +98,7 @@ class Settling:
         }
 
 
-class Overshoot:
+class Overshoot(Accumulator):
     """How far the arm swings beyond, or short of, the ends of the reference.
 
     In the steady regime q_d moves between two ends, c - A and c + A. By equations.md for a centre
@@ -108,28 +114,36 @@ class Overshoot:
     Each has the shape (..., 2N) [%].
     """
 
-    def __init__(self, start: np.ndarray, desired: np.ndarray, band: npt.ArrayLike) -> None:
-        """The first rows of q and q_d, and the settling band."""
+    metrics: ClassVar = {
+        name: Metric("coordinate", ("%",), text, zero_best=True)
+        for name, text in {
+            "overshoot": f"by how much q exceeds the reference's swing {STEADY}, signed",
+            "undershoot": "the same at the end of the swing where q exceeds it least",
+            "step_overshoot": "by how much q goes beyond a step, in percent of it",
+        }.items()
+    }
+
+    def __init__(self, first: Rows, settings: Settings) -> None:
+        start, desired = first["q"], first["q_d"]
+        band = settings.band_of(start.shape[-1])
         self._start = start.copy(order="K")
         self._band = filled("settling band", band, start)
         self._early, self._late = Extremes(start), Extremes(start)
         self._desired = Extremes(desired)
 
-    def update(self, q: np.ndarray, q_d: np.ndarray, steady: bool) -> None:
-        """Rows of shape (k, ..., 2N) [m], [rad], and whether they belong to the steady regime."""
-        (self._late if steady else self._early).update(q)
+    def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
+        (self._late if steady else self._early).update(rows["q"])
         if steady:
-            self._desired.update(q_d)
+            self._desired.update(rows["q_d"])
 
-    def reached(self) -> tuple[np.ndarray, np.ndarray]:
+    def _reached(self) -> tuple[np.ndarray, np.ndarray]:
         """Largest and smallest q of the whole run, each of shape (..., 2N) [m], [rad]."""
         return (
             np.maximum(self._early.largest, self._late.largest),
             np.minimum(self._early.smallest, self._late.smallest),
         )
 
-    def result(self) -> dict[str, np.ndarray]:
-        """The measures so far, each of shape (..., 2N)."""
+    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
         top, bottom = self._desired.largest, self._desired.smallest
         centre, amplitude = 0.5 * (top + bottom), 0.5 * (top - bottom)
         moves = amplitude > 0.0
@@ -142,7 +156,7 @@ class Overshoot:
 
     def _step(self, goal: np.ndarray, rests: np.ndarray) -> np.ndarray:
         way = goal - self._start
-        largest, smallest = self.reached()
+        largest, smallest = self._reached()
         gone = np.where(way > 0.0, largest - self._start, self._start - smallest)
         return _percent(gone, np.abs(way), rests & (np.abs(way) > self._band))
 
@@ -152,53 +166,28 @@ def _percent(reached: np.ndarray, size: np.ndarray, meant: np.ndarray) -> np.nda
     return np.where(meant, 100.0 * ((reached - size) / np.where(meant, size, 1.0)), np.nan)
 
 
-class TipError:
+class TipError(Accumulator):
     """Distance between the tip p_N(q) and where the reference wants it, p_N(q_d).
 
     `tip_rms_error` and `tip_peak_error` in the steady regime, each of shape (...) [m]; NaN without
     a row.
     """
 
-    def __init__(self, like: np.ndarray) -> None:
-        """Like a row of the coordinates."""
-        self._rows = 0
-        self._squares = np.zeros_like(like[..., 0])
-        self._largest = np.zeros_like(like[..., 0])
+    metrics: ClassVar = {
+        "tip_rms_error": Metric("arm", ("m",), f"root mean square distance of the tips {STEADY}"),
+        "tip_peak_error": Metric("arm", ("m",), f"largest distance of the tips {STEADY}"),
+    }
 
-    def update(self, q: np.ndarray, q_d: np.ndarray) -> None:
-        """Rows of shape (k, ..., 2N) [m], [rad]."""
-        self._rows += len(q)
-        shared = q_d.size == q_d.shape[-1]  # then it is one point, worked out with plain numbers
-        (x, y), (x_d, y_d) = tip(q), tip(q_d.reshape(-1) if shared else q_d)
-        dx, dy = x - x_d, y - y_d
-        squares = np.asarray(dx * dx + dy * dy)
-        add_rows(self._squares, squares)
-        keep_largest(self._largest, squares)
+    def __init__(self, first: Rows, settings: Settings) -> None:
+        self._size = Size(first["q"][..., 0])
 
-    def result(self) -> dict[str, np.ndarray]:
-        """The measures so far, each of shape (...) [m]."""
-        rows = self._rows or math.nan
-        return {
-            "tip_rms_error": np.sqrt(self._squares / rows),
-            "tip_peak_error": np.sqrt(self._largest * (rows / rows)),
-        }
+    def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
+        if steady:
+            q, q_d = rows["q"], rows["q_d"]
+            shared = q_d.size == q_d.shape[-1]  # then it is one point, computed with plain numbers
+            (x, y), (x_d, y_d) = tip(q), tip(q_d.reshape(-1) if shared else q_d)
+            dx, dy = x - x_d, y - y_d
+            self._size.update(np.asarray(dx * dx + dy * dy))
 
-
-def tip(q: np.ndarray) -> tuple[Entry, Entry]:
-    """The tip p_N of `octarm.lagrange.positions`, x and y of shape (...) [m].
-
-    Elementwise, with one tangent of half the angle, which NumPy has several times as fast as a
-    sine and a cosine.
-    """
-    n = q.shape[-1] // 2
-    entries = split(q)
-    x = entries[0]
-    y: Entry = 0.0
-    phi: Entry = 0.0
-    for i, theta in enumerate(entries[n:-1], 1):
-        phi = phi + theta
-        half = np.tan(0.5 * phi)
-        share = 2.0 / (1.0 + half * half)  # 1 + cos phi
-        x = x + entries[i] * (share - 1.0)
-        y = y + entries[i] * (share * half)
-    return x, y
+    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
+        return {"tip_rms_error": self._size.root(), "tip_peak_error": self._size.peak()}

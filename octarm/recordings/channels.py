@@ -1,66 +1,92 @@
-"""What a run holds, as named channels with units: the arrays of the loop and the controller's.
+"""What a run holds, as named channels with units and bounds.
 
-A channel is what is recorded and plotted together. Its names suit a column of a table: `theta1`,
-`column_2_3`, or `s1_4` for the fourth rule of s1.
+A channel is what is recorded and plotted together: an array of the loop or a signal of the
+controller. The names of its numbers suit the columns of a table: `theta1`, `column_2_3`, or `s1_4`
+for the fourth rule of s1.
 
-q, q_d, tau and V are recorded with all their bits at every control instant, and so is what is not
-known here. What follows from them, s, and the parts that a force is the sum of, are recorded with
-single precision; the gain E, which adapts slowly, so too and 60 times a second. What has a number
-a rule is recorded as a picture.
+q, q_d, tau and V are recorded with all their bits at every control instant, and so is every signal
+that is not known here. What follows from them, s, and the parts that a force is the sum of, are
+recorded with single precision; the gain E, which adapts slowly, also with single precision and only
+60 times a second. Signals with a number for each fuzzy rule are recorded as a picture.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from octarm.arm.mjcf import coordinate_names
-from octarm.simulation.trajectory import Trajectory
+from octarm.arm.coordinates import Coordinates, planar_coordinates
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.spelling import from_entry
+from octarm.interfaces import Rows
 
 Kind = Literal["coordinates", "inputs", "scalar", "list", "rules"]
 
-_UNITS: dict[str, tuple[str, ...]] = {  # of slides and bends, or of the one number
-    "q": ("m", "rad"),
-    "q_d": ("m", "rad"),
-    "error": ("m", "rad"),
-    "q_measured": ("m", "rad"),
-    "v_measured": ("m/s", "rad/s"),
-    "s": ("m/s", "rad/s"),
-    "tau": ("N",),
-    "V": ("J",),
-    "V_rate": ("W",),
-    "V_claim": ("W",),
-    "integral": ("m s", "rad s"),
-    "reaching_bound": ("s",),
-    **dict.fromkeys(
-        ("equivalent", "switching", "disturbance", "f_hat", "E", "K", "force"), ("N", "N m")
-    ),
-    "alpha": ("1",),
-    "sigma": ("1",),
+# The fields of `Rows` that the loop itself provides; all others are the controller's signals.
+_LOOP = ("t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance")
+
+
+class _Meaning(NamedTuple):
+    """What is known of a channel by its name.
+
+    Attributes:
+        units: of a group of coordinates, by the unit of the coordinates; one unit under "" for a
+            channel that is not of coordinates.
+        title: in words; the channel's name when empty.
+        single: whether single precision is enough.
+        slow: whether 60 rows a second are enough.
+    """
+
+    units: Mapping[str, str] = {}
+    title: str = ""
+    single: bool = False
+    slow: bool = False
+
+
+_LENGTH, _RATE = {"m": "m", "rad": "rad"}, {"m": "m/s", "rad": "rad/s"}
+_FORCE = {"m": "N", "rad": "N m"}
+_MEANINGS = {
+    "q": _Meaning(_LENGTH, "coordinates q"),
+    "q_d": _Meaning(_LENGTH),
+    "error": _Meaning(_LENGTH, "error q - q_d", single=True),
+    "q_measured": _Meaning(_LENGTH, "measured q", single=True),
+    "v_measured": _Meaning(_RATE, "measured q'", single=True),
+    "s": _Meaning(_RATE, single=True),
+    "integral": _Meaning({"m": "m s", "rad": "rad s"}),
+    "disturbance": _Meaning(_FORCE, single=True),
+    "equivalent": _Meaning(_FORCE, "equivalent part", single=True),
+    "switching": _Meaning(_FORCE, "robust part", single=True),
+    "f_hat": _Meaning(_FORCE, "estimate f^", single=True),
+    "feedback": _Meaning(single=True),
+    "fuzzy": _Meaning(single=True),
+    "E": _Meaning(_FORCE, single=True, slow=True),
+    "K": _Meaning(_FORCE),
+    "tau": _Meaning({"": "N"}, "input tau"),
+    "V": _Meaning({"": "J"}, "Lyapunov function V"),
+    "reaching_bound": _Meaning({"": "s"}),
 }
 
-_POSITIVE = ("E",)
-_SLOW = ("E",)
-_SINGLE = (*_SLOW, "error", "s", "disturbance", "equivalent", "switching", "feedback", "fuzzy",
-           "f_hat", "q_measured", "v_measured")  # fmt: skip
 
-MEANINGS = {
-    "q": "coordinates q",
-    "error": "error q - q_d",
-    "s": "s",
-    "tau": "input tau",
-    "equivalent": "equivalent part",
-    "switching": "robust part",
-    "V": "Lyapunov function V",
-    "f_hat": "estimate f^",
-    "E": "E",
-    "disturbance": "disturbance",
-    "q_measured": "measured q",
-    "v_measured": "measured q'",
-}
+class Bound(NamedTuple):
+    """What bounds a channel.
+
+    Attributes:
+        values: one for each coordinate or input, shape (2N,).
+        word: what the bound is called.
+        both_sides: whether minus the bound is a bound as well.
+    """
+
+    values: np.ndarray
+    word: str
+    both_sides: bool = True
+
+    def lines(self, part: slice = slice(None)) -> list[float]:
+        """Where lines belong in a plot of some of the numbers."""
+        distinct = sorted(set(self.values[part].tolist()))
+        return [*distinct, *(-x for x in distinct)] if self.both_sides else distinct
 
 
 class Channel(NamedTuple):
@@ -68,133 +94,173 @@ class Channel(NamedTuple):
 
     Attributes:
         name: of letters, digits and underscores.
-        kind: one number a coordinate, an input, a run; a list of numbers; or one a rule.
-        names: of the numbers, one for each.
-        units: of slides and bends, or of all; empty when unknown.
+        field: name of the field of `Rows`; empty for the error q - q_d, which is computed.
+        kind: one number for each coordinate, for each input, or for the arm; a list of numbers; or
+            one number for each fuzzy rule of each coordinate.
+        names: one for each number.
+        parts: where the numbers stand that are plotted together, by the name of the group; one
+            part under "" unless the channel is of coordinates.
+        units: unit of each part in brackets, after a space; empty when unknown.
+        bound: of the numbers, if one is known.
     """
 
     name: str
+    field: str
     kind: Kind
-    names: list[str]
-    units: tuple[str, ...] = ()
+    names: Sequence[str]
+    parts: Mapping[str, slice]
+    units: Mapping[str, str]
+    bound: Bound | None = None
 
     @property
     def title(self) -> str:
         """What it is, in words where there are some."""
-        return MEANINGS.get(self.name, self.name)
-
-    def half(self, part: str) -> slice:
-        """Where the slides or the bends stand."""
-        n = len(self.names) // 2
-        return slice(n) if part == "slides" else slice(n, None)
-
-    def unit(self, part: str = "slides") -> str:
-        """The unit of slides or bends in brackets, after a space; empty when unknown."""
-        return f" [{self.units[0 if part == 'slides' else -1]}]" if self.units else ""
+        return _known(self.name).title or self.name
 
     @property
     def entity(self) -> str:
-        """Of a recording, and its structure of lists in which the numbers stand."""
-        return "adaptation" if self.name in _SLOW else "signals"
+        """Entity of a recording, and the structure of lists in it, that holds the numbers."""
+        return "adaptation" if _known(self.name).slow else "signals"
 
-    def fields(self, values: np.ndarray) -> dict[str, np.ndarray]:
-        """The numbers, shape (T, k), in the parts that are plotted together, as recorded."""
-        if self.name in _SINGLE:
-            with np.errstate(over="ignore"):  # of a diverged arm
+    def column(self, part: str) -> str:
+        """Name of the list of the numbers of a part in that structure."""
+        return f"{self.name}_{part}" if part else self.name
+
+    def values(self, rows: Rows) -> np.ndarray:
+        """The numbers of k instants, shape (k, numbers)."""
+        if not self.field:
+            return rows["q"] - rows["q_d"]
+        return rows[self.field].reshape(len(rows["t"]), -1)
+
+    def columns(self, values: np.ndarray) -> dict[str, np.ndarray]:
+        """The numbers, shape (k, numbers), as they are recorded: part by part, by `column`."""
+        if _known(self.name).single:
+            with np.errstate(over="ignore"):  # a diverged arm may be anywhere
                 values = values.astype(np.float32)
-        if self.kind != "coordinates":
-            return {self.name: values}
-        return {f"{self.name}_{part}": values[:, self.half(part)] for part in ("slides", "bends")}
+        return {self.column(name): values[:, part] for name, part in self.parts.items()}
 
 
-def channels_of(run: Trajectory, *, disturbed: bool) -> dict[str, Channel]:
-    """The channels of a run by name; with the force of the disturbances if there may be one."""
-    n = run.q.shape[1] // 2
-    coordinates = coordinate_names(n)
-    found: dict[str, Channel] = {}
-    for name in ("q", "q_d", "error"):
-        found[name] = Channel(name, "coordinates", coordinates, _UNITS[name])
-    found["tau"] = Channel("tau", "inputs", input_names(n), _UNITS["tau"])
+def coordinates_of(description: Mapping[str, Any]) -> Coordinates:
+    """The coordinates of the arm that `run.json` describes."""
+    return planar_coordinates(len(description["parameters"]["mass"]))
+
+
+def disturbances_of(description: Mapping[str, Any]) -> dict[str, Disturbance]:
+    """The disturbances that `run.json` lists, by the names of their entries.
+
+    Raises:
+        OctarmError: if one of them is unknown.
+    """
+    return {entry["name"]: from_entry(entry) for entry in description.get("disturbances", [])}
+
+
+def channels_of(
+    rows: Rows, description: Mapping[str, Any], layer: np.ndarray | None, *, disturbed: bool
+) -> dict[str, Channel]:
+    """The channels of a run by name.
+
+    Args:
+        rows: some instants of the run.
+        description: of the run, as `run.json` has it.
+        layer: half width of the boundary layer, shape (2N,) [m/s], [rad/s]; None if there is none.
+        disturbed: whether the force of the disturbances is one of the channels.
+    """
+    coordinates, bounds = coordinates_of(description), bounds_of(description, layer)
+    count = len(coordinates.names)
+    channels: dict[str, Channel] = {}
+
+    def add(field: str, kind: Kind, names: Sequence[str] = (), name: str = "") -> None:
+        name = name or _identifier(field, channels)
+        units, parts = _known(name).units, {"": slice(None)}
+        of = {"": ""}
+        if kind == "coordinates":
+            parts, of = dict(coordinates.groups), dict(coordinates.units)
+        brackets = {part: f" [{units[of[part]]}]" if of[part] in units else "" for part in parts}
+        bound = bounds.get(name)
+        channels[name] = Channel(name, field, kind, names or [name], parts, brackets, bound)
+
+    add("q", "coordinates", coordinates.names)
+    add("q_d", "coordinates", coordinates.names)
+    add("", "coordinates", coordinates.names, name="error")
+    add("tau", "inputs", coordinates.inputs)
     if disturbed:
-        units = _UNITS["disturbance"]
-        found["disturbance"] = Channel("disturbance", "coordinates", coordinates, units)
-    for signal, array in run.signals.items():
-        name = _plain(signal, found)
-        units = _UNITS.get(signal, ())
-        width = int(np.prod(array.shape[1:]))
-        if array.ndim == 3 and array.shape[1] == 2 * n and width:
-            names = [f"{c}_{k + 1}" for c in coordinates for k in range(array.shape[2])]
-            found[name] = Channel(name, "rules", names, units)
-        elif array.shape[1:] == (2 * n,):
-            found[name] = Channel(name, "coordinates", coordinates, units)
+        add("disturbance", "coordinates", coordinates.names)
+    for field, array in rows.items():
+        shape = array.shape[1:]
+        width = int(np.prod(shape))
+        if field in _LOOP or not width:
+            continue
+        if len(shape) == 2 and shape[0] == count:
+            rules = range(1, shape[1] + 1)
+            add(field, "rules", [f"{name}_{k}" for name in coordinates.names for k in rules])
+        elif shape == (count,):
+            add(field, "coordinates", coordinates.names)
         elif width == 1:
-            found[name] = Channel(name, "scalar", [name], units)
-        elif width:
-            found[name] = Channel(name, "list", [f"x{k + 1}" for k in range(width)], units)
-    return found
+            add(field, "scalar")
+        else:
+            add(field, "list", [f"x{k + 1}" for k in range(width)])
+    return channels
 
 
-def values_of(run: Trajectory, *, disturbed: bool) -> dict[str, np.ndarray]:
-    """The numbers of each channel of `channels_of`, each of shape (T, k)."""
-    found = {"q": run.q, "q_d": run.q_d, "error": run.error, "tau": run.tau}
-    if disturbed:
-        found["disturbance"] = run.disturbance
-    for signal, array in run.signals.items():
-        if int(np.prod(array.shape[1:])):
-            found[_plain(signal, found)] = array.reshape(len(run), -1)
-    return found
+def has_sliding(channels: Mapping[str, Channel]) -> bool:
+    """Whether the controller has a sliding variable s and a robust part, for each coordinate."""
+    parts = [channels.get(name) for name in ("s", "switching")]
+    return all(part is not None and part.kind == "coordinates" for part in parts)
 
 
-def input_names(modules: int) -> list[str]:
-    """Names of the input forces in the order of tau: column 1 and 2 of each module."""
-    return [f"column_{a}_{i}" for i in range(1, modules + 1) for a in (1, 2)]
+def has_energy(channels: Mapping[str, Channel]) -> bool:
+    """Whether the controller reports one Lyapunov function V."""
+    return "V" in channels and channels["V"].kind == "scalar"
 
 
-def bounds_of(description: Mapping[str, Any], coordinates: int) -> dict[str, np.ndarray]:
-    """What bounds a channel on both sides, as far as the description of the run tells.
+def bounds_of(description: Mapping[str, Any], layer: np.ndarray | None) -> dict[str, Bound]:
+    """What bounds the channels of a run, by the name of the channel, as far as it is known.
 
-    s by the boundary layer phi, the error by what it leads to, phi / lambda; theta and E by the
-    bounds that they are projected onto, tau by the saturation among the disturbances. Each has
-    shape (2N,).
+    s is bounded by the boundary layer phi, and tau by what a disturbance limits the inputs to. Two
+    gains are known here by their names: `lambda_`, the slope of the sliding variable
+    s = e' + lambda e, by which the layer bounds the error, |e| <= phi / lambda, and `E_max`, onto
+    which the gain E is projected. This is the only place where recorded gains are interpreted.
+
+    Args:
+        description: of the run, as `run.json` has it.
+        layer: half width phi of the boundary layer, shape (2N,) [m/s], [rad/s]; None if there is
+            none.
     """
     gains = description.get("controller", {}).get("gains", {})
-    found: dict[str, np.ndarray] = {}
-
-    def known(name: str) -> np.ndarray | None:
-        try:
-            value = np.broadcast_to(np.asarray(gains.get(name), dtype=float), coordinates)
-        except (TypeError, ValueError):
-            return None
-        return value if np.all(np.isfinite(value)) and np.all(value > 0.0) else None
-
-    phi, lambda_, largest = known("phi"), known("lambda_"), known("E_max")
+    shape = (len(coordinates_of(description).names),)
+    bounds: dict[str, Bound] = {}
+    phi, slope, largest = (
+        _positive(value, shape) for value in (layer, gains.get("lambda_"), gains.get("E_max"))
+    )
     if phi is not None:
-        found["s"] = phi
-        if lambda_ is not None:
-            found["error"] = phi / lambda_
+        bounds["s"] = Bound(phi, "phi")
+        if slope is not None:
+            bounds["error"] = Bound(phi / slope, "phi / lambda")
     if largest is not None:
-        found["E"] = largest
-    limits = [
-        np.broadcast_to(np.asarray(entry["asked"]["limit"], dtype=float), coordinates)
-        for entry in description.get("disturbances", [])
-        if entry["name"].startswith("saturation")
-    ]
-    if limits and np.all(np.isfinite(limits)):
-        found["tau"] = np.min(limits, axis=0)
-    return found
+        bounds["E"] = Bound(largest, "E_max", both_sides=False)
+    limits = [disturbance.input_bound() for disturbance in disturbances_of(description).values()]
+    known = [np.broadcast_to(limit, shape) for limit in limits if limit is not None]
+    if known and np.all(np.isfinite(known)):
+        bounds["tau"] = Bound(np.min(known, axis=0), "limit")
+    return bounds
 
 
-def bound_lines(name: str, bound: np.ndarray, part: str) -> list[float]:
-    """Where lines belong for a channel's bounds, shape (2N,), of slides, of bends, or of all."""
-    n = len(bound) // 2
-    chosen = {"slides": bound[:n], "bends": bound[n:]}.get(part, bound)
-    distinct = sorted(set(chosen.tolist()))
-    return distinct if name in _POSITIVE else [*distinct, *(-x for x in distinct)]
+def _positive(value: Any, shape: tuple[int, ...]) -> np.ndarray | None:
+    """The value broadcast to this shape if it is made of positive, finite numbers, else None."""
+    try:
+        array = np.broadcast_to(np.asarray(value, dtype=float), shape)
+    except (TypeError, ValueError):
+        return None
+    return array if np.all(np.isfinite(array)) and np.all(array > 0.0) else None
 
 
-def _plain(signal: str, taken: Mapping[str, Any]) -> str:
-    """A name of letters, digits and underscores that no other channel has."""
-    name = re.sub(r"\W", "_", signal, flags=re.ASCII)
+def _known(name: str) -> _Meaning:
+    return _MEANINGS.get(name, _Meaning())
+
+
+def _identifier(field: str, taken: Collection[str]) -> str:
+    """A name of letters, digits and underscores for a field that no other channel has."""
+    name = re.sub(r"\W", "_", field, flags=re.ASCII)
     name = name if name[:1].isalpha() else f"x{name}"
     while name in taken:
         name += "_"

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
-from octarm.arm.mjcf import coordinate_names
 from octarm.metrics.table import METRICS
+from octarm.recordings.channels import coordinates_of
 
 _REMARK = """The arm is drawn as a picture of the lumped model, whose module i slides along the end
 of the one before and bends at its own end. No arc of length s_i and angle theta_i ends where such a
 module does; the tube is the smoothest curve through the simulated plates and tip, and turns by
-theta_i over about the length s_i. `world/skeleton` is the lumped arm itself, to be shown from the
+theta_i over about the length s_i. `world/skeleton` is the lumped arm itself; switch it on in the
 list of entities. A module is the brighter the more it is bent. Columns are red and thick where they
-push, white and thick where they pull. The pale sheath is the desired arm, the red line the last
-second of the tip beside its desired path. Violet arrows are the forces of disturbances, on the
-scale on which the arrow of gravity is the weight of the arm; what acts on a bend is a couple at the
-rim of its plate. A payload is a steel ball of its mass. V' is by how much the V that the controller
-reports changes. If the model were exact and nothing disturbed the arm, it would be at most s times
-the robust part; where it is above, model error or a disturbance feeds V. The error, s and the parts
-of the force have single precision here, E 60 rows a second, and of what has a number a rule there
-is a picture; run.npz has every bit of all at every instant."""
+push, white and thick where they pull. The pale sheath is the desired arm; the red line is the last
+second of the tip, the grey line its desired path. Violet arrows are the forces of disturbances, on
+the scale on which the arrow of gravity is the weight of the arm; a moment on a bend is drawn as a
+couple at the rim of its plate. A payload is a steel ball of its mass. V' is the rate of the V that
+the controller reports. If the model were exact and nothing disturbed the arm, it would be at most s
+times the robust part; where it is above, model error or a disturbance feeds V. The error, s and the
+parts of the force have single precision here, E 60 rows a second, and signals with a number for
+each rule are a picture; run.npz has every bit of all of them at every instant."""
 
 
 def title_of(description: Mapping[str, Any]) -> str:
@@ -51,8 +52,8 @@ def notes_of(description: Mapping[str, Any]) -> dict[str, str]:
         ("Versions", description.get("versions")),
     ):
         if table:
-            rows = "\n".join(f"| {name} | {_text(value)} |" for name, value in table.items())
-            parts.append(f"## {heading}\n\n| | |\n|---|---|\n{rows}")
+            rows = [[name, _text(value)] for name, value in table.items()]
+            parts.append(f"## {heading}\n\n{_table(['', ''], rows)}")
     parts.append(f"## What is drawn\n\n{' '.join(_REMARK.split())}")
     pages = {"notes": "\n\n".join(parts)}
     if description.get("disturbances"):
@@ -61,32 +62,37 @@ def notes_of(description: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _metrics(description: Mapping[str, Any]) -> str:
-    """A table with a column a coordinate."""
-    modules = len(description["parameters"]["mass"])
-    head = ["", *coordinate_names(modules), "unit", ""]
-    rows = [head, ["---"] * len(head)]
+    """A table with a column for each coordinate; inputs stand in the order of tau."""
+    names = coordinates_of(description).names
+    rows: list[list[str]] = []
     for name, values in description["metrics"].items():
-        meaning = METRICS.get(name)
-        unit = "" if meaning is None else meaning.slide_unit
-        if meaning is not None and meaning.bend_unit not in ("", meaning.slide_unit):
-            unit = f"{unit}, {meaning.bend_unit}"
-        listed = cast(list[Any], values) if isinstance(values, list) else [values]
-        texts = [_text(v) for v in listed]
-        texts += [""] * (2 * modules - len(texts))
-        rows.append([name, *texts[: 2 * modules], unit, "" if meaning is None else meaning.text])
-    return "\n".join(
-        "| " + " | ".join(row).replace("|q - q_d|", "abs(q - q_d)") + " |" for row in rows
-    )
+        numbers = cast(list[Any], values) if isinstance(values, list) else [values]
+        texts = [_text(x) for x in numbers] + [""] * len(names)
+        rows.append([name, *texts[: len(names)], *_meaning(name)])
+    return _table(["", *names, "unit", ""], rows)
 
 
-def _ledger(disturbances: list[dict[str, Any]]) -> str:
+def _meaning(metric: str) -> tuple[str, str]:
+    """The units of a metric and what it is; empty if it is not known."""
+    meaning = METRICS.get(metric)
+    if meaning is None:
+        return "", ""
+    return ", ".join(meaning.units), re.sub(r"\|([^|]+)\|", r"abs(\1)", meaning.text)
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _ledger(disturbances: Sequence[Mapping[str, Any]]) -> str:
     """What each disturbance was asked to do and what was delivered."""
     parts = ["# Disturbances"]
     for entry in disturbances:
         delivered = entry.get("delivered")
         text = "not known yet" if delivered is None else _pairs(delivered) or "nothing"
-        parts.append(f"**{entry['name']}**")
-        parts.append(f"- asked: {_pairs(entry['asked'])}\n- delivered: {text}")
+        asked = _pairs(entry["asked"])
+        parts.append(f"**{entry['name']}**\n\n- asked: {asked}\n- delivered: {text}")
     return "\n\n".join(parts)
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure as NewFigure
 
 from octarm.files import whole_file
-from octarm.recordings.channels import Channel, bound_lines, bounds_of, channels_of, values_of
+from octarm.recordings.channels import Channel, channels_of, has_energy
 from octarm.recordings.notes import title_of
 from octarm.simulation.trajectory import Trajectory
 
@@ -22,6 +23,8 @@ Figure = Any
 
 COLORS = ["#d1660a", "#1f6fb5", "#2a9461", "#b8408f", "#a08a10", "#6a55c8", "#1b8f8f", "#c24a3a"]
 _MOST = 4000  # points a curve; of more only the extremes of each stretch are drawn
+_INSTANTS = 1500  # of a heat map at most
+_LEGEND = {"handlelength": 1.4, "borderaxespad": 0.2}
 _STYLE: Any = {
     "font.size": 8,
     "axes.titlesize": 8,
@@ -48,7 +51,7 @@ def write_figures(
 ) -> list[Path]:
     """Writes each figure as PNG and SVG; a folder that is missing is made.
 
-    The figures are `tracking`, `error` and `inputs`; `sliding` if the controller has a sliding
+    There are always `tracking`, `error` and `inputs`; `sliding` if the controller has a sliding
     variable, `adaptation` if it adapts, `disturbance` if something pushed the arm.
 
     Args:
@@ -66,7 +69,7 @@ def write_figures(
     folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     with cast(Any, matplotlib).rc_context(_STYLE):
-        for name, figure in figures(run, description):
+        for name, figure in _Drawing(run, description).figures():
             for kind in ("png", "svg"):
                 path = folder / f"{name}.{kind}"
                 with whole_file(path) as part:
@@ -77,130 +80,129 @@ def write_figures(
     return written
 
 
-def figures(run: Trajectory, description: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
-    """The figures of a run by name."""
-    draw = _Drawing(run, description)
-    yield "tracking", draw.halves("q", desired=True)
-    yield "error", draw.halves("error")
-    yield "inputs", draw.inputs()
-    if "s" in draw.channels:
-        yield "sliding", draw.sliding()
-    if any(channel.kind == "rules" for channel in draw.channels.values()):
-        yield "adaptation", draw.adaptation()
-    if "disturbance" in draw.channels:
-        yield "disturbance", draw.halves("disturbance")
+class _Panel(NamedTuple):
+    """One pair of axes: some of the numbers of a channel over time.
+
+    Attributes:
+        channel: the numbers.
+        part: which of them.
+        label: of the y axis.
+        styles: colour of each, and label and line style if it has them.
+        desired: whether q_d is drawn as well.
+        logarithmic: whether the y axis is.
+    """
+
+    channel: Channel
+    part: slice
+    label: str
+    styles: Sequence[Mapping[str, str]]
+    desired: bool = False
+    logarithmic: bool = False
 
 
 class _Drawing:
-    """What figures are made of."""
+    """Draws the figures of one run."""
 
     def __init__(self, run: Trajectory, description: Mapping[str, Any]) -> None:
+        self._rows, self._t, self._title = dict(run.arrays()), run.t, title_of(description)
         disturbed = bool(run.disturbance.any())
-        self.run, self._title = run, title_of(description)
-        self.channels = channels_of(run, disturbed=disturbed)
-        self._values = values_of(run, disturbed=disturbed)
-        self._bounds = bounds_of(description, run.q.shape[1])
+        self._channels = channels_of(self._rows, description, run.layer, disturbed=disturbed)
 
-    def halves(self, name: str, desired: bool = False) -> Figure:
-        """Bends above slides."""
-        figure, axes = self._figure(2)
-        for ax, part in zip(axes, ("bends", "slides"), strict=True):
-            self._half(ax, name, part, desired)
-            ax.set_ylabel(f"{self.channels[name].title}, {part}{self.channels[name].unit(part)}")
-        return figure
+    def figures(self) -> Iterator[tuple[str, Figure]]:
+        """The figures by name."""
+        rules = [channel for channel in self._channels.values() if channel.kind == "rules"]
+        yield "tracking", self._figure(self._panels("q", desired=True))
+        yield "error", self._figure(self._panels("error"))
+        yield "inputs", self._figure(self._inputs(), height=1.35)
+        if "s" in self._channels:
+            yield "sliding", self._figure([*self._panels("s", "$s$"), *self._energy()])
+        if rules:
+            yield "adaptation", self._figure([*rules, *self._panels("E", "$E$")], height=1.5)
+        if "disturbance" in self._channels:
+            yield "disturbance", self._figure(self._panels("disturbance"))
 
-    def inputs(self) -> Figure:
-        """Both columns of each module."""
-        n = self.run.q.shape[1] // 2
-        figure, axes = self._figure(n, height=1.35)
-        tau, bound = self._values["tau"], self._bounds.get("tau")
-        for i, ax in enumerate(axes):
-            for a, style in ((1, "-"), (2, "--")):
-                color = COLORS[i % len(COLORS)]
-                self._line(ax, tau[:, 2 * i + a - 1], color, f"column {a}", linestyle=style)
-            if bound is not None:
-                for y in bound_lines("tau", bound, "all"):
-                    ax.axhline(y, color="#555555", linewidth=0.6, linestyle=":")
-            ax.set_ylabel(f"$\\tau$, module {i + 1} [N]")
-            _legend(ax)
-        return figure
+    def _panels(self, name: str, title: str = "", desired: bool = False) -> Iterator[_Panel]:
+        """A panel for each part of a channel, if there is such a channel."""
+        if name in self._channels:
+            channel = self._channels[name]
+            for part, where in channel.parts.items():
+                label = f"{title or channel.title}{', ' if part else ''}{part}{channel.units[part]}"
+                names = enumerate(channel.names[where])
+                styles = [{"color": _color(i), "label": _symbol(name)} for i, name in names]
+                yield _Panel(channel, where, label, styles, desired)
 
-    def sliding(self) -> Figure:
-        """s, then V if there is one."""
-        has_energy = "V" in self.channels and self.channels["V"].kind == "scalar"
-        figure, axes = self._figure(3 if has_energy else 2)
-        for ax, part in zip(axes, ("bends", "slides"), strict=False):
-            self._half(ax, "s", part, False)
-            ax.set_ylabel(f"$s$, {part}{self.channels['s'].unit(part)}")
-        if has_energy:
-            V = np.maximum(self._values["V"][:, 0], 1e-12)
-            self._line(axes[2], V, "#333333", "V")
-            axes[2].set_yscale("log")
-            axes[2].set_ylabel("$V$ [J]")
-        return figure
+    def _inputs(self) -> Iterator[_Panel]:
+        """A panel for each module, with both of its columns."""
+        channel = self._channels["tau"]
+        for i in range(len(channel.names) // 2):
+            label = f"$\\tau$, module {i + 1}{channel.units['']}"
+            styles = [
+                {"color": _color(i), "label": f"column {a}", "linestyle": line}
+                for a, line in ((1, "-"), (2, "--"))
+            ]
+            yield _Panel(channel, slice(2 * i, 2 * i + 2), label, styles)
 
-    def adaptation(self) -> Figure:
-        """Numbers of rules as heat maps over time, then E."""
-        rules = [c for c in self.channels.values() if c.kind == "rules"]
-        has_gain = "E" in self.channels
-        figure, axes = self._figure(len(rules) + 2 * has_gain, height=1.5)
-        for ax, channel in zip(axes, rules, strict=False):
-            self._heat(figure, ax, channel)
-        for ax, part in zip(axes[len(rules) :], ("bends", "slides"), strict=False):
-            self._half(ax, "E", part, False)
-            ax.set_ylabel(f"$E$, {part}{self.channels['E'].unit(part)}")
-        return figure
+    def _energy(self) -> Iterator[_Panel]:
+        """A panel of V, if the controller reports it."""
+        if has_energy(self._channels):
+            style = {"color": "#333333"}
+            yield _Panel(self._channels["V"], slice(None), "$V$ [J]", [style], logarithmic=True)
 
-    def _figure(self, rows: int, height: float = 1.9) -> tuple[Figure, list[Axes]]:
-        figure = NewFigure(figsize=(6.3, height * rows + 0.5), layout="constrained")
-        axes = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
+    def _figure(self, panels: Iterable[_Panel | Channel], height: float = 1.9) -> Figure:
+        """Panels one below another; a channel of rules becomes a heat map."""
+        panels = list(panels)
+        figure = NewFigure(figsize=(6.3, height * len(panels) + 0.5), layout="constrained")
+        axes = list(figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
         axes[0].set_title(self._title, loc="left")
         axes[-1].set_xlabel("time [s]")
-        axes[0].set_xlim(self.run.t[0], self.run.t[-1] if len(self.run) > 1 else None)
-        return figure, axes
+        axes[0].set_xlim(self._t[0], self._t[-1] if len(self._t) > 1 else None)
+        for ax, panel in zip(axes, panels, strict=True):
+            if isinstance(panel, Channel):
+                self._draw_rules(figure, ax, panel)
+            else:
+                self._draw_curves(ax, panel)
+        return figure
 
-    def _half(self, ax: Axes, name: str, part: str, desired: bool) -> None:
-        channel = self.channels[name]
-        values, half = self._values[name], channel.half(part)
-        n = len(channel.names) // 2
-        for i, label in enumerate(channel.names[half]):
-            color = COLORS[i % len(COLORS)]
-            j = i + (half.start or 0)
-            if desired:
-                wanted = self._values["q_d"][:, j]
-                self._line(ax, wanted, color, None, linewidth=3.0, alpha=0.3)
-            self._line(ax, values[:, j], color, _symbol(label))
-        if name in self._bounds and n:
-            for y in bound_lines(name, self._bounds[name], part):
-                ax.axhline(y, color="#555555", linewidth=0.6, linestyle=":")
-        _legend(ax)
+    def _draw_curves(self, ax: Axes, panel: _Panel) -> None:
+        values = panel.channel.values(self._rows)[:, panel.part]
+        if panel.logarithmic:
+            values = np.maximum(values, 1e-12)
+            ax.set_yscale("log")
+        desired = self._rows["q_d"][:, panel.part] if panel.desired else values
+        for style, y, y_d in zip(panel.styles, values.T, desired.T, strict=True):
+            if panel.desired:
+                ax.plot(*_thinned(self._t, y_d), color=style["color"], linewidth=3.0, alpha=0.3)
+            ax.plot(*_thinned(self._t, y), **style)
+        bound = panel.channel.bound
+        for y in () if bound is None else bound.lines(panel.part):
+            ax.axhline(y, color="#555555", linewidth=0.6, linestyle=":")
+        if "label" in panel.styles[0]:
+            ax.legend(
+                loc="upper left", bbox_to_anchor=(1.0, 1.02), handlelength=1.4, borderaxespad=0.2
+            )
+        ax.set_ylabel(panel.label)
 
-    def _heat(self, figure: Figure, ax: Axes, channel: Channel) -> None:
+    def _draw_rules(self, figure: Figure, ax: Axes, channel: Channel) -> None:
         """The change of numbers of rules; colours by the largest of each coordinate."""
-        values = np.nan_to_num(self._values[channel.name])
-        values = values - values[0]
-        few = np.linspace(0, len(values) - 1, min(len(values), 1500)).astype(int)
-        values = values[few].T
-        coordinates = self.run.q.shape[1]
-        rules = len(values) // coordinates
-        largest = np.abs(values).reshape(coordinates, -1).max(axis=1)
-        shade = values / np.maximum(np.repeat(largest, rules), 1e-300)[:, None]
-        extent = (float(self.run.t[0]), float(self.run.t[-1]), len(values) - 0.5, -0.5)
+        values = np.nan_to_num(channel.values(self._rows))
+        few = np.linspace(0, len(values) - 1, min(len(values), _INSTANTS)).astype(int)
+        coordinates = self._rows["q"].shape[1]
+        changes = (values - values[0])[few].T.reshape(coordinates, -1, len(few))
+        largest = np.abs(changes).max(axis=(1, 2), keepdims=True)
+        shade = (changes / np.maximum(largest, 1e-300)).reshape(-1, len(few))
+        rules = len(shade) // coordinates
+        extent = (float(self._t[0]), float(self._t[-1]), len(shade) - 0.5, -0.5)
         image = ax.imshow(
             shade, aspect="auto", cmap="RdBu_r", vmin=-1, vmax=1, extent=extent, rasterized=True,
             interpolation="nearest",
         )  # fmt: skip
-        names = [name.rsplit("_", 1)[0] for name in channel.names[::rules]]
-        ax.set_yticks(rules * np.arange(coordinates) + 0.5 * (rules - 1), map(_symbol, names))
+        names = [_symbol(name.rsplit("_", 1)[0]) for name in channel.names[::rules]]
+        ax.set_yticks(rules * np.arange(coordinates) + 0.5 * (rules - 1), names)
         for j in range(1, coordinates):
             ax.axhline(j * rules - 0.5, color="white", linewidth=1.0)
         ax.grid(False)
         ax.set_ylabel(f"change of {_symbol(channel.name)}")
         figure.colorbar(image, ax=ax, label="share of largest", pad=0.01)
-
-    def _line(self, ax: Axes, y: np.ndarray, color: str, label: str | None, **style: Any) -> None:
-        t, y = _thinned(self.run.t, y)
-        ax.plot(t, y, color=color, label=label, **style)
 
 
 def _thinned(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -217,19 +219,14 @@ def _thinned(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return t[rows], y[rows]
 
 
-def _legend(ax: Axes) -> None:
-    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), handlelength=1.4, borderaxespad=0.2)
+def _color(i: int) -> str:
+    return COLORS[i % len(COLORS)]
 
 
 def _symbol(name: str) -> str:
-    """`theta1` as a formula."""
-    for word, sign in (
-        ("theta", "\\theta"),
-        ("alpha", "\\alpha"),
-        ("sigma", "\\sigma"),
-        ("s", "s"),
-    ):
-        rest = name.removeprefix(word)
-        if rest != name and (rest.isdigit() or not rest):
-            return f"${sign}_{{{rest}}}$" if rest else f"${sign}$"
-    return name
+    """`theta1` as a formula; names that are not symbols stay as they are."""
+    match = re.fullmatch(r"(theta|alpha|sigma|s)(\d*)", name)
+    if match is None:
+        return name
+    sign = match[1] if match[1] == "s" else f"\\{match[1]}"
+    return f"${sign}_{{{match[2]}}}$" if match[2] else f"${sign}$"

@@ -1,37 +1,61 @@
-"""A run as a `.rrd` file: the arm in 3D beside plots, laid out by a blueprint in the file.
+"""A run as a `.rrd` file: the arm in 3D and plots, laid out by a blueprint in the file.
 
 The file can be written while the run goes on, and can be read up to the last block if the process
-is killed. The modules `recorded_run`, `recorded_scene`, `heat_map` and `blueprints` hold what is
-drawn and how it is laid out; together they are all that imports rerun.
+is killed.
+
+Whatever has a row at every control instant stands in one entity, `signals`, as one structure of
+lists: one set of times for all of them makes the file half as large as one entity for each plot.
+Plots pick their lists by name, `.q_bends[]`. Slowly adapting numbers, in `adaptation`, and the
+scene are recorded 60 times a second; signals with a number for each fuzzy rule as a picture.
+
+An adaptive controller reports 121 numbers at an instant. With q, q_d and tau that is 11 MB for
+10 s at 1 kHz, which do not compress, for every bit is new; without the rules it is 4 MB still. So
+not everything is recorded with all its bits, see `octarm.recordings.channels`, and the scene is
+rounded to what can be seen. `run.npz` has all of it, with every bit, at every instant.
 """
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
-import os
+import json
 from collections.abc import Generator, Mapping
-from types import TracebackType
 from typing import Any
 
-import pyarrow as pa
+import numpy as np
 import rerun as rr
-from rerun.experimental import ViewerClient as ViewerClient  # for octarm.recordings.viewer
 
+from octarm.arm.parameters import ArmParameters
 from octarm.errors import OctarmError
-from octarm.files import piped, whole_file
-from octarm.recordings.recorded_run import RecordedRun
-from octarm.runs.archive import BLOCK
-from octarm.simulation.trajectory import Trajectory
+from octarm.interfaces import Rows
+from octarm.recordings import phases
+from octarm.recordings.blueprints import blueprint
+from octarm.recordings.channels import (
+    Channel,
+    bounds_of,
+    channels_of,
+    coordinates_of,
+    disturbances_of,
+    has_energy,
+    has_sliding,
+)
+from octarm.recordings.heat_map import HeatMap
+from octarm.recordings.notes import notes_of, title_of
+from octarm.recordings.rrd import Path, rerun_errors, rrd_file, send_table, times
+from octarm.recordings.scene import Scene
+from octarm.recordings.shapes import drawable
+from octarm.simulation.trajectory import BLOCK, Trajectory
+
+_FRAME_RATE = 60.0  # of the 3D scene [Hz]
+_FIRST_PICTURE = 20_000  # rows, after which numbers of rules are drawn although the run goes on
+_PROPERTIES = ("seed", "duration", "timestep", "control_period", "status", "digest", "command")
+_TABLES = ("controller", "parameters", "nominal", "reference", "disturbances", "metrics")
 
 
-def write_recording(
-    path: str | os.PathLike[str], trajectory: Trajectory, description: Mapping[str, Any]
-) -> None:
+def write_recording(path: Path, trajectory: Trajectory, description: Mapping[str, Any]) -> None:
     """Writes a run as a rerun recording, whole or not at all.
 
-    The timeline is `t` [s]. What the controller logged is recorded and plotted, whatever the names
-    and widths.
+    The timeline is `t` [s]. Every signal of the controller is recorded and plotted, whatever its
+    name and width.
 
     Args:
         path: the `.rrd` file; its folder must exist.
@@ -39,9 +63,9 @@ def write_recording(
         description: what `run.json` holds; `parameters` are needed, the rest may be missing.
 
     Raises:
-        ValueError: if the trajectory has no rows, or the parameters are not those of one such arm.
+        OctarmError: if the trajectory has no rows, the parameters are not those of one such arm,
+            or rerun does not take the data or is switched off by RERUN=off.
         OSError: if the file cannot be written.
-        RuntimeError: if rerun does not take the data, or is switched off by RERUN=off.
     """
     if len(trajectory) == 0:
         raise OctarmError("there is nothing to record: the trajectory has no rows")
@@ -49,153 +73,242 @@ def write_recording(
     end = float(trajectory.t[-1])
     short = end < 0.9 * float(description.get("duration", end))
     announced = {**description, "duration": end} if short else description
-    with Recorder(path, announced, disturbed=disturbed) as recorder:
-        for k in range(0, len(trajectory), BLOCK):
-            recorder.add(part_of(trajectory, k, k + BLOCK))
-        recorder.finish(description)
+    with run_recording(path, announced, disturbed=disturbed) as recording:
+        recording.add_all(trajectory)
+        recording.finish(description)
 
 
 @contextlib.contextmanager
-def rrd_file(path: str | os.PathLike[str]) -> Generator[rr.RecordingStream]:
-    """A stream to a `.rrd` file, which appears whole or not at all.
+def run_recording(
+    path: Path, description: Mapping[str, Any], *, disturbed: bool | None = None
+) -> Generator[RunRecording]:
+    """A recording to be written while the run goes on; see `RunRecording` and `rrd_file`.
 
-    It is `PATH.part` until the block ends well; if the process is killed it stays, readable up to
-    the last flush.
-
-    Raises:
-        OSError: if the file cannot be written.
-        RuntimeError: if rerun does not take the data, or is switched off by RERUN=off.
+    The file is `PATH.part` until the block ends well; an error removes it. If the process is killed
+    it stays, readable up to the last block of rows.
     """
-    if os.environ.get("RERUN", "on").lower() in ("0", "off", "false"):
-        raise RuntimeError(f"{path} cannot be recorded: RERUN={os.environ['RERUN']} is set")
-    with whole_file(path) as part, _strict_mode():
-        stream = rr.RecordingStream("octarm", send_properties=False)
-        with contextlib.ExitStack() as file, recording_errors(path):
-            # rerun itself would hang for ever on a full disk
-            stream.save(file.enter_context(piped(part)))
-            file.enter_context(stream)
-            opened = file.pop_all()
-        try:
-            yield stream
-        except BaseException:
-            with contextlib.suppress(Exception):  # the error is known already
-                opened.close()
-            raise
-        with recording_errors(path):
-            opened.close()
+    with rrd_file(path) as stream:
+        yield RunRecording(stream, path, description, disturbed=disturbed)
 
 
-@contextlib.contextmanager
-def recording_errors(path: str | os.PathLike[str]) -> Generator[None]:
-    """Turns rerun's errors, of many kinds, into RuntimeErrors of one sentence."""
-    try:
-        yield
-    except (OSError, ValueError, MemoryError):
-        raise
-    except Exception as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise RuntimeError(f"{path} cannot be recorded: {reason}") from error
+class RunRecording:
+    """Logs a run to a stream: `add` rows in their order, then `finish`.
 
-
-def time_axes(path: str | os.PathLike[str]) -> list[str]:
-    """The entities of a recording's blueprint that fix what time its plots show."""
-    reader = rr.chunk.RrdReader(os.fspath(path))
-    return sorted(
-        {
-            chunk.entity_path
-            for store in reader.blueprints()
-            for chunk in reader.stream(store=store)
-            if chunk.entity_path.endswith("/TimeAxis")
-        }
-    )
-
-
-def last_instant(path: str | os.PathLike[str]) -> float:
-    """The last instant of a recording [s]; see `octarm.recordings.viewer.end_of`."""
-    ends: list[int] = []
-    try:
-        for chunk in rr.chunk.RrdReader(os.fspath(path)).stream():
-            batch = chunk.to_record_batch()
-            if not chunk.is_static and "t" in batch.schema.names and batch.num_rows:
-                ends.append(batch.column("t").cast(pa.int64()).to_numpy().max())
-    except Exception as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise RuntimeError(f"{path} cannot be read: {reason}") from None
-    if not ends:
-        raise RuntimeError(f"{path} is a recording without instants")
-    return float(max(ends)) * 1e-9
-
-
-class Recorder:
-    """Writes a recording while the run goes on: `add` rows in their order, then `finish`.
-
-    Used with `with`. The file is `PATH.part` until it is finished and whole; a failure removes it.
-    If the process is killed it stays, readable up to the last block.
+    Attributes:
+        scene: the arm.
+        channels: what the run holds; empty before the first rows.
     """
 
     def __init__(
         self,
-        path: str | os.PathLike[str],
+        stream: rr.RecordingStream,
+        path: Path,
         description: Mapping[str, Any],
         *,
         disturbed: bool | None = None,
+        root: str = "",
     ) -> None:
-        """A recording of the run that `description` announces; see `write_recording`.
+        """Starts the recording of the run that is announced.
 
         Args:
-            path: the `.rrd` file; its folder must exist.
+            stream: where it goes.
+            path: of the file, for error messages.
             description: what `run.json` will hold, as far as it is known.
-            disturbed: whether the disturbances' force is recorded; by the description if None.
-        """
-        self._path, self._description, self._disturbed = path, description, disturbed
-        self._file = contextlib.ExitStack()
-
-    def __enter__(self) -> Recorder:
-        """Opens the file; raises what `rrd_file` does."""
-        with contextlib.ExitStack() as file:
-            self._stream = file.enter_context(rrd_file(self._path))
-            self._run = RecordedRun(self._stream, self._description, disturbed=self._disturbed)
-            self._file = file.pop_all()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Closes the file; it takes its name unless there was an error."""
-        self._file.__exit__(kind, error, trace)
-
-    def add(self, rows: Trajectory) -> None:
-        """Records further rows; what was added is on disk afterwards.
+            disturbed: whether the disturbances' force is recorded; if None, whether the description
+                lists any.
+            root: entity, with a slash at its end, below which everything stands. With one there is
+                no blueprint, and the recording is not named after the run.
 
         Raises:
-            ValueError: if the rows are not those of an arm with these parameters.
+            OctarmError: if the parameters are not those of one arm, or a disturbance is unknown.
         """
-        with recording_errors(self._path):
-            self._run.add(rows)
-            self._stream.flush(timeout_sec=60.0)  # bounds what waits in memory; raises errors
+        parameters = ArmParameters.from_dict(description["parameters"])
+        if parameters.batch_shape:
+            raise OctarmError("the parameters must be those of one arm")
+        self._stream, self._path, self._root = stream, path, root
+        self._description = description
+        self._coordinates = coordinates_of(description)
+        self._disturbances = disturbances_of(description)
+        self._disturbed = bool(self._disturbances) if disturbed is None else disturbed
+        self.scene = Scene(parameters, list(self._disturbances.values()), disturbed=self._disturbed)
+        self.channels: dict[str, Channel] = {}
+        self._heat_maps: dict[str, HeatMap] = {}
+        self._lanes: set[str] = set()
+        self._events = sorted(
+            (event.at, name, event.text)
+            for name, disturbance in self._disturbances.items()
+            for event in disturbance.events()
+        )
+        self._count, self._stride, self._next_picture = 0, 1, _FIRST_PICTURE
+        self._start = self._end = self._planned = 0.0
+        self._last: tuple[float, float] | None = None  # t and V
+
+    def add(self, rows: Rows, layer: np.ndarray | None = None) -> None:
+        """Records further rows, which are on disk afterwards.
+
+        Args:
+            rows: see `octarm.interfaces.Rows`.
+            layer: half width phi of the boundary layer, shape (2N,) [m/s], [rad/s], if the
+                controller has one; the one given with the first rows counts.
+
+        Raises:
+            OctarmError: if the rows are not those of an arm with these parameters, or rerun does
+                not take them.
+        """
+        if rows["q"].shape[1:] != (len(self._coordinates.names),):
+            raise OctarmError("the parameters must be those of an arm with the rows' modules")
+        with rerun_errors(self._path):
+            if not self._count:
+                self._begin(rows, layer)
+            count, t = len(rows["t"]), rows["t"]
+            frames = np.arange(self._count, self._count + count) % self._stride == 0
+            self._log_signals(rows, frames)
+            self._log_scene(rows, frames)
+            self._log_states(rows)
+            self._count, self._end = self._count + count, float(t[-1])
+            if self._count >= self._next_picture:  # what a killed run leaves has one too
+                self._next_picture = 4 * self._count
+                self._draw_rules()
+            self._stream.flush(timeout_sec=60.0)  # bounds the memory that waits; raises errors
+
+    def add_all(self, run: Trajectory) -> None:
+        """Records a whole run block by block; raises what `add` does."""
+        arrays = dict(run.arrays())
+        for k in range(0, len(run), BLOCK):
+            self.add({name: x[k : k + BLOCK] for name, x in arrays.items()}, run.layer)
 
     def finish(self, description: Mapping[str, Any]) -> None:
         """Records what is known when the run is over; `description` is now complete."""
-        with recording_errors(self._path):
-            self._run.finish(description)
+        with rerun_errors(self._path):
+            self._describe(description)
+            self._draw_rules()
+            self._log_bounds(self._end)
+            ended = description.get("status", "ok") != "ok"
+            if ended or self._end < 0.9 * self._planned:
+                self._lay_out({**description, "duration": self._end})
+            if ended:
+                ending = (self._end, str(description["status"]))
+                self._log_state("run", [(self._start, "running"), ending])
 
+    def _begin(self, rows: Rows, layer: np.ndarray | None) -> None:
+        """Logs what the first rows tell, and what stays the same."""
+        t, names, bounds = rows["t"], self._coordinates.names, bounds_of(self._description, layer)
+        self.channels = channels_of(rows, self._description, layer, disturbed=self._disturbed)
+        limits = [bounds[name].values if name in bounds else None for name in ("s", "tau")]
+        self._phases = phases.Phases(names, *limits)
+        if len(t) > 1:
+            rate = (len(t) - 1) / float(t[-1] - t[0])
+            self._stride = max(1, round(rate / _FRAME_RATE))
+        for name, channel in self.channels.items():
+            if channel.kind == "rules":
+                self._heat_maps[name] = HeatMap(channel, len(names))
+        self._planned = float(self._description.get("duration", t[-1]))
+        self._start = float(t[0])
+        for entity, look in self.scene.looks().items():
+            self._stream.log(self._root + entity, look, static=True)
+        announced = {"status": "running", **self._description, "duration": self._planned}
+        self._lay_out(announced)
+        self._describe(announced)
+        self._log_bounds(self._start)
 
-def part_of(run: Trajectory, start: int, stop: int) -> Trajectory:
-    """Rows of a run as a run."""
-    arrays = {name: array[start:stop] for name, array in run.arrays() if name not in run.signals}
-    signals = {name: array[start:stop] for name, array in run.signals.items()}
-    return dataclasses.replace(run, **arrays, signals=signals)  # pyright: ignore
+    def _lay_out(self, description: Mapping[str, Any]) -> None:
+        if not self._root:
+            lanes = has_sliding(self.channels) + (self.channels["tau"].bound is not None)
+            lanes += sum(bool(d.events()) for d in self._disturbances.values())
+            lanes += description.get("status", "ok") not in ("ok", "running")
+            self._stream.send_blueprint(blueprint(self.scene, self.channels, description, lanes))
 
+    def _log_signals(self, rows: Rows, frames: np.ndarray) -> None:
+        """Everything with a row at an instant; slow numbers only at the frames."""
+        t = rows["t"]
+        full: dict[str, np.ndarray] = {}
+        slow: dict[str, np.ndarray] = {}
+        for name, channel in self.channels.items():
+            values = channel.values(rows)
+            if channel.kind == "rules":
+                self._heat_maps[name].add(t, values)
+            elif channel.entity == "adaptation":
+                slow |= channel.columns(values[frames])
+            else:
+                full |= channel.columns(values)
+        self._send("signals", t, full | self._energy_rate(rows))
+        if slow and frames.any():
+            self._send("adaptation", t[frames], slow)
 
-@contextlib.contextmanager
-def _strict_mode() -> Generator[None]:
-    """Lets rerun raise errors; it would otherwise warn of bad data, and drop it."""
-    before = rr.strict_mode()
-    rr.set_strict_mode(True)
-    try:
-        yield
-    finally:
-        rr.set_strict_mode(before)
+    def _energy_rate(self, rows: Rows) -> dict[str, np.ndarray]:
+        """The rate of V, and its bound by (42) if the model were exact: s^T robust part [W]."""
+        if not has_energy(self.channels):
+            return {}
+        t, V = rows["t"], self.channels["V"].values(rows)[:, 0]
+        t_0, V_0 = self._last or (t[0], V[0])
+        self._last = float(t[-1]), float(V[-1])
+        dt = np.diff(t, prepend=t_0)
+        rate = np.diff(V, prepend=V_0) / np.where(dt > 0.0, dt, np.nan)
+        columns = {"V_rate": rate.astype(np.float32)}
+        if has_sliding(self.channels):
+            s, robust = (self.channels[name].values(rows) for name in ("s", "switching"))
+            columns["V_claim"] = np.sum(s * robust, axis=1).astype(np.float32)
+        return columns
+
+    def _log_scene(self, rows: Rows, frames: np.ndarray) -> None:
+        frames = frames & drawable(rows["q"]) & drawable(rows["q_d"])
+        if not frames.any():
+            return
+        drawn = {name: rows[name][frames] for name in ("t", "q", "q_d", "tau", "disturbance")}
+        for entity, columns in self.scene.frames(drawn).items():
+            self._stream.send_columns(self._root + entity, times(drawn["t"]), columns)
+
+    def _draw_rules(self) -> None:
+        """The heat maps so far; later ones take the place of earlier ones."""
+        for name, heat_map in self._heat_maps.items():
+            heat_map.log(self._stream, f"{self._root}heat/{name}")
+        for heat_map in list(self._heat_maps.values())[:1]:
+            heat_map.log_cursor(self._stream, f"{self._root}heat/now")
+
+    def _log_states(self, rows: Rows) -> None:
+        t = rows["t"]
+        for lane, changes in self._phases.changes(rows).items():
+            self._log_state(lane, [(float(t[row]), phase) for row, phase in changes])
+        while self._events and self._events[0][0] <= t[-1]:
+            at, lane, text = self._events.pop(0)
+            self._log_state(lane, [(at, text)])
+
+    def _log_state(self, lane: str, changes: list[tuple[float, str]]) -> None:
+        """Changes of a lane of the state timeline at times [s]."""
+        entity = f"{self._root}states/{lane}"
+        if lane not in self._lanes:
+            self._lanes.add(lane)
+            names = list(phases.COLORS)
+            colors = [int(color + "FF", 16) for color in phases.COLORS.values()]
+            style = rr.StateConfiguration(values=names, labels=names, colors=colors)
+            self._stream.log(entity, style, static=True)
+        t, states = zip(*changes, strict=True)
+        named = rr.StateChange.columns(state=list(states))
+        self._stream.send_columns(entity, times(np.array(t)), named)
+
+    def _log_bounds(self, at: float) -> None:
+        """The bounds of channels, which are lines from the first instant to the last."""
+        for name, channel in self.channels.items():
+            bound, parts = channel.bound, {**self._coordinates.groups, "all": slice(None)}
+            if bound is not None:
+                lines = {part: np.array([bound.lines(where)]) for part, where in parts.items()}
+                self._send(f"bounds/{name}", np.array([at]), lines, "bounds")
+
+    def _send(
+        self, entity: str, t: np.ndarray, columns: Mapping[str, np.ndarray], component: str = ""
+    ) -> None:
+        send_table(self._stream, self._root + entity, component or entity, t, columns)
+
+    def _describe(self, description: Mapping[str, Any]) -> None:
+        """The run's title, its properties, and its pages of text."""
+        if not self._root:
+            self._stream.send_recording_name(title_of(description))
+            known = {name: description[name] for name in _PROPERTIES if name in description}
+            for name in _TABLES:
+                if name in description:
+                    known[name] = json.dumps(description[name], default=str)
+            if known:
+                self._stream.send_property("run", rr.AnyValues(**known))
+        for entity, text in notes_of(description).items():
+            document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+            self._stream.log(self._root + entity, document, static=True)

@@ -1,141 +1,232 @@
-"""The smooth arm as shapes in space, for pictures.
+"""The 3D scene as rerun's entities: what stays, and what moves.
 
-The drawn arm is a picture of the lumped model, not a second model. Module i ends at
-p_i = p_{i-1} + s_i u(phi_{i-1}), where `octarm.lagrange.positions` puts it: it slides first and
-bends at its end. No arc of constant curvature does that: one that leaves plate i-1 along
-u(phi_{i-1}) and turns by theta_i ends s_i theta_i / 2 beside p_i. So the tube is a cubic Hermite
-curve through the ends p_i that leaves plate i-1 along u(phi_{i-1}) and meets plate i along
-u(phi_i): its tangent is continuous, module i turns by exactly theta_i over about the length s_i,
-and the tip is the simulated tip. The columns are the curves beside it at half the width, so that
-their lengths differ by l theta_i as those of the model do. `skeleton` is the lumped arm itself.
+Almost everything is an instanced solid of which only places and turns change. All turns are about
+the world's y axis, so that an angle is all that is new in each frame. Places and angles are rounded
+to an eighth of a millimetre and a thousandth of a radian, which nobody sees: values that come again
+compress well.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import rerun as rr
+import rerun.blueprint as rrb
 
-from octarm.arm.lagrange import positions
-from octarm.arm.mjcf import world_position
+from octarm.arm.parameters import ArmParameters
+from octarm.disturbances.episode import Disturbance
+from octarm.interfaces import Rows
+from octarm.recordings import shapes
 
-PIECES = 6  # of the tube, a module
-COLUMN_PIECES = 4
-RIBS = 4  # of the desired arm, a module
-_LONGEST = 100.0  # [m], [rad]; beyond it a coordinate cannot be drawn
-
-
-class Pieces(NamedTuple):
-    """Short straight pieces of a curve in the plane of the arm.
-
-    Attributes:
-        centers: in the world frame, shape (..., pieces, 3) [m].
-        angles: by which a turn about the world's y axis takes z along the piece, shape
-            (..., pieces) [rad].
-        lengths: shape (..., pieces) [m].
-    """
-
-    centers: np.ndarray
-    angles: np.ndarray
-    lengths: np.ndarray
+_MODULES = ["FF9F43", "40A9FF", "48C987", "E76EBE", "F1D64A", "9B89FF", "4DD0D0", "FF7864"]
+_PLATE, _BASE = 0xDEE2E8FF, 0x78808CFF
+_TRAIL, _PATH, _GHOST = 0xFF4655FF, 0x8FA3B8FF, 0xC6D6EA22
+_RELAXED, _PULL, _PUSH = (112, 118, 126), (240, 243, 248), (232, 62, 62)
+_DISTURBANCE, _GRAVITY, _PAYLOAD = 0xC58BFFFF, 0xB8C0CCFF, 0xB8A06AFF
+_STEEL = 7850.0  # [kg/m^3]; a payload is drawn as a ball of it
+_TRAIL_LENGTH = 1.0  # [s]
+_FINE = 8192.0  # places are rounded to this part of a metre
+_COARSE = 1024.0  # angles and lengths of pieces likewise
 
 
-def drawable(q: np.ndarray) -> np.ndarray:
-    """Whether an arm is somewhere near, shape (...) of bool; a diverging one may not be."""
-    return np.abs(q).max(axis=-1) < _LONGEST
+def module_colors(count: int) -> np.ndarray:
+    """One colour for each module, shape (count, 3)."""
+    return np.resize([list(bytes.fromhex(color)) for color in _MODULES], (count, 3))
 
 
-def smooth_arm(q: np.ndarray, offset: float = 0.0, points: int = 12) -> np.ndarray:
-    """The smooth arm in the world frame.
-
-    Args:
-        q: coordinates, shape (..., 2N) [m], [rad].
-        offset: distance of the curve from the backbone, towards column 2 [m].
-        points: along each module, its ends included.
-
-    Returns:
-        Points along each module, shape (..., N, points, 3) [m].
-    """
-    n = q.shape[-1] // 2
-    end = positions(q)[..., None, :]
-    chord = np.diff(end, axis=-3, prepend=0.0)  # s_i u(phi_{i-1}), also the tangent at the start
-    phi = np.cumsum(q[..., n:], axis=-1)[..., None]
-    last = np.stack([np.cos(phi), np.sin(phi)], axis=-1) * q[..., :n, None, None]
-    u = np.linspace(0.0, 1.0, points)[:, None]
-    curve = end - chord + chord * u + (chord - last) * u * u * (1 - u)
-    slope = chord + (chord - last) * u * (2 - 3 * u)
-    normal = np.stack([-slope[..., 1], slope[..., 0]], axis=-1)
-    size = np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
-    return world_position(curve + offset * normal / size)
+def input_colors(count: int) -> np.ndarray:
+    """One colour for each input, two columns a module, shape (count, 3)."""
+    n = count // 2
+    return np.repeat(module_colors(n), 2, axis=0) * np.tile([[1.0], [0.6]], (n, 1))
 
 
-def tube(q: np.ndarray) -> Pieces:
-    """The backbone for q of shape (..., 2N), in `PIECES` pieces a module, from base to tip."""
-    return _pieces(smooth_arm(q, points=PIECES + 1), q)
+class Scene:
+    """The entities of the scene of one run: `looks` once, `frames` for each block of rows."""
+
+    def __init__(
+        self, parameters: ArmParameters, disturbances: Sequence[Disturbance], *, disturbed: bool
+    ) -> None:
+        """The scene of an arm.
+
+        Args:
+            parameters: of one arm.
+            disturbances: of the run, which say what they carry and how they turn gravity.
+            disturbed: whether the disturbances' force is drawn.
+        """
+        self._modules, self._width = parameters.modules, float(parameters.width)
+        self._length = float(np.sum(parameters.rest_length))
+        self._weight = float(np.sum(parameters.mass) * parameters.gravity)
+        self._arrow = 2.0 * self._width  # length of the arrow of the arm's weight [m]
+        self._tilt = sum(disturbance.gravity_angle() for disturbance in disturbances)
+        self._payloads = [load for d in disturbances if (load := d.carried()) is not None]
+        self._disturbed = disturbed
+        self._last: tuple[np.ndarray, np.ndarray] | None = None  # tip and desired tip
+
+    def looks(self) -> dict[str, Any]:
+        """What of the scene stays the same, by entity."""
+        n, w = self._modules, self._width
+        solid: dict[str, Any] = {"fill_mode": "solid"}
+        down = self._arrow * np.array([math.sin(self._tilt), 0.0, -math.cos(self._tilt)])
+        lines, cylinders = rr.LineStrips3D.from_fields, rr.Cylinders3D.from_fields
+        ghosts = np.full(n * shapes.RIBS, _GHOST, dtype=np.uint32)
+        looks: dict[str, Any] = {
+            "world": rr.ViewCoordinates.RIGHT_HAND_Z_UP,
+            "world/base": rr.Cylinders3D(
+                lengths=0.15 * w, radii=0.75 * w, centers=[0, 0, 0.075 * w], colors=_BASE, **solid
+            ),
+            "world/plates": rr.Cylinders3D(lengths=0.07 * w, radii=0.7 * w, colors=_PLATE, **solid),
+            "world/tube": cylinders(radii=[0.27 * w] * (n * shapes.TUBE_PIECES), **solid),
+            "world/columns": cylinders(**solid),
+            "world/desired": cylinders(radii=[0.37 * w] * len(ghosts), colors=ghosts, **solid),
+            "world/trail": lines(colors=_TRAIL, radii=0.025 * w),
+            "world/desired_path": lines(colors=_PATH, radii=0.012 * w),
+            "world/skeleton": lines(colors=0xFFFFFFFF, radii=0.02 * w),
+            "world/gravity": rr.Arrows3D(
+                vectors=[down],
+                origins=[[-1.6 * w, 0.0, 0.1 * w]],
+                colors=_GRAVITY,
+                radii=0.03 * w,
+                labels=["g"],
+            ),
+        }
+        if self._payloads:
+            looks["world/payload"] = rr.Ellipsoids3D.from_fields(colors=_PAYLOAD, **solid)
+        if self._disturbed:
+            arrows = rr.Arrows3D.from_fields(colors=_DISTURBANCE, radii=0.035 * w)
+            looks["world/disturbance"] = arrows
+        return looks
+
+    def frames(self, rows: Rows) -> dict[str, list[Any]]:
+        """What moves, by entity, as columns with a frame for each of k rows."""
+        q, q_d, w = rows["q"], rows["q_d"], self._width
+        tip, desired_tip = shapes.tip(q), shapes.tip(q_d)
+        last = self._last or (tip[0], desired_tip[0])
+        self._last = tip[-1], desired_tip[-1]
+        tube, columns = shapes.backbone(q, shapes.TUBE_PIECES), shapes.columns(q, w)
+        ribs = shapes.backbone(q_d, shapes.RIBS)
+        frames = {
+            "world/tube": [*_poses(tube), *_cylinders(tube, colors=self._tube_colors(q))],
+            "world/plates": _poses(shapes.plates(q)),
+            "world/columns": [
+                *_poses(columns),
+                *_cylinders(columns, **self._column_looks(rows["tau"])),
+            ],
+            "world/desired": [*_poses(ribs), *_cylinders(ribs)],
+            "world/trail": _strips(_steps(last[0], tip)),
+            "world/desired_path": _strips(_steps(last[1], desired_tip)),
+            "world/skeleton": _strips(shapes.skeleton(q)),
+        }
+        if self._payloads:
+            frames["world/payload"] = self._balls(rows["t"], q)
+        if self._disturbed:
+            origins, forces = shapes.force_arrows(q, rows["disturbance"], 0.95 * w)
+            vectors = forces * (self._arrow / self._weight)
+            frames["world/disturbance"] = _columns(rr.Arrows3D, vectors=vectors, origins=origins)
+        return frames
+
+    def view(self, name: str, *, origin: str = "world") -> rrb.Spatial3DView:
+        """A camera in front of the arm, a little to the side, the same for every run of it."""
+        reach = 1.12 * self._length + self._width
+        middle = np.array([0.0, 0.0, 0.5 * self._width - 0.5 * reach])
+        position = middle + 1.05 * reach * np.array([0.33, -0.94, -0.03])
+        cursor = rr.TimeRangeBoundary.cursor_relative
+
+        def around(before: float, after: float) -> rrb.VisibleTimeRanges:
+            return rrb.VisibleTimeRanges(
+                timeline="t", start=cursor(seconds=-before), end=cursor(seconds=after)
+            )
+
+        return rrb.Spatial3DView(
+            origin=origin,
+            name=name,
+            eye_controls=rrb.EyeControls3D(position=position, look_target=middle, eye_up=[0, 0, 1]),
+            line_grid=False,
+            background=[13, 15, 19],
+            overrides={
+                f"{origin}/trail": around(_TRAIL_LENGTH, 0.0),
+                f"{origin}/desired_path": around(_TRAIL_LENGTH, _TRAIL_LENGTH),
+                f"{origin}/skeleton": rrb.EntityBehavior(visible=False),  # shown on request
+            },
+        )
+
+    def _balls(self, t: np.ndarray, q: np.ndarray) -> list[Any]:
+        """Payloads as balls of steel below the last plate, of no size until they are carried."""
+        masses, begins = np.array(self._payloads).T
+        radii = np.cbrt(0.75 * masses / (math.pi * _STEEL))
+        distances = (radii + 0.035 * self._width)[:, None]
+        places = shapes.tip(q)[:, None] + shapes.tip_axis(q)[:, None] * distances
+        sizes = np.repeat(((t[:, None] >= begins) * radii)[..., None], 3, axis=-1)
+        return [
+            *_columns(rr.InstancePoses3D, translations=_rounded(places, _FINE)),
+            *_columns(rr.Ellipsoids3D, half_sizes=_rounded(sizes, _FINE)),
+        ]
+
+    def _tube_colors(self, q: np.ndarray) -> np.ndarray:
+        """The colour of the module, brighter where it is bent more."""
+        n = self._modules
+        bent = np.minimum(np.abs(q[:, n:]) / 0.4, 1.0)[..., None]
+        colors = module_colors(n) * (0.6 + 0.4 * bent) + 15.0 * (1.0 - bent)
+        return _bytes(np.repeat(colors, shapes.TUBE_PIECES, axis=1))
+
+    def _column_looks(self, tau: np.ndarray) -> dict[str, np.ndarray]:
+        """Red and thick where a column pushes, white and thick where it pulls."""
+        size = np.tanh(tau / (0.8 * self._weight))
+        toward = np.where(size[..., None] > 0.0, _PUSH, _PULL)
+        share = np.abs(size[..., None]) ** 0.6
+        colors = np.array(_RELAXED) + share * (toward - np.array(_RELAXED))
+        radii = _rounded(self._width * (0.055 + 0.075 * np.abs(size)), _FINE)
+        pieces = shapes.COLUMN_PIECES
+        return {
+            "radii": np.repeat(radii, pieces, axis=1),
+            "colors": _bytes(np.repeat(colors, pieces, axis=1)),
+        }
 
 
-def columns(q: np.ndarray, width: float) -> Pieces:
-    """Columns 1 and 2 of each module for q of shape (..., 2N), in `COLUMN_PIECES` pieces each.
-
-    They are in the order of tau.
-    """
-    sides = [smooth_arm(q, side * width, COLUMN_PIECES + 1) for side in (-0.5, 0.5)]
-    return _pieces(np.stack(sides, axis=-3), q)
+def _columns(archetype: Any, **values: np.ndarray) -> list[Any]:
+    """Columns of k frames of as many instances each, from arrays of shape (k, instances, ...)."""
+    frames, count = next(iter(values.values())).shape[:2]
+    flat = {name: array.reshape(-1, *array.shape[2:]) for name, array in values.items()}
+    return [*archetype.columns(**flat).partition([count] * frames)]
 
 
-def ribs(q: np.ndarray) -> Pieces:
-    """The backbone for q of shape (..., 2N), in `RIBS` pieces a module."""
-    return _pieces(smooth_arm(q, points=RIBS + 1), q)
+def _poses(pieces: shapes.Pieces) -> list[Any]:
+    """Where the pieces are, and how they are turned about the world's y axis."""
+    frames, count = pieces.angles.shape
+    angles = _rounded(pieces.angles.ravel(), _COARSE)
+    kind = rr.components.RotationAxisAngle.arrow_type()
+    axes = pa.array(np.tile(np.array([0.0, 1.0, 0.0], dtype=np.float32), len(angles)))
+    turns = pa.StructArray.from_arrays(
+        [pa.FixedSizeListArray.from_arrays(axes, type=kind.field("axis").type), pa.array(angles)],
+        fields=[kind.field("axis"), kind.field("angle")],
+    )
+    places = _rounded(pieces.centers.reshape(-1, 3), _FINE)
+    poses = rr.InstancePoses3D.columns(translations=places, rotation_axis_angles=turns)
+    return [*poses.partition([count] * frames)]
 
 
-def plates(q: np.ndarray) -> Pieces:
-    """The plates at the ends of the modules for q of shape (..., 2N); they face along the arm."""
-    angles = np.pi - np.cumsum(q[..., q.shape[-1] // 2 :], axis=-1)
-    return Pieces(world_position(positions(q)), angles, np.zeros_like(angles))
+def _cylinders(pieces: shapes.Pieces, **looks: np.ndarray) -> list[Any]:
+    """Cylinders that overlap a little, so that there is no gap where the arm bends."""
+    return _columns(rr.Cylinders3D, lengths=_rounded(1.08 * pieces.lengths, _COARSE), **looks)
 
 
-def tip(q: np.ndarray) -> np.ndarray:
-    """The tip in the world frame, shape (..., 3) [m]."""
-    return world_position(positions(q)[..., -1, :])
+def _strips(curves: np.ndarray) -> list[Any]:
+    """One line a frame, from points of shape (k, points, 3)."""
+    return _columns(rr.LineStrips3D, strips=_rounded(curves[:, None], _FINE))
 
 
-def skeleton(q: np.ndarray) -> np.ndarray:
-    """The lumped arm: base, then the ends of the modules, shape (..., N + 1, 3) [m]."""
-    ends = world_position(positions(q))
-    return np.concatenate([np.zeros_like(ends[..., :1, :]), ends], axis=-2)
+def _steps(last: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """From each point to the next one, beginning at the last point of the block before."""
+    return np.stack([np.concatenate([[last], points[:-1]]), points], axis=1)
 
 
-def force_arrows(q: np.ndarray, force: np.ndarray, rim: float) -> tuple[np.ndarray, np.ndarray]:
-    """A generalised force as forces on the plates.
-
-    What acts on s_i pulls plate i along its module; what acts on theta_i is a couple at the rim of
-    plate i, two opposite forces that far from its middle.
-
-    Args:
-        q: coordinates, shape (..., 2N) [m], [rad].
-        force: generalised force, shape (..., 2N) [N], [N m].
-        rim: radius of the plates [m].
-
-    Returns:
-        Where the forces act, shape (..., 3N, 3) [m], and the forces, shape (..., 3N, 3) [N].
-    """
-    n = q.shape[-1] // 2
-    end = positions(q)
-    phi = np.cumsum(q[..., n:], axis=-1)
-    along = np.stack([np.cos(phi), np.sin(phi)], axis=-1)
-    slide = np.stack([np.cos(phi - q[..., n:]), np.sin(phi - q[..., n:])], axis=-1)
-    across = rim * np.stack([-along[..., 1], along[..., 0]], axis=-1)
-    couple = along * (0.5 / rim * force[..., n:, None])
-    origins = [end, end + across, end - across]
-    forces = [slide * force[..., :n, None], -couple, couple]
-    return tuple(world_position(np.concatenate(x, axis=-2)) for x in (origins, forces))  # pyright: ignore
+def _rounded(values: np.ndarray, parts: float) -> np.ndarray:
+    """Single precision, to that part of one."""
+    return (np.round(values * parts) / parts).astype(np.float32)
 
 
-def _pieces(curve: np.ndarray, q: np.ndarray) -> Pieces:
-    """Of curves of shape (..., points, 3), one after another, for each arm of q."""
-    step = np.diff(curve, axis=-2)
-    centers = 0.5 * (curve[..., 1:, :] + curve[..., :-1, :])
-    angles = np.arctan2(step[..., 0], step[..., 2])
-    lengths = np.linalg.norm(step, axis=-1)
-    flat = (*q.shape[:-1], -1)
-    return Pieces(centers.reshape(*flat, 3), angles.reshape(flat), lengths.reshape(flat))
+def _bytes(colors: np.ndarray) -> np.ndarray:
+    return np.clip(colors, 0.0, 255.0).astype(np.uint8)

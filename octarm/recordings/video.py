@@ -8,7 +8,7 @@ import contextlib
 import ctypes.util
 import os
 import sys
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from fractions import Fraction
 from typing import Any
 
@@ -19,6 +19,7 @@ from octarm.errors import OctarmError
 from octarm.files import whole_file
 from octarm.simulation.trajectory import Trajectory
 
+Path = str | os.PathLike[str]
 _GHOST = np.array([0.75, 0.82, 0.9, 0.28])  # the desired arm
 _NEEDED = (
     "drawing needs an OpenGL library: on Debian it is one of the packages libegl1 and libosmesa6"
@@ -26,12 +27,12 @@ _NEEDED = (
 
 
 def choose_renderer() -> None:
-    """Sets MUJOCO_GL to what there is, EGL before OSMesa, unless it is set.
+    """Sets MUJOCO_GL to the library that is installed, EGL before OSMesa, unless it is set.
 
     MuJoCo reads it when it is imported; a display is not used.
 
     Raises:
-        RuntimeError: if there is neither library.
+        OctarmError: if there is neither library.
     """
     if os.environ.get("MUJOCO_GL") or sys.platform != "linux":
         return
@@ -39,11 +40,11 @@ def choose_renderer() -> None:
         if ctypes.util.find_library(library):
             os.environ["MUJOCO_GL"] = name
             return
-    raise RuntimeError(_NEEDED)
+    raise OctarmError(_NEEDED)
 
 
 def write_video(
-    path: str | os.PathLike[str],
+    path: Path,
     run: Trajectory,
     description: Mapping[str, Any],
     *,
@@ -52,7 +53,7 @@ def write_video(
     speed: float = 1.0,
     camera: str = "oblique",
 ) -> None:
-    """Writes the film of a run, whole or not at all; the desired arm is shown as a ghost.
+    """Writes the film of a run, whole or not at all; the desired arm appears as a ghost.
 
     `choose_renderer` must have been called before MuJoCo was imported, unless MUJOCO_GL is set.
 
@@ -66,9 +67,9 @@ def write_video(
         camera: of `models/octarm.xml`.
 
     Raises:
-        ValueError: if a number is out of range, or the file is not named .mp4.
+        OctarmError: if a number is out of range, the file is not named .mp4, or nothing can be
+            drawn on this machine.
         OSError: if the file cannot be written.
-        RuntimeError: if nothing can be drawn on this machine.
     """
     if not str(path).endswith(".mp4"):
         raise OctarmError(f"the film is {os.fspath(path)!r}; its name must end in .mp4")
@@ -82,50 +83,47 @@ def write_video(
     rows = np.searchsorted(run.t, float(run.t[0]) + np.arange(count) * speed / rate - 1e-9)
     rows = np.minimum(rows, len(run) - 1)
     rows = rows[np.isfinite(run.q[rows]).all(axis=1)]
+    parameters = ArmParameters.from_dict(description["parameters"])
     with whole_file(path) as part, _film(part, size, rate) as add:
-        for picture in _pictures(run, rows, description, size, camera):
+        for picture in _pictures(run, rows, parameters, size, camera):
             add(picture)
 
 
 def _pictures(
-    run: Trajectory,
-    rows: np.ndarray,
-    description: Mapping[str, Any],
-    size: tuple[int, int],
-    camera: str,
+    run: Trajectory, rows: np.ndarray, parameters: ArmParameters, size: tuple[int, int], camera: str
 ) -> Iterator[np.ndarray]:
     """Red, green and blue of the arm at these rows, each of shape (height, width, 3)."""
     import mujoco
 
     from octarm.arm.mjcf import build_model, paper_order
 
-    model = build_model(ArmParameters.from_dict(description["parameters"]))
+    model = build_model(parameters)
     model.vis.global_.offwidth, model.vis.global_.offheight = size
     order, _ = paper_order(model)
     data, ghost = mujoco.MjData(model), mujoco.MjData(model)
     try:
         renderer = mujoco.Renderer(model, size[1], size[0])
-    except Exception as error:  # of OpenGL, of many kinds
-        raise RuntimeError(f"{_NEEDED} ({type(error).__name__})") from None
-    only_arm = mujoco.MjvOption()
+    except Exception as error:  # errors of OpenGL are of many kinds
+        raise OctarmError(f"{_NEEDED} ({type(error).__name__})") from None
+    options, perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
+    moving = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
     with contextlib.closing(renderer):
         for row in rows:
             data.qpos[order], ghost.qpos[order] = run.q[row], run.q_d[row]
             mujoco.mj_forward(model, data)
             mujoco.mj_forward(model, ghost)
             renderer.update_scene(data, camera=camera)
-            first = renderer.scene.ngeom
-            mujoco.mjv_addGeoms(
-                model, ghost, only_arm, mujoco.MjvPerturb(),
-                int(mujoco.mjtCatBit.mjCAT_DYNAMIC), renderer.scene,
-            )  # fmt: skip
-            for geom in renderer.scene.geoms[first : renderer.scene.ngeom]:
+            scene, first = renderer.scene, renderer.scene.ngeom
+            mujoco.mjv_addGeoms(model, ghost, options, perturbation, moving, scene)
+            for geom in scene.geoms[first : scene.ngeom]:
                 geom.rgba[:] = _GHOST
             yield renderer.render()
 
 
 @contextlib.contextmanager
-def _film(part: os.PathLike[str], size: tuple[int, int], rate: float) -> Generator[Any]:
+def _film(
+    part: Path, size: tuple[int, int], rate: float
+) -> Generator[Callable[[np.ndarray], object]]:
     """A function that adds a picture to an H.264 film."""
     import av
 

@@ -1,7 +1,7 @@
-"""The rerun viewer that ships with the package, as a process of its own.
+"""The rerun viewer that ships with the package, in a separate process.
 
 It serves on 127.0.0.1 only, and proxies that lead nowhere keep it from asking the network for news
-or sending usage data.
+or sending usage data. Nothing waits for it longer than it works: see `_Viewer.pause`.
 """
 
 from __future__ import annotations
@@ -19,116 +19,64 @@ from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
+import psutil
+
+from octarm.errors import FileError, OctarmError
 from octarm.files import whole_file
 from octarm.recordings.web_page import guarded_page
 
 if TYPE_CHECKING:
-    from octarm.recordings.recording import ViewerClient
+    from rerun.experimental import ViewerClient
 
 _NOWHERE = "http://127.0.0.1:9"
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+Name = str | os.PathLike[str]
 
 
-def open_viewer(paths: Iterable[str | os.PathLike[str]]) -> None:
-    """Shows recordings in a window, and returns when it is closed.
-
-    Args:
-        paths: `.rrd` files.
+def open_viewer(paths: Iterable[Name]) -> None:
+    """Shows `.rrd` files in a window, and returns when it is closed.
 
     Raises:
-        FileNotFoundError: if a file does not exist.
-        RuntimeError: if there is no display, or the viewer fails.
+        OctarmError: if a file does not exist, there is no display, or the viewer fails.
     """
     files = [_existing(path) for path in paths]
-    displays = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
-    if sys.platform == "linux" and not any(os.environ.get(name) for name in displays):
-        raise RuntimeError(
+    if sys.platform == "linux" and not any(os.environ.get(name) for name in _DISPLAYS):
+        raise OctarmError(
             "there is no display to open the viewer on; --screenshot FILE.png makes a picture "
             "without one"
         )
-    with _viewer(files) as (process, _, errors):
-        if process.wait() != 0:
-            raise RuntimeError(_reason(errors))
+    with _running(files) as viewer:
+        if viewer.process.wait() != 0:
+            raise viewer.failure()
 
 
-def serve(paths: Iterable[str | os.PathLike[str]], ready: Callable[[str], object]) -> None:
-    """Serves recordings to a browser on this machine, and returns when it is interrupted.
+def serve(paths: Iterable[Name], ready: Callable[[str], object]) -> None:
+    """Serves `.rrd` files to a browser on this machine, and returns when it is interrupted.
 
-    All that the page needs comes from the installed package, and a browser is told to fetch from
-    this machine only.
-
-    Args:
-        paths: `.rrd` files.
-        ready: called with the address to open.
+    All that the page needs comes from the installed package, and a browser may fetch from this
+    machine only. `ready` is called with the address to open.
 
     Raises:
-        FileNotFoundError: if a file does not exist.
-        RuntimeError: if the server fails.
+        OctarmError: if a file does not exist, or the server fails.
     """
     files = [_existing(path) for path in paths]
     port = _free_port()
-    web = ["--serve-web", "--web-viewer-port", str(port)]
-    with _viewer([*web, *files]) as (process, url, errors):
-        _await_page(process, port, errors)
-        query = urllib.parse.urlencode({"url": url})
-        data_port = urllib.parse.urlsplit(url.removeprefix("rerun+")).port or 0
+    with _running(["--serve-web", "--web-viewer-port", str(port), *files]) as viewer:
+        while not _answers(port):
+            viewer.pause(30.0)
+        query = urllib.parse.urlencode({"url": viewer.url})
+        data_port = urllib.parse.urlsplit(viewer.url.removeprefix("rerun+")).port or 0
         with guarded_page(port, data_port) as page, contextlib.suppress(KeyboardInterrupt):
             ready(f"http://127.0.0.1:{page}/?{query}")
-            process.wait()
-            raise RuntimeError(_reason(errors))
-
-
-def rescue(partial: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
-    """Writes what can be read of a recording that was not finished as one that is.
-
-    Its plots show what time there is rather than the time that was planned.
-
-    Raises:
-        RuntimeError: if nothing can be read.
-    """
-    from octarm.recordings.recording import time_axes  # imports rerun, which takes half a second
-
-    with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
-        whole = os.path.join(scratch, "whole.rrd")
-        _rrd(partial, "merge", "--continue-on-error", str(partial), "-o", whole)
-        dropped = [item for axis in time_axes(whole) for item in ("--drop-entity", axis)]
-        _rrd(partial, "filter", *dropped, whole, "-o", str(path))
-    end_of(path)
-
-
-def listed(recording: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
-    """Writes a recording as one of several, for which the viewer keeps its list of them open.
-
-    Raises:
-        RuntimeError: if it cannot be read.
-    """
-    arguments = ("--drop-entity", "/blueprint_panel", str(recording), "-o", str(path))
-    _rrd(recording, "filter", *arguments)
-
-
-def _rrd(recording: str | os.PathLike[str], *arguments: str) -> None:
-    """A command of rerun on a recording."""
-    command = [str(_executable()), "rrd", *arguments]
-    done = subprocess.run(command, capture_output=True, env=_environment(), check=False)
-    if done.returncode:
-        raise RuntimeError(f"nothing can be read of {recording}")
-
-
-def end_of(path: str | os.PathLike[str]) -> float:
-    """The last instant of a recording [s].
-
-    Raises:
-        RuntimeError: if the file is not a recording, or has no instants.
-    """
-    from octarm.recordings.recording import last_instant  # imports rerun, which takes half a second
-
-    return last_instant(_existing(path))
+            viewer.process.wait()
+            raise viewer.failure()
 
 
 def screenshot(
-    recording: str | os.PathLike[str],
-    png: str | os.PathLike[str],
+    recording: Name,
+    png: Name,
     *,
-    others: Iterable[str | os.PathLike[str]] = (),
+    others: Iterable[Name] = (),
     time: float | None = None,
     size: tuple[int, int] = (1600, 900),
     timeout: float = 60.0,
@@ -143,92 +91,173 @@ def screenshot(
         others: further recordings that are open; see `listed`.
         time: instant to show [s]; the first one if None.
         size: width and height [pixel].
-        timeout: how long to wait for the viewer [s].
+        timeout: for how long the viewer may do nothing, see `_Viewer.pause` [s].
 
     Raises:
-        OSError: if the recording does not exist, or the picture cannot be written.
-        RuntimeError: if there is no Vulkan driver, or the viewer fails.
+        OctarmError: if the recording does not exist, there is no Vulkan driver, or the viewer
+            fails.
+        OSError: if the picture cannot be written.
     """
     files = [_existing(path) for path in (*others, recording)]
     window = ["--headless", "--window-size", f"{size[0]}x{size[1]}"]
-    with whole_file(png) as part, _viewer([*window, *files]) as (process, url, errors):
+    with whole_file(png) as part, _running([*window, *files]) as viewer:
         try:
-            picture = _capture(process, url, time, timeout)
-        except (OSError, RuntimeError) as error:
-            clock.sleep(0.2)  # a viewer that is ending may not be gone yet
-            why = f"{recording} cannot be drawn: {error}"
-            raise RuntimeError(why if process.poll() is None else _reason(errors)) from error
+            picture = _capture(viewer, time, timeout)
+        except (OctarmError, OSError, RuntimeError) as error:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                viewer.process.wait(1.0)  # a viewer that is ending may not be gone yet
+                raise viewer.failure() from error
+            raise OctarmError(f"{recording} cannot be drawn: {error}") from error
         part.write_bytes(picture)
 
 
-def _capture(
-    process: subprocess.Popen[bytes], url: str, time: float | None, timeout: float
-) -> bytes:
-    """A picture of what the viewer shows once it has come to rest, as PNG."""
-    deadline = clock.monotonic() + timeout
-    client, image = None, b""
-    while process.poll() is None and clock.monotonic() < deadline:
+def rescue(partial: Name, path: Name) -> None:
+    """Writes what can be read of a recording that was not finished as one that is.
+
+    Its plots show the time that there is rather than the time that was planned.
+
+    Raises:
+        OctarmError: if nothing can be read.
+    """
+    from octarm.recordings.rrd import time_axes  # imports rerun, which takes half a second
+
+    with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
+        whole = os.path.join(scratch, "whole.rrd")
+        _rrd(partial, "merge", "--continue-on-error", str(partial), "-o", whole)
+        dropped = [item for axis in time_axes(whole) for item in ("--drop-entity", axis)]
+        _rrd(partial, "filter", *dropped, whole, "-o", str(path))
+    end_of(path)
+
+
+def listed(recording: Name, path: Name) -> None:
+    """Writes a recording as one of several, for which the viewer keeps its list of them open.
+
+    Raises:
+        OctarmError: if it cannot be read.
+    """
+    arguments = ("--drop-entity", "/blueprint_panel", str(recording), "-o", str(path))
+    _rrd(recording, "filter", *arguments)
+
+
+def end_of(path: Name) -> float:
+    """The last instant of a recording [s].
+
+    Raises:
+        OctarmError: if the file is not a recording, or has no instants.
+    """
+    from octarm.recordings.rrd import last_instant  # imports rerun, which takes half a second
+
+    return last_instant(_existing(path))
+
+
+class _Viewer:
+    """A running viewer.
+
+    Attributes:
+        process: its process.
+        url: the address that it serves recordings at.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], url: str, errors: IO[bytes]) -> None:
+        self.process, self.url, self._errors = process, url, errors
+        self._worked, self._since = -1.0, clock.monotonic()
+
+    def pause(self, patience: float) -> None:
+        """Waits a moment for the viewer to get on.
+
+        How long that takes depends on the machine and what else it does. So what counts is the
+        processor time that the viewer uses: it may do nothing for so long, and may work in vain for
+        twice as long.
+
+        Args:
+            patience: [s].
+
+        Raises:
+            OctarmError: if the viewer has ended, or patience is exhausted.
+        """
         clock.sleep(0.1)
-        client = client or _connect(url, time)
-        before, image = image, client.take_screenshot() if client else b""
-        if image and image == before:  # plots glide to their ranges at first
-            return image
-    raise RuntimeError(f"the rerun viewer showed nothing steady within {timeout:g} s")
+        if self.process.poll() is not None:
+            raise self.failure()
+        with contextlib.suppress(psutil.Error):  # it is just ending
+            used = psutil.Process(self.process.pid).cpu_times()
+            if used.user + used.system > self._worked:
+                self._worked, self._since = used.user + used.system, clock.monotonic()
+        if clock.monotonic() - self._since > patience or self._worked > 2.0 * patience:
+            raise OctarmError(f"the rerun viewer got nowhere within {patience:g} s")
+
+    def failure(self) -> OctarmError:
+        """One sentence on why the viewer ended."""
+        self._errors.seek(0)
+        text = self._errors.read().decode(errors="replace")
+        if "render context" in text or "graphics adapter" in text:
+            return OctarmError(
+                "drawing without a display needs a Vulkan driver, software Vulkan at least: on "
+                "Debian it is the package mesa-vulkan-drivers"
+            )
+        lines = [line for line in text.splitlines() if "panicked" in line or "rror" in line]
+        reason = lines[-1].strip() if lines else "it gave no reason"
+        return OctarmError(f"the rerun viewer failed: {reason}")
+
+    def client(self, time: float | None) -> ViewerClient | None:
+        """A client once the recording is loaded, at the time asked for."""
+        from rerun.experimental import ViewerClient  # the import takes half a second
+
+        try:
+            client = ViewerClient(self.url)
+            state = client.get_state()
+        except (ConnectionError, RuntimeError):  # not up yet
+            return None
+        errors = [entry.message for entry in client.get_logs() if entry.level == "ERROR"]
+        if errors:
+            raise OctarmError(f"the rerun viewer says: {errors[0].splitlines()[0]}")
+        if state.loading or not any(recording.timelines for recording in state.recordings):
+            return None
+        blueprint = client.get_blueprint(of="recording").blueprint
+        blueprint["/top_panel"] = {"PanelBlueprint": {"state": "Hidden"}}
+        client.set_blueprint(blueprint, of="recording")
+        if time is not None:
+            client.set_time("t", duration=time, play_state="paused")
+        return client
 
 
-def _await_page(process: subprocess.Popen[bytes], port: int, errors: IO[bytes]) -> None:
-    """Waits until the page is served."""
-    deadline = clock.monotonic() + 30.0
-    while clock.monotonic() < deadline:
-        if process.poll() is not None:
-            raise RuntimeError(_reason(errors))
-        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
-            return
-        clock.sleep(0.05)
-    raise RuntimeError("the rerun viewer did not serve its page within 30 s")
-
-
-def _connect(url: str, time: float | None) -> ViewerClient | None:
-    """A client once the recording is loaded, at the time asked for."""
-    from octarm.recordings.recording import ViewerClient  # imports rerun, which takes half a second
-
-    try:
-        client = ViewerClient(url)
-        state = client.get_state()
-    except (ConnectionError, RuntimeError):  # not up yet
-        return None
-    errors = [entry.message for entry in client.get_logs() if entry.level == "ERROR"]
-    if errors:
-        raise RuntimeError(f"the rerun viewer says: {errors[0].splitlines()[0]}")
-    if state.loading or not any(recording.timelines for recording in state.recordings):
-        return None
-    blueprint = client.get_blueprint(of="recording").blueprint
-    blueprint["/top_panel"] = {"PanelBlueprint": {"state": "Hidden"}}
-    client.set_blueprint(blueprint, of="recording")
-    if time is not None:
-        client.set_time("t", duration=time, play_state="paused")
-    return client
+def _capture(viewer: _Viewer, time: float | None, patience: float) -> bytes:
+    """A picture of what the viewer shows once it has come to rest, as PNG."""
+    while (client := viewer.client(time)) is None:
+        viewer.pause(patience)
+    before, image = b"", client.take_screenshot()
+    while not image or image != before:  # plots glide to their ranges at first
+        viewer.pause(patience)
+        before, image = image, client.take_screenshot()
+    return image
 
 
 @contextlib.contextmanager
-def _viewer(arguments: list[str]) -> Generator[tuple[subprocess.Popen[bytes], str, IO[bytes]]]:
-    """A running viewer, the address it serves at, and its standard error; ended on leaving."""
+def _running(arguments: list[str]) -> Generator[_Viewer]:
+    """A running viewer, ended on leaving."""
     port = _free_port()
     command = [str(_executable()), "--bind", "127.0.0.1", "--port", str(port)]
     command += ["--hide-welcome-screen", *arguments]
-    url = f"rerun+http://127.0.0.1:{port}/proxy"
     with tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=errors, stderr=errors, env=_environment()
         )
         try:
-            yield process, url, errors
+            yield _Viewer(process, f"rerun+http://127.0.0.1:{port}/proxy", errors)
         finally:
             process.kill()  # it has nothing to save; does nothing to one that has ended
             process.wait()
 
 
+def _rrd(recording: Name, *arguments: str) -> None:
+    """Runs a command of rerun on a recording."""
+    command = [str(_executable()), "rrd", *arguments]
+    done = subprocess.run(command, capture_output=True, env=_environment(), check=False)
+    if done.returncode:
+        raise OctarmError(f"nothing can be read of {recording}")
+
+
 def _environment() -> dict[str, str]:
+    """The environment of the viewer, without a way to the network."""
     kept = {k: v for k, v in os.environ.items() if not k.lower().endswith("_proxy")}
     proxies = dict.fromkeys(("ALL_PROXY", "HTTP_PROXY", "HTTPS_PROXY"), _NOWHERE)
     local = {"NO_PROXY": "127.0.0.1,localhost"}
@@ -244,7 +273,7 @@ def _executable() -> Path:
     for name in names if spec else ():
         if (folder / name).is_file():
             return folder / name
-    raise RuntimeError("the rerun viewer is missing; reinstall rerun-sdk")
+    raise OctarmError("the rerun viewer is missing; reinstall rerun-sdk")
 
 
 def _free_port() -> int:
@@ -253,20 +282,14 @@ def _free_port() -> int:
         return probe.getsockname()[1]
 
 
-def _existing(path: str | os.PathLike[str]) -> str:
+def _answers(port: int) -> bool:
+    """Whether something on this machine accepts connections at the port."""
+    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+        return True
+    return False
+
+
+def _existing(path: Name) -> str:
     if not os.path.isfile(path):
-        raise FileNotFoundError(f"there is no recording {os.fspath(path)}")
+        raise FileError(f"there is no recording {os.fspath(path)}")
     return os.path.abspath(path)
-
-
-def _reason(errors: IO[bytes]) -> str:
-    """One sentence on why the viewer ended."""
-    errors.seek(0)
-    text = errors.read().decode(errors="replace")
-    if "render context" in text or "graphics adapter" in text:
-        return (
-            "drawing without a display needs a Vulkan driver, software Vulkan at least: on Debian "
-            "it is the package mesa-vulkan-drivers"
-        )
-    lines = [line for line in text.splitlines() if "panicked" in line or "rror" in line]
-    return f"the rerun viewer failed: {lines[-1].strip() if lines else 'it gave no reason'}"

@@ -12,14 +12,7 @@ import http.server
 import threading
 from collections.abc import Generator
 
-_PASSED_ON = ("Content-Type", "Content-Encoding", "Content-Length", "Cache-Control", "ETag")
-
-
-def policy(data_port: int) -> str:
-    """What a browser may load: the files of this page, and recordings from that port."""
-    own = "'self' 'unsafe-inline' 'unsafe-eval' blob: data:"
-    data = f"http://127.0.0.1:{data_port} ws://127.0.0.1:{data_port}"
-    return f"default-src {own}; connect-src 'self' blob: data: {data}"
+_PASSED_ON = ("Content-Type", "Content-Encoding", "Cache-Control", "ETag")
 
 
 @contextlib.contextmanager
@@ -28,14 +21,17 @@ def guarded_page(page_port: int, data_port: int) -> Generator[int]:
 
     Args:
         page_port: where the page is.
-        data_port: where its data come from.
+        data_port: where recordings come from, the only other place that the page may load from.
     """
+    page = "'self' 'unsafe-inline' 'unsafe-eval' blob: data:"
+    data = f"http://127.0.0.1:{data_port} ws://127.0.0.1:{data_port}"
+    policy = f"default-src {page}; connect-src 'self' blob: data: {data}"
 
     class Handler(http.server.BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
 
         def do_GET(self) -> None:
-            source = http.client.HTTPConnection("127.0.0.1", page_port, timeout=30.0)
+            source = http.client.HTTPConnection("127.0.0.1", page_port)
             with contextlib.closing(source):
                 encodings = self.headers.get("Accept-Encoding", "identity")
                 source.request("GET", self.path, headers={"Accept-Encoding": encodings})
@@ -43,11 +39,10 @@ def guarded_page(page_port: int, data_port: int) -> Generator[int]:
                 body = answer.read()
             self.send_response(answer.status)
             for name in _PASSED_ON:
-                value = answer.getheader(name)
-                if value is not None and name != "Content-Length":
+                if (value := answer.getheader(name)) is not None:
                     self.send_header(name, value)
             self.send_header("Content-Length", str(len(body)))
-            self.send_header("Content-Security-Policy", policy(data_port))
+            self.send_header("Content-Security-Policy", policy)
             self.end_headers()
             with contextlib.suppress(ConnectionError):  # the browser has gone away
                 self.wfile.write(body)

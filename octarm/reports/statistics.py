@@ -42,7 +42,7 @@ def binomial(count: int, total: int, confidence: float = CONFIDENCE) -> Interval
     """The share of a count with Wilson's interval, for independent trials; NaN without a trial.
 
     Raises:
-        ValueError: if the count is negative or above the total.
+        OctarmError: if the count is negative or above the total.
     """
     if total == 0 and count == 0:
         return Interval(np.nan, np.nan, np.nan)
@@ -174,8 +174,8 @@ class _Column:
         before = np.where(block > 0, count[rows, block - 1], 0.0)
         place = block[:, None] * self._size + np.arange(self._size)
         inside = before[:, None] + np.cumsum(weights[rows[:, None], self._owner[place]], axis=1)
-        found = block * self._size + np.sum(inside <= rank[:, None], axis=1)
-        return self._values[np.minimum(found, len(self._values) - 1)]
+        first = block * self._size + np.sum(inside <= rank[:, None], axis=1)
+        return self._values[np.minimum(first, len(self._values) - 1)]
 
 
 def _resampled(seeds: int, resamples: int, width: int) -> Iterator[tuple[slice, np.ndarray]]:

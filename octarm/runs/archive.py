@@ -1,72 +1,32 @@
 """The arrays of a run on disk: appended block by block while it goes on, and mapped afterwards.
 
-Memory holds one block, however long the run is. What was added can be read although the process
-was killed.
+A block is one structured number in NumPy's own format, whose fields are the arrays of the block. So
+memory holds one block, however long the run is, and blocks can be read although the process was
+killed.
 """
 
 from __future__ import annotations
 
 import contextlib
-import itertools
-import json
 import math
 import os
 import shutil
-import struct
 import zipfile
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, Any
 
 import numpy as np
+from numpy.lib import format as npy
 
-from octarm.errors import OctarmError
+from octarm.errors import FileError, OctarmError
 from octarm.files import whole_file
-from octarm.simulation.trajectory import TEXTS, Trajectory
+from octarm.interfaces import Rows
+from octarm.simulation.trajectory import BLOCK as BLOCK
+from octarm.simulation.trajectory import Ending, Trajectory, joined
 
-BLOCK = 5000  # rows: fewer cost space in a recording, more cost memory and what a crash loses
 _NUMBER = np.dtype("<f8")
-_LOCAL_HEADER = 30  # bytes of a zip member before its name, the last four of them two lengths
-
-
-class _Layout(NamedTuple):
-    """Where the numbers stand: a line of JSON, then blocks, each array after array.
-
-    Attributes:
-        start: where the first block begins [byte].
-        rows: of a block.
-        shapes: of a row of each array, by name.
-    """
-
-    start: int
-    rows: int
-    shapes: dict[str, tuple[int, ...]]
-
-    @property
-    def block(self) -> int:
-        """Size of a block [byte]."""
-        return sum(self.size(name) for name in self.shapes)
-
-    def size(self, name: str) -> int:
-        """Of an array in a block [byte]."""
-        return self.rows * self.row(name)
-
-    def row(self, name: str) -> int:
-        """Size of a row of an array [byte]."""
-        return _NUMBER.itemsize * math.prod(self.shapes[name])
-
-    def place(self, name: str) -> int:
-        """Where an array begins in a block [byte]."""
-        before = itertools.takewhile(lambda other: other != name, self.shapes)
-        return sum(map(self.size, before))
-
-
-class Ending(NamedTuple):
-    """How a run ended; see the fields of these names in `Trajectory`."""
-
-    status: str
-    message: str
-    digest: str
+_LONGEST_HEADER = 10_000_000  # [byte]
 
 
 class Archive:
@@ -74,27 +34,22 @@ class Archive:
 
     Used with `with`: the file of blocks is gone afterwards. If the process is killed it stays, and
     `read_blocks` reads it.
-
-    Attributes:
-        ending: how the run ended, as far as it is known; it is saved with the rows.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, rows: int, block: int = BLOCK) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, rows: int) -> None:
         """An archive that is empty.
 
         Args:
             path: of the file of blocks; its folder must exist.
             rows: number that is expected, for which there must be room.
-            block: number of rows of every block but the last one, which may have fewer.
         """
-        self.ending = Ending("interrupted", "", "")
         self._path, self._expected, self._count = Path(path), rows, 0
-        self._block = block = min(block, rows)
         self._file: IO[bytes] | None = None
-        self._layout = _Layout(0, block, {})
+        # For each block where each of its arrays begins, how many bytes it has, and its shape.
+        self._blocks: list[dict[str, tuple[int, int, tuple[int, ...]]]] = []
 
     def __enter__(self) -> Archive:
-        """Makes the file; raises OSError if it cannot be written."""
+        """Makes the file; raises FileError if it cannot be written."""
         with self._failures():
             self._file = open(self._path, "w+b")
         return self
@@ -102,7 +57,7 @@ class Archive:
     def __exit__(self, *_: object) -> None:
         """Removes the file."""
         if self._file is not None:
-            with contextlib.suppress(OSError):  # of a full disk; it has been said
+            with contextlib.suppress(OSError):  # of a full disk; the user knows already
                 self._file.close()
         self._path.unlink(missing_ok=True)
 
@@ -110,41 +65,55 @@ class Archive:
         """Number of rows so far."""
         return self._count
 
-    def add(self, rows: Trajectory) -> None:
+    def add(self, rows: Rows, layer: np.ndarray | None = None) -> None:
         """Appends rows; they are with the operating system afterwards.
 
+        Args:
+            rows: a block of them.
+            layer: half width of the boundary layer, shape (2N,) [m/s], [rad/s]; None if there is
+                none.
+
         Raises:
-            ValueError: if there are more than a block has, or the one before was not full.
-            OSError: if the file cannot be written, or there is no room for all that is expected.
+            FileError: if the file cannot be written, or there is no room for all that is expected.
         """
-        if self._count % self._block or len(rows) > self._block:
-            raise OctarmError(f"{len(rows)} rows follow {self._count}, in blocks of {self._block}")
+        arrays = dict(rows) if layer is None else {**rows, "layer": layer}
+        block = np.empty((), [(name, _NUMBER, np.shape(x)) for name, x in arrays.items()])
+        for name, array in arrays.items():
+            block[name] = array
         with self._failures():
             if not self._count:
-                self._begin(rows)
-            missing = self._block - len(rows)
-            for _, array in rows.arrays():
-                self._opened.write(np.ascontiguousarray(array, _NUMBER).data)
-                self._opened.write(np.full((missing, *array.shape[1:]), np.nan).data)
+                self._check_room(block.nbytes / len(rows["t"]))
+            npy.write_array(self._opened, block, version=(3, 0), allow_pickle=False)
             self._opened.flush()
-        self._count += len(rows)
+            place = self._opened.tell() - block.nbytes
+        self._blocks.append({})
+        for name, array in arrays.items():
+            size = array.size * _NUMBER.itemsize
+            self._blocks[-1][name] = place, size, array.shape
+            place += size
+        self._count += len(rows["t"])
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: str | os.PathLike[str], ending: Ending) -> None:
         """Writes the `.npz`, whole or not at all, the same bytes as `Trajectory.save` would.
 
         Raises:
-            OSError: if it cannot be written.
+            FileError: if it cannot be written.
         """
         with whole_file(path) as part, zipfile.ZipFile(part, "w") as file:
-            for name, shape in self._layout.shapes.items():
+            for name, (*_, shape) in self._blocks[0].items():
+                if name in Ending._fields:
+                    continue
                 with file.open(f"{name}.npy", "w", force_zip64=True) as member:
-                    header = {"descr": "<f8", "fortran_order": False, "shape": (len(self), *shape)}
-                    np.lib.format.write_array_header_1_0(member, header)
-                    for numbers in self._numbers(name):
-                        member.write(numbers)
-            for name in TEXTS:
+                    shape = (len(self), *shape[1:])
+                    header = {"descr": "<f8", "fortran_order": False, "shape": shape}
+                    npy.write_array_header_1_0(member, header)
+                    for places in self._blocks:
+                        place, size, _ = places[name]
+                        self._opened.seek(place)
+                        member.write(self._opened.read(size))
+            for name, array in ending.arrays().items():
                 with file.open(f"{name}.npy", "w", force_zip64=True) as member:
-                    np.lib.format.write_array(member, np.array(getattr(self.ending, name)))
+                    npy.write_array(member, array, allow_pickle=False)
 
     @property
     def _opened(self) -> IO[bytes]:
@@ -152,95 +121,75 @@ class Archive:
             raise OctarmError(f"{self._path} is not open")
         return self._file
 
-    def _begin(self, rows: Trajectory) -> None:
-        shapes = {name: array.shape[1:] for name, array in rows.arrays()}
-        head = json.dumps({"rows": self._block, "shapes": shapes}).encode() + b"\n"
-        self._opened.write(head)
-        self._layout = _Layout(len(head), self._block, shapes)
-        # Once as blocks and, before they are removed, once more as arrays.
-        needed = 2 * self._layout.block * (self._expected / self._block)
-        free = shutil.disk_usage(self._path.parent).free
+    def _check_room(self, row: float) -> None:
+        """Raises OSError unless all rows of so many bytes fit twice: as blocks, and as arrays."""
+        needed, free = 2 * row * self._expected, shutil.disk_usage(self._path.parent).free
         if needed > free:
             sizes = f"{1e-9 * needed:.3g} GB on disk, of which {1e-9 * free:.3g} GB are free"
             raise OSError(f"so many rows take {sizes}")
-
-    def _numbers(self, name: str) -> Iterator[bytes]:
-        """Those of an array, block by block."""
-        layout, left = self._layout, len(self)
-        for place in itertools.count(layout.start + layout.place(name), layout.block):
-            if left <= 0:
-                return
-            self._opened.seek(place)
-            yield self._opened.read(min(left, layout.rows) * layout.row(name))
-            left -= layout.rows
 
     @contextlib.contextmanager
     def _failures(self) -> Generator[None]:
         try:
             yield
         except OSError as error:
-            raise OSError(f"{self._path} cannot be written: {error.strerror or error}") from error
+            reason = error.strerror or error
+            raise FileError(f"{self._path} cannot be written: {reason}") from error
 
 
 def read_blocks(path: str | os.PathLike[str]) -> Trajectory:
     """What an `Archive` had added when its process was killed; the status is `interrupted`.
 
     Raises:
-        ValueError: if there is no whole block.
+        OctarmError: if there is no whole block.
     """
-    with open(path, "rb") as file:
-        head = file.readline()
-    try:
-        known = json.loads(head)
-        shapes = {name: tuple(shape) for name, shape in known["shapes"].items()}
-        layout = _Layout(len(head), int(known["rows"]), shapes)
-    except (KeyError, TypeError, ValueError):
-        raise OctarmError(f"{path} holds no rows") from None
-    count = (os.path.getsize(path) - layout.start) // layout.block
-    if count < 1:
+    blocks: list[dict[str, np.ndarray]] = []
+    with open(path, "rb") as file, contextlib.suppress(ValueError):  # at the end, or amid a block
+        while True:
+            block = npy.read_array(file, allow_pickle=False, max_header_size=_LONGEST_HEADER)
+            blocks.append({name: block[name] for name in block.dtype.names or ()})
+    if not blocks or "t" not in blocks[0]:
         raise OctarmError(f"{path} holds no rows")
-    fields = [(name, _NUMBER, (layout.rows, *shape)) for name, shape in shapes.items()]
-    blocks = np.memmap(path, np.dtype(fields), "r", layout.start, (count,))
-    rows = int(np.count_nonzero(np.isfinite(blocks["t"])))
-    arrays = {
-        name: np.asarray(blocks[name]).reshape(count * layout.rows, *shape)[:rows]
-        for name, shape in shapes.items()
-    }
-    end = f"killed after t = {arrays['t'][-1]:.6g} s"
-    texts = {"status": "interrupted", "message": end, "digest": ""}
-    return Trajectory.from_arrays(arrays, texts)
+    layers = [block.pop("layer", None) for block in blocks]
+    end = f"killed after t = {blocks[-1]['t'][-1]:.6g} s"
+    return joined(blocks, Ending(layers[0], "interrupted", end))
 
 
 def mapped(path: str | os.PathLike[str]) -> Trajectory:
     """What `Trajectory.save` or `Archive.save` wrote, read from disk as far as it is looked at.
 
     Raises:
-        ValueError: if the file is not a trajectory, or is damaged.
+        OctarmError: if the file is not a trajectory, or is damaged.
     """
     try:
-        with zipfile.ZipFile(path) as file:
-            if file.testzip() is not None or any(i.compress_type for i in file.infolist()):
+        with open(path, "rb") as file, zipfile.ZipFile(file) as content:
+            members = content.infolist()
+            if content.testzip() is not None or any(i.compress_type for i in members):
                 return Trajectory.load(path)  # says what is wrong, or unpacks it
-            places = {i.filename.removesuffix(".npy"): i.header_offset for i in file.infolist()}
-        arrays = {name: _mapped_array(path, place) for name, place in places.items()}
-    except (ValueError, struct.error, zipfile.BadZipFile) as error:
-        raise OctarmError(f"{path} is not a trajectory file ({error})") from None
-    texts = {name: str(arrays.pop(name)) for name in TEXTS if name in arrays}
-    try:
-        return Trajectory.from_arrays(arrays, texts)
-    except KeyError as error:
+            arrays: dict[str, np.ndarray] = {}
+            for member in members:
+                with content.open(member):  # after which the file stands where the array begins
+                    arrays[member.filename.removesuffix(".npy")] = _mapped_array(path, file)
+        return Trajectory.from_arrays(arrays)
+    except (KeyError, RuntimeError, ValueError, zipfile.BadZipFile) as error:
         raise OctarmError(f"{path} is not a trajectory file ({error})") from None
 
 
-def _mapped_array(path: str | os.PathLike[str], place: int) -> np.ndarray:
-    """The array of a zip member that is not compressed."""
-    with open(path, "rb") as file:
-        file.seek(place + _LOCAL_HEADER - 4)
-        file.seek(sum(struct.unpack("<HH", file.read(4))), os.SEEK_CUR)
-        if np.lib.format.read_magic(file) != (1, 0):
-            raise OctarmError("an array of another format")
-        shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
-        if not math.prod(shape):
-            return np.empty(shape, dtype)
-        order = "F" if fortran else "C"
-        return np.asarray(np.memmap(path, dtype, "r", file.tell(), shape, order))
+def _mapped_array(path: str | os.PathLike[str], file: IO[bytes]) -> np.ndarray:
+    """The array at the present place of a file, mapped if it holds the numbers of a run.
+
+    Any other one is read, which refuses Python objects: their mapped memory would be pointers.
+
+    Raises:
+        ValueError: if it is of another format or kind.
+    """
+    start = file.tell()
+    if npy.read_magic(file) == (1, 0):
+        shape, fortran, kind = npy.read_array_header_1_0(file)
+        if kind == _NUMBER and math.prod(shape):
+            order = "F" if fortran else "C"
+            return np.asarray(np.memmap(path, kind, "r", file.tell(), shape, order))
+    file.seek(start)
+    array: Any = npy.read_array(file, allow_pickle=False)
+    array.setflags(write=False)
+    return array

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
 import numpy as np
 
 from octarm.errors import OctarmError
+from octarm.interfaces import Instant
 
 CHECKPOINTS = 20  # instants of a run at which the number is kept
 
@@ -18,18 +20,32 @@ class StateDigest:
     """64 bits for each arm, into which the states of all control instants go.
 
     Any bit of any q or v counts, and so does their order. The number of an arm is the same alone
-    and in a batch.
+    and in a batch. It is an observer of `simulate`.
 
     Attributes:
         checkpoints: the number after the k-th of `CHECKPOINTS` equal parts of the run, each of
             shape (n,) of uint64; n is 1 for an arm alone.
     """
 
-    def __init__(self, periods: int) -> None:
-        """The digest of a run of so many control periods."""
+    def __init__(self, periods: int, intact: Callable[[], np.ndarray | bool] | None = None) -> None:
+        """The digest of a run.
+
+        Args:
+            periods: number of its control periods.
+            intact: gives the arms that have not diverged, shape (n,) of bool; all of them when not
+                given. The number of an arm that has diverged stays as it is.
+        """
         self.checkpoints: list[np.ndarray] = []
-        self._periods, self._count = periods, 0
+        self._periods, self._count, self._intact = periods, 0, intact
+        self._alive: np.ndarray | None = None
         self._value: np.ndarray | None = None
+
+    def __call__(self, instant: Instant) -> None:
+        """Takes up the true states of a control instant."""
+        self.update(instant.q, instant.v, self._alive)
+        if self._intact is not None:  # an arm that is lost in this period counts a last time
+            alive = np.atleast_1d(self._intact())
+            self._alive = None if alive.all() else alive
 
     def update(self, q: np.ndarray, v: np.ndarray, alive: np.ndarray | None = None) -> None:
         """Takes up the states at one instant.
@@ -57,7 +73,7 @@ class StateDigest:
         A run that ended early has its last number at the checkpoints that it did not reach.
 
         Raises:
-            ValueError: if there was no instant.
+            OctarmError: if there was no instant.
         """
         if self._value is None:
             raise OctarmError("there is no digest of a run without a control instant")

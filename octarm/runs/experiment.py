@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import re
 import shlex
-import signal
 import sys
-import threading
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from dm_control.rl import control
@@ -19,26 +16,40 @@ from dm_control.rl import control
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.ledger import Ledger, asked
-from octarm.disturbances.spelling import from_dict
+from octarm.disturbances.spelling import from_entry
 from octarm.errors import OctarmError, closest
-from octarm.interfaces import Controller
+from octarm.formats import Array, Document, Model
+from octarm.interfaces import Controller, ControllerFactory, Rows
+from octarm.interrupts import ignored_interrupts
+from octarm.metrics.table import Metrics, as_json
 from octarm.references import REFERENCES
 from octarm.runs import folder as runs
-from octarm.runs.archive import Archive, Ending, mapped
-from octarm.runs.interrupts import SIGNALS
+from octarm.runs.archive import Archive, mapped
 from octarm.runs.versions import host, versions
 from octarm.simulation.environment import TrackingTask, load, whole_periods
-from octarm.simulation.rollout import joined, stream
-from octarm.simulation.trajectory import Trajectory
+from octarm.simulation.rollout import ArmRecorder, copied
+from octarm.simulation.stepping import AnyPhysics
+from octarm.simulation.trajectory import Ending, Trajectory, joined
 
-if TYPE_CHECKING:
-    from octarm.recordings.recording import Recorder
+_AS_THEY_ARE = {"seed", "spawn_key", "duration", "timestep", "control_period", "actuation"}
 
-# Name, nominal model and gains to controller; `controllers.make_controller` is one.
-Factory = Callable[[str, ArmParameters, Mapping[str, Any]], Controller]
 
-_INPUTS = ("controller", "parameters", "nominal", "reference", "disturbances", "seed", "duration",
-           "timestep", "control_period", "actuation")  # fmt: skip
+class Recording(Protocol):
+    """A recording that is written while the run goes on; see `octarm.recordings.recording`."""
+
+    def add(self, rows: Rows, layer: np.ndarray | None) -> None:
+        """Takes further rows, and the half width of the boundary layer, shape (2N,)."""
+        ...
+
+    def finish(self, description: Mapping[str, Any]) -> None:
+        """Takes the complete description, with which the recording ends."""
+        ...
+
+
+# Opens the file of a recording, given the description that announces the run.
+OpenRecording = Callable[
+    [Path, Mapping[str, Any]], contextlib.AbstractContextManager[Recording, bool | None]
+]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,11 +84,11 @@ class Experiment:
     control_period: float | None = None
     actuation: str = "f-coeff"
 
-    def begin(self, factory: Factory) -> tuple[control.Environment, Controller]:
+    def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
         """The environment and the controller.
 
         Raises:
-            ValueError: if one of them cannot be made.
+            OctarmError: if one of them cannot be made.
         """
         seed = self.seed
         if self.spawn_key:
@@ -98,16 +109,19 @@ class Experiment:
     ) -> dict[str, Any]:
         """The content of `run.json` before the run, given what `begin` made."""
         task: TrackingTask = environment.task
+        physics: AnyPhysics = environment.physics
+        coordinates = zip(physics.coordinates.names, physics.coordinates.unit_of_each, strict=True)
         return {
             "controller": {"name": self.controller, "gains": runs.gains_of(controller)},
             "parameters": self.parameters.to_dict(),
+            "coordinates": [{"name": name, "unit": unit} for name, unit in coordinates],
             "nominal": self.nominal.to_dict(),
             "reference": {"name": self.reference, **runs.describe_fields(task.reference)},
             "disturbances": asked(task.disturbances),
             "seed": self.seed,
             "spawn_key": list(self.spawn_key),
             "duration": self.duration,
-            "timestep": environment.physics.timestep(),
+            "timestep": physics.timestep(),
             "control_period": environment.control_timestep(),
             "actuation": self.actuation,
             "metrics": {},
@@ -124,46 +138,58 @@ class Experiment:
         """What was run, from the content of `run.json`; its factory is to be given all the gains.
 
         Raises:
-            ValueError: if something is missing or not allowed, or the reference is a custom one.
+            OctarmError: if something is missing or not allowed, or the reference is a custom one.
         """
-        missing = [key for key in _INPUTS if key not in description]
-        if missing:
-            raise OctarmError(f"{runs.DESCRIPTION} lacks {', '.join(missing)}: no run to repeat")
-        try:
-            return cls._of(description)
-        except (AttributeError, IndexError, KeyError, TypeError) as error:
-            raise OctarmError(
-                f"{runs.DESCRIPTION} does not say what was run: {type(error).__name__}, {error}"
-            ) from None
-
-    @classmethod
-    def _of(cls, description: Mapping[str, Any]) -> Experiment:
-        reference = description["reference"]["name"]
+        inputs = Document(runs.DESCRIPTION, description).read(_Inputs)
+        reference = inputs.reference.name
         if reference not in REFERENCES:
             raise OctarmError(
                 f"the run followed a custom reference, {reference!r}, which its folder does not "
-                f"hold{closest(str(reference), REFERENCES)}"
+                f"hold{closest(reference, REFERENCES)}"
             )
-        disturbances = [
-            # noise-2 is the second noise
-            from_dict({"name": re.sub(r"-\d+$", "", entry["name"]), **entry["asked"]})
-            for entry in description["disturbances"]
-        ]
-        gains = description["controller"]["gains"]
+        numbers = inputs.model_dump(include=_AS_THEY_ARE)
+        gains = inputs.controller.gains
         return cls(
-            controller=description["controller"]["name"],
+            controller=inputs.controller.name,
             gains={name.rstrip("_"): value for name, value in gains.items()},
-            nominal=ArmParameters.from_dict(description["nominal"]),
-            parameters=ArmParameters.from_dict(description["parameters"]),
+            nominal=ArmParameters.from_dict(inputs.nominal),
+            parameters=ArmParameters.from_dict(inputs.parameters),
             reference=reference,
-            disturbances=tuple(disturbances),
-            seed=description["seed"],
-            spawn_key=tuple(description.get("spawn_key", ())),
-            duration=float(description["duration"]),
-            timestep=float(description["timestep"]),
-            control_period=float(description["control_period"]),
-            actuation=description["actuation"],
+            disturbances=tuple(from_entry(entry.model_dump()) for entry in inputs.disturbances),
+            **numbers,
         )
+
+
+class _Table(Model, extra="ignore"):
+    """A table of `run.json` of which more is there than is read."""
+
+
+class _Named(_Table):
+    name: str
+
+
+class _Controller(_Named):
+    gains: dict[str, Any]
+
+
+class _Disturbance(_Named):
+    asked: dict[str, Any]
+
+
+class _Inputs(_Table):
+    """What says what was run; see `Experiment`."""
+
+    controller: _Controller
+    parameters: dict[str, Any]
+    nominal: dict[str, Any]
+    reference: _Named
+    disturbances: Array[_Disturbance]
+    seed: int
+    spawn_key: Array[int] = ()
+    duration: float
+    timestep: float
+    control_period: float
+    actuation: str
 
 
 def perform(
@@ -184,41 +210,11 @@ def perform(
     Returns:
         The trajectory, and the content of `run.json`: also what came of the run.
     """
-    blocks: list[Trajectory] = []
-    ending, description = _perform(environment, controller, announced, blocks.append, progress)
-    return joined(blocks, ending), description
-
-
-def _perform(
-    environment: control.Environment,
-    controller: Controller,
-    announced: Mapping[str, Any],
-    keep: Callable[[Trajectory], object],
-    progress: Callable[[], object] | None,
-) -> tuple[Ending, dict[str, Any]]:
-    """Runs an experiment of any length, whose rows are handed to `keep`."""
-    task, physics = environment.task, environment.physics
-    ledger = Ledger(task.disturbances, physics) if task.disturbances else None
-    if ledger is not None:
-        physics.watch = ledger.step
-    measured = runs.Measured(
-        control_period=environment.control_timestep(),
-        input_limit=physics.input_limit(),
-        phi=getattr(controller, "phi", None),
+    blocks: list[Rows] = []
+    ending, description = _perform(
+        environment, controller, announced, lambda rows, _: blocks.append(copied(rows)), progress
     )
-
-    def take_up(rows: Trajectory) -> None:
-        keep(rows)
-        measured.add(rows)
-
-    duration = announced["duration"]
-    ending = stream(environment, controller, duration, keep=take_up, progress=progress)
-    return ending, {
-        **announced,
-        "disturbances": ledger.rows() if ledger is not None else [],
-        "metrics": measured.numbers(diverged=ending.status == "diverged"),
-        **ending._asdict(),
-    }
+    return joined(blocks, ending), description
 
 
 def run_into(
@@ -227,8 +223,9 @@ def run_into(
     controller: Controller,
     announced: Mapping[str, Any],
     *,
+    recording: OpenRecording,
     progress: Callable[[], object] | None = None,
-    keep: Callable[[Trajectory], object] | None = None,
+    keep: Callable[[Rows], object] | None = None,
     partial: bool = True,
 ) -> tuple[Trajectory, dict[str, Any]]:
     """Runs an experiment of any length into a run folder: recording, arrays and description.
@@ -238,6 +235,7 @@ def run_into(
         environment: from `Experiment.begin`.
         controller: likewise.
         announced: from `Experiment.announcement`.
+        recording: opens the recording.
         progress: called after every control period.
         keep: called with every block of rows, when it is on disk.
         partial: whether a run that is interrupted is kept up to there, with the status
@@ -248,50 +246,65 @@ def run_into(
         `run.json`.
 
     Raises:
-        ValueError: if the place is taken by something else.
-        OSError: if it cannot be written.
-        RuntimeError: if the run cannot be recorded.
+        OctarmError: if the place is taken by something else.
+        FileError: if it cannot be written.
         KeyboardInterrupt: if interrupted, and nothing was kept.
     """
-    rows = whole_periods(announced["duration"], environment.control_timestep())
-    with contextlib.ExitStack() as peace, runs.new_folder(out) as folder:
-        runs.announce(folder, announced)
-        with Archive(folder / runs.BLOCKS, rows=rows) as archive:
-            with _recorder(folder / runs.RECORDING, announced) as recorder:
+    expected = whole_periods(announced["duration"], environment.control_timestep())
+    with contextlib.ExitStack() as closing, runs.new_folder(out) as folder:
+        runs.write_description(folder, announced)  # it stays if the process is killed
+        with Archive(folder / runs.BLOCKS, rows=expected) as archive:
+            with recording(folder / runs.RECORDING, announced) as recorder:
 
-                def take_up(block: Trajectory) -> None:
-                    archive.add(block)
-                    recorder.add(block)
+                def take_up(rows: Rows, layer: np.ndarray | None) -> None:
+                    archive.add(rows, layer)
+                    recorder.add(rows, layer)
                     if keep is not None:
-                        keep(block)
+                        keep(rows)
 
-                archive.ending, description = _perform(
+                ending, description = _perform(
                     environment, controller, announced, take_up, progress
                 )
-                interrupted = archive.ending.status == "interrupted"
+                interrupted = ending.status == "interrupted"
                 if interrupted and (not partial or folder != out.resolve()):
                     raise KeyboardInterrupt  # the earlier run stays
-                peace.enter_context(_without_interrupts())
+                closing.enter_context(ignored_interrupts())
                 recorder.finish(description)
-            runs.write_run(folder, archive, description)
+            archive.save(folder / runs.ARRAYS, ending)
+        runs.write_description(folder, description)
     return mapped(out / runs.ARRAYS), description
 
 
-def _recorder(path: Path, announced: Mapping[str, Any]) -> Recorder:
-    from octarm.recordings.recording import Recorder  # imports rerun, which takes half a second
+def _perform(
+    environment: control.Environment,
+    controller: Controller,
+    announced: Mapping[str, Any],
+    keep: Callable[[Rows, np.ndarray | None], object],
+    progress: Callable[[], object] | None,
+) -> tuple[Ending, dict[str, Any]]:
+    """Runs an experiment of any length, whose rows and boundary layer are handed to `keep`."""
+    disturbances, physics = environment.task.disturbances, environment.physics
+    ledger = Ledger(disturbances, physics) if disturbances else None
+    if ledger is not None:
+        physics.watch = ledger.step
+    measured: list[Metrics] = []
 
-    return Recorder(path, announced)
+    def take_up(rows: Rows) -> None:
+        keep(rows, recorder.layer)
+        if not measured:
+            period, limit = environment.control_timestep(), physics.input_limit()
+            layer = recorder.layer
+            measured.append(Metrics(control_period=period, input_limit=limit, layer=layer))
+        measured[0].update(rows)
 
-
-@contextlib.contextmanager
-def _without_interrupts() -> Generator[None]:
-    """A run that is over is closed although the user may press Ctrl-C, perhaps again."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # signals do not come here
-        return
-    before = {n: signal.signal(n, signal.SIG_IGN) for n in SIGNALS}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    recorder = ArmRecorder(environment, take_up)
+    ending = recorder.run(controller, announced["duration"], progress)
+    metrics = measured[0].result(diverged=ending.status == "diverged")
+    return ending, {
+        **announced,
+        "disturbances": ledger.rows() if ledger is not None else [],
+        "metrics": as_json(metrics),
+        "status": ending.status,
+        "message": ending.message,
+        "digest": ending.digest,
+    }

@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
-import platform
 import shutil
 import tempfile
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
+from octarm import formats
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import plain
-from octarm.errors import OctarmError
+from octarm.errors import FileError, OctarmError
 from octarm.files import write_text
 from octarm.interfaces import Controller
-from octarm.metrics.table import Block, Metrics
-from octarm.runs.archive import Archive, mapped, read_blocks
+from octarm.runs.archive import mapped, read_blocks
 from octarm.simulation.trajectory import Trajectory
 
 RECORDING = "run.rrd"
@@ -31,72 +27,10 @@ ARRAYS = "run.npz"
 DESCRIPTION = "run.json"
 PARTIAL = RECORDING + ".part"  # what a killed run leaves of its recording
 BLOCKS = ARRAYS + ".blocks"  # and of its arrays
-RUNNING = "running"
+RUNNING = "running"  # status of a run that is still going on, or was killed
 
-_PACKAGES = ("octarm", "mujoco", "dm-control", "numpy", "rerun-sdk")
-
-
-class Measured:
-    """The metrics of a run, block by block: `add` rows in their order, then `numbers`."""
-
-    def __init__(
-        self,
-        *,
-        control_period: float,
-        input_limit: npt.ArrayLike = np.inf,
-        phi: npt.ArrayLike | None = None,
-    ) -> None:
-        """See `octarm.metrics.Metrics` for what these are."""
-        self._metrics = Metrics(control_period=control_period, input_limit=input_limit, phi=phi)
-
-    def add(self, rows: Trajectory) -> None:
-        """Takes up further rows."""
-        block = Block(rows.t, rows.q, rows.q_d, rows.tau, rows.force, rows.signals)
-        self._metrics.update(block)
-
-    def numbers(self, *, diverged: bool = False) -> dict[str, list[float | None] | float | None]:
-        """The metrics by name, a list in the order of q (of tau, for inputs) or one number.
-
-        None stands for what there is no number for; of a diverged run there is none at all.
-        """
-        results = self._metrics.result(diverged=diverged)
-        return {name: _numbers(values) for name, values in results.items()}
-
-
-def measure(
-    trajectory: Trajectory,
-    *,
-    control_period: float | None = None,
-    input_limit: npt.ArrayLike = np.inf,
-    phi: npt.ArrayLike | None = None,
-) -> dict[str, list[float | None] | float | None]:
-    """The metrics of a whole run, as `Measured.numbers` has them.
-
-    Args:
-        trajectory: the run.
-        control_period: see `octarm.metrics.Metrics` [s]; the step of the trajectory's t when not
-            given, of which a single row has none.
-        input_limit: see there, broadcasts to (2N,) [N].
-        phi: see there, broadcasts to (2N,) [m/s], [rad/s].
-    """
-    t, known = trajectory.t, control_period is not None or len(trajectory) > 1
-    if control_period is None:
-        control_period = float(t[1] - t[0]) if known else 1.0
-    measured = Measured(control_period=control_period, input_limit=input_limit, phi=phi)
-    measured.add(trajectory)
-    return measured.numbers(diverged=trajectory.status == "diverged" or not known)
-
-
-def _numbers(values: np.ndarray) -> Any:
-    """A number or a list, with None for NaN."""
-    out = values.astype(object)
-    out[~np.isfinite(values)] = None
-    return out.tolist()
-
-
-def describe_fields(thing: Any) -> dict[str, Any]:
-    """The fields of a frozen dataclass, ready for JSON; parameters and arrays become lists."""
-    return {f.name: _plain(getattr(thing, f.name)) for f in dataclasses.fields(thing)}
+_WHOLE = (RECORDING, ARRAYS, DESCRIPTION)
+_FILES = {BLOCKS, *_WHOLE, *(f"{name}.part" for name in _WHOLE)}
 
 
 def gains_of(controller: Controller) -> dict[str, Any]:
@@ -105,52 +39,55 @@ def gains_of(controller: Controller) -> dict[str, Any]:
     return {name: value for name, value in fields.items() if name != "nominal"}
 
 
-def versions() -> dict[str, str]:
-    """What a run depends on for being repeated bit for bit."""
-    return {
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        **{name: version(name) for name in _PACKAGES},
-    }
+def describe_fields(thing: Any) -> dict[str, Any]:
+    """The fields of a frozen dataclass, ready for JSON; parameters and arrays become lists."""
+    return {f.name: _plain(getattr(thing, f.name)) for f in dataclasses.fields(thing)}
 
 
-def announce(folder: Path, description: Mapping[str, Any]) -> None:
-    """Writes `run.json` before the run, with the status `running`.
+def _plain(value: Any) -> Any:
+    if isinstance(value, ArmParameters):
+        return value.to_dict()
+    if isinstance(value, tuple):
+        return [_plain(item) for item in cast(tuple[Any, ...], value)]
+    return describe_fields(value) if dataclasses.is_dataclass(value) else plain(value)
 
-    That status stays if the process is killed; the run is then partial.
-    """
-    write_text(folder / DESCRIPTION, _json({**description, "status": RUNNING}) + "\n")
 
-
-def write_run(folder: Path, rows: Trajectory | Archive, description: Mapping[str, Any]) -> None:
+def write_run(folder: Path, rows: Trajectory, description: Mapping[str, Any]) -> None:
     """Writes `run.npz`, then `run.json`, with which the run is complete, into a folder."""
     rows.save(folder / ARRAYS)
-    write_text(folder / DESCRIPTION, _json(description) + "\n")
+    write_description(folder, description)
+
+
+def write_description(folder: Path, description: Mapping[str, Any]) -> None:
+    """Writes `run.json`, the version of its format included.
+
+    Raises:
+        FileError: if it cannot be written.
+    """
+    write_text(folder / DESCRIPTION, formats.to_json({"format": formats.FORMAT, **description}))
 
 
 def read_description(folder: Path) -> dict[str, Any]:
     """What was run, from `run.json`.
 
     Raises:
-        ValueError: if the folder holds no run.
+        OctarmError: if the folder holds no run, or one of another format.
     """
     path = folder / DESCRIPTION
-    try:
-        description: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError):
-        raise OctarmError(f"{folder} is not a run folder: it has no {DESCRIPTION}") from None
-    except ValueError as error:
-        raise OctarmError(f"{path} is not readable ({error})") from None
-    if not isinstance(description, dict) or "controller" not in description:
+    if not path.is_file():
+        raise OctarmError(f"{folder} is not a run folder: it has no {DESCRIPTION}")
+    document = formats.read_json(path)
+    if "controller" not in document.content:
         raise OctarmError(f"{path} does not describe a run: it has no controller")
-    return cast(dict[str, Any], description)
+    formats.check_format(document)
+    return dict(document.content)
 
 
 def read_run(folder: str | Path) -> tuple[Trajectory, dict[str, Any]]:
     """The trajectory of a run folder, in memory, and what `run.json` says of the run.
 
     Raises:
-        ValueError: if the folder holds no run.
+        OctarmError: if the folder holds no run.
     """
     folder = Path(folder)
     description = read_description(folder)
@@ -161,7 +98,7 @@ def map_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
     """The same, read from disk as far as it is looked at; what there is of a run that was killed.
 
     Raises:
-        ValueError: if the folder holds no run, or no rows of it.
+        OctarmError: if the folder holds no run, or no rows of it.
     """
     description = read_description(folder)
     arrays, blocks = folder / ARRAYS, folder / BLOCKS
@@ -185,31 +122,50 @@ def new_folder(folder: Path) -> Generator[Path]:
     has another name. Anything else that stands there is left alone.
 
     Raises:
-        ValueError: if the name is taken by something that is not a run.
-        OSError: if the place cannot be written; it names the folder.
+        OctarmError: if the name is taken by something that is not a run.
+        FileError: if the place cannot be written; it names the folder.
         KeyboardInterrupt: if interrupted; it says that nothing was written.
     """
     folder = folder.resolve()
     if folder.exists() and not (folder.is_dir() and _is_run_or_empty(folder)):
         raise OctarmError(f"{folder} exists and is not an earlier run; choose another --out")
-    if not folder.exists():
-        with _fresh(folder):
-            yield folder
-        return
+    try:
+        with _replacing(folder) if folder.exists() else _fresh(folder) as place:
+            yield place
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("nothing was written") from None
+
+
+@contextmanager
+def _fresh(folder: Path) -> Generator[Path]:
+    """Makes a folder and removes it, and the parents it needed, unless the block ends well."""
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise FileError(f"{folder} cannot be written: {error.strerror}") from None
+    try:
+        yield folder
+    except BaseException:
+        shutil.rmtree(made[-1], ignore_errors=True)
+        raise
+
+
+@contextmanager
+def _replacing(folder: Path) -> Generator[Path]:
+    """A folder that takes the place of another one when the block ends well."""
     try:
         part = Path(tempfile.mkdtemp(prefix=f".{folder.name}.part-", dir=folder.parent))
     except OSError as error:
-        raise OSError(f"{folder} cannot be written: {error.strerror}") from None
+        raise FileError(f"{folder} cannot be written: {error.strerror}") from None
     earlier = part.with_name(part.name + ".old")
     try:
-        part.chmod(0o777 & ~_umask())
+        shutil.copymode(folder, part)
         yield part
         os.replace(folder, earlier)
         os.replace(part, folder)
-    except (OSError, RuntimeError) as error:
+    except (OSError, OctarmError, RuntimeError) as error:
         raise type(error)(str(error).replace(str(part), str(folder))) from error
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt("nothing was written") from None
     finally:
         if earlier.exists() and not folder.exists():
             os.replace(earlier, folder)
@@ -217,51 +173,6 @@ def new_folder(folder: Path) -> Generator[Path]:
             shutil.rmtree(leftover, ignore_errors=True)
 
 
-@contextmanager
-def _fresh(folder: Path) -> Generator[None]:
-    """Makes a folder and removes it, and the parents it needed, unless the block ends well."""
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise OSError(f"{folder} cannot be written: {error.strerror}") from None
-    done = False
-    try:
-        yield
-        done = True
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt("nothing was written") from None
-    finally:
-        if not done:
-            shutil.rmtree(made[-1], ignore_errors=True)
-
-
 def _is_run_or_empty(folder: Path) -> bool:
-    found = {path.name for path in folder.iterdir()}
-    whole = (RECORDING, ARRAYS, DESCRIPTION)
-    own = {BLOCKS, *whole, *(f"{name}.part" for name in whole)}
-    return not found or (DESCRIPTION in found and found <= own)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, ArmParameters):
-        return value.to_dict()
-    if isinstance(value, tuple):
-        return [_plain(item) for item in cast(tuple[Any, ...], value)]
-    return describe_fields(value) if dataclasses.is_dataclass(value) else plain(value)
-
-
-def _json(value: Any, indent: str = "") -> str:
-    """JSON with a line for each key, and each list on one line."""
-    if not isinstance(value, dict):
-        return json.dumps(value, allow_nan=False)
-    inner = indent + "  "
-    table = cast(dict[str, Any], value)
-    rows = [f"{inner}{json.dumps(key)}: {_json(item, inner)}" for key, item in table.items()]
-    return "{\n" + ",\n".join(rows) + f"\n{indent}}}"
+    names = {path.name for path in folder.iterdir()}
+    return not names or (DESCRIPTION in names and names <= _FILES)

@@ -9,12 +9,16 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from octarm.runs import folder as runs
+_PACKAGES = ("octarm", "mujoco", "dm-control", "numpy", "rerun-sdk", "scipy", "pyarrow")
 
 
 def versions() -> dict[str, str]:
-    """Of all that the rows of a sweep depend on for being repeated bit for bit."""
-    return runs.versions() | {name: version(name) for name in ("scipy", "pyarrow")}
+    """Of all that a run or a sweep depends on for being repeated bit for bit."""
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        **{name: version(name) for name in _PACKAGES},
+    }
 
 
 def host() -> dict[str, Any]:
@@ -37,11 +41,11 @@ def _cpu() -> str:
 
 
 def _kernels() -> str:
-    """The instruction sets that NumPy's loops were chosen for: last bits depend on them."""
+    """The instruction sets that NumPy selected for its loops: last bits depend on them."""
     try:
         from numpy.lib.introspect import opt_func_info
     except ImportError:  # before NumPy 2.1
         return ""
-    found = opt_func_info(func_name="^(cos|exp|sin|tanh)$", signature="float64")
-    names = {own["current"] for loops in found.values() for own in loops.values()}
+    functions = opt_func_info(func_name="^(cos|exp|sin|tanh)$", signature="float64")
+    names = {loop["current"] for loops in functions.values() for loop in loops.values()}
     return " ".join(sorted(names))

@@ -13,22 +13,21 @@ from dm_control.rl import control
 from dm_env import specs
 
 from octarm.arm.actuation import ACTUATIONS
-from octarm.arm.mjcf import build_model, nominal_parameters
+from octarm.arm.kinematics import tip_position
+from octarm.arm.mjcf import build_model, build_slim_model, nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import split
+from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Disturbance, Episode
-from octarm.disturbances.spelling import Acting
 from octarm.errors import OctarmError, closest
 from octarm.interfaces import Motion, Reference
 from octarm.references import named_reference
-from octarm.simulation.batch import BatchPhysics, tip_position
+from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.physics import ArmPhysics
+from octarm.simulation.stepping import AnyPhysics
 
-AnyPhysics = ArmPhysics | BatchPhysics
-
-# A tracking error of this size earns a tenth of the reward.
-_SLIDE_MARGIN = 0.01  # [m]
-_BEND_MARGIN = 0.1  # [rad]
+# A tracking error of this size, by its unit, earns a tenth of the reward.
+_MARGINS = {"m": 0.01, "rad": 0.1}
 
 
 def load(
@@ -74,7 +73,7 @@ def load(
         tip_position, shape (3,), in the world frame, where the arm seems to have it.
 
     Raises:
-        ValueError: for an unknown name, a period that is not a whole multiple of the step, or an
+        OctarmError: for an unknown name, a period that is not a whole multiple of the step, or an
             arm that does not hang within its limits.
     """
     if actuation not in ACTUATIONS:
@@ -85,19 +84,20 @@ def load(
             f"parameters have batch axes {true.batch_shape}; the environment has "
             f"{'one arm' if batch is None else f'{batch} arms'}"
         )
-    model = build_model(true.arm(0) if true.batch_shape else true, timestep)
-    acts = ACTUATIONS[actuation](true.width)
     seeds = _seeds(seed, batch)
+    forces = ACTUATIONS[actuation](true.width)
     if batch is None:
-        physics = ArmPhysics.from_arm_model(model, acts)
+        physics = ArmPhysics.from_arm_model(build_model(true, timestep), forces)
     else:
-        physics = BatchPhysics(model, batch, acts, parameters=true, threads=threads)
-    rest = physics.hanging()
-    _check_rest(physics, rest)
+        model = build_slim_model(true.arm(0) if true.batch_shape else true, timestep)
+        physics = BatchPhysics(model, batch, forces, parameters=true, threads=threads)
+    _check_rest(physics)
     step = physics.timestep()
     steps_a_period = 1 if control_period is None else _whole_steps(control_period, step)
-    own_rest = rest if true.batch_shape else rest.reshape(-1, rest.shape[-1])[0]
-    motion = named_reference(reference, own_rest) if isinstance(reference, str) else reference
+    motion = reference
+    if isinstance(motion, str):  # one for all arms that hang alike
+        rest = physics.hanging()
+        motion = named_reference(motion, rest if true.batch_shape else rest[*[0] * (rest.ndim - 1)])
     limit = None if duration is None else whole_periods(duration, steps_a_period * step)
     episode = Episode(
         parameters=true,
@@ -106,7 +106,13 @@ def load(
         seeds=seeds,
         batch_shape=physics.batch_shape,
     )
-    task = TrackingTask(episode, disturbances, period=steps_a_period * step, episode_periods=limit)
+    task = TrackingTask(
+        episode,
+        disturbances,
+        margin=[_MARGINS[unit] for unit in physics.coordinates.unit_of_each],
+        period=steps_a_period * step,
+        episode_periods=limit,
+    )
     return control.Environment(physics, task, n_sub_steps=steps_a_period)
 
 
@@ -130,9 +136,9 @@ def _seeds(
     ]
 
 
-def _check_rest(physics: AnyPhysics, rest: np.ndarray) -> None:
-    """Raises ValueError for an arm that does not hang within its limits."""
-    rows = rest.reshape(-1, rest.shape[-1])
+def _check_rest(physics: AnyPhysics) -> None:
+    """Raises OctarmError for an arm that does not hang within its limits."""
+    rows = np.atleast_2d(physics.hanging())
     for i in np.flatnonzero(~physics.limits.holding(rows, np.zeros_like(rows))):
         broken = physics.limits.violation(rows[i], np.zeros_like(rows[i]))
         raise OctarmError(f"this arm cannot hang in one piece: at rest {broken}")
@@ -142,7 +148,7 @@ def whole_periods(duration: float, period: float) -> int:
     """Number of control periods [1] that cover a duration [s]; at least one.
 
     Raises:
-        ValueError: unless the duration is positive and at most 1e9 periods.
+        OctarmError: unless the duration is positive and at most 1e9 periods.
     """
     if not duration > 0.0:
         raise OctarmError(f"duration is {duration:g} s; it must be positive")
@@ -168,16 +174,20 @@ class TrackingTask(control.Task):
         episode: Episode,
         disturbances: Sequence[Disturbance] = (),
         *,
+        margin: Sequence[float],
         period: float,
         episode_periods: int | None = None,
     ) -> None:
-        """A task for an episode of whole control periods [s]."""
+        """A task for an episode of whole control periods [s].
+
+        The margin is the error of each coordinate [m], [rad] that earns a tenth of the reward.
+        """
         self.reference = episode.reference
         self.disturbances = tuple(disturbances)
         self.random = episode.streams("wrappers")[0]
         self._episode = episode
-        Acting(self.disturbances, episode)  # raises when one does not suit the arm
-        self._margin = np.repeat([_SLIDE_MARGIN, _BEND_MARGIN], episode.parameters.modules)
+        ActiveDisturbances(self.disturbances, episode)  # raises when one does not suit the arm
+        self._margin = np.array(margin)
         self._period = period
         self._episode_periods = episode_periods
         self._periods = 0
@@ -194,7 +204,7 @@ class TrackingTask(control.Task):
         self.random = self._episode.streams("wrappers")[0]
         rest = physics.hanging()
         physics.set_motion(rest, np.zeros_like(rest))
-        physics.begin(Acting(self.disturbances, self._episode))
+        physics.begin(ActiveDisturbances(self.disturbances, self._episode))
 
     def before_step(self, action: np.ndarray, physics: AnyPhysics) -> None:
         """Holds the action, tau, shape (2N,) [N]."""
@@ -242,7 +252,7 @@ class TrackingTask(control.Task):
 
     def get_termination(self, physics: AnyPhysics) -> float | None:
         """Discount 0 when every arm has left its limits, 1 when the time is up, else None."""
-        if not np.any(physics.intact()):
+        if physics.all_lost():
             return 0.0
         return 1.0 if self._periods == self._episode_periods else None
 

@@ -8,6 +8,8 @@ import numpy as np
 
 from octarm.errors import OctarmError
 from octarm.interfaces import Instant, Rows
+from octarm.interrupts import held_interrupts
+from octarm.simulation.trajectory import Ending
 
 # Of a coordinate array. A few instants at a time are faster than one by one: the physics between
 # two of them leaves the processor's caches cold.
@@ -18,10 +20,13 @@ class Recorder:
     """Copies fields of every `stride`-th instant, and hands each full block of rows on.
 
     The rows of one block of a batch are contiguous along the arms. Their memory is used again for
-    the next block, so whoever keeps rows copies them.
+    the next block, so whoever keeps rows copies them. An interrupt waits until a block has been
+    handed on.
 
     Attributes:
         count: number of rows so far, those included that were handed on.
+        layer: half width of the boundary layer that the first command says, shape (..., 2N) [m/s],
+            [rad/s]; None if it says none. It is known before the first block.
     """
 
     def __init__(
@@ -44,6 +49,7 @@ class Recorder:
         self._hand_on, self._rows, self._fields, self._stride = hand_on, rows, fields, stride
         self._columns: dict[str, np.ndarray] = {}
         self._instants = self._used = self.count = 0
+        self.layer: np.ndarray | None = None
 
     def __call__(self, instant: Instant) -> None:
         """Takes a control instant; a row that is interrupted does not count."""
@@ -55,6 +61,8 @@ class Recorder:
         if not self._columns:
             size = self._rows or max(1, NUMBERS_A_BLOCK // instant.q.size)
             self._columns = {name: _stacked(np.asarray(x), size) for name, x in row.items()}
+            layer = instant.command.layer
+            self.layer = None if layer is None else np.broadcast_to(layer, instant.q.shape)
         for name, column in self._columns.items():
             column[self._used] = row[name]
         self._used, self.count = self._used + 1, self.count + 1
@@ -63,7 +71,9 @@ class Recorder:
 
     def flush(self) -> None:
         """Hands on the rows that have not been handed on yet, if there are any."""
-        if self._used:
+        if not self._used:
+            return
+        with held_interrupts():
             rows = {name: column[: self._used] for name, column in self._columns.items()}
             self._used = 0
             self._hand_on(rows)
@@ -87,11 +97,20 @@ class Recorder:
             "disturbance": instant.disturbance,
         }
         for name, signal in instant.command.signals.items():
-            if name in row:
-                raise OctarmError(f"a signal cannot be called {name!r}: the record has that field")
-            row[name] = signal
+            self.add_field(row, name, signal)
         fields = self._fields
         return row if fields is None else {k: x for k, x in row.items() if k in fields}
+
+    @staticmethod
+    def add_field(row: dict[str, np.ndarray], name: str, value: np.ndarray) -> None:
+        """Adds a field, shape (...), to a row.
+
+        Raises:
+            OctarmError: if the record has one of this name.
+        """
+        if name in row or name in Ending._fields:
+            raise OctarmError(f"a signal cannot be called {name!r}: the record has that field")
+        row[name] = value
 
 
 def _stacked(row: np.ndarray, count: int) -> np.ndarray:

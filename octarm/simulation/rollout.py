@@ -1,37 +1,37 @@
 """The only simulation loop: a controller against the arm.
 
-`simulate` serves one arm and a batch, and keeps nothing; `stream` hands on the rows of one arm
-block by block, however long the run is; `rollout` returns them as a trajectory.
+`simulate` serves one arm and a batch, and keeps nothing: what happens is handed to observers.
+`ArmRecorder` is the one that records an arm; `rollout` returns such a record as a trajectory.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 from dm_control.rl import control
 
-from octarm.arm.mjcf import coordinate_names
 from octarm.errors import OctarmError
-from octarm.interfaces import Controller, Instant, Measurement, Reference
-from octarm.runs.archive import BLOCK, Ending
-from octarm.runs.interrupts import held_interrupts
-from octarm.simulation.batch import BatchPhysics
-from octarm.simulation.environment import AnyPhysics, TrackingTask, whole_periods
+from octarm.interfaces import Controller, Instant, Measurement, Reference, Rows
+from octarm.simulation.environment import TrackingTask, whole_periods
 from octarm.simulation.physics import ArmPhysics
-from octarm.simulation.trajectory import Trajectory
+from octarm.simulation.recorder import Recorder
+from octarm.simulation.stepping import AnyPhysics
+from octarm.simulation.trajectory import BLOCK, Ending, Trajectory, joined
 
 _LARGEST_FORCE = 1e8  # [N], [N m]; MuJoCo would drop much larger ones
+_STATE = "integration state"
+
+Observer = Callable[[Instant], object]
 
 
 def simulate(
     environment: control.Environment,
     controller: Controller,
     duration: float,
-    observe: Callable[[Instant], object],
+    *observers: Observer,
 ) -> str:
     """The simulation loop: one episode from the start, for one arm or a batch.
 
@@ -42,14 +42,14 @@ def simulate(
         environment: what `octarm.load` returns, possibly wrapped.
         controller: see `octarm.interfaces`.
         duration: length of the run [s], rounded up to whole control periods.
-        observe: called after every control period.
+        *observers: called in this order after every control period.
 
     Returns:
-        How a single arm diverged, as a sentence; empty when it did not. The arms of a batch are
-        told apart by `BatchPhysics.intact`.
+        How a single arm diverged, as a sentence; empty when it did not. For the arms of a batch see
+        `AnyPhysics.intact` and `AnyPhysics.diverged_at`.
 
     Raises:
-        ValueError: if the duration is not positive, or the controller's force has a wrong shape.
+        OctarmError: if the duration is not positive, or the controller's force has a wrong shape.
     """
     physics: AnyPhysics = environment.physics
     task: TrackingTask = environment.task
@@ -65,15 +65,19 @@ def simulate(
             command, state = controller(state, measurement, reference)
             message = _refusal(physics, command.force, measurement)
             tau = physics.actuation.inputs(measurement.q, command.force)
-        q, v, disturbance = physics.q(), physics.v(), np.zeros_like(measurement.q)
-        if not message:
+        q, v = physics.q(), physics.v()
+        if message:
+            disturbance = np.zeros_like(q)
+        else:
             try:
                 timestep = environment.step(tau)
             except control.PhysicsError as error:
-                message = physics.divergence() or _stop(physics, error)
+                message = physics.divergence() or f"diverged at t = {physics.time():.6g} s: {error}"
             tau = physics.tau()  # what a wrapper made of it
             disturbance = physics.disturbance()
-        observe(Instant(measurement, reference, command, q, v, tau, disturbance))
+        instant = Instant(measurement, reference, command, q, v, tau, disturbance)
+        for observe in observers:
+            observe(instant)
         if message or timestep.last():
             break
     return message or physics.divergence()
@@ -99,81 +103,95 @@ def rollout(
         finite. Such a run ends there.
 
     Raises:
-        ValueError: if the duration is not positive, the controller's force has a wrong shape, or
+        OctarmError: if the duration is not positive, the controller's force has a wrong shape, or
             the environment holds a batch of arms.
     """
-    blocks: list[Trajectory] = []
-    ending = stream(environment, controller, duration, keep=blocks.append, progress=progress)
+    blocks: list[Rows] = []
+    recorder = ArmRecorder(environment, lambda rows: blocks.append(copied(rows)))
+    ending = recorder.run(controller, duration, progress)
     if ending.status == "interrupted":
         raise KeyboardInterrupt
     return joined(blocks, ending)
 
 
-def stream(
-    environment: control.Environment,
-    controller: Controller,
-    duration: float,
-    *,
-    keep: Callable[[Trajectory], object],
-    progress: Callable[[], object] | None = None,
-    block: int = BLOCK,
-) -> Ending:
-    """Runs one episode of one arm from the start, and hands its rows on block by block.
+class ArmRecorder(Recorder):
+    """Records one arm, however long it runs: all fields of every instant, with what was read.
 
-    An interrupt ends the run; a block of rows that is being kept is kept whole before.
-
-    Args:
-        environment: what `octarm.load` returns, possibly wrapped.
-        controller: see `octarm.interfaces`.
-        duration: length of the run [s], rounded up to whole control periods.
-        keep: called with every `block` of rows while the run goes on, and with the last ones.
-        progress: called after every control period.
-        block: number of rows.
-
-    Returns:
-        How it ended.
-
-    Raises:
-        ValueError: if the duration is not positive, the controller's force has a wrong shape, or
-            the environment holds a batch of arms.
-        KeyboardInterrupt: if interrupted before there was a row.
+    `q_measured` and `v_measured`, the readings, are there when sensors act.
     """
-    physics = environment.physics
-    if physics.batch_shape:
-        raise OctarmError(
-            f"a trajectory records one arm; this environment has {physics.batch_shape[0]}"
-        )
-    rows = _Rows(physics, block)
 
-    def hand_on() -> None:
-        with held_interrupts():
-            keep(rows.take())
+    def __init__(
+        self,
+        environment: control.Environment,
+        hand_on: Callable[[Rows], object],
+        *,
+        rows: int = BLOCK,
+    ) -> None:
+        """A recorder of blocks of so many rows, empty.
 
-    def observe(instant: Instant) -> None:
-        rows.append(instant)
+        Raises:
+            OctarmError: if the environment holds a batch of arms.
+        """
+        self._environment = environment
+        self._physics: ArmPhysics = environment.physics
+        if self._physics.batch_shape:
+            raise OctarmError(
+                f"a trajectory records one arm; this environment has {self._physics.batch_shape[0]}"
+            )
+        self._digest = hashlib.sha256()
+
+        def take_up(block: Rows) -> None:
+            fields = dict(block)
+            self._digest.update(fields.pop(_STATE).data)
+            hand_on(fields)
+
+        super().__init__(take_up, rows=rows)
+
+    def row(self, instant: Instant) -> dict[str, np.ndarray]:
+        """The recorded fields of one instant, and what the digest is made of."""
+        row = super().row(instant)
+        row[_STATE] = self._physics.integration_state()
+        acting = self._physics.acting
+        if acting is not None and acting.sensors:
+            self.add_field(row, "q_measured", instant.measurement.q)
+            self.add_field(row, "v_measured", instant.measurement.v)
+        return row
+
+    def run(
+        self,
+        controller: Controller,
+        duration: float,
+        progress: Callable[[], object] | None = None,
+    ) -> Ending:
+        """Runs one episode from the start, as `rollout` does; to be called once.
+
+        An interrupt ends the run.
+
+        Raises:
+            OctarmError: if the duration is not positive, or the controller's force has a wrong
+                shape.
+            KeyboardInterrupt: if interrupted before there was a row.
+        """
+        observers: list[Observer] = [self]
         if progress is not None:
-            progress()
-        if rows.full:
-            hand_on()
-
-    status = ""
-    try:
-        message = simulate(environment, controller, duration, observe)
-    except KeyboardInterrupt:
-        if not rows.count:
-            raise
-        status, message = "interrupted", f"interrupted at t = {physics.time():.6g} s"
-    if not rows.empty:
+            observers.append(lambda instant: progress())
+        interrupted = False
+        try:
+            message = simulate(self._environment, controller, duration, *observers)
+        except KeyboardInterrupt:
+            if not self.count:
+                raise
+            interrupted = True
+            message = f"interrupted at t = {self._physics.time():.6g} s"
         with contextlib.suppress(KeyboardInterrupt):  # the run is over, there is nothing to end
-            hand_on()
-    return Ending(status or ("diverged" if message else "ok"), message, rows.digest())
+            self.flush()
+        status = "interrupted" if interrupted else "diverged" if message else "ok"
+        return Ending(self.layer, status, message, self._digest.hexdigest())
 
 
-def joined(blocks: Sequence[Trajectory], ending: Ending) -> Trajectory:
-    """Blocks of rows as one trajectory."""
-    tables = [dict(rows.arrays()) for rows in blocks]
-    arrays = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-    return Trajectory.from_arrays(arrays, ending._asdict())
+def copied(rows: Rows) -> Rows:
+    """Rows whose memory is not used again."""
+    return {name: np.array(array, order="C") for name, array in rows.items()}
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
@@ -193,87 +211,11 @@ def _refusal(physics: AnyPhysics, force: np.ndarray, measurement: Measurement) -
     usable: np.ndarray = np.abs(force) <= _LARGEST_FORCE
     if usable.all():
         return ""
-    if isinstance(physics, BatchPhysics):
-        physics.freeze(~np.all(usable, axis=-1))
+    physics.freeze(~np.all(usable, axis=-1))
+    if physics.batch_shape:
         return ""
     j = int(np.argmin(usable))
-    name = coordinate_names(len(force) // 2)[j]
     return (
-        f"diverged at t = {measurement.t:.6g} s: the controller's force on {name} is {force[j]:g}"
+        f"diverged at t = {measurement.t:.6g} s: the controller's force on "
+        f"{physics.coordinates.names[j]} is {force[j]:g}"
     )
-
-
-def _stop(physics: AnyPhysics, error: control.PhysicsError) -> str:
-    return f"diverged at t = {physics.time():.6g} s: {physics.wildest()} most, {error}"
-
-
-class _Rows:
-    """A block of rows that fills up, and the digest of all states so far.
-
-    Attributes:
-        count: number of rows so far, those included that were taken.
-    """
-
-    def __init__(self, physics: ArmPhysics, size: int) -> None:
-        self._physics, self._size = physics, size
-        self._used = self.count = 0
-        self._columns: dict[str, np.ndarray] = {}
-        self._states: list[bytes] = []
-        self._hash = hashlib.sha256()
-
-    @property
-    def empty(self) -> bool:
-        """Whether all rows were taken."""
-        return self._used == 0
-
-    @property
-    def full(self) -> bool:
-        """Whether the next row would not fit."""
-        return self._used == self._size
-
-    def append(self, instant: Instant) -> None:
-        """One control instant and the period after it; not at all if it is interrupted."""
-        row = _row(instant, self._physics)
-        if not self._columns:
-            self._columns = {
-                name: np.empty((self._size, *np.shape(value))) for name, value in row.items()
-            }
-        for name, column in self._columns.items():
-            column[self._used] = row[name]
-        del self._states[self._used :]
-        self._states.append(self._physics.integration_state().tobytes())
-        self._used, self.count = self._used + 1, self.count + 1
-
-    def take(self) -> Trajectory:
-        """The rows since the last time."""
-        for state in self._states[: self._used]:
-            self._hash.update(state)
-        arrays = {name: column[: self._used] for name, column in self._columns.items()}
-        self._states, self._used = [], 0
-        return Trajectory.from_arrays(arrays, Ending("ok", "", "")._asdict())
-
-    def digest(self) -> str:
-        """Of the rows that were taken."""
-        return self._hash.hexdigest()
-
-
-def _row(instant: Instant, physics: ArmPhysics) -> Mapping[str, Any]:
-    """The numbers of a row by name, as a trajectory has them."""
-    measurement, reference = instant.measurement, instant.reference
-    row: dict[str, Any] = {
-        "t": measurement.t,
-        "q": instant.q,
-        "v": instant.v,
-        "q_d": reference.q,
-        "v_d": reference.v,
-        "tau": instant.tau,
-        "force": instant.command.force,
-        "disturbance": instant.disturbance,
-    }
-    signals = dict(instant.command.signals)
-    if physics.acting is not None and physics.acting.sensors:
-        signals |= {"q_measured": measurement.q, "v_measured": measurement.v}
-    taken = [name for name in signals if name in row]
-    if taken:
-        raise OctarmError(f"a signal cannot be called {taken[0]!r}: the trajectory has that")
-    return row | signals

@@ -5,17 +5,40 @@ from __future__ import annotations
 import dataclasses
 import os
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from octarm.errors import OctarmError
+from octarm.errors import FileError, OctarmError
 from octarm.files import whole_file
+from octarm.interfaces import Rows
 
+BLOCK = 5000  # rows: fewer cost space in a recording, more cost memory and what a crash loses
 _ARRAYS = ("t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance")
-TEXTS = ("status", "message", "digest")
+
+Status = Literal["ok", "diverged", "interrupted"]
+
+
+class Ending(NamedTuple):
+    """What a run holds in addition to its rows; see the same fields of `Trajectory`.
+
+    Attributes:
+        layer: half width of the boundary layer, shape (2N,) [m/s], [rad/s]; None if there is none.
+        status: how it ended.
+        message: one sentence on that.
+        digest: of all states.
+    """
+
+    layer: np.ndarray | None = None
+    status: Status = "ok"
+    message: str = ""
+    digest: str = ""
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What there is, by name, as it is saved: `layer`, shape (2N,), and texts, shape ()."""
+        return {name: np.asarray(x) for name, x in self._asdict().items() if x is not None}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,13 +57,16 @@ class Trajectory:
         tau: input forces held during the period that begins at t, shape (T, 2N) [N].
         force: generalised force Q the controller asked for, shape (T, 2N) [N], [N m].
         disturbance: generalised force that disturbances added, shape (T, 2N) [N], [N m].
-        signals: the controller's own quantities by name, each of shape (T, k).
+        signals: the controller's own quantities by name, each of shape (T, k); and `q_measured` and
+            `v_measured`, the readings, when sensors act.
+        layer: half width of the boundary layer around s = 0, shape (2N,) [m/s], [rad/s]; None when
+            the controller has none.
         status: `ok`, or `diverged` or `interrupted` when the run ended before its time.
         message: one sentence on how such a run ended; empty otherwise.
         digest: SHA-256 over MuJoCo's integration state at every control instant.
 
     Raises:
-        ValueError: if lengths differ, or a signal has the name of an array above.
+        OctarmError: if lengths differ, or a signal has the name of another field.
     """
 
     t: np.ndarray
@@ -52,14 +78,15 @@ class Trajectory:
     force: np.ndarray
     disturbance: np.ndarray
     signals: Mapping[str, np.ndarray]
-    status: Literal["ok", "diverged", "interrupted"] = "ok"
+    layer: np.ndarray | None = None
+    status: Status = "ok"
     message: str = ""
     digest: str = ""
 
     def __post_init__(self) -> None:
-        taken = [name for name in self.signals if name in (*_ARRAYS, *TEXTS)]
-        if taken:
-            raise OctarmError(f"a signal cannot be called {taken[0]!r}: the trajectory has that")
+        for name in self.signals:
+            if name in (*_ARRAYS, *Ending._fields):
+                raise OctarmError(f"a signal cannot be called {name!r}: the trajectory has that")
         for name, array in self.arrays():
             if len(array) != len(self.t):
                 raise OctarmError(f"{name} has {len(array)} rows; t has {len(self.t)}")
@@ -67,6 +94,9 @@ class Trajectory:
             object.__setattr__(self, name, _read_only(getattr(self, name)))
         signals = {name: _read_only(array) for name, array in self.signals.items()}
         object.__setattr__(self, "signals", MappingProxyType(signals))
+        if self.layer is not None:
+            layer = np.broadcast_to(self.layer, self.q.shape[1:])
+            object.__setattr__(self, "layer", _read_only(np.array(layer)))
 
     def __len__(self) -> int:
         """Number of rows T."""
@@ -85,38 +115,57 @@ class Trajectory:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the twin `.npz`, whole or not at all; equal trajectories give equal bytes."""
-        texts = {name: np.array(getattr(self, name)) for name in TEXTS}
+        ending = Ending(self.layer, self.status, self.message, self.digest)
         with whole_file(path) as part, open(part, "wb") as file:
-            np.savez(file, allow_pickle=False, **dict(self.arrays()), **texts)
+            np.savez(file, allow_pickle=False, **dict(self.arrays()), **ending.arrays())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
         """Reads what `save` wrote.
 
         Raises:
-            ValueError: if the file is not a trajectory.
+            OctarmError: if the file is not a trajectory, or cannot be read.
         """
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = dict(file)
-            texts = {name: str(arrays.pop(name)) for name in TEXTS}
             for array in arrays.values():
                 array.setflags(write=False)
-            return cls.from_arrays(arrays, texts)
-        except (KeyError, ValueError, zipfile.BadZipFile) as error:
+            return cls.from_arrays(arrays)
+        except OSError as error:
+            raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
+        except (EOFError, KeyError, RuntimeError, ValueError, zipfile.BadZipFile) as error:
             raise OctarmError(f"{path} is not a trajectory file ({error})") from None
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, np.ndarray], texts: Mapping[str, str]) -> Trajectory:
-        """A trajectory of what `arrays` yields by name, each of shape (T, ...), and its texts.
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Trajectory:
+        """A trajectory of all that `save` writes, by name: rows of shape (T, ...), and the ending.
 
         Raises:
             KeyError: if something is missing.
         """
-        fixed = {name: arrays[name] for name in _ARRAYS}
-        signals = {name: array for name, array in arrays.items() if name not in fixed}
-        ended = {name: texts[name] for name in TEXTS}
-        return cls(**fixed, **ended, signals=signals)  # pyright: ignore[reportArgumentType]
+        texts: dict[str, Any] = {name: str(arrays[name]) for name in Ending._fields[1:]}
+        rows = {name: array for name, array in arrays.items() if name not in Ending._fields}
+        return cls.from_rows(rows, Ending(arrays.get("layer"), **texts))
+
+    @classmethod
+    def from_rows(cls, rows: Rows, ending: Ending) -> Trajectory:
+        """A trajectory of rows, see `octarm.interfaces.Rows`.
+
+        Raises:
+            KeyError: if a field is missing that every run has.
+        """
+        fields = {name: rows[name] for name in _ARRAYS}
+        signals = {name: array for name, array in rows.items() if name not in fields}
+        return cls(**fields, signals=signals, **ending._asdict())
+
+
+def joined(blocks: Sequence[Rows], ending: Ending) -> Trajectory:
+    """A trajectory of consecutive blocks of rows, of which there is at least one."""
+    arrays = {name: np.concatenate([rows[name] for rows in blocks]) for name in blocks[0]}
+    for array in arrays.values():
+        array.setflags(write=False)  # so that it is not copied once more
+    return Trajectory.from_rows(arrays, ending)
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:

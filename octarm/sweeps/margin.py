@@ -11,17 +11,28 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from dm_control.rl import control
+
+from octarm.arm.mjcf import nominal_parameters
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_disturbance
+from octarm.errors import OctarmError, closest
+from octarm.interfaces import Controller, ControllerFactory
+from octarm.simulation.environment import load
+from octarm.sweeps.progress import ArmSeconds
+from octarm.sweeps.shards import measure
 
 _POINTS = 3  # values that are tried within a gap at a time
 _SMALLEST = 1e-5  # gap, in shares of the way, that is never made smaller
 _DRAWS = 9999  # of the bootstrap
 
 
-class Outcome(NamedTuple):
+class Attempt(NamedTuple):
     """What came of some arms.
 
     Attributes:
@@ -34,8 +45,8 @@ class Outcome(NamedTuple):
     digest: np.ndarray
 
 
-# Seeds and shares of the way from the low to the high value, both of shape (n,), to their outcome.
-Try = Callable[[np.ndarray, np.ndarray], Outcome]
+# Runs seeds at shares of the way from the low to the high value, both of shape (n,).
+Try = Callable[[np.ndarray, np.ndarray], Attempt]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,8 +89,8 @@ def search(attempt: Try, seeds: int, *, intervals: int = 8, resolution: float = 
         resolution: largest gap between `met` and `failed`, as a share of `failed` [1].
     """
     grid = np.arange(intervals + 1) / intervals
-    outcome = attempt(np.repeat(np.arange(seeds), len(grid)), np.tile(grid, seeds))
-    excess, digest = (np.reshape(x, (seeds, len(grid))) for x in outcome)
+    tried = attempt(np.repeat(np.arange(seeds), len(grid)), np.tile(grid, seeds))
+    excess, digest = (np.reshape(x, (seeds, len(grid))) for x in tried)
     alike = seeds > 1 and bool(np.all(digest == digest[0]))
     every = np.arange(1 if alike else seeds)
     gaps = _Gaps(len(every))
@@ -122,7 +133,7 @@ class _Gaps:
         return self.met[seeds, None] + (self.failed - self.met)[seeds, None] * part
 
 
-class Estimate(NamedTuple):
+class Margin(NamedTuple):
     """A margin of all seeds, in shares of the way; inf: beyond the high value, -inf: below the low.
 
     Attributes:
@@ -136,7 +147,7 @@ class Estimate(NamedTuple):
     high: float
 
 
-def estimate(brackets: Brackets, share: float, confidence: float = 0.95) -> Estimate:
+def margin_of(brackets: Brackets, share: float, confidence: float = 0.95) -> Margin:
     """The largest value that a share of the seeds bears, with a bootstrap interval over seeds.
 
     The interval holds the middle of what samples of as many seeds, drawn with replacement, give.
@@ -151,9 +162,199 @@ def estimate(brackets: Brackets, share: float, confidence: float = 0.95) -> Esti
     n = len(margins)
     place = n - max(1, math.ceil(share * n - 1e-9))
     if brackets.alike or n == 1:
-        return Estimate(float(margins[place]), math.nan, math.nan)
+        return Margin(float(margins[place]), math.nan, math.nan)
     draws = np.random.default_rng(0).integers(n, size=(_DRAWS, n))
     values = np.sort(np.partition(margins[draws], place, axis=1)[:, place])
     tail = 0.5 * (1.0 - confidence) * (_DRAWS - 1)
     ends = values[math.floor(tail)], values[math.ceil(_DRAWS - 1 - tail)]
-    return Estimate(float(margins[place]), float(ends[0]), float(ends[1]))
+    return Margin(float(margins[place]), float(ends[0]), float(ends[1]))
+
+
+NOMINAL = "nominal-mismatch"  # of the controller's model, as --mismatch of octarm run
+_NOMINAL_RANGE = (0.0, 3.0)
+
+# Not finite also for an arm that has done nothing wrong but be slow.
+_NEVER = ("settling_time", "reaching_time")
+
+
+class Bound(NamedTuple):
+    """A metric and what its absolute value may be at most."""
+
+    metric: str
+    limit: float
+
+
+def parse_bound(text: str) -> Bound:
+    """A bound from METRIC:VALUE.
+
+    Raises:
+        OctarmError: if it does not read so.
+    """
+    metric, _, value = text.partition(":")
+    try:
+        limit = float(value)
+    except ValueError:
+        raise OctarmError(f"bound is {text!r}; it must read METRIC:VALUE") from None
+    if not 0.0 < limit < math.inf:
+        raise OctarmError(f"bound of {metric} is {limit:g}; it must be positive and finite")
+    return Bound(metric, limit)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Varied:
+    """What varies, and between which values.
+
+    Attributes:
+        name: of a disturbance, or `nominal-mismatch`.
+        low: value at which the bound should be met; need not be the smaller one.
+        high: value up to which it is tried.
+        unit: of the values.
+        disturbance: the one whose first field varies; None for `nominal-mismatch`.
+    """
+
+    name: str
+    low: float
+    high: float
+    unit: str = "1"
+    disturbance: Disturbance | None = None
+
+    def at(self, share: np.ndarray | float) -> np.ndarray:
+        """The values at shares of the way from low to high, shape (...); infinity stays so."""
+        way = np.asarray(share)
+        return np.where(np.isfinite(way), self.low + way * (self.high - self.low), way)
+
+    def of(self, values: np.ndarray) -> list[Disturbance]:
+        """The disturbance with a value an arm, shape (n,), if it is one."""
+        if self.disturbance is None:
+            return []
+        field, kind = first_field(type(self.disturbance))
+        each = values[:, None] if kind.each else values
+        return [dataclasses.replace(self.disturbance, **{field: each})]  # pyright: ignore
+
+
+def is_varied(text: str) -> bool:
+    """Whether a disturbance is spelt without its value, NAME or NAME:KEY=VALUE,.."""
+    first = text.partition(":")[2].partition(",")[0]
+    return not first or "=" in first
+
+
+def parse_varied(text: str, low: float | None, high: float | None) -> Varied:
+    """What varies, from NAME or NAME:KEY=VALUE,..; `low` and `high` are usual ones when None.
+
+    Raises:
+        OctarmError: for an unknown name or key, or values that are not allowed.
+    """
+    name, _, rest = text.partition(":")
+    if name not in (NOMINAL, *DISTURBANCES):
+        raise OctarmError(f"unknown disturbance {name!r}{closest(name, (NOMINAL, *DISTURBANCES))}")
+    usual = usual_range(name)
+    if usual is None and None in (low, high):
+        raise OctarmError(f"{name} has no usual range; give --low, a value to bear, and --high")
+    low, high = (
+        given if given is not None else default
+        for given, default in zip((low, high), usual or (math.nan, math.nan), strict=True)
+    )
+    if not (math.isfinite(low) and math.isfinite(high) and low != high):
+        raise OctarmError(f"low is {low:g} and high {high:g}; they must be two finite numbers")
+    if name == NOMINAL:
+        if rest:
+            raise OctarmError(f"{NOMINAL} has no keys; {rest!r} is given")
+        for value in (low, high):
+            nominal_parameters().mismatched(value)  # raises
+        return Varied(name=name, low=low, high=high)
+    texts = [f"{name}:{value!r}{',' + rest if rest else ''}" for value in (low, high)]
+    at_low, _ = (parse_disturbance(text) for text in texts)
+    unit = first_field(type(at_low))[1].unit
+    return Varied(name=name, low=low, high=high, unit=unit, disturbance=at_low)
+
+
+def usual_range(name: str) -> tuple[float, float] | None:
+    """Where the search begins and ends when it is not said, in the unit of the values."""
+    return _NOMINAL_RANGE if name == NOMINAL else first_field(DISTURBANCES[name])[1].usual
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class MarginRuns:
+    """Runs of one controller with other values of what varies, seed by seed; see `Try`.
+
+    The seeds are those of a sweep with the same `seed`, and the same for every controller and
+    value.
+
+    Attributes:
+        factory: makes the controller from its nominal model.
+        varied: what varies.
+        bounds: that have to be met, all of them.
+        disturbances: what acts in addition.
+        mismatch: of the controller's nominal model [1].
+        reference: name of the desired motion.
+        duration: of a run [s].
+        timestep: physics step [s]; that of models/octarm.xml when None.
+        control_period: time between control actions [s]; one physics step when None.
+        seed: of all that is random.
+        threads: that step a batch.
+        progress: called with the seconds that were simulated since the last call, all arms counted.
+    """
+
+    factory: ControllerFactory
+    varied: Varied
+    bounds: Sequence[Bound]
+    disturbances: Sequence[Disturbance] = ()
+    mismatch: float = 0.0
+    reference: str = "sine"
+    duration: float = 6.0
+    timestep: float | None = None
+    control_period: float | None = None
+    seed: int = 0
+    threads: int = 1
+    progress: Callable[[float], object] = lambda seconds: None
+
+    def rehearse(self) -> None:
+        """Tries the ends of the range for one control period.
+
+        Raises:
+            OctarmError: if something cannot be made, or a metric is unknown.
+        """
+        environment, controller = self._begin(np.zeros(2, dtype=int), np.array([0.0, 1.0]))
+        known = measure(environment, controller, environment.control_timestep()).metrics
+        for bound in self.bounds:
+            if bound.metric not in known:
+                stem = re.sub(r"_(s|theta|tau)\d+$", "", bound.metric)
+                alike = [name for name in known if name.startswith(stem)]
+                meant = closest(bound.metric, alike or known)
+                raise OctarmError(f"there is no measure {bound.metric!r} of such a run{meant}")
+
+    def __call__(self, seeds: np.ndarray, shares: np.ndarray) -> Attempt:
+        """The runs of these seeds at these shares of the way, both of shape (n,).
+
+        Raises:
+            OctarmError: if there is no number for a metric, although arms bore it all.
+        """
+        environment, controller = self._begin(seeds, shares)
+        seconds = ArmSeconds(environment, self.duration, self.progress)
+        outcome = measure(environment, controller, self.duration, seconds)
+        seconds.finish()
+        excess = np.zeros(len(seeds))
+        for bound in self.bounds:
+            size = np.abs(outcome.metrics[bound.metric])
+            missing = np.isnan(size)
+            lost = outcome.diverged.all() or bound.metric.startswith(_NEVER)
+            if missing.all() and not lost:
+                raise OctarmError(f"{bound.metric} has no value in a run of {self.duration:g} s")
+            np.maximum(excess, np.where(missing, np.inf, size / bound.limit), out=excess)
+        return Attempt(excess, outcome.digest)
+
+    def _begin(
+        self, seeds: np.ndarray, shares: np.ndarray
+    ) -> tuple[control.Environment, Controller]:
+        values = self.varied.at(shares)
+        environment = load(
+            self.reference,
+            disturbances=[*self.disturbances, *self.varied.of(values)],
+            batch=len(seeds),
+            seed=[np.random.SeedSequence(self.seed, spawn_key=(i,)) for i in seeds.tolist()],
+            timestep=self.timestep,
+            control_period=self.control_period,
+            threads=self.threads,
+        )
+        mismatch = values if self.varied.name == NOMINAL else self.mismatch
+        return environment, self.factory(nominal_parameters().mismatched(mismatch))

@@ -11,12 +11,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import qmc
 
-from octarm.disturbances.episode import Disturbance, field_kinds
-from octarm.disturbances.fields import Amount, Quantity
-from octarm.disturbances.spelling import DISTURBANCES
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.fields import Amount, Quantity, field_kinds
 from octarm.disturbances.streams import stream
 from octarm.errors import OctarmError
-from octarm.sweeps.spec import RandomAxis, SweepSpec, which
+from octarm.sweeps.spec import RandomAxis, SweepSpec, class_of
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,12 +79,12 @@ class Plan:
     def values(self, episodes: np.ndarray) -> dict[str, np.ndarray]:
         """The values of all axes by name, each of shape (n,)."""
         places = np.unravel_index(episodes, self._shape)
-        chosen = {
+        gridded = {
             axis.name: np.array(axis.values)[place]
             for axis, place in zip(self.spec.axes, places, strict=False)
         }
         seeds = self.seeds(episodes)
-        return chosen | {name: drawn[seeds] for name, drawn in self._drawn.items()}
+        return gridded | {name: drawn[seeds] for name, drawn in self._drawn.items()}
 
     def arms(self, episodes: npt.ArrayLike) -> Arms:
         """Episodes of one shard, given by their numbers, shape (n,)."""
@@ -108,7 +107,7 @@ class Plan:
         """One episode, to be run alone.
 
         Raises:
-            ValueError: if there is no such episode.
+            OctarmError: if there is no such episode.
         """
         if not 0 <= number < self.episodes:
             raise OctarmError(
@@ -135,11 +134,11 @@ class Plan:
         fields = {name: dict(self.spec.fixed.get(name, {})) for name in self.spec.disturbances}
         for axis in (*self.spec.axes, *self.spec.random):
             if axis.disturbance:
-                kind = field_kinds(DISTURBANCES[which(axis.disturbance).kind])[axis.field]
+                kind = field_kinds(class_of(axis.disturbance))[axis.field]
                 value = values[axis.name]
                 spread = isinstance(kind, Quantity) and kind.each and np.ndim(value) > 0
                 fields[axis.disturbance][axis.field] = value[:, None] if spread else value
-        return tuple(DISTURBANCES[which(name).kind](**own) for name, own in fields.items())
+        return tuple(class_of(name)(**given) for name, given in fields.items())
 
     @functools.cached_property
     def _drawn(self) -> dict[str, np.ndarray]:

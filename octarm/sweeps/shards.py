@@ -4,91 +4,94 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 from dm_control.rl import control
 
-from octarm.arm.mjcf import coordinate_names, nominal_parameters
-from octarm.arm.parameters import ArmParameters
-from octarm.interfaces import Controller, Instant
-from octarm.metrics.table import METRICS, Block, Metrics
+from octarm.arm.mjcf import nominal_parameters
+from octarm.arrays import coordinate_names, coordinate_units
+from octarm.interfaces import Controller, ControllerFactory, Instant
+from octarm.metrics.table import METRICS, Column, Metrics, columns
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.versions import host, versions
 from octarm.simulation.environment import AnyPhysics, load, whole_periods
+from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
 from octarm.sweeps.plan import Arms, Plan
-from octarm.sweeps.spec import Axis, SweepSpec
+from octarm.sweeps.spec import SweepSpec
 
-# Name, nominal model and gains to controller; `controllers.make_controller` is one.
-Factory = Callable[[str, ArmParameters, Mapping[str, Any]], Controller]
+Observe = Callable[[Instant], object]
 
-_MEASURED = ("s", "reaching_bound")  # the signals that metrics know
-# Of a coordinate array. A few instants at a time are faster than one by one: the physics between
-# two of them leaves the processor's caches cold.
-_NUMBERS_A_BLOCK = 50_000
-_FINGERPRINT = pa.list_(pa.uint64(), CHECKPOINTS)
+_MARKS = pa.list_(pa.uint64(), CHECKPOINTS)
 
 
-def run_shard(spec: SweepSpec, shard: int, factory: Factory) -> pa.Table:
+def run_shard(
+    spec: SweepSpec, shard: int, factory: ControllerFactory, *observers: Observe
+) -> pa.Table:
     """The rows of a shard; they depend on nothing else.
 
     The metadata of the table's schema say where they were made: `host` and `versions`.
 
     Raises:
-        ValueError: if an arm, a disturbance or a controller cannot be made.
+        OctarmError: if an arm, a disturbance or a controller cannot be made.
     """
     plan = Plan(spec)
-    table = run_arms(plan, plan.arms(plan.shards[shard]), factory)
-    facts = {"host": host(), "versions": versions()}
-    return table.replace_schema_metadata({k: json.dumps(v) for k, v in facts.items()})
+    table = run_arms(plan, plan.arms(plan.shards[shard]), factory, *observers)
+    origin = {"host": host(), "versions": versions()}
+    return table.replace_schema_metadata({k: json.dumps(v) for k, v in origin.items()})
 
 
-def run_arms(plan: Plan, arms: Arms, factory: Factory, duration: float | None = None) -> pa.Table:
+def run_arms(
+    plan: Plan,
+    arms: Arms,
+    factory: ControllerFactory,
+    *observers: Observe,
+    duration: float | None = None,
+) -> pa.Table:
     """The rows of arms that share a batch, or of one arm alone.
 
     Args:
         plan: of the sweep.
         arms: some of its episodes.
         factory: that makes the controller.
+        observers: called at every control instant.
         duration: instead of that of the sweep [s].
 
     Raises:
-        ValueError: if an arm, a disturbance or a controller cannot be made.
+        OctarmError: if an arm, a disturbance or a controller cannot be made.
     """
     started = time.perf_counter()
     environment, controller = begin(plan.spec, arms, factory)
     length = plan.spec.duration if duration is None else duration
-    observer = Observer(environment, controller, length)
-    message = simulate(environment, controller, length, observer)
-    diverged_at = _diverged_at(environment.physics, message)
-    measured = observer.metrics(diverged=~np.isnan(diverged_at))
-    digest, checkpoints = observer.digest.result()
+    outcome = measure(environment, controller, length, *observers)
     n = len(arms.episodes)
     values = plan.values(arms.episodes)
-    columns: dict[str, Any] = {
+    held: dict[str, Any] = {
         "episode": arms.episodes,
         "controller": values.pop("controller"),
         "seed": plan.seeds(arms.episodes),
-        "status": np.where(np.isnan(diverged_at), "ok", "diverged"),
-        "diverged_at": diverged_at,
+        "status": np.where(outcome.diverged, "diverged", "ok"),
+        "diverged_at": outcome.diverged_at,
         **values,
-        **measured,
+        **outcome.metrics,
         "wall_time": np.full(n, (time.perf_counter() - started) / n),
-        "digest": digest,
-        "checkpoints": pa.FixedSizeListArray.from_arrays(checkpoints.ravel(), CHECKPOINTS),
+        "digest": outcome.digest,
+        "checkpoints": pa.FixedSizeListArray.from_arrays(outcome.checkpoints.ravel(), CHECKPOINTS),
     }
     form = schema(plan.spec)
-    return pa.table([_column(columns.get(field.name), field.type, n) for field in form], form)
+    return pa.table([_column(held.get(field.name), field.type, n) for field in form], form)
 
 
-def begin(spec: SweepSpec, arms: Arms, factory: Factory) -> tuple[control.Environment, Controller]:
+def begin(
+    spec: SweepSpec, arms: Arms, factory: ControllerFactory
+) -> tuple[control.Environment, Controller]:
     """The environment and the controller of arms that share a batch, or of one arm alone.
 
     Raises:
-        ValueError: if an arm, a disturbance or a controller cannot be made.
+        OctarmError: if an arm, a disturbance or a controller cannot be made.
     """
     environment = load(
         arms.reference,
@@ -100,8 +103,96 @@ def begin(spec: SweepSpec, arms: Arms, factory: Factory) -> tuple[control.Enviro
         actuation=spec.actuation,
     )
     nominal = nominal_parameters().mismatched(arms.mismatch)
-    gains = spec.gains.get(arms.controller, {})
-    return environment, factory(arms.controller, nominal, gains)
+    return environment, spec.controller(arms.controller, nominal, factory)
+
+
+class Outcome(NamedTuple):
+    """What came of n arms; nothing else is kept of their run.
+
+    Attributes:
+        diverged_at: when they diverged, shape (n,) [s]; NaN for those that did not.
+        metrics: by column, each of shape (n,); NaN where there is no number.
+        digest: of their motion, shape (n,), see `octarm.runs.digest.StateDigest`.
+        checkpoints: likewise, shape (n, CHECKPOINTS).
+    """
+
+    diverged_at: np.ndarray
+    metrics: dict[str, np.ndarray]
+    digest: np.ndarray
+    checkpoints: np.ndarray
+
+    @property
+    def diverged(self) -> np.ndarray:
+        """Which arms diverged, shape (n,) of bool."""
+        return ~np.isnan(self.diverged_at)
+
+
+class Observer:
+    """Measures a run while it goes on, and keeps nothing of it but a few instants."""
+
+    def __init__(self, environment: control.Environment, duration: float) -> None:
+        """An observer of a run of so many seconds, for `simulate`."""
+        self._physics: AnyPhysics = environment.physics
+        self._period = environment.control_timestep()
+        periods = whole_periods(duration, self._period)
+        self._digest = StateDigest(periods, self._physics.intact)
+        self._measured: tuple[Metrics, Recorder] | None = None
+
+    def __call__(self, instant: Instant) -> None:
+        """Takes a control instant."""
+        if self._measured is None:
+            self._measured = self._begin(instant)
+        self._digest(instant)
+        self._measured[1](instant)
+
+    def outcome(self, message: str) -> Outcome:
+        """What came of the arms, given what `simulate` returned."""
+        assert self._measured is not None  # a run has one instant at least
+        metrics, recorder = self._measured
+        recorder.flush()
+        diverged_at = _diverged_at(self._physics, message)
+        diverged = ~np.isnan(diverged_at)
+        batch, n = self._physics.batch_shape, len(diverged)
+        results = metrics.result(diverged=diverged if batch else diverged[0])
+        values = {
+            column.name: results[column.metric].reshape(n, -1)[:, column.place]
+            for column in _metric_columns()
+            if column.metric in results
+        }
+        return Outcome(diverged_at, values, *self._digest.result())
+
+    def _begin(self, instant: Instant) -> tuple[Metrics, Recorder]:
+        """Metrics for such arms, and what hands them their rows."""
+        limit, layer = self._physics.input_limit(), instant.command.layer
+        metrics = Metrics(control_period=self._period, input_limit=limit, layer=layer)
+        # Without a cycle of references, so that the arms' memory is free when the run is over.
+        return metrics, Recorder(metrics.update, fields=METRICS.fields)
+
+
+def measure(
+    environment: control.Environment,
+    controller: Controller,
+    duration: float,
+    *observers: Observe,
+) -> Outcome:
+    """Runs a controller against a batch or one arm, and measures while it runs.
+
+    Args:
+        environment: from `octarm.load`.
+        controller: see `octarm.interfaces`.
+        duration: of the run [s].
+        observers: called at every control instant.
+
+    Raises:
+        OctarmError: if the duration is not positive, or the controller's force has a wrong shape.
+    """
+    observer = Observer(environment, duration)
+
+    def observe(instant: Instant) -> None:
+        for each in (observer, *observers):
+            each(instant)
+
+    return observer.outcome(simulate(environment, controller, duration, observe))
 
 
 def schema(spec: SweepSpec) -> pa.Schema:
@@ -116,125 +207,21 @@ def schema(spec: SweepSpec) -> pa.Schema:
     fields = [pa.field(name, kind) for name, kind in known.items()]
     for axis in (*spec.axes, *spec.random):
         if axis.name != "controller":
-            words = isinstance(axis, Axis) and axis.words
-            fields.append(pa.field(axis.name, pa.string() if words else pa.float64()))
-    for column in _metric_columns(nominal_parameters().modules):
-        fields.append(pa.field(column.name, pa.float64(), metadata={"unit": column.unit}))
+            fields.append(pa.field(axis.name, pa.string() if axis.words else pa.float64()))
+    for column in _metric_columns():
+        fields.append(pa.field(column.name, pa.float64(), metadata=column.metadata))
     fields += [
         pa.field("wall_time", pa.float64(), metadata={"unit": "s"}),
         pa.field("digest", pa.uint64()),
-        pa.field("checkpoints", _FINGERPRINT),
+        pa.field("checkpoints", _MARKS),
     ]
     return pa.schema(fields)
 
 
-class Observer:
-    """Measures a run while it goes on, and keeps nothing of it but a few instants.
-
-    Attributes:
-        digest: of the states.
-    """
-
-    def __init__(
-        self, environment: control.Environment, controller: Controller, duration: float
-    ) -> None:
-        """An observer of a run of so many seconds, for `simulate`."""
-        self._physics: AnyPhysics = environment.physics
-        period = environment.control_timestep()
-        self.digest = StateDigest(whole_periods(duration, period))
-        self._metrics = Metrics(
-            control_period=period,
-            input_limit=self._physics.input_limit(),
-            phi=getattr(controller, "phi", None),
-        )
-        self._alive: np.ndarray | None = None
-        self._rows: _Rows | None = None
-
-    def __call__(self, instant: Instant) -> None:
-        """Takes up a control instant."""
-        self.digest.update(instant.q, instant.v, self._alive)
-        alive = np.atleast_1d(self._physics.intact())
-        self._alive = None if alive.all() else alive
-        signals = instant.command.signals
-        row = {
-            "t": np.asarray(instant.measurement.t),
-            "q": instant.q,
-            "q_d": np.atleast_2d(instant.reference.q)
-            if instant.q.ndim > 1
-            else instant.reference.q,
-            "tau": instant.tau,
-            "force": instant.command.force,
-            **{name: signals[name] for name in _MEASURED if name in signals},
-        }
-        if self._rows is None:
-            self._rows = _Rows(row, max(1, _NUMBERS_A_BLOCK // instant.q.size))
-        if self._rows.append(row):
-            self._metrics.update(self._rows.take())
-
-    def metrics(self, diverged: np.ndarray) -> dict[str, np.ndarray]:
-        """The measures by column, each of shape (n,).
-
-        Args:
-            diverged: which arms did, shape (n,) of bool.
-        """
-        if self._rows is not None:
-            self._metrics.update(self._rows.take())
-        single = not self._physics.batch_shape
-        results = self._metrics.result(diverged=diverged[0] if single else diverged)
-        n = len(diverged)
-        return {
-            column.name: results[column.metric].reshape(n, -1)[:, column.place]
-            for column in _metric_columns(nominal_parameters().modules)
-            if column.metric in results
-        }
-
-
-class _Rows:
-    """A few instants, copied side by side: what the loop hands over does not last."""
-
-    def __init__(self, like: Mapping[str, np.ndarray], count: int) -> None:
-        self._columns = {name: _stacked(row, count) for name, row in like.items()}
-        self._count, self._used = count, 0
-
-    def append(self, row: Mapping[str, np.ndarray]) -> bool:
-        """Takes up a row; whether it was the last one there is place for."""
-        for name, column in self._columns.items():
-            column[self._used] = row[name]
-        self._used += 1
-        return self._used == self._count
-
-    def take(self) -> Block:
-        """The rows, whose memory will be used again."""
-        rows = {name: column[: self._used] for name, column in self._columns.items()}
-        self._used = 0
-        signals = {name: rows.pop(name) for name in _MEASURED if name in rows}
-        return Block(**rows, signals=signals)
-
-
-def _stacked(row: np.ndarray, count: int) -> np.ndarray:
-    """Rows like this one, each contiguous along the arms, shape (count, ...)."""
-    backwards = np.empty((count, *row.shape[::-1]), dtype=row.dtype)
-    return backwards.transpose(0, *range(row.ndim, 0, -1))
-
-
-class _MetricColumn(NamedTuple):
-    name: str
-    metric: str
-    place: int  # along the last axis
-    unit: str
-
-
-def _metric_columns(modules: int) -> list[_MetricColumn]:
-    coordinates = coordinate_names(modules)
-    inputs = [f"tau{i + 1}" for i in range(2 * modules)]
-    columns: list[_MetricColumn] = []
-    for metric, meaning in METRICS.items():
-        suffixes = {"coordinate": coordinates, "input": inputs, "arm": [""]}[meaning.of]
-        for place, suffix in enumerate(suffixes):
-            bend = meaning.of == "coordinate" and place >= modules
-            unit = meaning.bend_unit if bend else meaning.slide_unit
-            columns.append(_MetricColumn(f"{metric}_{suffix}".rstrip("_"), metric, place, unit))
-    return columns
+def _metric_columns() -> list[Column]:
+    """The columns of all metrics."""
+    modules = nominal_parameters().modules
+    return columns(coordinate_names(modules), coordinate_units(modules))
 
 
 def _diverged_at(physics: AnyPhysics, message: str) -> np.ndarray:

@@ -1,14 +1,20 @@
-"""What a sweep is to run."""
+"""What a sweep is to run, independent of how a file says it; see `octarm.sweeps.spec_file`."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
 import json
-import math
 import re
 from collections.abc import Mapping
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
+
+from octarm.arrays import plain
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.fields import field_keys
+from octarm.disturbances.spelling import DISTURBANCES
+from octarm.formats import to_toml
+from octarm.interfaces import Controller, ControllerFactory
 
 Value = float | str
 
@@ -22,26 +28,41 @@ class Which(NamedTuple):
 
 def which(disturbance: str) -> Which:
     """What a name in a spec means: `noise-2` is the second noise, as in `run.json`."""
-    found = re.fullmatch(r"(.+)-([2-9]|[1-9]\d+)", disturbance)
-    return Which(found[1], int(found[2])) if found else Which(disturbance, 1)
+    match = re.fullmatch(r"(.+)-([2-9]|[1-9]\d+)", disturbance)
+    return Which(match[1], int(match[2])) if match else Which(disturbance, 1)
+
+
+def class_of(disturbance: str) -> type[Disturbance]:
+    """The class of a disturbance of a spec."""
+    return DISTURBANCES[which(disturbance).kind]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Axis:
-    """Something that takes each value of a list.
+class _Axis:
+    """Something that varies in a sweep.
 
     Attributes:
         name: of its column: controller, reference, mismatch, or a disturbance such as `noise`,
             with the key, `noise.time`, when it is not the disturbance's first one.
-        values: numbers, or words.
         disturbance: whose field it is, see `which`; empty for controller, reference and mismatch.
         field: of the disturbance, as the code spells it.
     """
 
     name: str
-    values: tuple[Value, ...]
     disturbance: str = ""
     field: str = ""
+
+    @property
+    def words(self) -> bool:
+        """Whether its values are words: arms that differ in them do not share a batch."""
+        return False
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class GridAxis(_Axis):
+    """Something that takes each value of a list, numbers or words."""
+
+    values: tuple[Value, ...]
 
     @property
     def words(self) -> bool:
@@ -55,29 +76,27 @@ class Axis:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class RandomAxis:
+class RandomAxis(_Axis):
     """Something that is drawn for each seed, the same for every controller and grid cell.
 
     Attributes:
-        name: as in `Axis`.
         low: smallest value.
         high: largest value.
         method: `uniform` for independent draws, `sobol` for evenly spread ones.
-        disturbance: as in `Axis`.
-        field: as in `Axis`.
     """
 
-    name: str
     low: float
     high: float
     method: str = "uniform"
-    disturbance: str = ""
-    field: str = ""
 
     @property
     def probes(self) -> tuple[Value, ...]:
         """Values to try the axis with."""
         return (self.low, self.high)
+
+
+Axis = GridAxis | RandomAxis
+_PLAIN = ("seed", "episodes", "duration", "timestep", "control_period", "actuation", "batch")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -99,11 +118,10 @@ class SweepSpec:
             recommended ones, for the others.
         gains: where they are not those of the set, by controller.
         record: episodes to record, by number or by a word.
-        text: the file it came from.
-        alone: whether the text says it all: it names no other file.
+        text: the file that says all of it; empty where it names other files.
     """
 
-    axes: tuple[Axis, ...]
+    axes: tuple[GridAxis, ...]
     random: tuple[RandomAxis, ...] = ()
     seed: int = 0
     episodes: int = 1
@@ -116,8 +134,7 @@ class SweepSpec:
     gain_sets: Mapping[str, str] = dataclasses.field(default_factory=dict[str, str])
     gains: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
     record: tuple[int | str, ...] = ()
-    text: str = ""
-    alone: bool = True
+    text: str = dataclasses.field(default="", compare=False)
 
     @property
     def controllers(self) -> tuple[str, ...]:
@@ -130,24 +147,66 @@ class SweepSpec:
         varied = (axis.disturbance for axis in (*self.axes, *self.random) if axis.disturbance)
         return tuple(sorted(dict.fromkeys((*varied, *self.fixed)), key=lambda n: which(n).place))
 
+    def controller(self, name: str, nominal: Any, factory: ControllerFactory) -> Controller:
+        """The controller of this name, with the gains of the spec.
+
+        Args:
+            name: of the controller.
+            nominal: its model of the arm.
+            factory: takes a keyword `gain_set` where the spec has one for the controller.
+        """
+        gains = self.gains.get(name, {})
+        if name not in self.gain_sets:
+            return factory(name, nominal, gains)
+        return factory(name, nominal, gains, gain_set=self.gain_sets[name])
+
     def content(self) -> dict[str, Any]:
         """All that the rows depend on, by dotted key, ready for JSON."""
-        plain = ("seed", "episodes", "duration", "timestep", "control_period", "actuation", "batch")
-        content: dict[str, Any] = {name: getattr(self, name) for name in plain}
-        content |= {f"grid.{axis.name}": list(axis.values) for axis in self.axes}
-        content |= {f"random.{a.name}": [a.low, a.high, a.method] for a in self.random}
+        content: dict[str, Any] = {name: getattr(self, name) for name in _PLAIN}
+        content |= {f"grid.{axis.name}": axis.values for axis in self.axes}
+        content |= {f"random.{a.name}": (a.low, a.high, a.method) for a in self.random}
         content |= {f"gain_set.{name}": choice for name, choice in self.gain_sets.items()}
         for heading, tables in (("disturbance", self.fixed), ("gains", self.gains)):
             content |= {f"{heading}.{n}.{k}": v for n, t in tables.items() for k, v in t.items()}
-        return {key: _plain(value) for key, value in content.items()}
+        return {key: plain(value) for key, value in content.items()}
 
     def hash(self) -> str:
         """SHA-256 of `content`: files that ask for the same rows have the same."""
         return hashlib.sha256(json.dumps(self.content(), sort_keys=True).encode()).hexdigest()
 
+    def to_toml(self) -> str:
+        """A file that `octarm.sweeps.spec_file.parse_spec` makes this spec of."""
+        drawn = {a: {"low": a.low, "high": a.high, "method": a.method} for a in self.random}
+        fixed: dict[str, dict[str, Any]] = {}
+        for name, fields in self.fixed.items():
+            fixed[name] = {k: fields[field] for k, field in _keys(name, fields)}
+        content: dict[str, Any] = {name: getattr(self, name) for name in _PLAIN}
+        content |= {
+            "grid": _tables({axis: axis.values for axis in self.axes}),
+            "random": _tables(drawn),
+            "disturbance": fixed,
+            "gain_set": self.gain_sets,
+            "gains": self.gains,
+            "record": {"episodes": self.record},
+        }
+        return to_toml({key: value for key, value in content.items() if value != {}})
 
-def _plain(value: Any) -> Any:
-    """Infinity as a word: JSON has no number for it."""
-    if isinstance(value, list):
-        return [_plain(item) for item in cast(list[Any], value)]
-    return str(value) if isinstance(value, float) and math.isinf(value) else value
+
+def _tables(axes: Mapping[Any, Any]) -> dict[str, Any]:
+    """What a file says of axes: controller and such, and fields of disturbances in their tables."""
+    content: dict[str, Any] = {}
+    for axis, value in axes.items():
+        if axis.disturbance:
+            fields = content.setdefault("disturbance", {}).setdefault(axis.disturbance, {})
+            ((key, _),) = _keys(axis.disturbance, (axis.field,))
+            fields[key] = value
+        else:
+            content[axis.name] = value
+    return content
+
+
+def _keys(disturbance: str, fields: Any) -> list[tuple[str, str]]:
+    """The keys of fields in files, each with the field."""
+    return [
+        (key, field) for key, field in field_keys(class_of(disturbance)).items() if field in fields
+    ]

@@ -1,37 +1,122 @@
-"""The folder that a sweep is written to."""
+"""A sweep on disk: `spec.toml`, `manifest.json` and `episodes/*.parquet`, one file a shard.
+
+The manifest holds the SHA-256 of every finished shard. It is written before the shard gets its
+name, so that a file with that name is known, whenever the process is killed. A file is compared
+with its SHA-256 before anything is made of its bytes.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import datetime
+import hashlib
+import io
 import json
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
+import filelock
 import pyarrow as pa
+import pyarrow.parquet as pq
 
-from octarm.errors import OctarmError
-from octarm.files import write_text
+from octarm.errors import FileError, OctarmError, closest
+from octarm.files import whole_file, write_text
+from octarm.formats import FORMAT, check_format, read_json, spelt, to_json
 from octarm.runs.versions import host, versions
-from octarm.sweeps.folder import (
-    EPISODES,
-    MANIFEST,
-    SPEC,
-    is_shard,
-    labels,
-    read_manifest,
-    shard_name,
-)
-from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.plan import Plan
-from octarm.sweeps.shard_file import read_shard, write_shard
 from octarm.sweeps.spec import SweepSpec
-from octarm.sweeps.spelling import as_toml
-from octarm.sweeps.under_way import Notes
+from octarm.sweeps.spec_file import parse_spec
 
+SPEC = "spec.toml"
+MANIFEST = "manifest.json"
+EPISODES = "episodes"
+RECORDED = "recorded"  # run folders of selected episodes
+PROGRESS = ".progress"  # how far the shards at work are; only while a sweep runs
 _LOCK = ".lock"
-_UNDER_WAY = ".under-way"
+
+
+def read_sweep(folder: str | Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """The finished episodes of a sweep, a row each, in the order of their numbers.
+
+    Args:
+        folder: of the sweep.
+        columns: names of those to read; all when not given. Metadata of a field holds its `unit`.
+
+    Raises:
+        OctarmError: if the folder holds no sweep, no finished shard or a damaged one.
+    """
+    tables = [
+        table.replace_schema_metadata(None) for _, table in _shards(Path(folder), columns=columns)
+    ]
+    if not tables:
+        raise OctarmError(f"{folder} has no finished episode yet")
+    return pa.concat_tables(tables)
+
+
+def read_schema(folder: str | Path) -> pa.Schema:
+    """The columns of a sweep's table; metadata of a field holds its `unit`.
+
+    Raises:
+        OctarmError: if the folder holds no sweep, or no finished shard.
+    """
+    for _, table in _shards(Path(folder)):
+        return table.schema
+    raise OctarmError(f"{folder} has no finished episode yet")
+
+
+def read_row(folder: str | Path, episode: int) -> pa.Table:
+    """The row of an episode; the metadata of its schema are what `origin_of` reads.
+
+    Raises:
+        OctarmError: if the folder holds no sweep, or the episode is not finished or damaged.
+    """
+    for first, table in _shards(Path(folder), episode=episode):
+        return table.slice(episode - first, 1)
+    raise OctarmError(f"episode {episode} of {folder} is not finished; --resume runs it")
+
+
+def origin_of(table: pa.Table) -> dict[str, Any]:
+    """Where and with which versions rows were made, `host` and `versions`."""
+    return {key.decode(): json.loads(text) for key, text in metadata_of(table.schema).items()}
+
+
+def metadata_of(thing: pa.Schema | pa.Field) -> dict[bytes, bytes]:
+    """The metadata of a schema or of a field; none are an empty table."""
+    return thing.metadata or {}
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """What `manifest.json` says.
+
+    Raises:
+        OctarmError: if the folder holds no sweep, or one of another format.
+    """
+    file = folder / MANIFEST
+    if not file.is_file():
+        raise OctarmError(f"{folder} is not a sweep: it has no {MANIFEST}")
+    document = read_json(file)
+    check_format(document)
+    manifest = dict(document.content)
+    if missing := {"spec", "spec_hash", "gains", "starts", "shards"} - set(manifest):
+        raise OctarmError(
+            f"{file} does not describe a sweep: it lacks {', '.join(sorted(missing))}"
+        )
+    return manifest
+
+
+def shard_entry(plan: Plan, shard: int) -> dict[str, Any]:
+    """What the manifest says of a shard that is not finished."""
+    episodes = plan.shards[shard]
+    file = f"{EPISODES}/{shard:05d}.parquet"
+    return {"file": file, "first": episodes.start, "episodes": len(episodes), "sha256": ""}
+
+
+def shard_bytes(table: pa.Table) -> bytes:
+    """The content of the file of a shard."""
+    sink = io.BytesIO()
+    pq.write_table(table, sink, compression="zstd", use_dictionary=False, write_statistics=False)
+    return sink.getvalue()
 
 
 class SweepFolder:
@@ -47,7 +132,7 @@ class SweepFolder:
         """A folder for the shards of a plan; nothing is written yet."""
         self.path = path
         self._plan = plan
-        self._hash = plan.spec.hash()
+        self._manifest: dict[str, Any] = {}
 
     def check(self, *, resume: bool) -> None:
         """Looks at what is there, and changes nothing.
@@ -56,15 +141,15 @@ class SweepFolder:
             resume: whether a sweep that was begun there may go on.
 
         Raises:
-            ValueError: if the folder holds something else, or a sweep that may not go on.
+            OctarmError: if the folder holds something else, or a sweep that may not go on.
         """
         if self.path.exists() and not self.path.is_dir():
             raise OctarmError(f"{self.path} is not a folder; choose another --out")
-        there = self.path.iterdir() if self.path.exists() else ()
-        found = {entry.name for entry in there}
-        if not found & {MANIFEST} and found - {_LOCK, _UNDER_WAY, SPEC, EPISODES}:
-            raise OctarmError(f"{self.path} exists and is not a sweep; choose another --out")
-        if MANIFEST not in found:
+        entries = self.path.iterdir() if self.path.exists() else ()
+        names = {entry.name for entry in entries}
+        if MANIFEST not in names:
+            if names - {_LOCK, PROGRESS, SPEC, EPISODES}:
+                raise OctarmError(f"{self.path} exists and is not a sweep; choose another --out")
             return
         if not resume:
             raise OctarmError(
@@ -74,7 +159,10 @@ class SweepFolder:
         before, now = read_manifest(self.path)["spec"], self._plan.spec.content()
         for key in (*before, *now):
             if before.get(key) != now.get(key):
-                old, new = (_told(content, key) for content in (before, now))
+                old, new = (
+                    f"is {spelt(content[key])}" if key in content else "is not given"
+                    for content in (before, now)
+                )
                 raise OctarmError(
                     f"{self.path} was begun with another spec: {key} {old} there and {new} here"
                 )
@@ -84,20 +172,23 @@ class SweepFolder:
         """Makes the folder, and keeps other processes from writing there.
 
         Raises:
-            ValueError: if another one does.
-            OSError: if it cannot be written.
+            OctarmError: if another one does.
+            FileError: if it cannot be written.
         """
+        lock = filelock.FileLock(self.path / _LOCK, timeout=0)
         try:
             (self.path / EPISODES).mkdir(parents=True, exist_ok=True)
-            file = open(self.path / _LOCK, "w")
+            lock.acquire()
+        except filelock.Timeout:
+            raise OctarmError(f"another process is at work on {self.path}") from None
         except OSError as error:
-            raise OSError(f"{self.path} cannot be written: {error.strerror}") from None
-        with file:
-            try:
-                _lock(file.fileno())
-            except BlockingIOError:
-                raise OctarmError(f"another process is at work on {self.path}") from None
+            raise FileError(f"{self.path} cannot be written: {error.strerror}") from None
+        except NotImplementedError:  # some network file systems have no locks
+            pass
+        try:
             yield
+        finally:
+            lock.release()
 
     def begin(self, gains: Mapping[str, Any]) -> list[str]:
         """Writes what the sweep is, or notes that it goes on.
@@ -109,92 +200,113 @@ class SweepFolder:
             Which versions have changed since it was begun, a sentence each.
 
         Raises:
-            ValueError: if controllers have other gains than when it was begun.
-            OSError: if it cannot be written.
+            OctarmError: if controllers have other gains than when it was begun.
+            FileError: if it cannot be written.
         """
-        start: dict[str, Any] = {"time": _now(), "versions": versions(), "host": host()}
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        start: dict[str, Any] = {"time": now, "versions": versions(), "host": host()}
         if (self.path / MANIFEST).exists():
-            before = read_manifest(self.path)
-            for name, own in gains.items():
-                if before["gains"].get(name) != own:
+            self._manifest = read_manifest(self.path)
+            for name, values in gains.items():
+                if self._manifest["gains"].get(name) != values:
                     raise OctarmError(
                         f"{self.path} was begun with other gains of {name}: this version "
                         "recommends others"
                     )
-            starts = [*before["starts"], start]
         else:
-            starts = [start]
-            write_text(self.path / SPEC, _spec_text(self._plan.spec))
-        shards = [
-            {"file": f"{EPISODES}/{shard_name(i)}", "first": s.start, "episodes": len(s)}
-            for i, s in enumerate(self._plan.shards)
-        ]
-        manifest = {
-            "spec": self._plan.spec.content(),
-            "spec_hash": self._hash,
-            "episodes": self._plan.episodes,
-            "gains": gains,
-            "starts": starts,
-            "shards": shards,
-        }
-        write_text(self.path / MANIFEST, _json(manifest))
-        return _changes(starts[0]["versions"], start["versions"])
+            spec, plan = self._plan.spec, self._plan
+            self._manifest = {
+                "format": FORMAT,
+                "spec": spec.content(),
+                "spec_hash": spec.hash(),
+                "episodes": plan.episodes,
+                "gains": gains,
+                "starts": [],
+                "shards": [shard_entry(plan, i) for i in range(len(plan.shards))],
+            }
+            write_text(self.path / SPEC, _spec_text(spec))
+        self._manifest["starts"].append(start)
+        self._write_manifest()
+        return _changes(self._manifest["starts"][0]["versions"], start["versions"])
 
     def finished(self) -> list[int]:
-        """The shards that are there, readable, and of the right episodes."""
-        return [i for i, episodes in enumerate(self._plan.shards) if self._is_whole(i, episodes)]
+        """The shards that are there and undamaged; a damaged one is run again."""
+        return [
+            i
+            for i, shard in enumerate(self._manifest["shards"])
+            if _is_whole(_content(self.path / shard["file"]), shard)
+        ]
 
     def write(self, shard: int, table: pa.Table) -> None:
         """Writes a shard.
 
         Raises:
-            OSError: if it cannot be written.
+            FileError: if it cannot be written.
         """
-        own = labels(self._hash, self._plan.shards[shard].start)
-        write_shard(self._file(shard), table, own)
+        entry, content = self._manifest["shards"][shard], shard_bytes(table)
+        with whole_file(self.path / entry["file"]) as part:
+            part.write_bytes(content)
+            entry["sha256"] = hashlib.sha256(content).hexdigest()
+            self._write_manifest()
 
-    def notes(self) -> Notes:
-        """Where it is noted how far the shards under way are."""
-        return Notes(self.path.resolve() / _UNDER_WAY)
+    def _write_manifest(self) -> None:
+        write_text(self.path / MANIFEST, to_json(self._manifest))
 
-    def _file(self, shard: int) -> Path:
-        return self.path / EPISODES / shard_name(shard)
 
-    def _is_whole(self, shard: int, episodes: range) -> bool:
-        """Whether a shard can be taken as it is; a damaged one is run again."""
-        file = self._file(shard)
-        try:
-            table = read_shard(file, ["episode"])
-        except (OSError, ValueError):
-            return False
-        return is_shard(table, self._hash, episodes)
+def _shards(
+    folder: Path, *, episode: int | None = None, columns: Sequence[str] | None = None
+) -> Iterator[tuple[int, pa.Table]]:
+    """The finished shards, or that of an episode: the first episode and the rows of each.
+
+    Raises:
+        OctarmError: if the folder holds no sweep, a shard is damaged, or lacks a column.
+    """
+    for shard in read_manifest(folder)["shards"]:
+        file, first = folder / shard["file"], shard["first"]
+        if episode is not None and not first <= episode < first + shard["episodes"]:
+            continue
+        content = _content(file)
+        if content is None or not shard["sha256"]:
+            continue
+        if not _is_whole(content, shard):
+            raise OctarmError(
+                f"{file} is damaged: it does not have the SHA-256 that {MANIFEST} states; "
+                "--resume runs it again"
+            )
+        yield first, _parsed(content, file, columns)
+
+
+def _parsed(content: bytes, file: Path, columns: Sequence[str] | None) -> pa.Table:
+    """The rows in the bytes of a file.
+
+    Without threads: one that ends after the interpreter aborts the process when it frees a buffer
+    that is Python's.
+    """
+    with pq.ParquetFile(pa.BufferReader(content)) as stored:
+        known = stored.schema_arrow.names
+        for name in columns or ():
+            if name not in known:
+                raise OctarmError(f"{file} has no column {name!r}{closest(name, known)}")
+        return stored.read(columns=None if columns is None else [*columns], use_threads=False)
+
+
+def _content(file: Path) -> bytes | None:
+    """The bytes of a file; None if there is none."""
+    try:
+        return file.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise FileError(f"{file} cannot be read: {error.strerror}") from None
+
+
+def _is_whole(content: bytes | None, shard: Mapping[str, Any]) -> bool:
+    return content is not None and hashlib.sha256(content).hexdigest() == shard["sha256"]
 
 
 def _spec_text(spec: SweepSpec) -> str:
     """The file that the spec was read from, or one that says all if that one does not."""
-    if spec.text and spec.alone and parse_spec(spec.text) == spec:
-        return spec.text
-    return as_toml(spec)
-
-
-def _json(manifest: Mapping[str, Any]) -> str:
-    """JSON with a line for each entry of each table or list."""
-    tables: list[str] = []
-    for key, value in manifest.items():
-        text = json.dumps(value)
-        if isinstance(value, Mapping) and value:
-            table = cast(Mapping[str, Any], value)
-            rows = [f"  {json.dumps(k)}: {json.dumps(v)}" for k, v in table.items()]
-            text = "{\n" + ",\n".join(rows) + "\n }"
-        elif isinstance(value, list) and value:
-            rows = [f"  {json.dumps(item)}" for item in cast(list[Any], value)]
-            text = "[\n" + ",\n".join(rows) + "\n ]"
-        tables.append(f" {json.dumps(key)}: {text}")
-    return "{\n" + ",\n".join(tables) + "\n}\n"
-
-
-def _now() -> str:
-    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    return spec.text if spec.text and parse_spec(spec.text) == spec else spec.to_toml()
 
 
 def _changes(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
@@ -204,25 +316,3 @@ def _changes(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
         for name in now
         if name != "platform" and before.get(name) != now[name]
     ]
-
-
-def _told(content: Mapping[str, Any], key: str) -> str:
-    return f"is {json.dumps(content[key])}" if key in content else "is not given"
-
-
-def _lock(descriptor: int) -> None:
-    """Takes the lock of an open file, where the system has such a thing.
-
-    Raises:
-        BlockingIOError: if another process has it.
-    """
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        return
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise
-    except OSError:  # some network file systems have no locks
-        return

@@ -1,7 +1,7 @@
 """Finding gains: the same search, with the same budget, for every controller.
 
-Differential evolution searches the space of `octarm.sweeps.tune_space` for the least cost by
-`octarm.sweeps.tune_objective`. A whole generation is one batch of arms, each candidate in every
+Differential evolution searches the `Space` of a controller's gains for the least cost by
+`octarm.sweeps.tune_cost`. A whole generation is one batch of arms, each candidate in every
 scenario.
 
 Every generation has random numbers of its own, and begins from nothing but the population and its
@@ -16,30 +16,115 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import platform
 from collections.abc import Callable, Mapping
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
 from octarm.arm.mjcf import nominal_parameters
-from octarm.arm.parameters import ArmParameters
 from octarm.errors import OctarmError
 from octarm.files import write_text
-from octarm.interfaces import Controller
-from octarm.sweeps.tune_objective import FORMULA, LONG, SHORT, Factory, Trial, costs
-from octarm.sweeps.tune_space import KNOBS, Space
+from octarm.formats import Model, read_json, to_json
+from octarm.interfaces import Controller, Knob, Tunable
+from octarm.runs import versions as origin
+from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, Examination, costs
 
-_PACKAGES = ("octarm", "mujoco", "dm-control", "numpy", "scipy")
+_PACKAGES = ("python", "octarm", "mujoco", "dm-control", "numpy", "scipy")
+
+
+class Unknown(NamedTuple):
+    """One coordinate of the search.
+
+    Attributes:
+        name: for people.
+        knob: that it turns.
+        share: 1 for the coordinates of the arm that it is for, 0 for others, shape (2N,).
+    """
+
+    name: str
+    knob: Knob
+    share: np.ndarray
+
+
+class Space:
+    """The gains of one controller, and what is searched.
+
+    A candidate is a vector of d numbers: the logarithms, base 10, of the factors of the unknowns.
+    That of the hand-set gains is zero.
+
+    Attributes:
+        gains: the hand-set ones, by name.
+        knobs: what the controller lets be turned.
+        unknowns: what is searched.
+        bounds: smallest and largest entry of a candidate, shape (d, 2).
+    """
+
+    def __init__(self, controller: Tunable, modules: int) -> None:
+        """The space around a controller with its hand-set gains.
+
+        Raises:
+            OctarmError: if it has no gain that can be tuned.
+        """
+        self.gains, self.knobs = gains_of(controller), controller.knobs()
+        slides, every = np.repeat([1.0, 0.0], modules), np.ones(2 * modules)
+        self.unknowns: list[Unknown] = []
+        for knob in self.knobs:
+            parts = {" of slides": slides, " of bends": 1.0 - slides} if knob.apart else {"": every}
+            self.unknowns += [Unknown(knob.name + part, knob, x) for part, x in parts.items()]
+        if not self.unknowns:
+            raise OctarmError(
+                f"{type(controller).__name__} has no gain that can be tuned; give one a knob"
+            )
+        self.bounds = np.log10([(u.knob.low, u.knob.high) for u in self.unknowns])
+
+    def turned(self, candidates: np.ndarray) -> dict[str, np.ndarray]:
+        """The gains that are tuned: candidates, shape (n, d), to gains of shape (n, 2N)."""
+        table: dict[str, np.ndarray] = {}
+        for unknown, logarithms in zip(self.unknowns, candidates.T, strict=True):
+            factors = 10.0 ** (unknown.share[:, None] * logarithms)
+            for name in unknown.knob.gains:
+                table[name] = table.get(name, self.gains[name].reshape(-1, 1)) * factors
+        return {name: rounded(columns).T for name, columns in table.items()}
+
+    def fixed(self) -> dict[str, np.ndarray]:
+        """The gains that stay as they are, each of the shape of its value in `gains`."""
+        tuned = {name for unknown in self.unknowns for name in unknown.knob.gains}
+        return {name: gain for name, gain in self.gains.items() if name not in tuned}
+
+    def at_bounds(self, candidate: np.ndarray) -> list[str]:
+        """The unknowns that are as small or as large as they may be, within 1 % of the range.
+
+        Args:
+            candidate: shape (d,).
+        """
+        low, high = self.bounds.T
+        ends = np.minimum(candidate - low, high - candidate) < 0.01 * (high - low)
+        return [u.name for u, at_end in zip(self.unknowns, ends, strict=True) if at_end]
+
+
+def gains_of(controller: Controller) -> dict[str, np.ndarray]:
+    """The gains of a controller that are numbers, by the names under which they are given.
+
+    Arrays have shape (), or that in which the controller holds them, mostly (2N,).
+    """
+    fields = {f.name: getattr(controller, f.name) for f in dataclasses.fields(controller)}  # pyright: ignore
+    return {
+        name.rstrip("_"): np.asarray(value)
+        for name, value in fields.items()
+        if isinstance(value, float | np.ndarray)
+    }
+
+
+def rounded(gains: np.ndarray) -> np.ndarray:
+    """Numbers of any shape to four digits: more than anybody can tell apart, and good to read."""
+    return np.reshape([float(f"{x:.4g}") for x in gains.ravel().tolist()], gains.shape)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Effort:
+class Budget:
     """How much is tried; the same for every controller.
 
     Attributes:
@@ -53,23 +138,23 @@ class Effort:
     population: int = 24
     generations: int
     finalists: int = 7
-    short: Trial = SHORT
-    long: Trial = LONG
+    short: Examination = SHORT
+    long: Examination = LONG
 
     @classmethod
-    def within(cls, budget: float) -> Effort:
-        """As many generations as fit into a budget for the search, in simulated seconds [s].
+    def within(cls, seconds: float) -> Budget:
+        """As many generations as the search may simulate in so many seconds [s].
 
         Raises:
-            ValueError: if not even one does, or the budget is not finite.
+            OctarmError: if not even one fits, or the seconds are not finite.
         """
         generation = cls(generations=1).search_seconds
-        if not generation <= budget < math.inf:
+        if not generation <= seconds < math.inf:
             raise OctarmError(
-                f"budget is {budget:g} s; it must be at least {generation:g} s, one generation, "
+                f"budget is {seconds:g} s; it must be at least {generation:g} s, one generation, "
                 "and finite"
             )
-        return cls(generations=int(budget // generation))
+        return cls(generations=int(seconds // generation))
 
     @property
     def search_seconds(self) -> float:
@@ -83,7 +168,7 @@ class Effort:
         return self.search_seconds + (self.finalists + 1) * final
 
 
-class State(NamedTuple):
+class SearchState(NamedTuple):
     """The search after a generation; the best candidate comes first.
 
     Attributes:
@@ -99,12 +184,12 @@ class State(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Tuned:
-    """What came of it.
+    """The result of a search.
 
     Attributes:
         gains: all gains of the controller that are numbers, by name, shape () or (2N,).
         short: cost in each scenario of the search, shape (scenarios,) [1].
-        long: cost in each scenario of the longer trial, shape (scenarios,) [1].
+        long: cost in each scenario of the longer examination, shape (scenarios,) [1].
         short_by_hand: likewise with the hand-set gains.
         long_by_hand: likewise.
         at_bounds: the unknowns that are as small or large as they were allowed to be.
@@ -119,56 +204,57 @@ class Tuned:
 
 
 def tune(
-    factory: Factory,
-    effort: Effort,
+    factory: Callable[..., Tunable],
+    budget: Budget,
     *,
     seed: int = 0,
-    state: State | None = None,
-    keep: Callable[[State], object] = lambda state: None,
+    state: SearchState | None = None,
+    keep: Callable[[SearchState], object] = lambda state: None,
     progress: Callable[[float], object] = lambda seconds: None,
 ) -> Tuned:
     """Searches gains; the same bits for the same arguments, wherever it went on from.
 
     Args:
-        factory: makes the controller; gains that it is not given are the hand-set ones.
-        effort: how much is tried.
+        factory: makes the controller from its nominal model and gains; gains that it is not given
+            are the hand-set ones.
+        budget: how much is tried.
         seed: of the search. The scenarios do not depend on it.
         state: where an earlier search stopped; the beginning when not given.
         keep: called with the state after every generation.
-        progress: called with simulated seconds as they pass, see `tune_objective.costs`.
+        progress: called with simulated seconds as they pass, see `tune_cost.costs`.
 
     Raises:
-        ValueError: if the controller cannot be made, or has no gain that can be tuned.
+        OctarmError: if the controller cannot be made, or has no gain that can be tuned.
     """
     nominal = nominal_parameters()
     space = Space(factory(nominal, {}), nominal.modules)
     fixed = space.fixed()
 
-    def make(nominal: ArmParameters, gains: Mapping[str, npt.ArrayLike]) -> Controller:
-        return factory(nominal, fixed | dict(gains))
+    def make(nominal: Any, gains: Mapping[str, np.ndarray]) -> Controller:
+        return factory(nominal, {**fixed, **gains})
 
-    def tried(trial: Trial, candidates: np.ndarray) -> np.ndarray:
-        return costs(trial, make, space.turned(candidates), progress)
+    def tried(examination: Examination, candidates: np.ndarray) -> np.ndarray:
+        return costs(examination, make, space.turned(candidates), progress)
 
     def cost(candidates: np.ndarray) -> np.ndarray:
-        return tried(effort.short, candidates).mean(axis=1)
+        return tried(budget.short, candidates).mean(axis=1)
 
     if state is None:
-        population = initial_population(space.bounds, effort.population, _random(seed, 0))
-        state = State(0, population, cost(population))
+        population = initial_population(space.bounds, budget.population, _random(seed, 0))
+        state = SearchState(0, population, cost(population))
         keep(state)
     else:
-        progress((state.generation + 1) * effort.population * effort.short.seconds)
-    while state.generation < effort.generations - 1:
+        progress((state.generation + 1) * budget.population * budget.short.seconds)
+    while state.generation < budget.generations - 1:
         state = next_generation(cost, space.bounds, state, _random(seed, state.generation + 1))
         keep(state)
-    best = state.population[np.argsort(state.costs, kind="stable")[: effort.finalists]]
+    best = state.population[np.argsort(state.costs, kind="stable")[: budget.finalists]]
     finalists = np.concatenate([best, np.zeros_like(best[:1])])
-    short, long = (tried(trial, finalists) for trial in (effort.short, effort.long))
+    short, long = (tried(examination, finalists) for examination in (budget.short, budget.long))
     winner = int(np.argmin(long.mean(axis=1)))
-    found = {name: rows[winner] for name, rows in space.turned(finalists).items()}
+    turned = {name: rows[winner] for name, rows in space.turned(finalists).items()}
     return Tuned(
-        gains={name: found.get(name, gain) for name, gain in space.gains.items()},
+        gains={name: turned.get(name, gain) for name, gain in space.gains.items()},
         short=short[winner],
         long=long[winner],
         short_by_hand=short[-1],
@@ -196,9 +282,9 @@ def initial_population(bounds: np.ndarray, size: int, random: np.random.Generato
 def next_generation(
     cost: Callable[[np.ndarray], np.ndarray],
     bounds: np.ndarray,
-    state: State,
+    state: SearchState,
     random: np.random.Generator,
-) -> State:
+) -> SearchState:
     """One step of differential evolution, with the settings that scipy comes with.
 
     Args:
@@ -223,11 +309,20 @@ def next_generation(
         vectorized=True,
         rng=random,
     )
-    return State(state.generation + 1, result.population, result.population_energies)
+    return SearchState(state.generation + 1, result.population, result.population_energies)
 
 
 def _random(seed: int, generation: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(generation,)))
+
+
+class _StateContent(Model):
+    """What the file of a search holds."""
+
+    settings: dict[str, Any]
+    generation: int
+    population: list[list[float]]
+    costs: list[float]
 
 
 class StateFile:
@@ -238,51 +333,45 @@ class StateFile:
         self.path = path
         self._settings = json.loads(json.dumps(settings))
 
-    def write(self, state: State) -> None:
+    def write(self, state: SearchState) -> None:
         """Replaces the file, whole or not at all."""
         generation, population, costs = state
-        content = {
-            "settings": self._settings,
-            "generation": generation,
-            "population": population.tolist(),
-            "costs": costs.tolist(),
-        }
-        write_text(self.path, json.dumps(content, indent=1) + "\n")
+        content = _StateContent(
+            settings=self._settings,
+            generation=generation,
+            population=population.tolist(),
+            costs=costs.tolist(),
+        )
+        write_text(self.path, to_json(content.model_dump()))
 
-    def read(self) -> State:
+    def read(self) -> SearchState:
         """The state.
 
         Raises:
-            ValueError: if there is none, or it belongs to another search.
+            OctarmError: if there is none, or it belongs to another search.
         """
-        try:
-            content = json.loads(self.path.read_text(encoding="utf-8"))
-            settings = content["settings"]
-            numbers = (np.array(content[key]) for key in ("population", "costs"))
-            state = State(content["generation"], *numbers)
-        except FileNotFoundError:
-            raise OctarmError(f"there is nothing to resume: {self.path} does not exist") from None
-        except (ValueError, KeyError, TypeError) as error:
-            raise OctarmError(
-                f"{self.path} is damaged ({error}); delete it and start anew"
-            ) from None
+        if not self.path.exists():
+            raise OctarmError(f"there is nothing to resume: {self.path} does not exist")
+        content = read_json(self.path).read(_StateContent)
         for key in self._settings:
-            if settings.get(key) != self._settings[key]:
+            if content.settings.get(key) != self._settings[key]:
                 raise OctarmError(
                     f"{self.path} belongs to a search with another {key}; go on with that one, or "
                     "delete the file"
                 )
-        return state
+        return SearchState(
+            content.generation, np.array(content.population), np.array(content.costs)
+        )
 
 
-def settings(controller: str, space: Space, effort: Effort, seed: int) -> dict[str, Any]:
+def settings(controller: str, space: Space, budget: Budget, seed: int) -> dict[str, Any]:
     """All that a search depends on, ready for JSON."""
     return {
         "controller": controller,
         "seed": seed,
-        "budget": dataclasses.asdict(effort),
+        "budget": dataclasses.asdict(budget),
         "gains": {name: gain.tolist() for name, gain in space.gains.items()},
-        "range": [dataclasses.asdict(knob) for knob in KNOBS],
+        "range": [knob._asdict() for knob in space.knobs],
         "objective": FORMULA,
         "versions": versions(),
     }
@@ -290,4 +379,4 @@ def settings(controller: str, space: Space, effort: Effort, seed: int) -> dict[s
 
 def versions() -> dict[str, str]:
     """What the result depends on for being found again."""
-    return {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}}
+    return {name: x for name, x in origin.versions().items() if name in _PACKAGES}

@@ -22,12 +22,11 @@ import octarm
 from benchmarks.figures import Row, Settings, clocks
 from controllers import make_controller
 from octarm.interfaces import Instant, Measurement, Reference
-from octarm.metrics.blocks import SETTLED_AFTER, Block
-from octarm.metrics.table import Metrics
+from octarm.metrics.table import SETTLED_AFTER, Metrics
 from octarm.simulation.rollout import simulate
-from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.shards import Observer, begin, run_arms
+from octarm.sweeps.spec_file import parse_spec
 from octarm.sweeps.workers import WorkerProcesses
 
 TARGETS = {"afsmc": 0.78, "smc-boundary": 0.85}  # share of the open loop's throughput
@@ -117,7 +116,7 @@ def take_turns(name: str, arms: int, seconds: float, rival: Rival) -> Turns:
     run_arms(plan, shard, make_controller, duration=_step())
     once = (clocks() - started) * _step() / (DURATION * arms)
     environment, controller = begin(plan.spec, shard, make_controller)
-    observer = Observer(environment, controller, DURATION)
+    observer = Observer(environment, DURATION)
     other = rival(name, environment)
     sweep: list[np.ndarray] = []
     others: list[np.ndarray] = []
@@ -180,15 +179,16 @@ def measured_loop(name: str, environment: control.Environment) -> Callable[[], i
 
     def observe(instant: Instant) -> None:
         command = instant.command
-        block = Block(
-            t=np.array([instant.measurement.t + SETTLED_AFTER]),
-            q=instant.q[None],
-            q_d=instant.reference.q[None],
-            tau=instant.tau[None],
-            force=command.force[None],
-            signals={"s": command.signals["s"][None]} if "s" in command.signals else {},
+        metrics.update(
+            {
+                "t": np.array([instant.measurement.t + SETTLED_AFTER]),
+                "q": instant.q[None],
+                "q_d": instant.reference.q[None],
+                "tau": instant.tau[None],
+                "force": command.force[None],
+                **{name: signal[None] for name, signal in command.signals.items()},
+            }
         )
-        metrics.update(block)
 
     return _alone(name, observe)
 

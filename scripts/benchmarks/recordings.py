@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import rerun as rr
 import octarm
 from benchmarks.figures import Row, Settings
 from controllers import CONTROLLERS, make_controller
-from octarm.recordings.channels import channels_of, values_of
+from octarm.recordings.channels import channels_of
 from octarm.recordings.recording import write_recording
 from octarm.runs.experiment import Experiment, perform
 from octarm.simulation.trajectory import Trajectory
@@ -43,7 +43,7 @@ def recording(settings: Settings) -> list[Row]:
                 Row(f"{controller}, writing within the run's time", share, "%", at_most=10.0),
             ]
             if controller == STEPWISE:
-                rows += _stepwise(Path(name), run, writing / len(run))
+                rows += _stepwise(Path(name), run, description, writing / len(run))
     return rows
 
 
@@ -72,16 +72,19 @@ def _median(call: Callable[[], object]) -> float:
     return float(np.median(times))
 
 
-def _stepwise(folder: Path, run: Trajectory, recorded: float) -> list[Row]:
+def _stepwise(
+    folder: Path, run: Trajectory, description: Mapping[str, Any], recorded: float
+) -> list[Row]:
     """`rr.log` of the same signals at every instant, against a step of the recorder [s].
 
     The recorder also draws the arm and records the rules, 60 times a second; that is not logged.
     """
-    channels, values = channels_of(run, disturbed=False), values_of(run, disturbed=False)
+    rows = dict(run.arrays())
+    channels = channels_of(rows, description, run.layer, disturbed=False)
     lists: dict[str, np.ndarray] = {}  # what the recorder holds together
-    for name, channel in channels.items():
+    for channel in channels.values():
         if channel.kind != "rules":
-            lists |= channel.fields(values[name])
+            lists |= channel.columns(channel.values(rows))
     numbers = {f"{name}/{i}": x for name, table in lists.items() for i, x in enumerate(table.T)}
     a_number, a_list = (_logged(folder / "steps.rrd", run, kind) for kind in (numbers, lists))
     return [

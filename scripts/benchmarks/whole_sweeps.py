@@ -14,10 +14,10 @@ import numpy as np
 import octarm
 from benchmarks.figures import Row, Settings
 from controllers import make_controller
-from octarm.sweeps.parser import parse_spec
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.shards import run_arms
 from octarm.sweeps.spec import SweepSpec
+from octarm.sweeps.spec_file import parse_spec
 from octarm.sweeps.workers import WorkerProcesses
 
 CONTROLLER = "afsmc"

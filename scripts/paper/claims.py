@@ -11,8 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jinja2
-
+from octarm.reports.page import templates
 from octarm.reports.statistics import Interval
 
 
@@ -133,7 +132,7 @@ def words() -> dict[str, Any]:
 
 def worded(text: str, **numbers: Any) -> str:
     """A text of `words.toml` with its numbers, in one line."""
-    return " ".join(TEMPLATES.from_string(text).render(**numbers).split())
+    return " ".join(TEXTS.from_string(text).render(**numbers).split())
 
 
 def rounded(value: float) -> float | str:
@@ -197,14 +196,8 @@ def listed(names: Sequence[str]) -> str:
     return f"{', '.join(first)} and {last}" if first else last
 
 
-TEMPLATES = jinja2.Environment(
-    loader=jinja2.FileSystemLoader(Path(__file__).with_name("templates")),
-    undefined=jinja2.StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-    autoescape=jinja2.select_autoescape(("html.j2",), default_for_string=False),
-)
-TEMPLATES.filters |= {
+PAGES = templates(Path(__file__).with_name("templates"))
+PAGES.filters |= {
     "g": lambda x: f"{x:g}",
     "number": number,
     "in_words": in_words,
@@ -214,3 +207,4 @@ TEMPLATES.filters |= {
     "span": span,
     "listed": listed,
 }
+TEXTS = PAGES.overlay(autoescape=False)

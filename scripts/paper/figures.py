@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-import io
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure as NewFigure
 
-from octarm.reports.figures import Picture
-from octarm.reports.panels import COLORS, INK, MARKERS, STYLE, Axes, Figure, logarithmic_ticks
+from octarm.reports.figures import (
+    COLORS,
+    INK,
+    MARKERS,
+    Axes,
+    Figure,
+    Picture,
+    figure_style,
+    logarithmic_ticks,
+    save_figure,
+)
 from octarm.reports.statistics import Interval
 from paper.claims import percent, worded, words
 from paper.evidence import Cell, Evidence, coordinates
@@ -114,15 +121,8 @@ def draw(name: str, make: Callable[[], Figure], caption: str = "", **numbers: An
         caption: a text as in `words.toml`; the one of this name when empty.
         numbers: that the text asks for.
     """
-    default = {k: v for k, v in matplotlib.rcParamsDefault.items() if not k.startswith("backend")}
-    with cast(Any, matplotlib).rc_context({**default, **STYLE}):
-        figure = make()
-        vector, raster = io.BytesIO(), io.BytesIO()
-        figure.savefig(vector, format="svg", metadata={"Date": None, "Creator": None})
-        figure.set_layout_engine("none")
-        figure.savefig(raster, format="png", dpi=200, metadata={"Software": None})
-    caption = worded(caption or words()["figures"][name], **numbers)
-    return Picture(name, caption, vector.getvalue().decode(), raster.getvalue())
+    with figure_style():
+        return save_figure(name, worded(caption or words()["figures"][name], **numbers), make())
 
 
 def _tracking(evidence: Evidence, reference: str, noise: float) -> Figure:

@@ -8,13 +8,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
-
 from octarm.errors import OctarmError
-from octarm.reports.page import inline_svg
+from octarm.reports import page as report_page
 from octarm.reports.statistics import Interval
 from paper import adaptation, figures, tables, tracking
-from paper.claims import TEMPLATES, Claim, claim, rounded, worded, words
+from paper.claims import PAGES, TEXTS, Claim, claim, median, rounded, spread, worded, words
 from paper.evidence import Evidence
 from paper.jobs import write
 from paper.tables import Table, all_tables, as_csv, timings
@@ -131,7 +129,7 @@ def with_claims(readme: str, numbers: Mapping[str, Any]) -> str:
     _, end, after = rest.partition(END)
     if not start or not end or START in rest or END in before + after:
         raise OctarmError(f"the README must have {START} and after it {END}, once each")
-    text = _rendered("readme.md.j2", claims=numbers["claims"]).strip()
+    text = _rendered("readme.md", claims=numbers["claims"]).strip()
     return f"{before}{START}\n\n{text}\n\n{END}{after}"
 
 
@@ -140,7 +138,7 @@ def markdown(
 ) -> str:
     """The write-up."""
     return _rendered(
-        "paper.md.j2",
+        "paper.md",
         picture_file=picture,
         seeds=evidence.effort.seeds,
         claims=claims,
@@ -156,32 +154,45 @@ def page(
 ) -> str:
     """The report: one HTML file that needs nothing but itself."""
     return _rendered(
-        "report.html.j2",
+        "paper.html",
         claims=claims,
-        pictures=[
-            {"name": one.name, "caption": one.caption,
-             "inline": inline_svg(one.svg, one.name, one.caption)}
-            for one in pictures
-        ],
+        pictures=pictures,
         tables={**written, "timings": timings(evidence)},
-        sides=_side,
+        layout=_layout,
+        numbers=lambda one: Table("", "", ("", "measured"), [(r.name, str(r)) for r in one.rows]),
         seeds=evidence.effort.seeds,
         versions=", ".join(f"{name} {version(name)}" for name in _PACKAGES),
         gains={label: json.dumps(one.gains) for label, one in evidence.variants.items()},
-    )  # fmt: skip
+    )
 
 
-def _side(table: Table, column: int) -> Markup:
-    """The class of a column of words; numbers stand to the right."""
-    words = any(isinstance(row[column], str) for row in table.rows)
-    return Markup(' class="left"' if words else "")
+def _layout(table: Table) -> report_page.Table:
+    """A table as pages have it; words stand to the left."""
+    kinds = [
+        "left" if any(isinstance(x, str) for x in own) else ""
+        for own in zip(*table.rows, strict=True)
+    ]
+    return report_page.Table(
+        [
+            report_page.Cell(name, kind=kind)
+            for name, kind in zip(table.columns, kinds, strict=True)
+        ],
+        [
+            [
+                report_page.Cell(median(x), [spread(x)] if spread(x) else [], kind)
+                for x, kind in zip(row, kinds, strict=True)
+            ]
+            for row in table.rows
+        ],
+    )
 
 
 def _rendered(template: str, **values: Any) -> str:
     texts = words()
     common = {key: texts[key] for key in ("title", "command", "picture")}
     common |= {"lead": worded(texts["lead"]), "setup": [worded(text) for text in texts["setup"]]}
-    return TEMPLATES.get_template(template).render(**common, **values).strip("\n") + "\n"
+    templates = PAGES if template.endswith(".html") else TEXTS
+    return templates.get_template(template).render(**common, **values).strip("\n") + "\n"
 
 
 def _triple(entry: tables.Entry) -> list[float | str]:

@@ -1,0 +1,102 @@
+"""The analytic Lagrange model as a controller's nominal model."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from octarm.arm import lagrange, model_error
+from octarm.arm.parameters import ArmParameters
+from octarm.arrays import coordinate_names
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LagrangeModel:
+    """The planar arm with these parameters, by `octarm.arm.lagrange`.
+
+    It is an `octarm.interfaces.NominalModel`, which says what each method takes and gives.
+
+    Attributes:
+        parameters: what the controller believes of the arm, of one arm or of a batch.
+    """
+
+    parameters: ArmParameters
+
+    @property
+    def modules(self) -> int:
+        """Number of modules N."""
+        return self.parameters.modules
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates 2N."""
+        return self.parameters.coordinates
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """s1..sN, theta1..thetaN."""
+        return tuple(coordinate_names(self.modules))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Slides in "m", bends in "rad"."""
+        return ("m",) * self.modules + ("rad",) * self.modules
+
+    @property
+    def scale(self) -> np.ndarray:
+        """Rest lengths of slides, 1 rad for bends, shape (..., 2N) [m], [rad]."""
+        lengths = self.parameters.rest_length
+        return np.concatenate([lengths, np.ones_like(lengths)], axis=-1)
+
+    @property
+    def input_limit(self) -> np.ndarray:
+        """The actuators' range in `models/octarm.xml`, shape (2N,) [N]."""
+        from octarm.arm.mjcf import nominal_input_limit
+
+        return np.full(self.coordinates, nominal_input_limit())
+
+    def inverse_dynamics(
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray, v_r: np.ndarray | None = None
+    ) -> np.ndarray:
+        """D(q) a + (C(q, v) + B) v_r + G(q), eq (1), shape (..., 2N) [N], [N m]."""
+        return lagrange.inverse_dynamics(self.parameters, q, v, a, v_r)
+
+    def mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """D(q), eq (3), shape (..., 2N, 2N)."""
+        return lagrange.mass_matrix(self.parameters, q)
+
+    def kinetic_energy(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """1/2 v^T D(q) v, shape (...) [J]."""
+        return lagrange.kinetic_energy(self.parameters, q, v)
+
+    def potential_force(self, q: np.ndarray) -> np.ndarray:
+        """G(q), eq (5), shape (..., 2N) [N], [N m]."""
+        return lagrange.potential_force(self.parameters, q)
+
+    def force_coefficients(self, q: np.ndarray) -> np.ndarray:
+        """F_coeff(q), eq (2), shape (..., 2N, 2N) [1], [m]."""
+        return lagrange.force_coefficients(self.parameters, q)
+
+    def equilibrium(self) -> np.ndarray:
+        """The coordinates at which the arm hangs still, shape (..., 2N) [m], [rad]."""
+        return lagrange.equilibrium(self.parameters)
+
+    def largest_inertia(self, q: np.ndarray) -> np.ndarray:
+        """D_ii of the straight arm, where it is largest, shape (..., 2N) [kg], [kg m^2]."""
+        return model_error.straight_inertia(self.parameters, q)
+
+    def largest_error(
+        self,
+        uncertainty: np.ndarray,
+        q: np.ndarray,
+        v: np.ndarray,
+        a: np.ndarray,
+        v_r: np.ndarray,
+    ) -> np.ndarray:
+        """The largest error of `inverse_dynamics`, shape (..., 2N) [N], [N m].
+
+        Masses, inertias and dampings lie within the share u of their true values, stiffnesses
+        within u/2; see `octarm.arm.model_error`.
+        """
+        return model_error.largest_error(self.parameters, uncertainty, q, v, a, v_r)

@@ -1,0 +1,170 @@
+"""The disturbances of one episode, all of them active."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from operator import is_
+from typing import Any
+
+import numpy as np
+
+from octarm.arm.parameters import ArmParameters
+from octarm.disturbances.catalogue import DISTURBANCES
+from octarm.disturbances.episode import (
+    ActuatorFault,
+    ActuatorProcess,
+    Disturbance,
+    Episode,
+    Force,
+    ForceProcess,
+    Plant,
+    PlantChange,
+    PlantProcess,
+    SensorFault,
+    SensorProcess,
+    numbered,
+    occurrences,
+)
+from octarm.errors import OctarmError
+
+_SIMULATED = (1e-14, 1e14)  # masses [kg] and inertias [kg m^2]; beyond, MuJoCo divides by zero
+
+
+class ActiveDisturbances:
+    """The disturbances that act during one episode.
+
+    Those of one family act in the order of `DISTURBANCES`. The second one of a class has streams
+    and a name of its own, such as `noise-2`. Everything is asked for at every physics step from 0
+    on, in order; asking again for the same step gives the same, except for `received`.
+
+    Attributes:
+        episode: that they act in.
+        forces: names and processes, in order.
+        plant_changes: likewise.
+        actuators: likewise.
+        sensors: likewise.
+        shares: each force's own share of the last `force`, by name, shape (..., 2N) [N], [N m].
+        inputs: what came out of each actuator fault in the last `received`, by name, shape
+            (..., 2N) [N].
+        readings: what came out of each sensor fault in the last `sensed`, by name.
+    """
+
+    def __init__(self, disturbances: Sequence[Disturbance], episode: Episode) -> None:
+        """Starts them all.
+
+        Raises:
+            OctarmError: if one does not suit the arm, the batch or the timestep, or is given twice
+                although it may be given only once.
+        """
+        self.episode = episode
+        self.shares: dict[str, np.ndarray] = {}
+        self.inputs: dict[str, np.ndarray] = {}
+        self.readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self._total = np.empty(0)
+        families = (Force, PlantChange, ActuatorFault, SensorFault)
+        started: dict[str, list[tuple[str, Any]]] = {cls.family: [] for cls in families}
+        place = {cls: i for i, cls in enumerate(DISTURBANCES.values())}
+        listed = zip(disturbances, occurrences(disturbances), strict=True)
+        for disturbance, count in sorted(listed, key=lambda x: place.get(type(x[0]), len(place))):
+            name = disturbance.name
+            if count > 1 and disturbance.instead_of_two:
+                raise OctarmError(f"{name} is given twice; {disturbance.instead_of_two}")
+            process = disturbance.start(episode if count == 1 else episode.again(count))
+            started[disturbance.family].append((numbered(name, count), process))
+        self.forces: list[tuple[str, ForceProcess]] = started[Force.family]
+        self.plant_changes: list[tuple[str, PlantProcess]] = started[PlantChange.family]
+        self.actuators: list[tuple[str, ActuatorProcess]] = started[ActuatorFault.family]
+        self.sensors: list[tuple[str, SensorProcess]] = started[SensorFault.family]
+
+    def received(self, step: int, tau: np.ndarray) -> np.ndarray:
+        """The input forces that the plant receives at a physics step, shape (..., 2N) [N].
+
+        Args:
+            step: number of the physics step; each one is asked for once.
+            tau: commanded input forces, shape (..., 2N) [N].
+        """
+        for name, process in self.actuators:
+            self.inputs[name] = tau = process(step, tau)
+        return tau
+
+    def force(self, step: int, q: np.ndarray) -> np.ndarray:
+        """The generalised force held over a physics step, shape (..., 2N) [N], [N m]; read-only.
+
+        Args:
+            step: number of the physics step.
+            q: true coordinates at its start, shape (..., 2N) [m], [rad].
+        """
+        if not self.forces:
+            return np.zeros_like(q)
+        shares = {name: process(step, q) for name, process in self.forces}
+        if not self.shares or not all(map(is_, shares.values(), self.shares.values())):
+            self._total = _sum(list(shares.values()))
+            self.shares = shares
+        return self._total
+
+    def plant_changes_at(self, step: int) -> bool:
+        """Whether `plant` at this physics step differs from the one before it."""
+        return any([process.changes_at(step) for _, process in self.plant_changes])
+
+    def plant(self, step: int) -> Plant | None:
+        """The true arm from this physics step on; None when it is the one of the step before.
+
+        At step 0 it is None only when nothing ever changes it.
+
+        Raises:
+            OctarmError: at step 0, for an arm so light or so heavy that it cannot be simulated.
+        """
+        if not self.plant_changes_at(step):
+            return None
+        plant = Plant(self.episode.parameters)
+        for _, process in self.plant_changes:
+            plant = process.apply(step, plant)
+        if step == 0:
+            _check_plant(plant.parameters)
+        return plant
+
+    def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
+        """Shows the sensors the true motion: at step 0, and when `step` physics steps are done.
+
+        Args:
+            step: how many are done.
+            q: true coordinates, shape (..., 2N) [m], [rad].
+            v: true velocities, shape (..., 2N) [m/s], [rad/s].
+        """
+        for _, process in self.sensors:
+            process.record(step, q, v)
+
+    def sensed(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What the sensors report at a control instant, given the true motion.
+
+        Args:
+            step: number of the physics step that begins.
+            q: true coordinates, shape (..., 2N) [m], [rad].
+            v: true velocities, shape (..., 2N) [m/s], [rad/s].
+
+        Returns:
+            q and v as they are read, of the same shapes and units.
+        """
+        for name, process in self.sensors:
+            self.readings[name] = q, v = process(step, q, v)
+        return q, v
+
+
+def _check_plant(p: ArmParameters) -> None:
+    low, high = _SIMULATED
+    for name, unit, values in (("mass", "kg", p.mass), ("inertia", "kg m^2", p.inertia)):
+        good = (values >= low) & (values <= high)
+        if not np.all(good):
+            raise OctarmError(
+                f"the disturbed arm has a module with {name} {values[~good].flat[0]:g} {unit}; "
+                f"it must be between {low:g} and {high:g} {unit}"
+            )
+
+
+def _sum(shares: Sequence[np.ndarray]) -> np.ndarray:
+    """Forces added in their order, shape (..., 2N); 0.0 where nothing acts, never -0.0."""
+    total = 0.0 + shares[0]
+    for share in shares[1:]:
+        total = total + share
+    total.setflags(write=False)
+    return total

@@ -1,0 +1,133 @@
+"""The declaration of a metric, and the accumulator, which declares metrics and computes them."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from octarm.arrays import coordinate_units
+from octarm.errors import OctarmError
+from octarm.interfaces import Rows
+
+SETTLED_AFTER = 2.0  # [s]; the steady regime is the rest of the run
+STEADY = f"after {SETTLED_AFTER:g} s"
+
+POSITION, FORCE = ("m", "rad"), ("N", "N m")  # units of what slides and bends have
+
+SLIDE_BAND = 1e-3  # [m]; an error within it counts as settled
+BEND_BAND = 0.02  # [rad]
+# [Hz]; twice the arm's highest mode (24.5 Hz) and far above its references.
+CORNER = 50.0
+
+
+class Metric(NamedTuple):
+    """The declaration of a metric, from which tables, reports and pages take what they say of it.
+
+    Attributes:
+        of: there is one number for each `coordinate`, for each `input`, a column of eq (2), or one
+            for the `arm`.
+        units: of the numbers of slides and of bends, or one for all; `1` for a share.
+        text: its meaning, in one line.
+        better: which values are better.
+        zero_best: whether the value nearest to zero is the best one.
+        together: how the numbers of several inputs become one: root mean square, largest, or mean.
+        waits_for: name of the metric that has a value whenever this one was to be expected. Where
+            this one has none then, the event that it times never came.
+    """
+
+    of: Literal["coordinate", "input", "arm"]
+    units: tuple[str, ...]
+    text: str
+    better: Literal["less", "more", "neither"] = "less"
+    zero_best: bool = False
+    together: Literal["rms", "max", "mean"] = "mean"
+    waits_for: str = ""
+
+    def unit_for(self, coordinate_unit: str = "m") -> str:
+        """The unit of the number of a coordinate whose own unit is `m` or `rad`."""
+        return self.units[-1] if coordinate_unit == "rad" else self.units[0]
+
+    @property
+    def sign(self) -> int:
+        """1 when less is better, -1 when more is, 0 when neither."""
+        return {"less": 1, "more": -1, "neither": 0}[self.better]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Settings:
+    """What metrics need to know besides the rows of a run.
+
+    Attributes:
+        control_period: time between two control instants [s].
+        input_limit: bound on |tau|, broadcasts to (..., 2N) [N].
+        layer: half width phi of the boundary layer, broadcasts to (..., 2N) [m/s], [rad/s]; None
+            where there is none.
+        band: |q - q_d| within it counts as settled, broadcasts to (..., 2N) [m], [rad]; if None,
+            `default_band` of the planar arm's units.
+        corner: of the high-pass filter of `chattering` [Hz].
+
+    Raises:
+        OctarmError: if one of them is not positive (layer: negative), or not finite (the input
+            limit excepted).
+    """
+
+    control_period: float
+    input_limit: npt.ArrayLike = math.inf
+    layer: npt.ArrayLike | None = None
+    band: npt.ArrayLike | None = None
+    corner: float = CORNER
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            array = np.asarray(1.0 if value is None else value, dtype=np.float64)
+            least = 0.0 if name == "layer" else np.finfo(float).tiny
+            largest = math.inf if name == "input_limit" else np.finfo(float).max
+            if not np.all(good := (array >= least) & (array <= largest)):
+                allowed = "at least 0" if name == "layer" else "above 0"
+                finite = "" if math.isinf(largest) else " and finite"
+                bad = f"{name.replace('_', ' ')} holds {array[~good].flat[0]:g}"
+                raise OctarmError(f"{bad}; it must be {allowed}{finite}")
+
+    def band_of(self, coordinates: int) -> npt.ArrayLike:
+        """The settling band, broadcasts to (..., coordinates) [m], [rad]."""
+        return default_band(coordinate_units(coordinates // 2)) if self.band is None else self.band
+
+
+def default_band(units: Sequence[str]) -> np.ndarray:
+    """`SLIDE_BAND` where the unit is m, `BEND_BAND` where it is rad, shape (2N,) [m], [rad]."""
+    return np.array([{"m": SLIDE_BAND, "rad": BEND_BAND}[unit] for unit in units])
+
+
+class Accumulator(abc.ABC):
+    """Takes a run a few rows at a time, and gives the metrics that its class declares.
+
+    Rows have the fields `t`, `q`, `q_d`, `tau` and `force` of `octarm.interfaces.Rows`, the signals
+    named in `signals`, and `error` = q - q_d and `squared_error`, shape (k, ..., 2N) [m], [rad] and
+    their squares. The arrays are only read and never kept. Results must not depend on how the run
+    is cut, see `octarm.metrics.rows`.
+
+    Attributes:
+        metrics: the metrics that it gives, by name.
+        signals: names of the controller's signals that it needs; without them it is left out.
+    """
+
+    metrics: ClassVar[Mapping[str, Metric]]
+    signals: ClassVar[tuple[str, ...]] = ()
+
+    @abc.abstractmethod
+    def __init__(self, first: Rows, settings: Settings) -> None:
+        """An accumulator for arms whose fields look like the first row's, each of shape (...)."""
+
+    @abc.abstractmethod
+    def update(self, rows: Rows, steady: bool) -> None:
+        """Takes rows, and whether all of them are in the steady regime or none."""
+
+    @abc.abstractmethod
+    def result(self) -> dict[str, np.ndarray]:
+        """The metrics so far, each of shape (..., 2N), or (...) for a metric of the arm."""

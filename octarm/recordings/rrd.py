@@ -1,0 +1,130 @@
+"""The `.rrd` file of rerun: written whole or not at all, in rows, and read back."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Generator, Mapping
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+
+from octarm.errors import OctarmError
+from octarm.files import piped, whole_file
+
+Path = str | os.PathLike[str]
+
+
+@contextlib.contextmanager
+def rrd_file(path: Path) -> Generator[rr.RecordingStream]:
+    """A stream to a `.rrd` file, which appears whole or not at all.
+
+    It is `PATH.part` until the block ends well; if the process is killed it stays, readable up to
+    the last flush.
+
+    Raises:
+        OSError: if the file cannot be written.
+        OctarmError: if rerun does not take the data, or is switched off by RERUN=off.
+    """
+    if os.environ.get("RERUN", "on").lower() in ("0", "off", "false"):
+        raise OctarmError(f"{path} cannot be recorded: RERUN={os.environ['RERUN']} is set")
+    with whole_file(path) as part, _strict_mode():
+        stream = rr.RecordingStream("octarm", send_properties=False)
+        with contextlib.ExitStack() as file, rerun_errors(path):
+            # rerun itself would hang for ever on a full disk
+            stream.save(file.enter_context(piped(part)))
+            file.enter_context(stream)
+            opened = file.pop_all()
+        try:
+            yield stream
+        except BaseException:
+            with contextlib.suppress(Exception):  # the error is known already
+                opened.close()
+            raise
+        with rerun_errors(path):
+            opened.close()
+
+
+@contextlib.contextmanager
+def rerun_errors(path: Path) -> Generator[None]:
+    """Turns rerun's RuntimeErrors into an `OctarmError` that names the file."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise OctarmError(f"{path} cannot be recorded: {_first_line(error)}") from error
+
+
+def times(t: np.ndarray) -> list[rr.TimeColumn]:
+    """The timeline `t` of rows at times of shape (k,) [s]."""
+    stamps = np.round(t * 1e9).astype("timedelta64[ns]")  # rerun would truncate
+    return [rr.TimeColumn("t", duration=stamps)]
+
+
+def send_table(
+    stream: rr.RecordingStream,
+    entity: str,
+    component: str,
+    t: np.ndarray,
+    columns: Mapping[str, np.ndarray],
+) -> None:
+    """Logs rows as one structure of lists: one set of times makes the file half as large.
+
+    Args:
+        stream: where to.
+        entity: path of the entity.
+        component: name of the structure, after `octarm:`.
+        t: times, shape (k,) [s].
+        columns: by name, shape (k,) for numbers, shape (k, width) for lists.
+    """
+    table = pa.StructArray.from_arrays([_lists(x) for x in columns.values()], names=list(columns))
+    structure = rr.DynamicArchetype.columns("octarm", components={component: table})
+    stream.send_columns(entity, times(t), structure)
+
+
+def time_axes(path: Path) -> list[str]:
+    """The entities of a recording's blueprint that fix what time its plots show."""
+    reader = rr.chunk.RrdReader(os.fspath(path))
+    chunks = (chunk for store in reader.blueprints() for chunk in reader.stream(store=store))
+    return sorted({c.entity_path for c in chunks if c.entity_path.endswith("/TimeAxis")})
+
+
+def last_instant(path: Path) -> float:
+    """The last instant of a recording [s].
+
+    Raises:
+        OctarmError: if the file is not a recording, or has no instants.
+    """
+    ends: list[int] = []
+    try:
+        for chunk in rr.chunk.RrdReader(os.fspath(path)).stream():
+            batch = chunk.to_record_batch()
+            if not chunk.is_static and "t" in batch.schema.names and batch.num_rows:
+                ends.append(batch.column("t").cast(pa.int64()).to_numpy().max())
+    except Exception as error:  # rerun's errors are of many kinds
+        raise OctarmError(f"{path} cannot be read: {_first_line(error)}") from None
+    if not ends:
+        raise OctarmError(f"{path} is a recording without instants")
+    return float(max(ends)) * 1e-9
+
+
+def _lists(values: np.ndarray) -> Any:
+    # Arrow takes the memory as it is; arrays in a file may begin at any byte of it.
+    flat = pa.array(np.require(values, requirements=["C", "ALIGNED"]).ravel())
+    return flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0]
+
+
+@contextlib.contextmanager
+def _strict_mode() -> Generator[None]:
+    """Lets rerun raise errors; it would otherwise warn of bad data, and drop it."""
+    before = rr.strict_mode()
+    rr.set_strict_mode(True)
+    try:
+        yield
+    finally:
+        rr.set_strict_mode(before)

@@ -1,0 +1,141 @@
+"""The smooth planar arm as shapes in space, for pictures.
+
+The drawn arm is a picture of the lumped model, not a second model. Module i ends at
+p_i = p_{i-1} + s_i u(phi_{i-1}), where `octarm.lagrange.positions` puts it: it slides first and
+bends at its end. No arc of constant curvature does that: one that leaves plate i-1 along
+u(phi_{i-1}) and turns by theta_i ends s_i theta_i / 2 away from p_i. So the tube is a cubic Hermite
+curve through the ends p_i that leaves plate i-1 along u(phi_{i-1}) and meets plate i along
+u(phi_i): its tangent is continuous, module i turns by exactly theta_i over about the length s_i,
+and the tip is the simulated tip. The columns are the parallel curves at half the width, so that
+their lengths differ by l theta_i as those of the model do. `skeleton` is the lumped arm itself.
+
+Coordinates q have shape (..., 2N) [m], [rad]; places are in the world frame [m].
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from octarm.arm.kinematics import positions
+from octarm.arm.mjcf import world_position
+
+TUBE_PIECES = 6  # of the tube, for each module
+COLUMN_PIECES = 4
+RIBS = 4  # of the desired arm, for each module
+_LONGEST = 100.0  # [m], [rad]; an arm with a larger coordinate cannot be drawn
+
+
+class Pieces(NamedTuple):
+    """Short straight pieces of a curve in the plane of the arm.
+
+    Attributes:
+        centers: in the world frame, shape (..., pieces, 3) [m].
+        angles: by which a turn about the world's y axis takes z along the piece, shape
+            (..., pieces) [rad].
+        lengths: shape (..., pieces) [m].
+    """
+
+    centers: np.ndarray
+    angles: np.ndarray
+    lengths: np.ndarray
+
+
+def drawable(q: np.ndarray) -> np.ndarray:
+    """Whether an arm is small enough to be drawn, shape (...) of bool; a diverging one grows."""
+    return np.abs(q).max(axis=-1) < _LONGEST
+
+
+def smooth_arm(q: np.ndarray, offset: float = 0.0, points: int = 12) -> np.ndarray:
+    """The smooth arm.
+
+    Args:
+        q: coordinates.
+        offset: distance of the curve from the backbone, towards column 2 [m].
+        points: along each module, its ends included.
+
+    Returns:
+        Points along each module, shape (..., N, points, 3) [m].
+    """
+    n = q.shape[-1] // 2
+    end = positions(q)[..., None, :]
+    chord = np.diff(end, axis=-3, prepend=0.0)  # s_i u(phi_{i-1}), also the tangent at the start
+    phi = np.cumsum(q[..., n:], axis=-1)[..., None]
+    last = np.stack([np.cos(phi), np.sin(phi)], axis=-1) * q[..., :n, None, None]
+    u = np.linspace(0.0, 1.0, points)[:, None]
+    curve = end - chord + chord * u + (chord - last) * u * u * (1 - u)
+    slope = chord + (chord - last) * u * (2 - 3 * u)
+    normal = np.stack([-slope[..., 1], slope[..., 0]], axis=-1)
+    size = np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    return world_position(curve + offset * normal / size)
+
+
+def backbone(q: np.ndarray, pieces: int) -> Pieces:
+    """The backbone for q of shape (..., 2N), in that many pieces for each module."""
+    return _pieces(smooth_arm(q, points=pieces + 1), q)
+
+
+def columns(q: np.ndarray, width: float) -> Pieces:
+    """Columns for q of shape (..., 2N), in the order of tau, in `COLUMN_PIECES` pieces each."""
+    sides = [smooth_arm(q, side * width, COLUMN_PIECES + 1) for side in (-0.5, 0.5)]
+    return _pieces(np.stack(sides, axis=-3), q)
+
+
+def plates(q: np.ndarray) -> Pieces:
+    """The plates at the ends of the modules for q of shape (..., 2N); they face along the arm."""
+    angles = np.pi - np.cumsum(q[..., q.shape[-1] // 2 :], axis=-1)
+    return Pieces(world_position(positions(q)), angles, np.zeros_like(angles))
+
+
+def tip(q: np.ndarray) -> np.ndarray:
+    """The tip, shape (..., 3) [m]."""
+    return world_position(positions(q)[..., -1, :])
+
+
+def tip_axis(q: np.ndarray) -> np.ndarray:
+    """The direction in which the arm points at its tip, shape (..., 3) [1]."""
+    angle = -np.sum(q[..., q.shape[-1] // 2 :], axis=-1)
+    return np.stack([-np.sin(angle), np.zeros_like(angle), -np.cos(angle)], axis=-1)
+
+
+def skeleton(q: np.ndarray) -> np.ndarray:
+    """The lumped arm: base, then the ends of the modules, shape (..., N + 1, 3) [m]."""
+    ends = world_position(positions(q))
+    return np.concatenate([np.zeros_like(ends[..., :1, :]), ends], axis=-2)
+
+
+def force_arrows(q: np.ndarray, force: np.ndarray, rim: float) -> tuple[np.ndarray, np.ndarray]:
+    """A generalised force as forces on the plates.
+
+    A force on s_i pulls plate i along its module; a moment on theta_i is a couple at the rim of
+    plate i, two opposite forces that far from its middle.
+
+    Args:
+        q: coordinates.
+        force: generalised force, shape (..., 2N) [N], [N m].
+        rim: radius of the plates [m].
+
+    Returns:
+        Where the forces act, shape (..., 3N, 3) [m], and the forces, shape (..., 3N, 3) [N].
+    """
+    n = q.shape[-1] // 2
+    end = positions(q)
+    phi = np.cumsum(q[..., n:], axis=-1)
+    along = np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+    slide = np.stack([np.cos(phi - q[..., n:]), np.sin(phi - q[..., n:])], axis=-1)
+    across = rim * np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    couple = along * (0.5 / rim * force[..., n:, None])
+    origins = np.concatenate([end, end + across, end - across], axis=-2)
+    forces = np.concatenate([slide * force[..., :n, None], -couple, couple], axis=-2)
+    return world_position(origins), world_position(forces)
+
+
+def _pieces(curve: np.ndarray, q: np.ndarray) -> Pieces:
+    """The pieces of curves of shape (..., points, 3), curve after curve, for each arm of q."""
+    step = np.diff(curve, axis=-2)
+    centers = 0.5 * (curve[..., 1:, :] + curve[..., :-1, :])
+    angles = np.arctan2(step[..., 0], step[..., 2])
+    lengths = np.linalg.norm(step, axis=-1)
+    flat = (*q.shape[:-1], -1)
+    return Pieces(centers.reshape(*flat, 3), angles.reshape(flat), lengths.reshape(flat))

@@ -1,0 +1,278 @@
+"""The charts of a sweep's report: degradation, distributions, heat maps, failures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.colors import LogNorm, Normalize, to_rgb
+
+from octarm.reports.comparisons import Cells, Comparisons, Group
+from octarm.reports.figures import (
+    COLORS,
+    GROUND,
+    INK,
+    LETTER,
+    LINE,
+    LOGARITHMIC,
+    MARKERS,
+    Axes,
+    Figure,
+    Picture,
+    add_legend,
+    choose_scale,
+    figure_style,
+    logarithmic_ticks,
+    panels_of,
+    row_length,
+    save_figure,
+)
+from octarm.reports.frame import Episodes, Factor, Measure
+
+_MOST_MAPS = 6
+_BOXES = (
+    "All episodes of each controller: the box holds the middle half, the line in it is the median, "
+    "whiskers reach to the 5th and the 95th percentile, points are the extremes."
+)
+_FAILURES = "Share of episodes that diverged, with its 95 % interval (Wilson)."
+
+
+class Scale(NamedTuple):
+    """How a measure is displayed: in thousandths of its unit when its values are small.
+
+    Attributes:
+        factor: by which its values are multiplied.
+        unit: with its prefix; empty for a share.
+        title: the name of the measure with this unit.
+    """
+
+    factor: float
+    unit: str
+    title: str
+
+
+def scale_of(episodes: Episodes, measure: Measure) -> Scale:
+    """The scale of a measure, the same in all charts and tables of a report."""
+    values = episodes.values[:, episodes.measures.index(measure)]
+    sizes = np.abs(values[np.isfinite(values)])
+    factor, unit = 1.0, "" if measure.unit == "1" else measure.unit
+    if measure.unit in ("m", "rad", "N", "N m") and np.median(sizes) < 0.1:
+        factor, unit = 1e3, f"m{unit}"
+    return Scale(factor, unit, measure.label + (f" [{unit}]" if unit else ""))
+
+
+def pictures(comparisons: Comparisons) -> Iterator[Picture]:
+    """All charts of a report."""
+    episodes = comparisons.episodes
+    diverged = bool(episodes.diverged.any())
+    with figure_style():
+        for factor in episodes.factors:
+            caption = f"Median over all episodes at each {factor.name}, with its 95 % interval."
+            if diverged:
+                caption += " A curve ends where half of the episodes diverge."
+            name = f"degradation-{factor.name}"
+            yield save_figure(name, caption, _degradation(comparisons, factor))
+        more = " Episodes that diverged lie beyond the end of the axis." if diverged else ""
+        yield save_figure("distributions", _BOXES + more, _boxes(comparisons))
+        for cells in comparisons.cells[:_MOST_MAPS]:
+            title = scale_of(episodes, episodes.measures[0]).title
+            caption = (
+                f"Median {title} over {cells.first.name} and {cells.second.name}; "
+                "∞ where half of the episodes diverge."
+            )
+            name = f"map-{cells.first.name}-{cells.second.name}"
+            yield save_figure(name, caption, _map(comparisons, cells))
+        if diverged:
+            yield save_figure("failures", _FAILURES, _failures(comparisons))
+
+
+def _degradation(comparisons: Comparisons, factor: Factor) -> Figure:
+    """A panel for each measure, a line for each controller."""
+    episodes = comparisons.episodes
+    measures, names = episodes.measures, episodes.controllers
+    figure, panels = panels_of(len(measures), 2.15)
+    for j, (measure, ax) in enumerate(zip(measures, panels, strict=True)):
+        scale = scale_of(episodes, measure)
+        for c, name in enumerate(names):
+            medians = [g.medians for g in comparisons.of(factor) if g.controller == name]
+            triples = np.array([[m.value[j], m.low[j], m.high[j]] for m in medians]).T
+            shift = 0.0 if factor.scaled else _shift(c, len(names))
+            _curve(ax, factor, c, name, triples * scale.factor, shift)
+        _name_axis(ax, factor, last=j >= len(measures) - row_length(panels))
+        ax.set_title(scale.title)
+        values = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in ax.lines])
+        choose_scale(ax, "y", values, signed=measure.declared.zero_best)
+    add_legend(figure, panels[0])
+    return figure
+
+
+def _name_axis(ax: Axes, factor: Factor, last: bool = True) -> None:
+    """Ticks of the horizontal axis; its name if it is that of a last row."""
+    apart = np.diff(factor.places)
+    roomy = bool(np.all(12.0 * apart > np.sum(apart)))  # enough for a label at each value
+    if not factor.scaled or (roomy and not factor.drawn):
+        ax.set_xticks(factor.places, factor.labels)
+    if not factor.scaled:
+        ax.set_xlim(-0.5, len(factor.labels) - 0.5)
+    if last:
+        ax.set_xlabel(factor.title)
+
+
+def _shift(c: int, count: int) -> float:
+    """The place of a controller in the row of all at one level, of a width below 1."""
+    return 0.7 * ((c + 0.5) / count - 0.5)
+
+
+def _curve(ax: Axes, factor: Factor, c: int, name: str, triples: np.ndarray, shift: float) -> None:
+    """Medians with a band of intervals; with bars where the axis has no scale."""
+    value, low, high = np.where(np.isfinite(triples), triples, np.nan)
+    reach = np.isinf(triples[2]) & np.isfinite(value)
+    color, marker = COLORS[c % len(COLORS)], MARKERS[c % len(MARKERS)]
+    x = factor.places + shift
+    ax.plot(
+        x, value, color=color, marker=marker, label=name,
+        linestyle="-" if factor.scaled else "none", markeredgewidth=0.0,
+    )  # fmt: skip
+    if factor.scaled:
+        ax.fill_between(x, low, high, color=color, alpha=0.18, linewidth=0.0)
+    else:
+        ax.vlines(x, low, high, color=color, linewidth=1.2)
+    if reach.any():  # the interval goes on without end
+        ax.plot(x[reach], value[reach], "^", color=color, markersize=9, fillstyle="none")
+
+
+def _boxes(comparisons: Comparisons) -> Figure:
+    """A panel for each measure, a box for each controller."""
+    episodes = comparisons.episodes
+    n, labels = len(episodes.controllers), [*map(_with_failures, comparisons.of(None))]
+    margin = max(0.0, LETTER * max(map(len, labels)) - 1.0)
+    figure, panels = panels_of(len(episodes.measures), 0.28 * n + 0.75, margin, sharey=True)
+    for j, (measure, ax) in enumerate(zip(episodes.measures, panels, strict=True)):
+        scale = scale_of(episodes, measure)
+        columns = [scale.factor * episodes.values[episodes.controller == c, j] for c in range(n)]
+        columns = [column[~np.isnan(column)] for column in columns]
+        together = np.concatenate(columns)
+        choose_scale(ax, "x", together, signed=measure.declared.zero_best)
+        ends = _ends(ax, together)
+        for c, column in enumerate(columns):
+            if column.size:
+                _box(ax, c, column, ends)
+        ax.set_xlim(*ends)
+        ax.set_yticks(range(n), labels)
+        ax.set_ylim(n - 0.4, -0.6)
+        ax.grid(False, axis="y")
+        ax.tick_params(axis="y", length=0)
+        ax.set_title(scale.title)
+    return figure
+
+
+def _with_failures(group: Group) -> str:
+    return f"{group.controller}, {group.failed} diverged" if group.failed else group.controller
+
+
+def _ends(ax: Axes, values: np.ndarray) -> tuple[float, float]:
+    """The ends of an axis on which all values lie that are finite."""
+    known = values[np.isfinite(values)]
+    low, high = float(known.min()), float(known.max())
+    if ax.get_xscale() == "log":
+        margin = (high / low) ** 0.06
+        return low / margin, high * margin
+    if low == high == 0.0:
+        return -0.05, 1.0
+    margin = 0.06 * (high - low or abs(high))
+    return (0.0 if 0.0 <= low < 0.5 * high else low - margin), high + margin
+
+
+def _box(ax: Axes, c: int, column: np.ndarray, ends: tuple[float, float]) -> None:
+    """The box of a column; what is infinite lies at the end of the axis."""
+    column = np.sort(np.clip(column, *ends))
+    low, q1, middle, q3, high = np.percentile(column, [5.0, 25.0, 50.0, 75.0, 95.0])
+    color = COLORS[c % len(COLORS)]
+    ax.plot([low, high], [c, c], color=color, linewidth=1.2, solid_capstyle="butt")
+    ax.barh(c, q3 - q1, left=q1, height=0.56, color=_tint(color), edgecolor=color, linewidth=1.2)
+    middles = [c - 0.28, c + 0.28]
+    ax.plot([middle, middle], middles, color=color, linewidth=2.4, clip_on=False)
+    inside = [x for x in (column[0], column[-1]) if ends[0] < x < ends[1]]
+    ax.plot(inside, [c] * len(inside), ".", color=color, markersize=3.5)
+
+
+def _tint(color: str) -> tuple[float, ...]:
+    return (*to_rgb(color), 0.25)
+
+
+def _map(comparisons: Comparisons, cells: Cells) -> Figure:
+    """A panel for each controller; colours by the median of the first measure."""
+    episodes, first, second = comparisons.episodes, cells.first, cells.second
+    names, scale = episodes.controllers, scale_of(episodes, episodes.measures[0])
+    values = scale.factor * cells.medians[:, 0]
+    rows, columns = len(first.labels), len(second.labels)
+    figure, panels = panels_of(len(names), max(1.5, 0.34 * rows + 0.75), sharey=True, sharex=True)
+    turned = 30.0 if max(map(len, second.labels)) > 10 else 0.0
+    norm = _norm(values)
+    image = None
+    for ax, name, medians in zip(panels, names, values, strict=True):
+        ax.set_facecolor(LINE)
+        finite = np.ma.masked_invalid(medians)
+        image = ax.pcolormesh(finite, cmap="cividis", norm=norm, edgecolors=GROUND, linewidth=1.0)
+        for (i, k), value in np.ndenumerate(medians):
+            if rows * columns <= 64 and not np.isnan(value):
+                text = "∞" if np.isinf(value) else f"{value:.3g}"
+                ink = INK if np.isinf(value) else "#fefefe" if norm(value) < 0.55 else "#101010"
+                ax.text(k + 0.5, i + 0.5, text, ha="center", va="center", color=ink, fontsize=7.5)
+        ax.set_title(name)
+        ax.grid(False)
+        ax.spines[:].set_visible(False)
+        ax.tick_params(length=0)
+        ax.set_xticks(np.arange(columns) + 0.5, second.labels, rotation=turned)
+        ax.set_yticks(np.arange(rows) + 0.5, first.labels)
+    for ax in panels:
+        ax.label_outer()
+    length = row_length(panels)
+    for ax in panels[-length:]:
+        ax.tick_params(labelbottom=True)
+        ax.set_xlabel(second.title)
+    for ax in panels[::length]:
+        ax.set_ylabel(first.title)
+    if image is not None:
+        bar = figure.colorbar(image, ax=panels, label=scale.title, pad=0.01, aspect=18)
+        if isinstance(norm, LogNorm):
+            logarithmic_ticks(bar.ax.yaxis, float(norm.vmin or 1.0), float(norm.vmax or 1.0))
+        bar.outline.set_visible(False)
+    return figure
+
+
+def _norm(values: np.ndarray) -> Normalize:
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    if low > 0.0 and high > LOGARITHMIC * low:
+        return LogNorm(low, high)
+    return Normalize(low, high if high > low else low + 1.0)
+
+
+def _failures(comparisons: Comparisons) -> Figure:
+    """A panel for each factor, or one for the whole sweep."""
+    factors, names = comparisons.episodes.factors, comparisons.episodes.controllers
+    figure, panels = panels_of(max(1, len(factors)), 2.3, sharey=True)
+    for factor, ax in zip(factors or (None,), panels, strict=True):
+        places = np.zeros(1) if factor is None else factor.places
+        step = 1.0 if len(places) < 2 else float(np.min(np.diff(places)))
+        step *= 0.6 * min(1.0, len(names) / 6.0)
+        for c, name in enumerate(names):
+            failures = [g.failures for g in comparisons.of(factor) if g.controller == name]
+            value, low, high = 100.0 * np.array(failures).T
+            x = places + step * _shift(c, len(names))
+            color, marker = COLORS[c % len(COLORS)], MARKERS[c % len(MARKERS)]
+            ax.vlines(x, low, high, color=color, linewidth=1.0, alpha=0.7)
+            if factor is not None and factor.scaled:
+                ax.plot(x, value, color=color, linewidth=0.8, alpha=0.5)
+            ax.plot(x, value, marker, color=color, label=name, markersize=4.0)
+        if factor is None:
+            ax.set_xticks([])
+        else:
+            _name_axis(ax, factor)
+    worst = max(100.0 * group.failures.high for group in comparisons.groups if group.episodes)
+    panels[0].set_ylim(-0.03 * worst, 1.03 * worst)
+    panels[0].set_title("diverged [%]")
+    add_legend(figure, panels[0])
+    return figure

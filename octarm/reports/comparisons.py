@@ -1,0 +1,269 @@
+"""The numbers of a sweep's report: medians, failures, and paired differences from a baseline."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from octarm.errors import OctarmError, closest
+from octarm.reports.frame import Episodes, Factor
+from octarm.reports.statistics import Interval, Paired, binomial, medians, paired
+
+TABLES = ("medians.csv", "failures.csv", "differences.csv", "cells.csv")
+
+
+class Difference(NamedTuple):
+    """A controller against the baseline: pairs of episodes of the same seed and cell.
+
+    Attributes:
+        measured: with arrays of shape (M,); the difference is that of sizes where zero is best.
+        pairs: their number.
+        alone: pairs of which only this controller's episode diverged.
+        other: those of which only the baseline's did.
+        both: those of which both did.
+        unpaired: episodes whose partner is not finished.
+    """
+
+    measured: Paired
+    pairs: int
+    alone: int
+    other: int
+    both: int
+    unpaired: int
+
+
+class Group(NamedTuple):
+    """One controller at one level of one factor, or in the whole sweep.
+
+    Attributes:
+        factor: None for the whole sweep.
+        level: number of the factor's level.
+        controller: its name.
+        episodes: number of finished ones.
+        failed: number of those that diverged.
+        failures: their share.
+        medians: of the measures, arrays of shape (M,).
+        difference: from the baseline; None for the baseline itself.
+    """
+
+    factor: Factor | None
+    level: int
+    controller: str
+    episodes: int
+    failed: int
+    failures: Interval
+    medians: Interval
+    difference: Difference | None
+
+    @property
+    def label(self) -> str:
+        """The level in words; empty for the whole sweep."""
+        return "" if self.factor is None else self.factor.labels[self.level]
+
+
+class Cells(NamedTuple):
+    """Medians over a grid of two factors.
+
+    Attributes:
+        first: the factor of K1 levels.
+        second: the factor of K2 levels.
+        medians: of C controllers and M measures, shape (C, M, K1, K2); NaN where there is no
+            episode.
+    """
+
+    first: Factor
+    second: Factor
+    medians: np.ndarray
+
+
+class Comparisons(NamedTuple):
+    """All the numbers.
+
+    Attributes:
+        episodes: from which they were computed.
+        baseline: name of a controller; empty when there is only one.
+        groups: the whole sweep first, then factor by factor, level by level.
+        cells: for each pair of factors.
+    """
+
+    episodes: Episodes
+    baseline: str
+    groups: tuple[Group, ...]
+    cells: tuple[Cells, ...]
+
+    def of(self, factor: Factor | None) -> list[Group]:
+        """The groups of a factor, or of the whole sweep."""
+        return [group for group in self.groups if group.factor is factor]
+
+
+def compare(episodes: Episodes, baseline: str | None = None) -> Comparisons:
+    """Computes the numbers.
+
+    Args:
+        episodes: of a sweep.
+        baseline: the controller that the others are compared with; the first one if None.
+
+    Raises:
+        OctarmError: if the sweep has no such controller.
+    """
+    names, factors = episodes.controllers, episodes.factors
+    if baseline is not None and baseline not in names:
+        raise OctarmError(f"the sweep has no controller {baseline!r}{closest(baseline, names)}")
+    selected = baseline or (names[0] if len(names) > 1 else "")
+    partner = partners(episodes, selected) if selected else None
+    groups: list[Group] = []
+    for factor in (None, *factors):
+        for level in range(1 if factor is None else len(factor.labels)):
+            for name in names:
+                rows = episodes.of_controller(name)
+                if factor is not None:
+                    rows = rows[factor.code[rows] == level]
+                failed = int(np.sum(episodes.diverged[rows]))
+                groups.append(
+                    Group(
+                        factor=factor,
+                        level=level,
+                        controller=name,
+                        episodes=len(rows),
+                        failed=failed,
+                        failures=binomial(failed, len(rows)),
+                        medians=medians(episodes.values[rows], episodes.seed[rows]),
+                        difference=None
+                        if partner is None or name == selected
+                        else _difference(episodes, rows, partner[rows]),
+                    )
+                )
+    pairs = ((a, b) for i, a in enumerate(factors) for b in factors[i + 1 :])
+    pairs = ((b, a) if b.drawn and not a.drawn else (a, b) for a, b in pairs)  # long labels first
+    cells = tuple(_cells(episodes, first, second) for first, second in pairs)
+    return Comparisons(episodes, selected, tuple(groups), cells)
+
+
+def _difference(episodes: Episodes, rows: np.ndarray, partner: np.ndarray) -> Difference:
+    mine, other = rows[partner >= 0], partner[partner >= 0]
+    zero_best = [measure.declared.zero_best for measure in episodes.measures]
+    compared = np.where(zero_best, np.abs(episodes.values), episodes.values)
+    fell, partner_fell = episodes.diverged[mine], episodes.diverged[other]
+    signs = [measure.sign for measure in episodes.measures]
+    return Difference(
+        measured=paired(compared[mine], compared[other], episodes.seed[mine], signs),
+        pairs=len(mine),
+        alone=int(np.sum(fell & ~partner_fell)),
+        other=int(np.sum(~fell & partner_fell)),
+        both=int(np.sum(fell & partner_fell)),
+        unpaired=len(rows) - len(mine),
+    )
+
+
+def partners(episodes: Episodes, controller: str) -> np.ndarray:
+    """The controller's episode of the seed and cell of each one, shape (n,); -1 without one."""
+    key = episodes.cell() * (int(episodes.seed.max()) + 1) + episodes.seed
+    theirs = episodes.of_controller(controller)
+    if not theirs.size:
+        return np.full_like(key, -1)
+    theirs = theirs[np.argsort(key[theirs])]
+    place = np.minimum(np.searchsorted(key[theirs], key), len(theirs) - 1)
+    return np.where(key[theirs][place] == key, theirs[place], -1)
+
+
+def _cells(episodes: Episodes, first: Factor, second: Factor) -> Cells:
+    """Medians over the cells of two factors."""
+    names, M = episodes.controllers, len(episodes.measures)
+    shape = (len(names), len(first.labels), len(second.labels))
+    middles = np.full((*shape, M), np.nan)
+    number = np.ravel_multi_index((episodes.controller, first.code, second.code), shape)
+    order = np.argsort(number, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
+        cell = np.unravel_index(number[rows[0]], shape)
+        for m in range(M):
+            values = np.sort(episodes.values[rows, m])
+            if count := int(np.sum(~np.isnan(values))):  # NaN last
+                middles[(*cell, m)] = 0.5 * (values[(count - 1) // 2] + values[count // 2])
+    return Cells(first, second, np.moveaxis(middles, -1, 1))
+
+
+def outcomes(comparisons: Comparisons, difference: Difference, j: int) -> tuple[Any, Any]:
+    """Pairs won and lost by the measure in place j; NaN where there is nothing to win."""
+    if not comparisons.episodes.measures[j].sign:
+        return math.nan, math.nan
+    return int(difference.measured.won[j]), int(difference.measured.lost[j])
+
+
+def tables(comparisons: Comparisons) -> dict[str, str]:
+    """The CSV files by name, in SI units; those without a row are left out."""
+    rows = (_medians, _failures, _differences, _cell_medians)
+    files = {name: _csv(make(comparisons)) for name, make in zip(TABLES, rows, strict=True)}
+    return {name: text for name, text in files.items() if text}
+
+
+def _where(group: Group) -> dict[str, Any]:
+    axis = "all" if group.factor is None else group.factor.name
+    return {"axis": axis, "value": group.label, "controller": group.controller}
+
+
+def _medians(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
+    for group in comparisons.groups:
+        for j, measure in enumerate(comparisons.episodes.measures):
+            counts = {"episodes": group.episodes, "diverged": group.failed}
+            median, low, high = (x[j] for x in group.medians)
+            yield _where(group) | {"metric": measure.name, "unit": measure.unit} | counts | {
+                "median": median, "low": low, "high": high,
+            }  # fmt: skip
+
+
+def _failures(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
+    for group in comparisons.groups:
+        counts = {"episodes": group.episodes, "diverged": group.failed}
+        share, low, high = group.failures
+        yield _where(group) | counts | {"share": share, "low": low, "high": high}
+
+
+def _differences(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
+    for group in comparisons.groups:
+        if (d := group.difference) is None:
+            continue
+        for j, measure in enumerate(comparisons.episodes.measures):
+            won, lost = outcomes(comparisons, d, j)
+            median, low, high = (x[j] for x in d.measured.difference)
+            yield _where(group) | {
+                "baseline": comparisons.baseline, "metric": measure.name, "unit": measure.unit,
+                "pairs": d.pairs, "compared": d.measured.pairs[j], "won": won, "lost": lost,
+                "median_difference": median, "low": low, "high": high,
+                "only_this_diverged": d.alone, "only_baseline_diverged": d.other,
+                "both_diverged": d.both, "unpaired": d.unpaired,
+            }  # fmt: skip
+
+
+def _cell_medians(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
+    names, measures = comparisons.episodes.controllers, comparisons.episodes.measures
+    for first, second, values in comparisons.cells:
+        for place, value in np.ndenumerate(values):
+            c, m, i, k = map(int, place)
+            yield {
+                "axis_1": first.name, "value_1": first.labels[i],
+                "axis_2": second.name, "value_2": second.labels[k],
+                "controller": names[c], "metric": measures[m].name, "unit": measures[m].unit,
+                "median": value,
+            }  # fmt: skip
+
+
+def _csv(rows: Iterator[dict[str, Any]]) -> str:
+    """A table with a header, floats with nine digits, NaN empty; no text without a row."""
+    text, writer = io.StringIO(), None
+    for row in rows:
+        if writer is None:
+            writer = csv.DictWriter(text, list(row), lineterminator="\n")
+            writer.writeheader()
+        writer.writerow({name: _plain(value) for name, value in row.items()})
+    return text.getvalue()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else f"{value:.9g}"
+    return value

@@ -1,0 +1,145 @@
+"""Whether the numbers of a sweep can be what they seem to be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from octarm.reports.comparisons import partners
+from octarm.reports.frame import Episodes, Factor
+
+_FEW = 8  # seeds, below which intervals are rough
+
+
+class Remark(NamedTuple):
+    """Something that a reader should know.
+
+    Attributes:
+        warning: whether a number is not to be believed without looking into it.
+        text: one sentence.
+    """
+
+    warning: bool
+    text: str
+
+
+def remarks(episodes: Episodes) -> list[Remark]:
+    """All remarks on a sweep, warnings first."""
+    checks = (_unfinished, _versions, _same_states, _implausible, _idle_factors, _seeds)
+    made = [remark for check in checks for remark in check(episodes)]
+    return sorted(made, key=lambda remark: not remark.warning)
+
+
+def _unfinished(episodes: Episodes) -> Iterator[Remark]:
+    n, planned = len(episodes.seed), episodes.planned
+    if n < planned:
+        yield Remark(
+            True,
+            f"The sweep is not finished: {n} of {planned} episodes are there; octarm sweep "
+            "--resume goes on with it.",
+        )
+    for name in episodes.controllers:
+        if not episodes.of_controller(name).size:
+            yield Remark(True, f"No episode of {name} is finished.")
+    if episodes.absent:
+        names = ", ".join(episodes.absent)
+        yield Remark(False, f"No episode has a value of {names}: left out.")
+
+
+def _versions(episodes: Episodes) -> Iterator[Remark]:
+    starts = [start["versions"] for start in episodes.manifest["starts"]]
+    for name in dict.fromkeys(key for versions in starts for key in versions):
+        different = list(dict.fromkeys(str(versions.get(name)) for versions in starts))
+        if len(different) > 1:
+            both = " and ".join(different)
+            yield Remark(True, f"Parts of the sweep ran with different {name}: {both}.")
+
+
+def _same_states(episodes: Episodes) -> Iterator[Remark]:
+    """Controllers that cannot be told apart."""
+    for j, second in enumerate(episodes.controllers):
+        partner = partners(episodes, second)
+        for first in episodes.controllers[:j]:
+            rows = episodes.of_controller(first)
+            rows = rows[partner[rows] >= 0]
+            same = int(np.sum(episodes.digest[rows] == episodes.digest[partner[rows]]))
+            if same:
+                yield Remark(
+                    True,
+                    f"{first} and {second} moved the arm in the same way to the last digit in "
+                    f"{same} of {len(rows)} pairs of episodes: are they two controllers?",
+                )
+
+
+def _implausible(episodes: Episodes) -> Iterator[Remark]:
+    """Episodes that ended well by their status alone, or better than anything can."""
+    if lost := _counts(episodes, episodes.lost):
+        yield Remark(
+            True,
+            "Their status ok is no success: episodes did not diverge, but a coordinate followed "
+            f"its reference no better than if it hung still ({lost}).",
+        )
+    if exact := _counts(episodes, episodes.exact):
+        yield Remark(True, f"Episodes have an error of exactly zero ({exact}).")
+    names = episodes.controllers
+    all_diverged = [n for n in names if np.all(episodes.diverged[episodes.of_controller(n)])]
+    if all_diverged:
+        yield Remark(True, f"All episodes diverged of {', '.join(all_diverged)}.")
+
+
+def _counts(episodes: Episodes, which: np.ndarray) -> str:
+    """The number of such episodes of each controller, in words; those with none are left out."""
+    rows = {name: episodes.of_controller(name) for name in episodes.controllers}
+    counts = {name: int(np.sum(which[mine])) for name, mine in rows.items()}
+    return ", ".join(f"{name} {k} of {len(rows[name])}" for name, k in counts.items() if k)
+
+
+def _idle_factors(episodes: Episodes) -> Iterator[Remark]:
+    """Factors that leave the states as they are, bit for bit."""
+    names = episodes.controllers
+    for factor in (factor for factor in episodes.factors if not factor.drawn):
+        idle = [n for n in names if _is_idle(episodes, factor, episodes.of_controller(n))]
+        if len(idle) == len(names):
+            yield Remark(True, f"{factor.name} has no effect on any controller: does it act?")
+        elif idle:
+            yield Remark(
+                False,
+                f"{factor.name} has no effect at all on {', '.join(idle)}, as it should be for "
+                "what a controller does not use.",
+            )
+
+
+def _is_idle(episodes: Episodes, factor: Factor, rows: np.ndarray) -> bool:
+    """Whether episodes that differ in the factor alone have the same states."""
+    key = episodes.seed[rows]
+    for other in episodes.factors:
+        if other is not factor:
+            key = key * len(other.labels) + other.code[rows]
+    order = np.lexsort((factor.code[rows], key))
+    key, digest = key[order], episodes.digest[rows][order]
+    neighbours = key[1:] == key[:-1]
+    return bool(np.any(neighbours) and np.all(digest[1:][neighbours] == digest[:-1][neighbours]))
+
+
+def _seeds(episodes: Episodes) -> Iterator[Remark]:
+    """Seeds that are few, or all the same."""
+    count = len(np.unique(episodes.seed))
+    if count < _FEW:
+        seeds = "one seed" if count == 1 else f"{count} seeds"
+        what = "there are no intervals" if count == 1 else "intervals are rough"
+        yield Remark(False, f"The sweep has {seeds} a cell: {what}.")
+    cell = episodes.cell() * len(episodes.controllers) + episodes.controller
+    order = np.argsort(cell, kind="stable")
+    cell, digest = cell[order], episodes.digest[order]
+    starts = np.flatnonzero(np.diff(cell, prepend=-1))
+    sizes = np.diff(np.append(starts, len(cell)))
+    same = np.maximum.reduceat(digest, starts) == np.minimum.reduceat(digest, starts)
+    repeated = int(np.sum(same & (sizes > 1)))
+    if repeated:
+        yield Remark(
+            False,
+            f"Nothing random acts in {repeated} of {len(starts)} cells (a controller at one place "
+            "of the grid): their seeds repeat one episode, and intervals there have no width.",
+        )

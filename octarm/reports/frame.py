@@ -1,0 +1,373 @@
+"""A sweep as arrays: what differs between its episodes, and the values of selected metrics."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from octarm.disturbances.episode import field_kinds
+from octarm.disturbances.spelling import DISTURBANCES
+from octarm.errors import OctarmError, closest
+from octarm.metrics.metric import SETTLED_AFTER, Metric
+from octarm.metrics.table import METRICS
+from octarm.references import REFERENCES, named_reference
+from octarm.sweeps.spec import which
+from octarm.sweeps.store import metadata_of, read_manifest, read_schema, read_sweep
+
+DEFAULT = ("rms_error", "tip_rms_error", "chattering", "effort", "overshoot")
+
+_FEWEST, _MOST_RANGES = 4, 6  # values in a range of a drawn factor, and ranges
+_TOGETHER = {"rms": ", over all inputs", "max": ", of any input", "mean": ", mean of the inputs"}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Factor:
+    """What differs between episodes, apart from the controller and the seed: an axis of the grid.
+
+    Attributes:
+        name: of its column.
+        unit: of its values; empty for ratios and words.
+        labels: its levels in words; ranges when its values were drawn.
+        places: where its levels stand on an axis, shape (k,); their order when they are words or
+            infinite.
+        scaled: whether the places are numbers.
+        drawn: whether it was drawn for each seed.
+        code: the number of the level of each episode, shape (n,).
+    """
+
+    name: str
+    unit: str
+    labels: tuple[str, ...]
+    places: np.ndarray
+    scaled: bool
+    drawn: bool
+    code: np.ndarray
+
+    @property
+    def title(self) -> str:
+        """The name with its unit."""
+        return self.name + (f" [{self.unit}]" if self.unit else "")
+
+
+class Measure(NamedTuple):
+    """A number of each episode: a column of a metric, or the inputs' columns brought together.
+
+    Attributes:
+        name: its column, or the name of the metric if there are several.
+        metric: name of the metric.
+        of: the coordinate or input; empty for the arm and for all inputs.
+        columns: names of the columns.
+        unit: of its values.
+    """
+
+    name: str
+    metric: str
+    of: str
+    columns: tuple[str, ...]
+    unit: str
+
+    @property
+    def declared(self) -> Metric:
+        """The declaration of the metric."""
+        return METRICS[self.metric]
+
+    @property
+    def sign(self) -> int:
+        """1 when less is better, -1 when more is, 0 when neither."""
+        return self.declared.sign
+
+    @property
+    def text(self) -> str:
+        """Its meaning, in one line."""
+        several = len(self.columns) > 1
+        return self.declared.text + (_TOGETHER[self.declared.together] if several else "")
+
+    @property
+    def label(self) -> str:
+        """Its name in words: `rms error, theta1`."""
+        words = self.metric.replace("_", " ")
+        return f"{words}, {self.of}" if self.of else words
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Episodes:
+    """The finished episodes of a sweep.
+
+    The value of an episode that diverged is infinite, on the side of what is worse, and so is a
+    time that never came: dropping them would favour the controller that loses the hard episodes.
+
+    Attributes:
+        manifest: of the sweep.
+        controllers: in the order of the spec.
+        factors: those that take more than one value.
+        measures: those that were asked for and have a value.
+        absent: names of those that were asked for and have none.
+        controller: number of the controller of each episode, shape (n,).
+        seed: shape (n,).
+        diverged: shape (n,).
+        digest: of the states, shape (n,).
+        values: of the measures, shape (n, M); NaN where there is none.
+        lost: whether it did not diverge, but a coordinate that moves follows its reference no
+            better than an arm that hangs still, shape (n,).
+        exact: whether an error is zero to the last digit, shape (n,).
+    """
+
+    manifest: Mapping[str, Any]
+    controllers: tuple[str, ...]
+    factors: tuple[Factor, ...]
+    measures: tuple[Measure, ...]
+    absent: tuple[str, ...]
+    controller: np.ndarray
+    seed: np.ndarray
+    diverged: np.ndarray
+    digest: np.ndarray
+    values: np.ndarray
+    lost: np.ndarray
+    exact: np.ndarray
+
+    @property
+    def planned(self) -> int:
+        """Number of episodes, with those that are not finished."""
+        return sum(shard["episodes"] for shard in self.manifest["shards"])
+
+    def cell(self) -> np.ndarray:
+        """A number for each place of the grid, shape (n,); what was drawn goes with the seed."""
+        number = np.zeros_like(self.seed)
+        for factor in self.factors:
+            if not factor.drawn:
+                number = number * len(factor.labels) + factor.code
+        return number
+
+    def of_controller(self, name: str) -> np.ndarray:
+        """The rows of a controller, shape (k,)."""
+        return np.flatnonzero(self.controller == self.controllers.index(name))
+
+
+def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
+    """Reads a sweep, and no more columns than are needed.
+
+    Args:
+        folder: of the sweep.
+        metrics: names of metrics, or of columns; `DEFAULT` when not given. Of a metric of
+            coordinates those that move are taken, one of inputs is brought together.
+
+    Raises:
+        OctarmError: if it is no sweep, has no finished episode, or a metric is unknown or has no
+            value in any episode.
+    """
+    manifest = read_manifest(folder)
+    spec = manifest["spec"]
+    controllers = tuple(spec["grid.controller"])
+    names = [key.partition(".")[2] for key in spec if key.startswith(("grid.", "random."))]
+    names.remove("controller")
+    schema = read_schema(folder)
+    columns = [column for field in schema if (column := _column(field)) is not None]
+    wanted = {name: _measures(name, columns, spec) for name in metrics or DEFAULT}
+    errors = [column.name for column in columns if column.metric == "rms_error"]
+    needed = ["controller", "seed", "status", "digest", *names, *errors]
+    for measure in itertools.chain.from_iterable(wanted.values()):
+        needed += [*measure.columns, *(name for name in _awaited(measure) if name in schema.names)]
+    table = read_sweep(folder, [*dict.fromkeys(needed)])
+    held = {name: _array(table[name]) for name in table.column_names}
+    controller = _codes(held["controller"], controllers)
+    diverged = held["status"] == "diverged"
+    absent = [name for name, measures in wanted.items() if not measures]
+    values: dict[Measure, np.ndarray] = {}
+    for measure in itertools.chain.from_iterable(wanted.values()):
+        column = _values(held, measure, controller, diverged)
+        if np.any(np.isfinite(column)):
+            values[measure] = column
+        else:
+            absent.append(measure.name)
+    if not values:
+        raise OctarmError(_nothing(folder, spec, absent, bool(diverged.all())))
+    lost, exact = _suspects(held, errors, spec["duration"])
+    return Episodes(
+        manifest=manifest,
+        controllers=controllers,
+        factors=tuple(_factors(held, spec, names)),
+        measures=tuple(values),
+        absent=tuple(absent),
+        controller=controller,
+        seed=held["seed"],
+        diverged=diverged,
+        digest=held["digest"],
+        values=np.stack([*values.values()], axis=1),
+        lost=lost,
+        exact=exact,
+    )
+
+
+def _column(field: pa.Field) -> Measure | None:
+    """A column of a metric, as the schema describes it; None for another column."""
+    said = {key.decode(): text.decode() for key, text in metadata_of(field).items()}
+    if said.get("metric") not in METRICS:
+        return None
+    return Measure(field.name, said["metric"], said["of"], (field.name,), said["unit"])
+
+
+def _measures(name: str, columns: Sequence[Measure], spec: Mapping[str, Any]) -> list[Measure]:
+    """The measures that the name of a metric or column stands for; none if it has no column.
+
+    Raises:
+        OctarmError: for an unknown name.
+    """
+    of_metric = [column for column in columns if column.metric == name]
+    single = [column for column in columns if column.name == name]
+    if name not in METRICS and not single:
+        raise OctarmError(f"unknown metric {name!r}{closest(name, METRICS)}")
+    if not of_metric:  # a column, or a metric that is younger than the sweep
+        return single
+    if METRICS[name].of == "input":
+        names = tuple(column.name for column in of_metric)
+        return [Measure(name, name, "", names, of_metric[0].unit)]
+    if METRICS[name].of == "coordinate":
+        moving = _moved(spec.get("grid.reference", ()), len(of_metric))
+        return [column for column, moves in zip(of_metric, moving, strict=True) if moves]
+    return of_metric
+
+
+def _moved(references: Sequence[str], coordinates: int) -> np.ndarray:
+    """Which coordinates a reference moves away from rest, shape (2N,); all if none is known."""
+    moving = np.zeros(coordinates, dtype=bool)
+    for name in references:
+        if name in REFERENCES:
+            moving |= _hanging_error(name, coordinates, 10.0) > 0.0
+    return moving if moving.any() else ~moving
+
+
+def _hanging_error(
+    reference: str, coordinates: int, duration: float, begin: float = 0.0
+) -> np.ndarray:
+    """The rms error of an arm that hangs still, from `begin` on, shape (2N,) [m], [rad]."""
+    motion = named_reference(reference, np.zeros(coordinates))
+    squares = [np.square(motion(t).q) for t in np.linspace(begin, duration, 1000)]
+    return np.sqrt(np.mean(np.broadcast_to(squares, (1000, coordinates)), axis=0))
+
+
+def _awaited(measure: Measure) -> list[str]:
+    """Names of the columns that have a value whenever the measure was to be expected."""
+    awaited = measure.declared.waits_for
+    return [column.replace(measure.metric, awaited, 1) for column in measure.columns if awaited]
+
+
+def _values(
+    held: Mapping[str, np.ndarray], measure: Measure, controller: np.ndarray, diverged: np.ndarray
+) -> np.ndarray:
+    """A measure of each episode, shape (n,)."""
+    columns = np.stack([held[name] for name in measure.columns])
+    together = measure.declared.together
+    if len(columns) == 1:
+        values = columns[0]
+    elif together == "rms":
+        values = np.sqrt(np.mean(np.square(columns), axis=0))
+    else:
+        values = (np.max if together == "max" else np.mean)(columns, axis=0)
+    if not measure.sign:
+        return values
+    for name in _awaited(measure):
+        if name in held:
+            values = np.where(~np.isnan(held[name]) & np.isnan(values), math.inf, values)
+    for i in range(controller.max() + 1):  # what a controller does not have cannot be lost
+        mine = controller == i
+        if np.all(diverged[mine]) or not np.all(np.isnan(values[mine])):
+            values = np.where(mine & diverged, measure.sign * math.inf, values)
+    return values
+
+
+def _suspects(
+    held: Mapping[str, np.ndarray], errors: Sequence[str], duration: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """`Episodes.lost` and `Episodes.exact`, given the columns of `rms_error`."""
+    reference = held["reference"]
+    lost = np.zeros(len(reference), dtype=bool)
+    exact = np.zeros_like(lost)
+    for name in np.unique(reference).tolist() if duration > SETTLED_AFTER else ():
+        if name in REFERENCES:
+            hanging = _hanging_error(name, len(errors), duration, SETTLED_AFTER)
+            here = reference == name
+            for column, limit in zip(errors, hanging, strict=True):
+                if limit > 0.0:
+                    lost |= here & (held[column] >= limit)
+                    exact |= here & (held[column] == 0.0)
+    return lost, exact
+
+
+def _factors(
+    held: Mapping[str, np.ndarray], spec: Mapping[str, Any], names: Sequence[str]
+) -> list[Factor]:
+    """The factors that take more than one value."""
+    factors: list[Factor] = []
+    for name in names:
+        column, unit = held[name], _unit(name)
+        if f"random.{name}" in spec:
+            factors += _drawn(name, unit, column)
+        elif len(spec[f"grid.{name}"]) > 1:
+            words = column.dtype.kind != "f"
+            values = np.array([v if words else float(v) for v in spec[f"grid.{name}"]])
+            if not words:
+                values = np.sort(values)
+            scaled = not words and bool(np.isfinite(values).all())
+            labels = tuple(str(v) if words else f"{v:g}" for v in values)
+            places = values if scaled else np.arange(len(values))
+            code = _codes(column, values.tolist())
+            factors.append(Factor(name, unit, labels, places, scaled, False, code))
+    return factors
+
+
+def _drawn(name: str, unit: str, column: np.ndarray) -> list[Factor]:
+    """A drawn factor, cut into ranges with as many values each; none if there are too few."""
+    different = np.unique(column)
+    bins = min(len(different) // _FEWEST, _MOST_RANGES)
+    if bins < 2:
+        return []
+    edges = np.quantile(different, np.linspace(0.0, 1.0, bins + 1))
+    code = np.clip(np.searchsorted(edges, column, side="right") - 1, 0, bins - 1)
+    labels = tuple(f"{a:.3g} .. {b:.3g}" for a, b in itertools.pairwise(edges))
+    places = np.array([np.median(column[code == i]) for i in range(bins)])
+    return [Factor(name, unit, labels, places, scaled=True, drawn=True, code=code)]
+
+
+def _unit(factor: str) -> str:
+    """The unit of a disturbance's field; empty for ratios and words."""
+    name, _, key = factor.removeprefix("disturbance.").partition(".")
+    kind = which(name).kind
+    if factor == "mismatch" or kind not in DISTURBANCES:
+        return ""
+    kinds = field_kinds(DISTURBANCES[kind])
+    by_key = {kind.key or field: kind for field, kind in kinds.items()}
+    unit = by_key[key or next(iter(by_key))].unit if not key or key in by_key else ""
+    return "" if unit == "1" else unit
+
+
+def _array(column: pa.ChunkedArray) -> np.ndarray:
+    """A column as an array of shape (n,); words as strings, missing numbers as NaN."""
+    if pa.types.is_string(column.type):
+        return np.asarray(column.to_pylist(), dtype=np.str_)
+    return column.to_numpy()
+
+
+def _codes(column: np.ndarray, values: Sequence[Any]) -> np.ndarray:
+    """The places of a column's entries in a list, shape (n,)."""
+    place = {value: i for i, value in enumerate(values)}
+    different, inverse = np.unique(column, return_inverse=True)
+    return np.array([place[value] for value in different.tolist()], dtype=np.int64)[inverse]
+
+
+def _nothing(
+    folder: Path, spec: Mapping[str, Any], absent: Sequence[str], all_diverged: bool
+) -> str:
+    """Why no measure has a value."""
+    if all_diverged:
+        return f"all finished episodes of {folder} diverged; there is nothing to report of them"
+    return (
+        f"{folder} has no value of {', '.join(absent)} in any episode; they last "
+        f"{spec['duration']:g} s, and most metrics count from {SETTLED_AFTER:g} s on"
+    )

@@ -1,0 +1,243 @@
+"""What the physics of one arm and that of a batch of arms have in common.
+
+There are two classes because a physics step of a batch of one arm takes three times as long as that
+of an arm alone, which dm_control can draw besides.
+"""
+# pyright: reportAttributeAccessIssue=false, reportIncompatibleMethodOverride=false
+# (mujoco ships no type stubs, dm_control few annotations)
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from dm_control.rl import control
+
+from octarm.arm.actuation import Actuation
+from octarm.arm.coordinates import Coordinates, planar_coordinates
+from octarm.arm.limits import Limits
+from octarm.arm.mjcf import PlantFields, paper_order
+from octarm.arm.parameters import ArmParameters
+from octarm.disturbances.active import ActiveDisturbances
+from octarm.disturbances.episode import Plant
+
+
+class AnyPhysics(control.Physics):
+    """One arm or a batch of arms, driven by the paper's input forces tau; all that the loop needs.
+
+    Arrays of coordinates have shape (..., 2N), where ... is the batch shape: () for one arm, (n,)
+    for a batch. Those of a batch are contiguous along the arms: a column of coordinate j is one run
+    of memory. Every method returns copies.
+
+    Attributes:
+        batch_shape: batch axes of all arrays.
+        coordinates: names and units of the coordinates and inputs.
+        actuation: how inputs act on the arms.
+        limits: beyond which an arm has diverged.
+        acting: the disturbances of this episode; None before the first one.
+        watch: called when an episode begins, and after every physics step.
+    """
+
+    batch_shape: tuple[int, ...] = ()
+    coordinates: Coordinates
+    actuation: Actuation
+    limits: Limits
+    acting: ActiveDisturbances | None = None
+    watch: Callable[[AnyPhysics], object] | None = None
+
+    def _attach(
+        self,
+        model: mujoco.MjModel,
+        state: Callable[[str], np.ndarray],
+        field: Callable[[str], np.ndarray],
+        undisturbed: ArmParameters,
+    ) -> None:
+        """Connects to MuJoCo's memory.
+
+        Args:
+            model: of the arms.
+            state: the array of a state variable or an input of all arms, by MuJoCo's name.
+            field: the array of a model's field, likewise.
+            undisturbed: the arms' parameters, of one arm or with batch axis (n,).
+        """
+        self._qpos_index, self._qvel_index = paper_order(model)
+        # Views of MuJoCo's memory, kept because looking them up costs as much as a small product;
+        # of those that are read the coordinate is the first axis.
+        self._qpos, self._qvel = state("qpos").T, state("qvel").T
+        self._ctrl, self._added = state("ctrl"), state("qfrc_applied").T
+        self._fields = PlantFields(model, field)
+        self._timestep = float(model.opt.timestep)
+        self._undisturbed = undisturbed
+        self.coordinates = planar_coordinates(undisturbed.modules)
+        self.limits = Limits.of(undisturbed)
+        self._input_limit = self._alike(model.actuator_ctrlrange[:, 1])
+        self._rest = self._alike(rest_of(model))
+        self._zero = np.zeros_like(self._rest)
+        self._zero.setflags(write=False)
+        self._forget()
+
+    @abc.abstractmethod
+    def _advance(self) -> None:
+        """One physics step of all arms within their limits."""
+
+    @abc.abstractmethod
+    def _check_limits(self, q: np.ndarray, v: np.ndarray) -> None:
+        """Freezes arms whose state, q and v of shape (..., 2N), is outside their limits."""
+
+    @abc.abstractmethod
+    def _follow_inertias(self) -> None:
+        """Makes MuJoCo's constants follow inertias that were written."""
+
+    @abc.abstractmethod
+    def divergence(self) -> str:
+        """How an arm alone has left its limits and when, as a sentence; empty for a batch."""
+
+    def q(self) -> np.ndarray:
+        """Generalised coordinates, shape (..., 2N) [m], [rad]."""
+        return self._qpos.take(self._qpos_index, 0).T
+
+    def v(self) -> np.ndarray:
+        """Generalised velocities, shape (..., 2N) [m/s], [rad/s]."""
+        return self._qvel.take(self._qvel_index, 0).T
+
+    def tau(self) -> np.ndarray:
+        """The input forces being held, shape (..., 2N) [N]."""
+        return self._tau.copy(order="K")
+
+    def received(self) -> np.ndarray:
+        """The input forces that reached the arms in the last physics step, shape (..., 2N) [N]."""
+        return self._received.copy(order="K")
+
+    def added(self) -> np.ndarray:
+        """Generalised force that MuJoCo was given in the last physics step, shape (..., 2N)."""
+        return self._added.take(self._qvel_index, 0).T
+
+    def disturbance(self) -> np.ndarray:
+        """Generalised force that was added, mean over the last `step`, shape (..., 2N)."""
+        return self._disturbance.copy(order="K")
+
+    def input_limit(self) -> np.ndarray:
+        """Bound on the absolute input forces tau, shape (..., 2N) [N]."""
+        return self._input_limit.copy(order="K")
+
+    def hanging(self) -> np.ndarray:
+        """The loaded equilibrium of the undisturbed arms, shape (..., 2N) [m], [rad]."""
+        return self._rest.copy(order="K")
+
+    def intact(self) -> np.ndarray:
+        """Which arms are still within their limits, shape (...) of bool."""
+        return self._intact.copy()
+
+    def all_lost(self) -> bool:
+        """Whether no arm is within its limits any more."""
+        return not (self._all_intact or self._intact.any())
+
+    def diverged_at(self) -> np.ndarray:
+        """When arms left their limits, shape (...) [s]; NaN for those that have not."""
+        return self._diverged_at.copy()
+
+    def steps(self) -> int:
+        """Number of physics steps since the start."""
+        return self._steps
+
+    def time(self) -> float:
+        """Time since the start [s]: the number of steps times their length."""
+        return self._steps * self._timestep
+
+    def timestep(self) -> float:
+        """Physics step [s]."""
+        return self._timestep
+
+    def set_motion(self, q: np.ndarray, v: np.ndarray) -> None:
+        """Places the arms at q, shape (..., 2N) [m], [rad], moving with v [m/s], [rad/s]."""
+        self._qpos[self._qpos_index] = q.T
+        self._qvel[self._qvel_index] = v.T
+
+    def set_control(self, control: np.ndarray) -> None:
+        """Holds the input forces tau, shape (..., 2N) [N], until the next call."""
+        self._tau = np.array(control, dtype=np.float64)
+
+    def begin(self, acting: ActiveDisturbances) -> None:
+        """Starts an episode under these disturbances, the arms standing where they were placed."""
+        self.acting = acting
+        self._change(acting)
+        acting.record(0, self.q(), self.v())
+        if self.watch is not None:
+            self.watch(self)
+
+    def freeze(self, arms: np.ndarray | bool) -> None:
+        """Marks arms, shape (...) of bool, as diverged: they stay as they are."""
+        lost = self._intact & arms
+        if np.any(lost):
+            self._diverged_at[lost] = self.time()
+            self._intact[lost] = False
+            self._all_intact = False
+
+    def step(self, n_sub_steps: int = 1) -> None:
+        """Advances by physics steps under Q = F(q) tau, q being the true coordinates.
+
+        An arm stops at its first state outside the limits. It ends early when no arm is left.
+        """
+        self._disturbance = self._zero
+        q = self.q()
+        for _ in range(n_sub_steps):
+            self._receive(q, n_sub_steps)
+            self._advance()
+            self._steps += 1
+            q, v = self.q(), self.v()
+            if self.acting is not None:
+                self.acting.record(self._steps, q, v)
+            if self.watch is not None:
+                self.watch(self)
+            self._check_limits(q, v)
+            if self.all_lost():
+                return
+
+    def _receive(self, q: np.ndarray, nstep: int) -> None:
+        """What acts during the next physics step, q being the coordinates at its start."""
+        self._received, acting = self._tau, self.acting
+        if acting is not None:
+            self._change(acting)
+            self._received = acting.received(self._steps, self._tau)
+            if acting.forces:
+                force = acting.force(self._steps, q)
+                self._added[self._qvel_index] = force.T
+                mean = force / nstep
+                if not self._all_intact:
+                    mean = np.where(self._intact[..., None], mean, 0.0)
+                self._disturbance = self._disturbance + mean
+        self._ctrl[...] = self.actuation.tendon_forces(q, self._received)
+
+    def _change(self, acting: ActiveDisturbances) -> None:
+        """Lets the plants follow their disturbances."""
+        plant = acting.plant(self._steps)
+        if plant is not None:
+            self._write(plant)
+
+    def _write(self, plant: Plant) -> None:
+        """Makes the plants these."""
+        if self._fields.write(plant.parameters, plant.gravity_angle):
+            self._follow_inertias()
+
+    def _forget(self) -> None:
+        """Undoes what the last episode has changed, MuJoCo's own state aside."""
+        if self.acting is not None and self.acting.plant_changes:
+            self._write(Plant(self._undisturbed))
+        self.acting = None
+        self._tau = self._received = self._disturbance = self._zero
+        self._steps = 0
+        self._intact = np.ones(self.batch_shape, dtype=bool)
+        self._diverged_at = np.full(self.batch_shape, np.nan)
+        self._all_intact = True
+
+    def _alike(self, row: np.ndarray) -> np.ndarray:
+        """The same row for every arm, shape (..., k), contiguous along the arms."""
+        shape = (len(row), *self.batch_shape)
+        return np.broadcast_to(row.reshape(-1, *[1] * len(self.batch_shape)), shape).copy().T
+
+
+def rest_of(model: mujoco.MjModel) -> np.ndarray:
+    """The loaded equilibrium of a model in the paper's order, shape (2N,) [m], [rad]."""
+    return model.key("hanging").qpos[paper_order(model)[0]]

@@ -1,0 +1,269 @@
+"""Single episodes of a finished sweep: which ones are recorded, and running them again alone."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from octarm.arm.mjcf import nominal_parameters
+from octarm.errors import OctarmError
+from octarm.interfaces import Controller, ControllerFactory
+from octarm.runs import folder as runs
+from octarm.runs.digest import CHECKPOINTS, StateDigest
+from octarm.runs.experiment import Experiment, run_into
+from octarm.simulation.environment import whole_periods
+from octarm.simulation.trajectory import Trajectory
+from octarm.sweeps.plan import Plan
+from octarm.sweeps.shards import run_arms
+from octarm.sweeps.spec_file import read_spec
+from octarm.sweeps.store import RECORDED, SPEC, read_manifest, read_row
+
+METRIC = "tip_rms_error"  # one number an arm: by it episodes are the worst or the median ones
+COLUMNS = ("episode", "controller", "status", "diverged_at", METRIC)
+
+
+class FinishedSweep:
+    """A sweep folder, whose episodes can be run again one by one.
+
+    Attributes:
+        path: the folder.
+        plan: of its episodes.
+        gains: of each controller for the nominal arm when the sweep was begun.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Reads what was run.
+
+        Raises:
+            OctarmError: if the folder holds no sweep, or its spec was changed.
+            FileError: if the spec cannot be read.
+        """
+        self.path = path
+        manifest = read_manifest(path)
+        self.plan = Plan(read_spec(path / SPEC))
+        self.gains: Mapping[str, Any] = manifest["gains"]
+        self._shards = manifest["shards"]
+        if self.plan.spec.hash() != manifest["spec_hash"]:
+            raise OctarmError(f"{path / SPEC} was changed: it is not what the sweep was run with")
+
+    def finished(self) -> np.ndarray:
+        """The numbers of the episodes that are there, shape (n,)."""
+        ranges: list[np.ndarray] = [
+            np.arange(shard["first"], shard["first"] + shard["episodes"])
+            for shard in self._shards
+            if (self.path / shard["file"]).is_file()
+        ]
+        return np.concatenate([np.empty(0, dtype=np.int64), *ranges])
+
+    def row(self, episode: int) -> pa.Table:
+        """The row of an episode.
+
+        Raises:
+            OctarmError: if there is none, or it is damaged.
+        """
+        self.plan.episode(episode)  # raises when there is no such episode
+        return read_row(self.path, episode)
+
+    def run_again(self, episode: int, factory: ControllerFactory) -> pa.Table:
+        """The row that an episode has when it is run alone.
+
+        Raises:
+            OctarmError: if there is no such episode, or it cannot be made again.
+        """
+        return run_arms(self.plan, self.plan.episode(episode), factory)
+
+    def experiment(self, episode: int) -> Experiment:
+        """An episode as a run of one arm, whose factory is that of the sweep's controllers.
+
+        Raises:
+            OctarmError: if there is no such episode.
+        """
+        spec, arms = self.plan.spec, self.plan.episode(episode)
+        (seed,) = arms.seeds
+        nominal = nominal_parameters()
+        return Experiment(
+            controller=arms.controller,
+            gains=spec.gains.get(arms.controller, {}),
+            nominal=nominal.mismatched(arms.mismatch),
+            parameters=nominal,
+            reference=arms.reference,
+            disturbances=arms.disturbances,
+            seed=spec.seed,
+            spawn_key=tuple(seed.spawn_key),
+            duration=spec.duration,
+            timestep=spec.timestep,
+            control_period=spec.control_period,
+            actuation=spec.actuation,
+        )
+
+
+def first_difference(
+    was: Sequence[int], now: Sequence[int], duration: float
+) -> tuple[float, float] | None:
+    """Between which instants [s] two motions part; None if they do not.
+
+    Args:
+        was: checkpoints of one of them, see `octarm.runs.digest.StateDigest`.
+        now: of the other one.
+        duration: of both [s].
+    """
+    for k, pair in enumerate(zip(was, now, strict=True)):
+        if pair[0] != pair[1]:
+            return duration * k / CHECKPOINTS, duration * (k + 1) / CHECKPOINTS
+    return None
+
+
+class Selection(NamedTuple):
+    """Episodes to record.
+
+    Attributes:
+        reasons: why, by episode, in the order in which they were asked for.
+        notes: what was asked for and is not there, a sentence each.
+    """
+
+    reasons: Mapping[int, tuple[str, ...]]
+    notes: tuple[str, ...]
+
+
+def select(table: pa.Table, record: Sequence[int | str]) -> Selection:
+    """The episodes that a spec asks for: by number, or by a word that means one a controller.
+
+    - `worst`: the largest `METRIC` of all episodes that did not diverge;
+    - `median`: the middle one of them by `METRIC`, the lower one of two;
+    - `diverged`: the one that diverged first.
+
+    Of equals it is the one with the lowest number. The reason for a number is `chosen`.
+
+    Args:
+        table: of a sweep, with at least `COLUMNS`.
+        record: numbers and words.
+
+    Raises:
+        OctarmError: if the table has no episode of a number.
+    """
+    episodes, controllers, status, lost, size = (
+        table[name].to_numpy(zero_copy_only=False) for name in COLUMNS
+    )
+    reasons: dict[int, dict[str, None]] = {}  # a dict serves as an ordered set
+    notes: list[str] = []
+    for word in record:
+        if isinstance(word, int):
+            if word not in episodes:
+                raise OctarmError(f"there is no episode {word} in the table")
+            reasons.setdefault(word, {})["chosen"] = None
+            continue
+        by = lost if word == "diverged" else size
+        usable = ((status == "diverged") == (word == "diverged")) & ~np.isnan(by)
+        for name in dict.fromkeys(controllers.tolist()):
+            places = np.flatnonzero(usable & (controllers == name))
+            if len(places):
+                order = places[np.lexsort((episodes[places], by[places]))]
+                reasons.setdefault(int(episodes[_pick(word, order, by)]), {})[word] = None
+            elif word != "diverged":
+                notes.append(
+                    f"no episode of {name} is the {word} one: none that stayed within the limits "
+                    f"has a {METRIC}"
+                )
+    return Selection({episode: tuple(words) for episode, words in reasons.items()}, tuple(notes))
+
+
+def _pick(word: str, order: np.ndarray, by: np.ndarray) -> int:
+    """The place of the one that is meant; `order` sorts places by size, then by number."""
+    if word == "diverged":
+        return int(order[0])
+    if word == "median":
+        return int(order[(len(order) - 1) // 2])
+    return int(order[by[order] == by[order[-1]]][0])
+
+
+def record_episodes(
+    sweep: FinishedSweep,
+    reasons: Mapping[int, tuple[str, ...]],
+    factory: ControllerFactory,
+    *,
+    begin: Callable[[int, str], object] = lambda periods, label: None,
+    progress: Callable[[], object] | None = None,
+) -> dict[int, str]:
+    """Runs episodes again, one by one, each into a run folder `recorded/ID-REASON` of the sweep.
+
+    Those that are there already are left alone. After an interruption the next call goes on.
+
+    Args:
+        sweep: the sweep, whose rows of these episodes are there.
+        reasons: see `select`.
+        factory: of the controllers, the one that the sweep had.
+        begin: called before every run with its number of control periods and what it is.
+        progress: called after every control period.
+
+    Returns:
+        Where a run differs from what the sweep's table says of it: a sentence by episode.
+
+    Raises:
+        OctarmError: if an episode cannot be run.
+        OSError: if a folder cannot be written.
+        KeyboardInterrupt: if interrupted; finished folders stay.
+    """
+    from octarm.recordings.recording import run_recording  # the import takes half a second
+
+    def make(name: str, nominal: Any, gains: Mapping[str, Any]) -> Controller:
+        del gains  # those of the spec
+        return sweep.plan.spec.controller(name, nominal, factory)
+
+    different: dict[int, str] = {}
+    for episode, words in reasons.items():
+        folder = sweep.path / RECORDED / f"{episode}-{'-'.join(words)}"
+        if _is_there(folder, episode):
+            continue
+        experiment = sweep.experiment(episode)
+        environment, controller = experiment.begin(make)
+        announced = experiment.announcement(environment, controller)
+        periods = whole_periods(experiment.duration, environment.control_timestep())
+        begin(periods, f"recording episode {episode} ({', '.join(words)})")
+        trajectory, _ = run_into(
+            folder, environment, controller, announced, recording=run_recording, progress=progress,
+            partial=False,
+        )  # fmt: skip
+        if difference := _difference(sweep, episode, trajectory, periods):
+            different[episode] = difference
+    return different
+
+
+def _is_there(folder: Path, episode: int) -> bool:
+    """Whether an episode is recorded; its folder gets the name of the present reason.
+
+    What a killed process has left is removed.
+    """
+    for other in sorted(folder.parent.glob(f"{episode}-*")):
+        try:
+            status = runs.read_description(other)["status"]
+        except (KeyError, OctarmError):
+            status = ""
+        if status in ("ok", "diverged") and (other / runs.RECORDING).is_file():
+            if other != folder:
+                os.replace(other, folder)
+            return True
+        shutil.rmtree(other, ignore_errors=True)
+    return False
+
+
+def _difference(sweep: FinishedSweep, episode: int, trajectory: Trajectory, periods: int) -> str:
+    """How a recorded run differs from its row; empty if it does not."""
+    digest = StateDigest(periods)
+    for q, v in zip(trajectory.q, trajectory.v, strict=True):
+        digest.update(q, v)
+    row = sweep.row(episode).to_pylist()[0]
+    marks = digest.result()[1][0].tolist()
+    between = first_difference(row["checkpoints"], marks, sweep.plan.spec.duration)
+    if between is None:
+        return ""
+    return (
+        f"episode {episode}: what was recorded differs from the table from an instant between "
+        f"t = {between[0]:g} s and {between[1]:g} s on; octarm verify {sweep.path} "
+        f"--episode {episode} says more"
+    )

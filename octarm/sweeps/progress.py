@@ -1,0 +1,148 @@
+"""How far a sweep is: a note that each shard at work leaves, and a bar on the terminal.
+
+The process that runs a shard notes in a file of the sweep's folder, about once a second, which
+share of it is done. That works on any executor whose workers see the folder, and costs nothing
+where they do not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from dm_control.rl import control
+from tqdm import tqdm
+
+from octarm.interfaces import Instant
+from octarm.sweeps.plan import Plan
+from octarm.sweeps.spec import SweepSpec
+
+_EVERY = 1.0  # [s]
+
+
+class Note:
+    """Writes which share of a run is done; an observer of `simulate`."""
+
+    def __init__(self, file: Path, duration: float) -> None:
+        """A note in a file, on a run of so many seconds."""
+        self._file, self._duration = file, duration
+        self._due = time.monotonic() + _EVERY
+
+    def __call__(self, instant: Instant) -> None:
+        """Takes a control instant."""
+        if time.monotonic() >= self._due:
+            self._due = time.monotonic() + _EVERY
+            with contextlib.suppress(OSError):  # such as a folder that is not seen from here
+                self._file.write_text(f"{instant.measurement.t / self._duration:.6f}")
+
+
+class Notes:
+    """The notes of the shards of a sweep, read by the process that waits for them."""
+
+    def __init__(self, folder: Path) -> None:
+        """Notes in a folder of their own."""
+        self._folder = folder.resolve()
+        self._known: dict[int, float] = {}
+
+    def __enter__(self) -> Notes:
+        self.__exit__()  # what a process that was killed has left
+        self._folder.mkdir(exist_ok=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def file(self, shard: int) -> Path:
+        """The file of a shard."""
+        return self._folder / str(shard)
+
+    def share(self, shard: int) -> float:
+        """Which share of a shard is done, as far as known [1]."""
+        with contextlib.suppress(OSError, ValueError):  # none yet, or half of one
+            self._known[shard] = min(1.0, max(0.0, float(self.file(shard).read_text())))
+        return self._known.get(shard, 0.0)
+
+    def forget(self, shard: int) -> None:
+        """Takes back the note of a shard that is finished, or begins again."""
+        self._known.pop(shard, None)
+        self.file(shard).unlink(missing_ok=True)
+
+
+class ArmSeconds:
+    """Reports the seconds that a run simulates, all arms counted; an observer of `simulate`."""
+
+    def __init__(
+        self,
+        environment: control.Environment,
+        duration: float,
+        progress: Callable[[float], object],
+    ) -> None:
+        """An observer of a run of so many seconds, which calls `progress` at every instant."""
+        self._period, self._left = environment.control_timestep(), duration
+        self._arms, self._progress = environment.physics.arms, progress
+
+    def __call__(self, instant: Instant) -> None:
+        """Takes a control instant."""
+        self._left -= self._period
+        self._progress(self._arms * self._period)
+
+    def finish(self) -> None:
+        """Reports what was not needed since all arms diverged."""
+        self._progress(self._arms * max(self._left, 0.0))
+
+
+class ProgressBar:
+    """Episodes, how many a second, simulated seconds a second, and the time left.
+
+    Parts of the episodes at work count, so that the bar moves while a shard runs. Its methods
+    are what `octarm.sweep` takes as `progress`, `partial` and `say`.
+    """
+
+    def __init__(self, spec: SweepSpec) -> None:
+        """A bar for a sweep; it is drawn on terminals only."""
+        self._duration, self._done, self._partial = spec.duration, 0, 0.0
+        self._started = 0.0
+        self._bar = tqdm(
+            total=Plan(spec).episodes,
+            disable=None,
+            leave=False,
+            unit=" episodes",
+            bar_format="{percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, "
+            "{rate_noinv_fmt}{postfix}]",
+        )
+
+    def __enter__(self) -> ProgressBar:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.close()
+
+    def update(self, episodes: int) -> None:
+        """So many episodes are finished; those of the first call were so before."""
+        self._done += episodes
+        if not self._started:  # they take no time
+            self._bar.initial = episodes
+            self._started = self._bar.start_t = time.time()
+        self.go_on(max(0.0, self._partial - episodes))
+
+    def go_on(self, partial: float) -> None:
+        """The finished parts of the episodes at work are worth so many."""
+        self._partial = partial
+        self._bar.n = self._done + int(partial)
+        run = (self._bar.n - self._bar.initial) * self._duration
+        speed = run / max(1e-3, time.time() - self._started)
+        self._bar.set_postfix_str(f"{digits(speed)} simulated s/s")  # draws the bar
+
+    def say(self, sentence: str) -> None:
+        """Prints a sentence above the bar."""
+        self._bar.clear()
+        print(f"octarm: {sentence}", file=sys.stderr)
+
+
+def digits(number: float) -> str:
+    """A number with three digits, or all of those before the point."""
+    return f"{number:.0f}" if number >= 999.5 else f"{number:.3g}"

@@ -1,0 +1,239 @@
+"""What tuning minimises: the same number for every controller, fixed before anything was tuned.
+
+    J = mean over scenarios of (e + w c),                                       w = 0.1
+    e = sqrt(mean_j (rms_j / A_j)^2)        rms_j of q_j - q_d,j;  A = 0.0175 m, 0.3 rad
+    c = sqrt(mean_i chattering_i^2) / (g sum_k m_k)                  of the input forces tau_i
+
+Why it is what it is:
+
+- e counts all coordinates, those that shall rest too. A is the mean amplitude of the references
+  `sine-slides` and `sine`: a percent of a slide's motion is worth a percent of a bend's.
+- c keeps a controller from buying accuracy with chattering that no actuator would bear. It is what
+  `octarm.metrics.chattering` measures above 50 Hz, twice the arm's highest mode, of the forces of
+  the columns, which all have one unit, in shares of the arm's weight. With w = 0.1 a rattle of a
+  tenth of the weight on every column costs as much as an error of one percent of the motion.
+- An arm that leaves its limits costs 10 to 20, the more the earlier, and no other one more than 10.
+  So gains that lose an arm are worse than any that do not, and a search can still tell which of
+  them are the least bad.
+- The scenarios are half of the full design reference x model error x noise, in a chessboard: both
+  references with and without noise, each model error with and without noise and with both
+  references. The true arm is the nominal one.
+- The measurement begins after 1 s, when the start from rest is over, and lasts one period of the
+  sine. What drifts slowly does not show in that time: see `LONG`.
+- No controller gets more force than the actuators' range has: what it asks for beyond is cut off.
+
+The noise comes from seeds of its own, which no run and no sweep has, and every candidate meets the
+same noise.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from octarm.arm.lagrange import equilibrium
+from octarm.arm.mjcf import nominal_parameters, template_model
+from octarm.arm.parameters import ArmParameters
+from octarm.arrays import split
+from octarm.disturbances.actuators import Saturation
+from octarm.disturbances.forces import BandLimitedNoise
+from octarm.interfaces import ControllerFactory, Instant, Motion, Reference
+from octarm.metrics.chattering import Chattering
+from octarm.metrics.metric import Settings
+from octarm.metrics.tracking import TrackingError
+from octarm.references import named_reference
+from octarm.simulation.batch import BatchPhysics
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import simulate
+from octarm.sweeps.progress import ArmSeconds
+
+SLIDE_SCALE = 0.0175  # A [m]
+BEND_SCALE = 0.3  # A [rad]
+CHATTERING_WEIGHT = 0.1  # w [1]
+LARGEST = 10.0  # cost of an arm that stays within its limits; one that does not costs up to twice
+
+FORMULA = (
+    f"J = mean over scenarios of sqrt(mean_j (rms_j / A_j)^2) + {CHATTERING_WEIGHT:g} "
+    "sqrt(mean_i chattering_i^2) / (g sum_k m_k), with the rms of q - q_d, "
+    f"A = {SLIDE_SCALE:g} m and {BEND_SCALE:g} rad, the chattering of the inputs tau above 50 Hz, "
+    "tau within the actuators' range; "
+    f"{LARGEST:g} to {2.0 * LARGEST:g} for an arm that is lost"
+)
+
+# "tuning" in ASCII. Runs and sweeps have the seed that the user gives, 0 in the experiments.
+_ENTROPY = int.from_bytes(b"tuning", "big")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """What a controller is tried on.
+
+    Attributes:
+        reference: name of the desired motion.
+        mismatch: of its nominal model, see `ArmParameters.mismatched` [1].
+        noise: rms of the force on each joint over the amplitude of its input signal [1].
+    """
+
+    reference: str
+    mismatch: float
+    noise: float
+
+
+SCENARIOS = (
+    Scenario(reference="sine", mismatch=-0.3, noise=0.0),
+    Scenario(reference="multi-sine", mismatch=0.0, noise=0.0),
+    Scenario(reference="sine", mismatch=0.3, noise=0.0),
+    Scenario(reference="multi-sine", mismatch=-0.3, noise=0.4),
+    Scenario(reference="sine", mismatch=0.0, noise=0.4),
+    Scenario(reference="multi-sine", mismatch=0.3, noise=0.4),
+)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Examination:
+    """The scenarios, for how long, and with which noise.
+
+    Attributes:
+        scenarios: what is tried.
+        begin: when the measurement begins [s].
+        duration: of an episode [s].
+        noise: number of the realisation of the noise.
+    """
+
+    scenarios: tuple[Scenario, ...] = SCENARIOS
+    begin: float = 1.0
+    duration: float = 3.0
+    noise: int = 0
+
+    @property
+    def seconds(self) -> float:
+        """What a candidate is simulated for, all scenarios counted [s]."""
+        return len(self.scenarios) * self.duration
+
+    def seeds(self) -> list[np.random.SeedSequence]:
+        """One seed a scenario."""
+        return [
+            np.random.SeedSequence(_ENTROPY, spawn_key=(self.noise, i))
+            for i in range(len(self.scenarios))
+        ]
+
+
+SHORT = Examination()
+# Tells gains that drift, and those that suit one realisation of the noise only.
+LONG = Examination(begin=2.0, duration=10.0, noise=1)
+
+
+def costs(
+    examination: Examination,
+    factory: ControllerFactory,
+    candidates: Mapping[str, np.ndarray],
+    progress: Callable[[float], object] = lambda seconds: None,
+) -> np.ndarray:
+    """The cost of each candidate in each scenario, shape (n, scenarios) [1]; J is its mean.
+
+    A cost does not depend on the other candidates.
+
+    Args:
+        examination: what is tried.
+        factory: makes the controller from its nominal model and gains; gains that it is not given
+            are the hand-set ones.
+        candidates: gains with a row for each of them, shapes (n, 1) or (n, 2N).
+        progress: called with the seconds that have been simulated since the last call, all arms
+            counted.
+
+    Raises:
+        OctarmError: if a controller cannot be made.
+    """
+    n, scenarios = len(next(iter(candidates.values()))), examination.scenarios
+
+    def each(values: Sequence[float]) -> np.ndarray:
+        """Values of the scenarios for each arm: the scenarios of a candidate side by side."""
+        return np.tile(values, n)
+
+    true = nominal_parameters()
+    rest = equilibrium(true)
+    names = list(dict.fromkeys(scenario.reference for scenario in scenarios))
+    environment = load(
+        EachItsOwn(
+            [named_reference(name, rest) for name in names],
+            each([names.index(scenario.reference) for scenario in scenarios]),
+        ),
+        disturbances=[
+            BandLimitedNoise(ratio=each([s.noise for s in scenarios])[:, None]),
+            Saturation(limit=template_model().actuator_ctrlrange[:, 1]),
+        ],
+        batch=n * len(scenarios),
+        seed=examination.seeds() * n,
+    )
+    nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
+    gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}
+    seconds = ArmSeconds(environment, examination.duration, progress)
+    observer = _Observer(examination, environment.control_timestep(), environment.physics)
+
+    def observe(instant: Instant) -> None:
+        observer(instant)
+        seconds(instant)
+
+    simulate(environment, factory(nominal, gains), examination.duration, observe)
+    seconds.finish()
+    return observer.costs(true).reshape(n, len(scenarios))
+
+
+class EachItsOwn:
+    """A desired motion for each arm of a batch, out of a few.
+
+    Attributes:
+        motions: of one arm each, shapes (2N,).
+        choice: which of them each arm has, shape (n,).
+    """
+
+    def __init__(self, motions: Sequence[Motion], choice: np.ndarray) -> None:
+        self.motions = tuple(motions)
+        self.choice = np.asarray(choice)
+
+    def __call__(self, t: float) -> Reference:
+        """What the arms shall do at time t [s], shapes (n, 2N)."""
+        parts = zip(*(motion(t) for motion in self.motions), strict=True)
+        return Reference(*(np.stack(rows, axis=-1).take(self.choice, -1).T for rows in parts))
+
+
+class _Observer:
+    """Measures the arms while they run."""
+
+    def __init__(self, examination: Examination, period: float, physics: BatchPhysics) -> None:
+        self._examination, self._period, self._physics = examination, period, physics
+        like = np.zeros_like(physics.q())
+        first, settings = {"q": like, "force": like}, Settings(control_period=period)
+        self._error, self._chattering = TrackingError(first, settings), Chattering(first, settings)
+
+    def __call__(self, instant: Instant) -> None:
+        steady = instant.measurement.t > self._examination.begin - 0.5 * self._period
+        with np.errstate(all="ignore"):  # an arm that is lost may hold anything
+            self._chattering.update({"force": instant.tau[None]}, steady)
+            error = (instant.q - instant.reference.q)[None]
+            self._error.update({"error": error, "squared_error": error * error}, steady)
+
+    def costs(self, true: ArmParameters) -> np.ndarray:
+        """The cost of each arm, shape (n,)."""
+        with np.errstate(all="ignore"):
+            rms, rattle = self._error.result()["rms_error"], self._chattering.result()["chattering"]
+            e = root_mean_square(rms / np.repeat([SLIDE_SCALE, BEND_SCALE], true.modules))
+            c = root_mean_square(rattle) / weight(true)
+            kept = np.minimum(e + CHATTERING_WEIGHT * c, LARGEST)
+        lost_at = self._physics.diverged_at() / self._examination.duration
+        return np.where(self._physics.intact(), kept, LARGEST * (2.0 - lost_at))
+
+
+def root_mean_square(x: np.ndarray) -> np.ndarray:
+    """The root mean square over the last axis, shape (..., 2N) to (...)."""
+    squares = (part * part for part in split(x))
+    return np.sqrt(sum(squares) / x.shape[-1])
+
+
+def weight(p: ArmParameters) -> float:
+    """The weight of the whole arm [N]."""
+    *_, total = itertools.accumulate(p.mass.tolist())
+    return total * float(p.gravity)
