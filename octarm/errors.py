@@ -28,6 +28,13 @@ class FileError(OctarmError, OSError):
     """A file or folder that cannot be read or written; the sentence names it."""
 
 
+def sentence_of(error: OSError) -> str:
+    """What the system says of a file, or the sentence that the error has already."""
+    if not error.strerror:
+        return str(error)
+    return f"{error.filename or 'standard output'}: {error.strerror}"
+
+
 def closest(word: str, known: Iterable[str]) -> str:
     """The end of an error sentence: what a misspelt word may have meant, and all known ones."""
     known = list(known)

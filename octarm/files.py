@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import shutil
+import tempfile
 import threading
 from collections.abc import Generator
 from pathlib import Path
@@ -12,8 +15,16 @@ from octarm.errors import FileError
 
 
 @contextlib.contextmanager
-def whole_file(path: str | os.PathLike[str]) -> Generator[Path]:
-    """A neighbouring name to write to, which becomes `path` when the block ends well.
+def whole_file(path: str | os.PathLike[str], part: Path | None = None) -> Generator[Path]:
+    """A name to write to, whose content becomes that of `path` when the block ends well.
+
+    A link keeps its place, and the file that it leads to is replaced. What is no regular file, such
+    as a device or a pipe, stays what it is and is written to at the end.
+
+    Args:
+        path: of the file.
+        part: the name to write to, in the same folder, where others are to find it; a name that
+            nobody else has if None.
 
     Raises:
         FileError: if the place cannot be written; it names `path`. Nothing is left behind.
@@ -21,18 +32,40 @@ def whole_file(path: str | os.PathLike[str]) -> Generator[Path]:
     path = Path(path)
     if not path.name:
         raise FileError(f"{os.fspath(path)!r} is not the name of a file")
-    part = path.with_name(path.name + ".part")
+    target = path.resolve() if path.is_symlink() else path
+    special = target.exists() and not target.is_file()
     try:
+        if part is None:
+            part = _temporary(None if special else target.parent, path.name)
         part.touch()  # fails before the work rather than after
         yield part
+        if special:
+            if target.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            with open(part, "rb") as source, open(target, "wb") as sink:
+                shutil.copyfileobj(source, sink)
+            return
         with open(part, "rb") as file:
             os.fsync(file.fileno())
-        os.replace(part, path)
+        os.replace(part, target)
     except OSError as error:
+        if isinstance(error, FileError):
+            raise
         raise FileError(f"{path} cannot be written: {error.strerror or error}") from error
     finally:
-        with contextlib.suppress(OSError):
-            part.unlink()
+        if part is not None:
+            with contextlib.suppress(OSError):
+                part.unlink()
+
+
+def _temporary(folder: Path | None, name: str) -> Path:
+    """A new file with a name of its own and the permissions that a new file has."""
+    handle, path = tempfile.mkstemp(".part", f".{name}.", folder)
+    os.close(handle)
+    mask = os.umask(0)
+    os.umask(mask)
+    os.chmod(path, 0o666 & ~mask)
+    return Path(path)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

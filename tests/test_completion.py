@@ -1,17 +1,20 @@
 """Shells complete what the commands know."""
 
+import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from controllers import CONTROLLERS
 from octarm.commands import cli
-from octarm.options.argument import Option
-from octarm.options.parser import arguments_of
-from octarm.options.table import COMMANDS
-from octarm.options.words import SHELLS
+from octarm.commands.app import APP
+from octarm.commands.kinds import SHELLS
+from octarm.commands.pages import arguments_of, commands, is_operand
+
+BIN = Path(sys.executable).parent  # where the installed command is
 
 
 def script(shell: str, capsys: pytest.CaptureFixture[str]) -> str:
@@ -24,29 +27,29 @@ def test_a_script_is_well_formed_and_has_all_commands_and_options(
     shell: str, capsys: pytest.CaptureFixture[str]
 ):
     text = script(shell, capsys)
-    for name, kind in COMMANDS.items():
+    for name in commands(APP):
         assert name in text
-        for argument in arguments_of(kind):
-            if isinstance(argument.mark, Option):
-                assert argument.flag.removeprefix("--") in text
+        for argument in arguments_of(APP, name):
+            if not is_operand(argument):
+                assert argument.name.removeprefix("--") in text
     if shutil.which(shell):
         subprocess.run([shell, "-n"], input=text, text=True, check=True, capture_output=True)
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="bash is what is tested")
 def test_bash_offers_what_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    (tmp_path / "runs" / "my run").mkdir(parents=True)
+    (tmp_path / "runs" / "mine").mkdir(parents=True)
     (tmp_path / "gains.toml").touch()
     lines = {
-        "": {*COMMANDS, "--help", "--version"},
+        "": set(commands(APP)),
         "comp": {"completion"},
         "run --contr": {"--controller", "--control-period"},
         "run --controller afsmc": {"afsmc", "afsmc-consequent"},
         "run --duration ": set(),
         "run --duration 3 --se": {"--seed"},
         "run --out r": {"runs"},
-        "run --gains ": {"tuned", "recommended", "runs", "gains.toml"},
-        "replay runs/": {"runs/my run"},
+        "run --gains ": {"tuned", "recommended", "gains.toml"},
+        "replay runs/": {"runs/mine"},
         "replay runs --w": {"--web"},
         "tune ": set(CONTROLLERS),
         "completion ": {"bash", "zsh", "fish"},
@@ -62,7 +65,7 @@ def test_bash_offers_what_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str
     )
     done = subprocess.run(
         ["bash", "--norc"], input=script("bash", capsys) + asked, text=True, capture_output=True,
-        cwd=tmp_path, check=True,
+        cwd=tmp_path, check=True, env={**os.environ, "PATH": f"{BIN}:{os.environ['PATH']}"},
     )  # fmt: skip
     assert done.stderr == ""
     answers = done.stdout.split("==\n")

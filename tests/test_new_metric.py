@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from octarm.sweeps.parser import parse_spec
 
 import octarm
 from controllers import make_controller
@@ -13,7 +14,6 @@ from octarm.commands.cli import main
 from octarm.interfaces import Rows
 from octarm.metrics.metric import Accumulator, Metric, Settings
 from octarm.metrics.table import METRICS
-from octarm.sweeps.parser import parse_spec
 
 
 class Reach(Accumulator):

@@ -52,12 +52,14 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Quick]:
     yield Quick(evidence, writeup.write_all(evidence, out, SHIPPED), out)
 
 
+@pytest.mark.slow
 def test_the_quick_variant_comes_to_the_published_verdicts(quick: Quick, published: dict[str, Any]):
     here = {claim.letter: str(claim.verdict) for claim in quick.claims}
     assert here == {claim["letter"]: claim["verdict"] for claim in published["claims"]}
     assert list(here) == list("abcdefg")
 
 
+@pytest.mark.slow
 def test_the_report_needs_nothing_beside_itself(quick: Quick):
     page = (quick.out / writeup.PAGE).read_text(encoding="utf-8")
     assert not re.search(r"""(src|href)=["'](?!#)""", page)
@@ -72,6 +74,7 @@ def test_the_report_needs_nothing_beside_itself(quick: Quick):
         assert len(list((quick.out / folder).glob(f"*.{ending}"))) >= 5
 
 
+@pytest.mark.slow
 def test_timings_stand_apart_and_all_else_is_the_same_again(quick: Quick):
     slower = {n: c._replace(many=1.1 * c.many) for n, c in quick.evidence.costs.items()}
     again = gather(VARIANTS, QUICK, quick.out, slower)
@@ -93,6 +96,7 @@ def test_the_readme_shows_the_published_claims(published: dict[str, Any]):
         assert f"](.readme/{name})" in readme and (ROOT / ".readme" / name).is_file()
 
 
+@pytest.mark.slow
 def test_every_tuned_controller_beats_its_hand_set_gains_on_the_objective(quick: Quick):
     rows = list(tuning(quick.evidence, SHIPPED))
     assert [row[0] for row in rows] == list(CONTROLLERS)
@@ -177,6 +181,7 @@ def test_the_layer_tells_where_v_falls():
     assert all(o.inside == 0 and o.grown_outside > 0 for o in sign)
 
 
+@pytest.mark.slow
 def test_cells_are_found_by_what_acts(quick: Quick):
     evidence = quick.evidence
     assert evidence.has(Cell(PROPOSED, mismatch=-0.3, noise=NOISE))
@@ -185,6 +190,7 @@ def test_cells_are_found_by_what_acts(quick: Quick):
     assert len(evidence.values(Cell(SMC, mismatch=0.3, noise=NOISE), "error")) == QUICK.seeds
 
 
+@pytest.mark.slow
 def test_a_resumed_run_does_nothing_again(quick: Quick):
     files = sorted(quick.out.glob("s*/**/*.npz")) + sorted(quick.out.glob("sweeps/*/episodes/*"))
     before = [file.stat().st_mtime_ns for file in files]
@@ -193,6 +199,7 @@ def test_a_resumed_run_does_nothing_again(quick: Quick):
     assert len(files) > 10
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_says_how_to_go_on(tmp_path: Path):
     out = tmp_path / "out"
     process = subprocess.Popen(

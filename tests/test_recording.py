@@ -217,11 +217,11 @@ def test_it_is_the_same_whatever_the_blocks(tmp_path):
 @pytest.mark.skipif(os.name != "posix", reason="signals as on POSIX")
 def test_what_was_added_survives_a_kill(tmp_path):
     script = (
-        "import os, signal, sys; sys.path.insert(0, sys.argv[2])\n"
+        "import os, signal, sys; from pathlib import Path; sys.path.insert(0, sys.argv[2])\n"
         "from recordings import described, part_of, swinging\n"
         "from octarm.recordings.recording import run_recording\n"
         "run = swinging()\n"
-        "with run_recording(sys.argv[1], described(duration=60.0)) as recording:\n"
+        "with run_recording(Path(sys.argv[1]), described(duration=60.0)) as recording:\n"
         "    recording.add(dict(part_of(run, 0, 1000).arrays()))\n"
         "    recording.add(dict(part_of(run, 1000, 2000).arrays()))\n"
         "    __import__('time').sleep(0.3)\n"

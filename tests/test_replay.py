@@ -130,7 +130,7 @@ def started(*options):
     command = [
         sys.executable,
         "-m",
-        "octarm.commands.cli",
+        "octarm",
         "run",
         "--duration",
         "600",

@@ -17,6 +17,7 @@ import pytest
 import octarm
 from controllers import make_controller
 from octarm.checks.verify_episode import check_episode
+from octarm.errors import OctarmError
 from octarm.sweeps.episodes import FinishedSweep
 from octarm.sweeps.execute import estimate
 from octarm.sweeps.plan import Plan
@@ -122,7 +123,7 @@ def test_a_shard_that_kills_its_workers_fails_alone(tmp_path, undisturbed):
             return future
 
     with pytest.raises(
-        RuntimeError, match=r"shard 2 failed: its worker died 4 times; shards left to do: 1"
+        OctarmError, match=r"shard 2 failed: its worker died 4 times; shards left to do: 1"
     ):
         run(tmp_path / "s", executor=Deadly())
     numbers = rows(tmp_path / "s")["episode"].to_pylist()

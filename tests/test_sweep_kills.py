@@ -44,7 +44,7 @@ def spec_file(tmp_path) -> Path:
 
 def start_command(spec_file: Path, folder: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "octarm.commands.cli", "sweep", spec_file, "--out", folder,
+        [sys.executable, "-m", "octarm", "sweep", spec_file, "--out", folder,
          "--workers", "2", "--resume"],
         stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True,
         cwd=Path(__file__).parent.parent,

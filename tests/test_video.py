@@ -27,7 +27,7 @@ def run(tmp_path):
 
 
 def film(run, *options, **environment):
-    command = [sys.executable, "-m", "octarm.commands.cli", "video", str(run), *options]
+    command = [sys.executable, "-m", "octarm", "video", str(run), *options]
     kept = {k: v for k, v in os.environ.items() if k != "MUJOCO_GL"}
     return subprocess.run(
         command, env={**kept, **environment}, capture_output=True, text=True, check=False

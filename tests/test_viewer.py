@@ -226,7 +226,7 @@ def shown_views(path):
 @posix
 def test_the_page_is_served_on_this_machine_and_may_fetch_from_it_only(picture, recording):
     process = subprocess.Popen(
-        [sys.executable, "-m", "octarm.commands.cli", "replay", str(recording), "--web"],
+        [sys.executable, "-m", "octarm", "replay", str(recording), "--web"],
         stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:

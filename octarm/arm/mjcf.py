@@ -19,7 +19,7 @@ import numpy as np
 
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import coordinate_names as coordinate_names
-from octarm.errors import OctarmError
+from octarm.errors import FileError, OctarmError
 
 _COLUMN_SIDES = ((1, 1.0), (2, -1.0))  # column 1 lengthens with +theta
 _PARTS = ("column_1", "column_2", "backbone")
@@ -29,13 +29,13 @@ def model_path() -> Path:
     """The file `octarm.xml`, in a checkout or in an installed package.
 
     Raises:
-        FileNotFoundError: if it is missing.
+        FileError: if it is missing.
     """
     package = Path(__file__).resolve().parent.parent
     for folder in (package.parent / "models", package / "models"):
         if (folder / "octarm.xml").is_file():
             return folder / "octarm.xml"
-    raise FileNotFoundError(f"models/octarm.xml is missing beside {package}; reinstall octarm")
+    raise FileError(f"models/octarm.xml is missing beside {package}; reinstall octarm")
 
 
 def template_model() -> mujoco.MjModel:

@@ -1,112 +1,59 @@
-"""What the commands do that look at runs: replay, record, plot, video."""
+"""What `octarm replay` does."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 import tempfile
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
+from octarm.commands.redraw import rows_of, say_partial
 from octarm.errors import ExitCode, OctarmError
+from octarm.recordings import viewer
+from octarm.recordings.comparison import Run, write_comparison
 from octarm.runs import folder as runs
-from octarm.simulation.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from octarm.options.recordings import Plot, Record, Replay, Video
 
 _SWEEP = "manifest.json"  # a folder with it is a sweep
 _MOST = 32  # recordings of a sweep that are opened at once
 
 
-def replay(options: Replay) -> int:
+def replay(folders: Sequence[Path], screenshot: Path | None, time: float | None, web: bool) -> int:
     """`octarm replay`: the viewer on runs, or a picture of it."""
-    from octarm.recordings import viewer
-
-    if options.screenshot is not None and options.web:
+    if screenshot is not None and web:
         raise OctarmError("--screenshot and --web exclude each other")
-    if options.screenshot is not None and options.screenshot.suffix != ".png":
-        raise OctarmError(f"screenshot is {str(options.screenshot)!r}; its name must end in .png")
-    with _recordings(options.runs) as files:
-        if options.screenshot is not None:
-            return _picture(options, files)
-        if options.web:
+    with _recordings(folders) as files:
+        if screenshot is not None:
+            _picture(files, screenshot, time)
+        elif web:
             viewer.serve(files, lambda url: print(f"open {url}   (Ctrl-C ends it)", flush=True))
         else:
             viewer.open_viewer(files)
     return ExitCode.FINE
 
 
-def record(options: Record) -> int:
-    """`octarm record`: the recording of a run again, from its arrays and its description."""
-    from octarm.recordings.recording import write_recording
-
-    trajectory, description = _rows_of(options.run)
-    target = options.run / runs.RECORDING if options.out is None else options.out
-    write_recording(target, trajectory, description)
-    print(f"wrote {target}")
-    return ExitCode.FINE
-
-
-def plot(options: Plot) -> int:
-    """`octarm plot`: the standard figures of a run."""
-    from octarm.recordings.plots import write_figures
-
-    trajectory, description = _rows_of(options.run)
-    folder = _beside(options.run, "-figures") if options.out is None else options.out
-    for path in write_figures(folder, trajectory, description):
-        print(f"wrote {path}")
-    return ExitCode.FINE
-
-
-def video(options: Video) -> int:
-    """`octarm video`: MuJoCo's picture of a run as a film."""
-    from octarm.recordings.video import write_video
-
-    trajectory, description = _rows_of(options.run)
-    target = _beside(options.run, ".mp4") if options.out is None else options.out
-    write_video(
-        target, trajectory, description, size=(options.width, options.height),
-        rate=options.rate, speed=options.speed,
-    )  # fmt: skip
-    print(f"wrote {target}")
-    return ExitCode.FINE
-
-
-def _beside(folder: Path, ending: str) -> Path:
-    """A name like the run folder's; the folder itself holds the run and nothing else."""
-    return folder.resolve().with_name(folder.resolve().name + ending)
-
-
-def _picture(options: Replay, files: list[Path]) -> int:
-    from octarm.recordings import viewer
-
-    assert options.screenshot is not None
+def _picture(files: Sequence[Path], screenshot: Path, time: float | None) -> None:
     end = viewer.end_of(files[0])
-    shown = 0.5 * end if options.time is None else options.time
-    if not 0.0 <= shown <= end:
-        raise OctarmError(f"time is {shown:g} s; the run goes from 0 to {end:g} s")
-    viewer.screenshot(files[0], options.screenshot, others=files[1:], time=shown)
-    print(f"wrote {options.screenshot}")
-    return ExitCode.FINE
+    time = 0.5 * end if time is None else time
+    if not 0.0 <= time <= end:
+        raise OctarmError(f"time is {time:g} s; the run goes from 0 to {end:g} s")
+    viewer.screenshot(files[0], screenshot, others=files[1:], time=time)
+    print(f"wrote {screenshot}")
 
 
 @contextlib.contextmanager
-def _recordings(folders: tuple[Path, ...]) -> Generator[list[Path]]:
+def _recordings(folders: Sequence[Path]) -> Generator[list[Path]]:
     """The recordings to open: of one run, of two runs together, or of a sweep.
 
     Raises:
-        ValueError: if there is nothing to replay.
+        OctarmError: if there is nothing to replay.
     """
     if not 1 <= len(folders) <= 2:
         raise OctarmError(f"{len(folders)} runs are given; replay shows one, or two side by side")
     with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
         if len(folders) == 2:
-            from octarm.recordings.comparison import Run, write_comparison
-
             both = Path(scratch) / "comparison.rrd"
-            write_comparison(both, *(Run(*_rows_of(folder)) for folder in folders))
+            write_comparison(both, *(Run(*rows_of(folder)) for folder in folders))
             yield [both]
         elif (folders[0] / _SWEEP).is_file():
             yield _of_sweep(folders[0], Path(scratch))
@@ -115,9 +62,7 @@ def _recordings(folders: tuple[Path, ...]) -> Generator[list[Path]]:
 
 
 def _of_sweep(folder: Path, scratch: Path) -> list[Path]:
-    """The recordings of the episodes that were chosen, the viewer's list of them open."""
-    from octarm.recordings import viewer
-
+    """The recordings of the episodes of a sweep, the viewer's list of them open."""
     files = sorted(folder.rglob("*.rrd"))
     if not files:
         raise OctarmError(
@@ -127,17 +72,15 @@ def _of_sweep(folder: Path, scratch: Path) -> list[Path]:
         print(f"octarm: the first {_MOST} of {len(files)} recordings are shown", file=sys.stderr)
     if len(files) == 1:
         return files
-    shown: list[Path] = []
+    listed: list[Path] = []
     for file in files[:_MOST]:
-        shown.append(scratch / f"{len(shown)}-{file.parent.name}.rrd")
-        viewer.listed(file, shown[-1])
-    return shown
+        listed.append(scratch / f"{len(listed)}-{file.parent.name}.rrd")
+        viewer.listed(file, listed[-1])
+    return listed
 
 
 def _of_run(folder: Path, scratch: Path) -> Path:
     """The recording of a run; what can be read of it if the run is partial."""
-    from octarm.recordings import viewer
-
     if folder.suffix == ".rrd" and folder.is_file():
         return folder
     description = runs.read_description(folder)  # raises when this is no run
@@ -146,33 +89,11 @@ def _of_run(folder: Path, scratch: Path) -> Path:
         if description["status"] == "interrupted":
             print(f"octarm: the run is partial: it was {description['message']}", file=sys.stderr)
         elif description["status"] == runs.RUNNING:
-            _say_partial(viewer.end_of(recording))
+            say_partial(viewer.end_of(recording))
         return recording
     if not partial.is_file():
         raise OctarmError(f"{folder} has no recording {runs.RECORDING}; octarm record writes one")
     rescued = scratch / runs.RECORDING
     viewer.rescue(partial, rescued)
-    _say_partial(viewer.end_of(rescued))
+    say_partial(viewer.end_of(rescued))
     return rescued
-
-
-def _rows_of(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
-    """The arrays of a run, as far as there are any, and its description.
-
-    Raises:
-        ValueError: if there are none.
-    """
-    trajectory, description = runs.map_run(folder)
-    if description["status"] == runs.RUNNING:
-        _say_partial(float(trajectory.t[-1]))
-        ended = {"status": trajectory.status, "message": trajectory.message}
-        return trajectory, {**description, **ended}
-    return trajectory, description
-
-
-def _say_partial(end: float) -> None:
-    print(
-        "octarm: the run is partial: it is still going on or was killed, and reaches to "
-        f"t = {end:.6g} s",
-        file=sys.stderr,
-    )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from octarm.errors import ExitCode, OctarmError
 from octarm.files import whole_file, write_text
@@ -17,30 +17,28 @@ from octarm.reports.frame import read_episodes
 from octarm.reports.page import Source, page
 from octarm.sweeps.store import SPEC
 
-if TYPE_CHECKING:
-    from octarm.options import sweeps
-
 PAGE = "report.html"
 FIGURES = "figures"
 
 
-def report(options: sweeps.Report) -> int:
+def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Path | None) -> int:
     """`octarm report`: a page, tables and figures on a sweep."""
-    out = options.sweep / "report" if options.out is None else options.out
-    _check_place(out, options.sweep)
-    episodes = read_episodes(options.sweep, options.metric)
-    numbers = compare(episodes, options.baseline)
+    folder = out or sweep / "report"
+    _check_place(folder, sweep)
+    episodes = read_episodes(sweep, metrics)
+    numbers = compare(episodes, baseline)
     remarked = remarks(episodes)
     drawn = list(pictures(numbers))
     files = tables(numbers)
     source = Source(
-        name=options.sweep.resolve().name,
-        spec=(options.sweep / SPEC).read_text(encoding="utf-8"),
-        commands=_commands(options),
+        name=sweep.resolve().name,
+        spec=(sweep / SPEC).read_text(encoding="utf-8"),
+        commands=_commands(sweep, baseline, metrics, out),
         files=list(files),
     )
-    _write(out, page(numbers, remarked, drawn, source), files, drawn)
-    _say(numbers, remarked, out)
+    _write(folder, page(numbers, remarked, drawn, source), files, drawn)
+    _print_summary(numbers, remarked)
+    print(f"wrote {folder / PAGE}")
     return ExitCode.FINE
 
 
@@ -50,8 +48,8 @@ def _check_place(out: Path, sweep: Path) -> None:
         raise OctarmError(f"{out} is not a folder; choose another --out")
     if out.resolve() == sweep.resolve():
         raise OctarmError(f"{out} is the sweep itself; choose another --out")
-    names = {entry.name for entry in (out.iterdir() if out.is_dir() else ())}
-    if PAGE not in names and names - {FIGURES, *TABLES}:
+    present = {entry.name for entry in (out.iterdir() if out.is_dir() else ())}
+    if PAGE not in present and present - {FIGURES, *TABLES}:
         raise OctarmError(f"{out} exists and is not a report; choose another --out")
 
 
@@ -59,7 +57,7 @@ def _write(out: Path, text: str, files: dict[str, str], drawn: list[Picture]) ->
     """Writes the report; the page, last, makes it one.
 
     Raises:
-        OSError: if it cannot be written.
+        FileError: if it cannot be written.
     """
     (out / FIGURES).mkdir(parents=True, exist_ok=True)
     earlier = [out / name for name in TABLES]
@@ -76,18 +74,20 @@ def _write(out: Path, text: str, files: dict[str, str], drawn: list[Picture]) ->
     write_text(out / PAGE, text)
 
 
-def _commands(options: sweeps.Report) -> list[str]:
-    """That make the sweep and the report again."""
-    words = ["octarm", "report", str(options.sweep)]
-    words += ["--baseline", options.baseline] if options.baseline is not None else []
-    words += [word for name in options.metric for word in ("--metric", name)]
-    words += ["--out", str(options.out)] if options.out is not None else []
-    spec, again = str(options.sweep / SPEC), f"{os.path.normpath(options.sweep)}-again"
-    return [shlex.join(["octarm", "sweep", spec, "--out", again]), shlex.join(words)]
+def _commands(
+    sweep: Path, baseline: str | None, metrics: Sequence[str], out: Path | None
+) -> list[str]:
+    """The command lines that make the sweep and the report again."""
+    words = ["octarm", "report", str(sweep)]
+    words += ["--baseline", baseline] if baseline is not None else []
+    words += [word for name in metrics for word in ("--metric", name)]
+    words += ["--out", str(out)] if out is not None else []
+    again = ["octarm", "sweep", str(sweep / SPEC), "--out", f"{os.path.normpath(sweep)}-again"]
+    return [shlex.join(again), shlex.join(words)]
 
 
-def _say(numbers: Comparisons, remarked: list[Remark], out: Path) -> None:
-    """A row a controller, the warnings, and where to look."""
+def _print_summary(numbers: Comparisons, remarked: list[Remark]) -> None:
+    """A row a controller, and the warnings."""
     measure = numbers.episodes.measures[0]
     print(f"controller            episodes  diverged  median {measure.name} [{measure.unit}]")
     for group in numbers.of(None):
@@ -96,4 +96,3 @@ def _say(numbers: Comparisons, remarked: list[Remark], out: Path) -> None:
         print(f"{group.controller:<20} {group.episodes:>9} {group.failed:>9}  {median}")
     for remark in remarked:
         print(f"{'warning' if remark.warning else 'note'}: {remark.text}")
-    print(f"wrote {out / PAGE}")

@@ -1,4 +1,4 @@
-"""What the commands do."""
+"""What `octarm run` does."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ import dataclasses
 import datetime
 import functools
 import itertools
-import json
 import shlex
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -23,103 +21,74 @@ from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters, template_model
 from octarm.arm.parameters import ArmParameters
 from octarm.commands.summary import Swing, summary
-from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import ExitCode, OctarmError, closest
-from octarm.files import write_text
+from octarm.recordings.recording import run_recording
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
 
-if TYPE_CHECKING:
-    from octarm.checks.report import Report
-    from octarm.options.checks import Validate
-    from octarm.options.run import Run
 
-
-def run(options: Run) -> int:
+def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bool) -> int:
     """`octarm run`: one controller against the arm, as a run folder."""
-    from octarm.recordings.recording import run_recording  # the import takes half a second
-
-    true = _true_parameters(options)
-    nominal = true.mismatched(options.mismatch).scaled(**named_values("--nominal", options.nominal))
-    experiment = Experiment(
-        controller=options.controller,
-        gains=_gains(options.gain),
-        nominal=nominal,
-        parameters=true,
-        reference=options.reference,
-        disturbances=tuple(parse_disturbance(text) for text in options.disturbance),
-        seed=options.seed,
-        duration=options.duration,
-        timestep=options.timestep,
-        control_period=options.control_period,
-        actuation=options.actuation,
+    environment, controller = experiment.begin(
+        functools.partial(make_controller, gain_set=gain_set)
     )
-    factory = functools.partial(make_controller, gain_set=options.gains)
-    environment, controller = experiment.begin(factory)
     announced = experiment.announcement(environment, controller)
-    periods = whole_periods(options.duration, environment.control_timestep())
-    out = options.out or _dated_folder(options.controller)
+    periods = whole_periods(experiment.duration, environment.control_timestep())
+    out = out or _dated_folder(experiment.controller)
     started, swing = time.perf_counter(), Swing()
     with tqdm(total=periods, unit=" periods", disable=None, leave=False) as bar:
         trajectory, description = run_into(
-            out, environment, controller, announced, recording=run_recording, progress=bar.update,
+            out,
+            environment,
+            controller,
+            announced,
+            recording=run_recording,
+            progress=bar.update,
             keep=swing.add,
-        )  # fmt: skip
+        )
     elapsed = time.perf_counter() - started
     print(summary(len(trajectory), swing.amplitude(), description, elapsed))
     print(f"wrote {out}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt(f"{out} holds the run up to t = {trajectory.t[-1]:.6g} s")
     if trajectory.status == "diverged":
-        told = f"the run {trajectory.message}; it was kept up to there"
-        print(f"octarm: {told}{_advice(options, environment)}", file=sys.stderr)
+        advice = _advice(gain_set, environment)
+        message = f"the run {trajectory.message}; it was kept up to there{advice}"
+        print(f"octarm: {message}", file=sys.stderr)
         return ExitCode.DIVERGED
-    if options.view:
-        return _view(out)
-    print(f"see it: octarm replay {shlex.quote(str(out))}")
+    if view:
+        _view(out)
+    else:
+        print(f"see it: octarm replay {shlex.quote(str(out))}")
     return ExitCode.FINE
 
 
-def _advice(options: Run, environment: control.Environment) -> str:
-    """What may help a run that diverged: tuned gains are high for the usual control period."""
-    usual = float(template_model().opt.timestep)
-    if options.gains in (None, "tuned") and environment.control_timestep() > 1.5 * usual:
-        return (
-            f"; the tuned gains are for a control period of {usual:g} s, --gains recommended "
-            "bear longer ones"
-        )
-    return ""
+def true_arm(changes: Sequence[str]) -> ArmParameters:
+    """The nominal arm with other parameters, each spelt NAME:VALUES.
+
+    Raises:
+        OctarmError: if there is no such parameter, or its values are not allowed.
+    """
+    values = named_values("--parameter", changes)
+    known = [field.name for field in dataclasses.fields(ArmParameters)]
+    for name in values:
+        if name not in known:
+            raise OctarmError(f"unknown parameter {name!r}{closest(name, known)}")
+    return dataclasses.replace(nominal_parameters(), **values)
 
 
-def validate(options: Validate) -> int:
-    """`octarm validate`: MuJoCo against the analytic model, or the controllers' Lyapunov ledger."""
-    from controllers.proofs.ledger import ledger
-    from octarm.checks.validation import arm_with, random_arm
-    from octarm.checks.validation import validate as plant
+def gain_values(items: Sequence[str]) -> dict[str, npt.ArrayLike]:
+    """Gains by name, of shape () or (k,), each spelt NAME:VALUES.
 
-    compare, states = (ledger, 3000) if options.controllers else (plant, 10_000)
-    states = states if options.states is None else options.states
-    if options.modules < 1 or options.random_parameters < 0 or states < 1:
-        raise OctarmError(
-            f"modules is {options.modules}, states {states}, random parameters "
-            f"{options.random_parameters}; they must be at least 1, 1 and 0"
-        )
-    if options.seed < 0:
-        raise OctarmError(f"seed is {options.seed}; it must be at least 0")
-    if options.json is not None and not options.json.parent.is_dir():
-        raise OctarmError(f"{options.json} cannot be written: there is no folder for it")
-    draw = np.random.default_rng(options.seed)
-    arms = [random_arm(draw, options.modules) for _ in range(options.random_parameters)]
-    reports: list[Report] = []
-    for arm in arms or [arm_with(options.modules)]:
-        with tqdm(bar_format="checking {desc}", disable=None, leave=False) as line:
-            report = compare(arm, states, options.seed, line.set_description_str)
-        print(report.format(), flush=True)
-        reports.append(report)
-    if options.json is not None:
-        write_text(options.json, json.dumps([r.to_dict() for r in reports], indent=2) + "\n")
-    return ExitCode.FINE if all(r.passed for r in reports) else ExitCode.CHECK_FAILED
+    Raises:
+        OctarmError: if an item does not read so.
+    """
+    gains = named_values("--gain", items)
+    for item, value in zip(items, gains.values(), strict=True):
+        if np.ndim(value) > 1:
+            raise OctarmError(f"--gain is {item!r}; a gain is one number, or one a coordinate")
+    return gains
 
 
 def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
@@ -128,7 +97,7 @@ def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
     Values are separated by `,`, rows by `;`.
 
     Raises:
-        ValueError: if an item has no name, or its values are not numbers.
+        OctarmError: if an item has no name, or its values are not numbers.
     """
     values: dict[str, npt.ArrayLike] = {}
     for item in items:
@@ -136,36 +105,28 @@ def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
         if name in values:
             raise OctarmError(f"{option} gives {name} twice")
         try:
-            rows = [[float(x) for x in row.split(",")] for row in text.split(";")]
-            table = np.array(rows)
+            table = np.array([[float(x) for x in row.split(",")] for row in text.split(";")])
         except ValueError:
             raise OctarmError(
                 f"{option} is {item!r}; it must read NAME:NUMBER, NAME:A,B,C or NAME:A,B;C,D"
             ) from None
-        if table.shape[0] == 1:
-            table = table[0]
-        values[name] = table[0] if table.shape == (1,) else table
+        row = table[0] if len(table) == 1 else table
+        values[name] = row[0] if row.shape == (1,) else row
     return values
 
 
-def _gains(items: Sequence[str]) -> dict[str, npt.ArrayLike]:
-    gains = named_values("--gain", items)
-    for item, value in zip(items, gains.values(), strict=True):
-        if np.ndim(value) > 1:
-            raise OctarmError(f"--gain is {item!r}; a gain is one number, or one a coordinate")
-    return gains
+def _advice(gain_set: str | None, environment: control.Environment) -> str:
+    """What may help a run that diverged: tuned gains are high for the usual control period."""
+    usual = float(template_model().opt.timestep)
+    if gain_set in (None, "tuned") and environment.control_timestep() > 1.5 * usual:
+        return (
+            f"; the tuned gains are for a control period of {usual:g} s, --gains recommended "
+            "bear longer ones"
+        )
+    return ""
 
 
-def _true_parameters(options: Run) -> ArmParameters:
-    changes = named_values("--parameter", options.parameter)
-    known = [field.name for field in dataclasses.fields(ArmParameters)]
-    for name in changes:
-        if name not in known:
-            raise OctarmError(f"unknown parameter {name!r}{closest(name, known)}")
-    return dataclasses.replace(nominal_parameters(), **changes)
-
-
-def _view(folder: Path) -> int:
+def _view(folder: Path) -> None:
     """Opens the viewer on a fresh run; without a display the run is still fine."""
     from octarm.recordings import viewer
 
@@ -174,7 +135,6 @@ def _view(folder: Path) -> int:
     except OctarmError as error:
         print(f"the viewer did not open: {error}")
         print(f"a picture: octarm replay {shlex.quote(str(folder))} --screenshot picture.png")
-    return ExitCode.FINE
 
 
 def _dated_folder(controller: str) -> Path:

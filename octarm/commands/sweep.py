@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import shlex
 import sys
 from collections.abc import Callable, Generator
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from tqdm import tqdm
 
 from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
-from octarm.errors import ExitCode, OctarmError
+from octarm.errors import ExitCode, OctarmError, sentence_of
 from octarm.formats import read_toml
 from octarm.sweeps.episodes import COLUMNS, FinishedSweep, record_episodes, select
 from octarm.sweeps.execute import estimate
@@ -27,22 +27,24 @@ from octarm.sweeps.spec_file import read_spec
 from octarm.sweeps.store import RECORDED, SweepFolder, read_sweep
 from octarm.sweeps.workers import WorkerProcesses, cores, dask_cluster
 
-_SHOWN = "tip_rms_error"  # by it episodes are worst and median ones, too
+_MEASURE = "tip_rms_error"  # by it episodes are worst and median ones, too
 _RECORDED = 2000  # [byte] a control period; from 1000 without signals to 4000 with rules
 
-if TYPE_CHECKING:
-    from octarm.options.sweeps import Sweep
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """What a sweep is run with: the spec's file, the folder to write, workers or a cluster."""
+
+    spec: Path
+    out: Path | None
+    workers: int | None
+    resume: bool
+    cluster: str | None
 
 
-def sweep(options: Sweep) -> int:
-    """`octarm sweep`: runs a spec into a folder, or says what that would take."""
-    if options.workers is not None and options.workers < 1:
-        raise OctarmError(f"workers is {options.workers}; it must be at least 1")
-    spec = read_spec(options.spec)
-    _check_controllers(spec, options.spec)
-    _check_recorded(spec, options.spec)
-    if options.dry_run:
-        return _dry_run(spec, options.workers or cores())
+def sweep(options: Options) -> int:
+    """`octarm sweep`: runs a spec into a folder."""
+    spec = _checked_spec(options)
     if options.out is None:
         raise OctarmError("there is no folder to write to; give --out DIR, or --dry-run")
     _run(spec, options, options.out)
@@ -53,7 +55,58 @@ def sweep(options: Sweep) -> int:
     return ExitCode.FINE if alike else ExitCode.CHECK_FAILED
 
 
-def _record(spec: SweepSpec, options: Sweep, out: Path) -> bool:
+def dry_run(options: Options) -> int:
+    """`octarm sweep --dry-run`: prints what the sweep will take."""
+    spec = _checked_spec(options)
+    workers = options.workers or cores()
+    expected = estimate(spec, make_controller)
+    print(f"{expected.episodes} episodes of {spec.duration:g} s in {expected.shards} shards")
+    for axis in spec.axes:
+        print(f"  {axis.name}: {', '.join(str(value) for value in axis.values)}")
+    for axis in spec.random:
+        print(f"  {axis.name}: {axis.low:g} .. {axis.high:g}, {axis.method}")
+    print(f"  seeds: {spec.episodes} a cell")
+    busy = min(workers, expected.shards)
+    simulated = expected.episodes * spec.duration / expected.seconds * busy
+    print(
+        f"about {_span(expected.seconds / busy)} on {busy} workers "
+        f"({digits(simulated)} simulated s/s), at most {_size(expected.size)} on disk"
+    )
+    if spec.record:
+        words = sum(isinstance(which, str) for which in spec.record)
+        count = words * len(spec.controllers) + len(spec.record) - words
+        size = _size(_RECORDED * expected.periods)
+        print(f"then up to {count} recorded episodes, each about {size} and run alone")
+    if expected.shards < workers:
+        print(f"a batch below {spec.batch} would make more shards, for all {workers} workers")
+    return ExitCode.FINE
+
+
+def _checked_spec(options: Options) -> SweepSpec:
+    """The spec, whose controllers can be made and whose recorded episodes there are."""
+    spec = read_spec(options.spec)
+    plan = Plan(spec)
+    for name in spec.controllers:
+        keys = ("gain_set", name) if name in spec.gain_sets else ("grid", "controller")
+        with _in_file(options.spec, *(("gains", name) if name in spec.gains else keys)):
+            spec.controller(name, nominal_parameters(), make_controller)
+    for episode in spec.record:
+        if isinstance(episode, int):
+            with _in_file(options.spec, "record", "episodes"):
+                plan.episode(episode)
+    return spec
+
+
+@contextlib.contextmanager
+def _in_file(file: Path, *keys: str) -> Generator[None]:
+    """Lets an error name the line of these keys."""
+    try:
+        yield
+    except OctarmError as error:
+        raise read_toml(file).error(str(error), *keys) from None
+
+
+def _record(spec: SweepSpec, options: Options, out: Path) -> bool:
     """Records the episodes that the spec selects; whether they are what the table says."""
     if not spec.record:
         return True
@@ -83,7 +136,7 @@ def _record(spec: SweepSpec, options: Sweep, out: Path) -> bool:
     return not different
 
 
-def _run(spec: SweepSpec, options: Sweep, out: Path) -> None:
+def _run(spec: SweepSpec, options: Options, out: Path) -> None:
     """The sweep, with a bar on its progress."""
     plan = Plan(spec)
     with _pool(options, plan) as (executor, in_flight), ProgressBar(spec) as bar:
@@ -102,13 +155,12 @@ def _run(spec: SweepSpec, options: Sweep, out: Path) -> None:
         except KeyboardInterrupt as interrupt:
             raise KeyboardInterrupt(*interrupt.args, _resume(options)) from None
         except OSError as error:
-            raise OSError(
-                f"{_reason(error)}; finished shards are kept: {_resume(options)}"
-            ) from None
+            reason = sentence_of(error)
+            raise OctarmError(f"{reason}; finished shards are kept: {_resume(options)}") from None
 
 
 @contextlib.contextmanager
-def _pool(options: Sweep, plan: Plan) -> Generator[tuple[Executor, int | Callable[[], int]]]:
+def _pool(options: Options, plan: Plan) -> Generator[tuple[Executor, int | Callable[[], int]]]:
     """The executor that was asked for, and how many shards it should be given at a time."""
     workers = options.workers or cores()
     if options.cluster is not None:
@@ -120,78 +172,25 @@ def _pool(options: Sweep, plan: Plan) -> Generator[tuple[Executor, int | Callabl
         yield processes, workers
 
 
-def _check_controllers(spec: SweepSpec, file: Path) -> None:
-    """Raises OctarmError, with the line, unless every controller can be made."""
-    for name in spec.controllers:
-        try:
-            spec.controller(name, nominal_parameters(), make_controller)
-        except ValueError as error:
-            keys = ("gain_set", name) if name in spec.gain_sets else ("grid", "controller")
-            keys = ("gains", name) if name in spec.gains else keys
-            raise read_toml(file).error(str(error), *keys) from None
-
-
-def _check_recorded(spec: SweepSpec, file: Path) -> None:
-    """Raises OctarmError, with the line, for the number of an episode that there is not."""
-    plan = Plan(spec)
-    for episode in spec.record:
-        if isinstance(episode, int):
-            try:
-                plan.episode(episode)
-            except ValueError as error:
-                raise read_toml(file).error(str(error), "record", "episodes") from None
-
-
-def _dry_run(spec: SweepSpec, workers: int) -> int:
-    """Prints what the sweep will take."""
-    expected = estimate(spec, make_controller)
-    print(f"{expected.episodes} episodes of {spec.duration:g} s in {expected.shards} shards")
-    for axis in spec.axes:
-        print(f"  {axis.name}: {', '.join(str(value) for value in axis.values)}")
-    for axis in spec.random:
-        print(f"  {axis.name}: {axis.low:g} .. {axis.high:g}, {axis.method}")
-    print(f"  seeds: {spec.episodes} a cell")
-    busy = min(workers, expected.shards)
-    simulated = expected.episodes * spec.duration / expected.seconds * busy
-    print(
-        f"about {_span(expected.seconds / busy)} on {busy} workers "
-        f"({digits(simulated)} simulated s/s), at most {_size(expected.size)} on disk"
-    )
-    if spec.record:
-        words = sum(isinstance(which, str) for which in spec.record)
-        count = words * len(spec.controllers) + len(spec.record) - words
-        size = _size(_RECORDED * expected.periods)
-        print(f"then up to {count} recorded episodes, each about {size} and run alone")
-    if expected.shards < workers:
-        print(f"a batch below {spec.batch} would make more shards, for all {workers} workers")
-    return ExitCode.FINE
-
-
 def _print_summary(folder: Path) -> None:
     """A row a controller; who diverged is worse than all others."""
     names, status, errors = (
-        column.to_numpy() for column in read_sweep(folder, ["controller", "status", _SHOWN])
+        column.to_numpy() for column in read_sweep(folder, ["controller", "status", _MEASURE])
     )
-    print(f"controller            episodes  diverged  median {_SHOWN} [mm]")
+    print(f"controller            episodes  diverged  median {_MEASURE} [mm]")
     for name in dict.fromkeys(names.tolist()):
         diverged = status[names == name] == "diverged"
-        own = np.where(diverged, np.inf, errors[names == name])
-        known = own[~np.isnan(own)]  # a short episode has none
+        values = np.where(diverged, np.inf, errors[names == name])
+        known = values[~np.isnan(values)]  # a short episode has none
         median = f"{1e3 * np.median(known):.3g}" if known.size else "-"
-        print(f"{name:<20} {own.size:>9} {diverged.sum():>9}  {median}")
+        print(f"{name:<20} {values.size:>9} {diverged.sum():>9}  {median}")
 
 
-def _resume(options: Sweep) -> str:
+def _resume(options: Options) -> str:
     words = ["octarm", "sweep", str(options.spec), "--out", str(options.out)]
     words += ["--workers", str(options.workers)] if options.workers else []
     words += ["--cluster", options.cluster] if options.cluster else []
     return shlex.join([*words, "--resume"])
-
-
-def _reason(error: OSError) -> str:
-    if error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    return str(error)
 
 
 def _span(seconds: float) -> str:

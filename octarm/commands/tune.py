@@ -6,8 +6,9 @@ import dataclasses
 import datetime
 import functools
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -21,33 +22,34 @@ from octarm.sweeps.tune import Budget, SearchState, Space, StateFile, Tuned, set
 from octarm.sweeps.tune import tune as tune_gains
 from octarm.sweeps.tune_cost import FORMULA, Examination
 
-if TYPE_CHECKING:
-    from octarm.options.tune import Tune
 
-
-def tune(options: Tune) -> int:
+def tune(controller: str, out: Path, seconds: float, seed: int, resume: bool) -> int:
     """`octarm tune`: gains for one controller, as a TOML file."""
-    budget = Budget.within(options.budget)
-    if options.seed < 0:
-        raise OctarmError(f"seed is {options.seed}; it must be at least 0")
-    out = options.out or Path(f"{options.controller}.toml")
-    tuned = _search(options, budget, out)
-    write_text(out, gain_set(options, budget, tuned).to_toml())
+    budget = Budget.within(seconds)
+    command = shlex.join(
+        ["octarm", "tune", controller, "--budget", f"{seconds:g}", "--seed", str(seed)]
+    )
+    more = shlex.join(["--out", str(out), "--resume"])
+    tuned = _search(controller, budget, out, seed, resume, f"{command} {more}")
+    origin = {"command": command, "date": datetime.date.today(), "seed": seed, "budget": seconds}
+    write_text(out, gain_set(controller, origin, budget, tuned).to_toml())
     state_file(out).unlink(missing_ok=True)
-    _print_summary(options.controller, budget, tuned)
+    _print_summary(controller, budget, tuned)
     print(f"wrote {out}")
-    print(f"try it: octarm run --controller {options.controller} --gains {shlex.quote(str(out))}")
+    print(f"try it: octarm run --controller {controller} --gains {shlex.quote(str(out))}")
     return ExitCode.FINE
 
 
-def _search(options: Tune, budget: Budget, out: Path) -> Tuned:
-    """The search, with a bar on its progress and its state on disk."""
-    factory = functools.partial(make_controller, options.controller, gain_set="recommended")
+def _search(
+    controller: str, budget: Budget, out: Path, seed: int, resume: bool, again: str
+) -> Tuned:
+    """The search, with a bar on its progress and its state on disk; `again` goes on with it."""
+    factory = functools.partial(make_controller, controller, gain_set="recommended")
     nominal = nominal_parameters()
     space = Space(factory(nominal), nominal.modules)
-    file = StateFile(state_file(out), settings(options.controller, space, budget, options.seed))
-    _check_place(out, file, options)
-    state = file.read() if options.resume else None
+    file = StateFile(state_file(out), settings(controller, space, budget, seed))
+    _check_place(out, file, controller, resume)
+    state = file.read() if resume else None
     bar = tqdm(
         total=budget.seconds, unit=" simulated s", unit_scale=True, disable=None, leave=False
     )
@@ -59,33 +61,27 @@ def _search(options: Tune, budget: Budget, out: Path) -> Tuned:
     try:
         with bar:
             return tune_gains(
-                factory, budget, seed=options.seed, state=state, keep=keep, progress=bar.update
+                factory, budget, seed=seed, state=state, keep=keep, progress=bar.update
             )
     except KeyboardInterrupt:
         if not file.path.exists():
             raise KeyboardInterrupt("nothing was written") from None
-        more = ("--out", str(out), "--resume")
-        again = _command(options.controller, options.budget, options.seed, *more)
         raise KeyboardInterrupt(f"go on by: {again}") from None
 
 
-def _check_place(out: Path, file: StateFile, options: Tune) -> None:
-    """Raises ValueError if something stands where the result shall be.
+def _check_place(out: Path, file: StateFile, controller: str, resume: bool) -> None:
+    """Raises OctarmError if something stands where the result shall be.
 
     An earlier result is replaced.
     """
-    if out.suffix != ".toml":
-        raise OctarmError(f"--out is {str(out)!r}; its name must end in .toml")
-    if not out.parent.is_dir():
-        raise OctarmError(f"{out} cannot be written: there is no folder for it")
     if out.exists():
         earlier = read_gain_set(out)
-        if earlier.controller != options.controller:
+        if earlier.controller != controller:
             raise OctarmError(
                 f"{out} holds gains of {earlier.controller}; choose another --out for those of "
-                f"{options.controller}"
+                f"{controller}"
             )
-    if file.path.exists() and not options.resume:
+    if file.path.exists() and not resume:
         raise OctarmError(
             f"{file.path} keeps a search that was interrupted; go on with it by --resume, or "
             "delete it"
@@ -97,13 +93,10 @@ def state_file(out: Path) -> Path:
     return out.with_name(out.name + ".state")
 
 
-def gain_set(options: Tune, budget: Budget, tuned: Tuned) -> GainSet:
+def gain_set(controller: str, origin: Mapping[str, Any], budget: Budget, tuned: Tuned) -> GainSet:
     """The result, with all that is needed to find it again."""
     tuning = {
-        "command": _command(options.controller, options.budget, options.seed),
-        "date": datetime.date.today(),
-        "seed": options.seed,
-        "budget": options.budget,
+        **origin,
         "candidates": budget.generations * budget.population,
         "simulated_seconds": budget.seconds,
         "objective": FORMULA,
@@ -112,7 +105,7 @@ def gain_set(options: Tune, budget: Budget, tuned: Tuned) -> GainSet:
         "at_bounds": tuned.at_bounds,
     }
     return GainSet(
-        controller=options.controller,
+        controller=controller,
         modules=nominal_parameters().modules,
         gains={name: shortest(gain) for name, gain in tuned.gains.items()},
         origin={
@@ -139,11 +132,6 @@ def _outcome(examination: Examination, tuned: np.ndarray, by_hand: np.ndarray) -
         "duration": examination.duration,
         "scenarios": rows,
     }
-
-
-def _command(controller: str, budget: float, seed: int, *more: str) -> str:
-    budget_and_seed = ("--budget", f"{budget:g}", "--seed", str(seed))
-    return shlex.join(["octarm", "tune", controller, *budget_and_seed, *more])
 
 
 def _print_summary(controller: str, budget: Budget, tuned: Tuned) -> None:

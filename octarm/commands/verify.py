@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from tqdm import tqdm
@@ -17,67 +17,63 @@ from octarm.runs import folder as runs
 from octarm.sweeps.episodes import FinishedSweep
 from octarm.sweeps.store import MANIFEST
 
-if TYPE_CHECKING:
-    from octarm.options.checks import Verify
 
-
-def verify(options: Verify) -> int:
+def verify(folders: Sequence[Path], episodes: Sequence[int], sample: int | None) -> int:
     """`octarm verify`: runs again what was run, and says whether every bit is the same."""
-    if not options.runs:
+    if not folders:
         raise OctarmError("there is nothing to verify; give a run folder or a sweep folder")
-    for episode in options.episode:
-        if episode < 0:
-            raise OctarmError(f"episode is {episode}; it must be at least 0")
-    if options.sample is not None and options.sample < 1:
-        raise OctarmError(f"sample is {options.sample}; it must be at least 1")
-    checks = [_sweep(f, options) if _is_sweep(f) else _run(f, options) for f in options.runs]
-    return ExitCode.FINE if all(checks) else ExitCode.CHECK_FAILED
+    identical: list[bool] = []
+    for folder in folders:
+        if (folder / MANIFEST).is_file():
+            identical.append(_sweep(folder, episodes, sample))
+        elif episodes or sample is not None:
+            raise OctarmError(f"{folder} is no sweep; --episode and --sample are for sweeps")
+        else:
+            identical.append(_run(folder))
+    return ExitCode.FINE if all(identical) else ExitCode.CHECK_FAILED
 
 
-def _is_sweep(folder: Path) -> bool:
-    return (folder / MANIFEST).is_file()
-
-
-def _run(folder: Path, options: Verify) -> bool:
+def _run(folder: Path) -> bool:
     """Whether a run comes out again; says so."""
-    if options.episode or options.sample is not None:
-        raise OctarmError(f"{folder} is no sweep; --episode and --sample are for sweeps")
     factory = functools.partial(make_controller, gain_set="recommended")  # none is left open
-    known = runs.read_description(folder)
-    periods = known.get("duration", 0.0) / known.get("control_period", 1.0)
+    description = runs.read_description(folder)
+    periods = description.get("duration", 0.0) / description.get("control_period", 1.0)
     with tqdm(total=round(periods) or None, unit=" periods", disable=None, leave=False) as bar:
         check = check_run(folder, factory, bar.update)
-    first, *more = check.lines()
-    print("\n".join([f"{folder}: {first}", *more]), flush=True)
+    _print_lines(folder, check.lines())
     return check.identical
 
 
-def _sweep(folder: Path, options: Verify) -> bool:
+def _sweep(folder: Path, named: Sequence[int], sample: int | None) -> bool:
     """Whether episodes of a sweep come out again alone; says so, one by one."""
     sweep = FinishedSweep(folder)
-    episodes = _chosen(sweep, options)
+    episodes = _selected(sweep, named, sample)
     for episode in episodes:
         sweep.row(episode)  # raises before the work rather than after
-    good = True
+    identical = True
     with tqdm(episodes, unit=" episodes", disable=None, leave=False) as bar:
         for episode in bar:
             check = check_episode(sweep, episode, make_controller)
             bar.clear()
-            print("\n".join([f"{folder}: {check.lines()[0]}", *check.lines()[1:]]), flush=True)
-            good = good and check.identical
-    return good
+            _print_lines(folder, check.lines())
+            identical = identical and check.identical
+    return identical
 
 
-def _chosen(sweep: FinishedSweep, options: Verify) -> list[int]:
+def _print_lines(folder: Path, lines: Sequence[str]) -> None:
+    print("\n".join([f"{folder}: {lines[0]}", *lines[1:]]), flush=True)
+
+
+def _selected(sweep: FinishedSweep, named: Sequence[int], sample: int | None) -> list[int]:
     """The episodes that were named, and those of a sample."""
-    named = list(dict.fromkeys(options.episode))
-    if options.sample is None:
-        if not named:
+    episodes = list(dict.fromkeys(named))
+    if sample is None:
+        if not episodes:
             raise OctarmError(
                 f"{sweep.path} is a sweep; --episode ID says which of its "
                 f"{sweep.plan.episodes} episodes to verify, or --sample N takes some"
             )
-        return named
-    finished = np.setdiff1d(sweep.finished(), named)
-    count = min(options.sample, len(finished))
-    return [*named, *np.sort(np.random.default_rng().choice(finished, count, False)).tolist()]
+        return episodes
+    finished = np.setdiff1d(sweep.finished(), episodes)
+    count = min(sample, len(finished))
+    return [*episodes, *np.sort(np.random.default_rng().choice(finished, count, False)).tolist()]

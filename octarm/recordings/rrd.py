@@ -30,7 +30,7 @@ def rrd_file(path: Path) -> Generator[rr.RecordingStream]:
     """
     if os.environ.get("RERUN", "on").lower() in ("0", "off", "false"):
         raise OctarmError(f"{path} cannot be recorded: RERUN={os.environ['RERUN']} is set")
-    with whole_file(path) as part, _strict_mode():
+    with whole_file(path, path.with_name(path.name + ".part")) as part, _strict_mode():
         stream = rr.RecordingStream("octarm", send_properties=False)
         with contextlib.ExitStack() as file, rerun_errors(path):
             # rerun itself would hang for ever on a full disk

@@ -122,11 +122,11 @@ class Archive:
         return self._file
 
     def _check_room(self, row: float) -> None:
-        """Raises OSError unless all rows of so many bytes fit twice: as blocks, and as arrays."""
+        """Raises FileError unless all rows of so many bytes fit twice: as blocks, and as arrays."""
         needed, free = 2 * row * self._expected, shutil.disk_usage(self._path.parent).free
         if needed > free:
             sizes = f"{1e-9 * needed:.3g} GB on disk, of which {1e-9 * free:.3g} GB are free"
-            raise OSError(f"so many rows take {sizes}")
+            raise FileError(f"so many rows take {sizes}")
 
     @contextlib.contextmanager
     def _failures(self) -> Generator[None]:

@@ -25,6 +25,7 @@ from octarm.metrics.table import Metrics, as_json
 from octarm.references import REFERENCES
 from octarm.runs import folder as runs
 from octarm.runs.archive import Archive, mapped
+from octarm.runs.place import new_folder
 from octarm.runs.versions import host, versions
 from octarm.simulation.environment import TrackingTask, load, whole_periods
 from octarm.simulation.rollout import ArmRecorder, copied
@@ -251,7 +252,7 @@ def run_into(
         KeyboardInterrupt: if interrupted, and nothing was kept.
     """
     expected = whole_periods(announced["duration"], environment.control_timestep())
-    with contextlib.ExitStack() as closing, runs.new_folder(out) as folder:
+    with contextlib.ExitStack() as closing, new_folder(out) as folder:
         runs.write_description(folder, announced)  # it stays if the process is killed
         with Archive(folder / runs.BLOCKS, rows=expected) as archive:
             with recording(folder / runs.RECORDING, announced) as recorder:

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import shutil
-import tempfile
-from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,7 +12,7 @@ import numpy as np
 from octarm import formats
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import plain
-from octarm.errors import FileError, OctarmError
+from octarm.errors import OctarmError
 from octarm.files import write_text
 from octarm.interfaces import Controller
 from octarm.runs.archive import mapped, read_blocks
@@ -28,9 +24,6 @@ DESCRIPTION = "run.json"
 PARTIAL = RECORDING + ".part"  # what a killed run leaves of its recording
 BLOCKS = ARRAYS + ".blocks"  # and of its arrays
 RUNNING = "running"  # status of a run that is still going on, or was killed
-
-_WHOLE = (RECORDING, ARRAYS, DESCRIPTION)
-_FILES = {BLOCKS, *_WHOLE, *(f"{name}.part" for name in _WHOLE)}
 
 
 def gains_of(controller: Controller) -> dict[str, Any]:
@@ -111,68 +104,3 @@ def map_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
     if not len(run) or not np.isfinite(run.t).all():
         raise OctarmError(f"{arrays} holds no rows")
     return run, description
-
-
-@contextmanager
-def new_folder(folder: Path) -> Generator[Path]:
-    """A folder to fill.
-
-    Where nothing stands it has its final name from the start, so that what a killed run leaves is
-    found there. An earlier run is replaced only when the block ends well; until then the folder
-    has another name. Anything else that stands there is left alone.
-
-    Raises:
-        OctarmError: if the name is taken by something that is not a run.
-        FileError: if the place cannot be written; it names the folder.
-        KeyboardInterrupt: if interrupted; it says that nothing was written.
-    """
-    folder = folder.resolve()
-    if folder.exists() and not (folder.is_dir() and _is_run_or_empty(folder)):
-        raise OctarmError(f"{folder} exists and is not an earlier run; choose another --out")
-    try:
-        with _replacing(folder) if folder.exists() else _fresh(folder) as place:
-            yield place
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt("nothing was written") from None
-
-
-@contextmanager
-def _fresh(folder: Path) -> Generator[Path]:
-    """Makes a folder and removes it, and the parents it needed, unless the block ends well."""
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise FileError(f"{folder} cannot be written: {error.strerror}") from None
-    try:
-        yield folder
-    except BaseException:
-        shutil.rmtree(made[-1], ignore_errors=True)
-        raise
-
-
-@contextmanager
-def _replacing(folder: Path) -> Generator[Path]:
-    """A folder that takes the place of another one when the block ends well."""
-    try:
-        part = Path(tempfile.mkdtemp(prefix=f".{folder.name}.part-", dir=folder.parent))
-    except OSError as error:
-        raise FileError(f"{folder} cannot be written: {error.strerror}") from None
-    earlier = part.with_name(part.name + ".old")
-    try:
-        shutil.copymode(folder, part)
-        yield part
-        os.replace(folder, earlier)
-        os.replace(part, folder)
-    except (OSError, OctarmError, RuntimeError) as error:
-        raise type(error)(str(error).replace(str(part), str(folder))) from error
-    finally:
-        if earlier.exists() and not folder.exists():
-            os.replace(earlier, folder)
-        for leftover in (part, earlier):
-            shutil.rmtree(leftover, ignore_errors=True)
-
-
-def _is_run_or_empty(folder: Path) -> bool:
-    names = {path.name for path in folder.iterdir()}
-    return not names or (DESCRIPTION in names and names <= _FILES)

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import pyarrow as pa
 
 from octarm.arm.mjcf import nominal_parameters
+from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory, Instant
 from octarm.runs import folder as runs
 from octarm.simulation.environment import whole_periods
@@ -32,6 +33,7 @@ from octarm.sweeps.workers import WorkerProcesses, cores
 
 _TRIES = 4  # of a shard whose worker dies
 _GLANCE = 1.0  # [s]; after so long it looks how far the shards are, and at the number of workers
+_MENDABLE = (OctarmError, OSError, MemoryError, BrokenExecutor, CancelledError)  # others are bugs
 _FAILURES = 3  # shards that may fail before no new one is begun
 _MEASURED, _WARM = 60, 10  # control periods that an estimate runs, and those of them not counted
 
@@ -164,7 +166,8 @@ class _Run:
             reason = " ".join(str(error).split()) or type(error).__name__
             if isinstance(error, BrokenExecutor | CancelledError):
                 reason = f"its worker died {_TRIES} times"
-            raise RuntimeError(f"shard {shard} failed: {reason}; {self._left()}") from error
+            failure = OctarmError if isinstance(error, _MENDABLE) else RuntimeError
+            raise failure(f"shard {shard} failed: {reason}; {self._left()}") from error
 
     @property
     def _stopping(self) -> bool:

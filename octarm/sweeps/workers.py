@@ -130,8 +130,8 @@ def dask_cluster(address: str, workers: int) -> Generator[tuple[Executor, Callab
         workers: number of processes of a local cluster.
 
     Raises:
-        ValueError: if the package distributed is not installed.
-        OSError: if there is no scheduler at the address.
+        OctarmError: if the package distributed is not installed, or there is no scheduler at the
+            address.
     """
     try:
         import distributed
@@ -159,7 +159,7 @@ def dask_cluster(address: str, workers: int) -> Generator[tuple[Executor, Callab
         try:
             client: Any = stack.enter_context(distributed.Client(target, set_as_default=False))
         except (OSError, ValueError) as error:
-            raise OSError(f"no dask scheduler answers at {address}: {error}") from None
+            raise OctarmError(f"no dask scheduler answers at {address}: {error}") from None
         executor = client.get_executor(pure=False)  # a shard that failed may be tried again
 
         def useful() -> int:
@@ -169,7 +169,9 @@ def dask_cluster(address: str, workers: int) -> Generator[tuple[Executor, Callab
             try:
                 threads = sum(client.nthreads().values())
             except OSError:
-                raise OSError(f"the dask scheduler at {address} does not answer any more") from None
+                raise OctarmError(
+                    f"the dask scheduler at {address} does not answer any more"
+                ) from None
             return max(8, 2 * threads)  # for a cluster that grows with the demand
 
         yield executor, useful

@@ -1,0 +1,116 @@
+"""All commands, and what a command line asks of them."""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+from collections.abc import Sequence
+
+from cyclopts import App, Argument, Group, Parameter
+from cyclopts.exceptions import (
+    CoercionError,
+    CycloptsError,
+    MissingArgumentError,
+    RepeatArgumentError,
+    UnknownCommandError,
+    UnknownOptionError,
+    UnusedCliTokensError,
+)
+
+from octarm.commands import checks, many_runs, one_run
+from octarm.commands.kinds import SHELLS, Work
+from octarm.commands.pages import arguments_of, commands, is_operand, overview, page, spelling
+from octarm.errors import ExitCode, OctarmError, closest
+
+APP = App(
+    name="octarm",
+    version=lambda: f"octarm {importlib.metadata.version('octarm')}",
+    group_arguments=Group("operands"),
+    group_parameters=Group("options"),
+    default_parameter=Parameter(negative=(), json_list=False, json_dict=False),
+)
+for title, functions in {
+    "one run": (one_run.run, one_run.replay, one_run.record, one_run.plot, one_run.video),
+    "many runs": (many_runs.sweep, many_runs.report, many_runs.margin, many_runs.tune),
+    "checks": (checks.validate, checks.verify),
+    "this machine": (checks.doctor, checks.completion),
+}.items():
+    group = Group(title)
+    for function in functions:
+        APP.command(function, group=group)
+
+# What makes the script work at the end of ~/.zshrc; the function is named by cyclopts.
+_AFTER = {"zsh": "autoload -U +X compinit && compinit\ncompdef _cyclopts_octarm octarm"}
+
+
+def parse(words: Sequence[str]) -> Work:
+    """What a command line asks for, with the modules that it needs imported.
+
+    Raises:
+        OctarmError: for a word that is not understood.
+    """
+    if not words:
+        raise OctarmError("no command is given; octarm --help lists them")
+    try:
+        command, bound, _ = APP.parse_args(words, print_error=False, exit_on_error=False)
+    except CycloptsError as error:
+        raise OctarmError(_sentence(error, words[0])) from None
+    if command == APP.help_print:
+        name = next(iter(bound.arguments["tokens"]), None)
+        return functools.partial(_show, overview(APP) if name is None else page(APP, name))
+    if command.__module__.startswith("octarm."):
+        return command(*bound.args, **bound.kwargs)
+    return functools.partial(command, *bound.args, **bound.kwargs)  # the version, words for a shell
+
+
+def print_completion(shell: str) -> int:
+    """Prints the script by which a shell completes commands, options and their values.
+
+    Raises:
+        OctarmError: for an unknown shell.
+    """
+    for known in SHELLS:
+        if shell == known:
+            return _show(APP.generate_completion(shell=known) + _AFTER.get(shell, ""))
+    raise OctarmError(f"unknown shell {shell!r}{closest(shell, SHELLS)}")
+
+
+def _show(text: str) -> int:
+    print(text)
+    return ExitCode.FINE
+
+
+def _sentence(error: CycloptsError, command: str) -> str:
+    """What is wrong with a command line, as a sentence."""
+    match error:
+        case UnknownCommandError():
+            return f"unknown command {command!r}{closest(command, commands(APP))}"
+        case UnknownOptionError():
+            return _no_such_option(command, (error.token.keyword or error.token.value))
+        case UnusedCliTokensError(unused_tokens=[word, *_]):
+            return f"octarm {command} has no use for {word!r}"
+        case RepeatArgumentError():
+            return f"{error.token.keyword} is given twice"
+        case MissingArgumentError(argument=Argument() as argument) if is_operand(argument):
+            return f"octarm {command} needs {spelling(argument)}, {_help(command, argument)}"
+        case MissingArgumentError(argument=Argument() as argument):
+            return f"{argument.name} needs a value after it"
+        case CoercionError(msg=str() as sentence):
+            return sentence
+        case CoercionError(token=token) if token is not None:
+            return f"{token.keyword} is {token.value!r}; it is a flag and takes no value"
+        case _:
+            return " ".join(str(error).split())
+
+
+def _help(command: str, argument: Argument) -> str:
+    texts = {spelling(a): a.parameter.help for a in arguments_of(APP, command)}
+    return str(texts[spelling(argument)])
+
+
+def _no_such_option(command: str, word: str) -> str:
+    owners = [n for n in commands(APP) if word in map(spelling, arguments_of(APP, n))]
+    if owners:
+        return f"octarm {command} has no option {word}; it belongs to octarm {', '.join(owners)}"
+    known = [spelling(a) for a in arguments_of(APP, command) if not is_operand(a)]
+    return f"octarm {command} has no option {word!r}{closest(word, known)}"

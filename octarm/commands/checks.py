@@ -1,0 +1,103 @@
+"""The commands that check results and the machine: validate, verify, doctor, completion."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+from octarm.commands import kinds
+from octarm.commands.kinds import Work
+
+
+def validate(
+    *,
+    controllers: bool = False,
+    modules: Annotated[int, kinds.COUNT] = 3,
+    random_parameters: Annotated[int, kinds.N] = 0,
+    states: Annotated[int | None, kinds.COUNT] = None,
+    seed: Annotated[int, kinds.N] = 0,
+    json: Annotated[Path | None, kinds.file()] = None,
+) -> Work:
+    """Check MuJoCo against the analytic model.
+
+    Or, with --controllers, the controllers against their proofs. Prints a report; exit code 1 when
+    a check failed.
+
+    Args:
+        controllers: check instead that each controller's Lyapunov function falls as its proof
+            says, and that the misprints of the paper are noticed
+        modules: number of modules of the arm
+        random_parameters: check so many arms with random parameters instead of the nominal one
+        states: random states that each comparison runs over; 10000, of controllers 3000, when not
+            given
+        seed: seed of the random states and parameters
+        json: also write the report to this file
+
+    Examples:
+      octarm validate --modules 5 --json report.json
+      octarm validate --controllers
+    """
+    from octarm.commands import validate as work
+
+    states = (3000 if controllers else 10_000) if states is None else states
+    compare = work.ledger if controllers else work.plant
+    return partial(work.validate, compare, modules, random_parameters, states, seed, json)
+
+
+def verify(
+    *runs: Annotated[Path, kinds.RUN],
+    episode: Annotated[tuple[int, ...], kinds.N] = (),
+    sample: Annotated[int | None, kinds.COUNT] = None,
+) -> Work:
+    """Run again what a folder says was run, and compare every bit.
+
+    Of a run folder, all arrays at all control instants and the digest of the states; of a sweep,
+    episodes run alone, their digests and measures. Reports where they first differ, and versions
+    and machine of both sides. Exit code 1 if they do.
+
+    Args:
+        runs: run folders, or sweep folders
+        episode: an episode of the sweep, by number
+        sample: verify so many episodes of the sweep, drawn at random
+
+    Examples:
+      octarm verify runs/my-run
+      octarm verify sweeps/noise --episode 17 --episode 4
+      octarm verify sweeps/noise --sample 10
+    """
+    from octarm.commands import verify as work
+
+    return partial(work.verify, runs, episode, sample)
+
+
+def doctor() -> Work:
+    """Say what this machine has for octarm, and what to install.
+
+    Versions, processor, graphics, folders. Everything is tried out rather than looked up. Exit code
+    0 when octarm run works here, even if pictures or films do not, 1 when it does not.
+
+    Examples:
+      octarm doctor
+    """
+    from octarm.commands import doctor as work
+
+    return work.doctor
+
+
+def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
+    """Print a script by which a shell completes commands.
+
+    Commands, options, names of controllers and references, files and folders.
+
+    Args:
+        shell: the shell
+
+    Examples:
+      octarm completion bash >> ~/.bashrc
+      octarm completion zsh >> ~/.zshrc
+      octarm completion fish > ~/.config/fish/completions/octarm.fish
+    """
+    from octarm.commands.app import print_completion
+
+    return partial(print_completion, shell)

@@ -1,0 +1,111 @@
+"""What the declarations of commands are made of: kinds of values, known words and headings.
+
+A command is declared by a function: its parameters are the options and operands, its docstring has
+the text of the help page. Called, it imports the modules that it needs and returns the work.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+from cyclopts import Group, Parameter, Token
+
+Work = Callable[[], int]  # what a command does, once it begins; returns the exit code
+
+Shell = Literal["bash", "zsh", "fish"]
+SHELLS: tuple[Shell, ...] = get_args(Shell)
+
+
+# Where the words of a kind of value stand that has a list of them.
+_WORDS = {
+    "CONTROLLER": "controllers:CONTROLLERS",
+    "REFERENCE": "octarm.references:REFERENCES",
+    "DISTURBANCE": "octarm.disturbances.catalogue:DISTURBANCES",
+    "ACTUATION": "octarm.arm.actuation:ACTUATIONS",
+    "SHELL": "octarm.commands.kinds:SHELLS",
+}
+
+
+def known_words(kind: str) -> list[str]:
+    """The words that a kind of value can be, such as CONTROLLER; imports what holds them."""
+    if kind == "GAINS":
+        return ["tuned", "recommended", *map(str, sorted(Path().glob("*.toml")))]
+    return list(pkgutil.resolve_name(_WORDS[kind]))
+
+
+def text(metavar: str) -> Parameter:
+    """A kind of value without rules, such as DIR."""
+    return Parameter(metavar=metavar)
+
+
+def _word(metavar: str) -> Parameter:
+    """A kind of value with known words, which a shell asks the program for."""
+    return Parameter(metavar=metavar, completer=lambda _: known_words(metavar))
+
+
+def _converted(metavar: str, convert: Callable[[str, str], Any]) -> Parameter:
+    """A kind of value that an option and a word are converted to; a ValueError is the sentence."""
+
+    def converter(hint: Any, tokens: Sequence[Token]) -> Any:
+        values = [convert(str(token.keyword), token.value) for token in tokens]
+        return tuple(values) if get_origin(hint) is tuple else values[0]
+
+    return Parameter(metavar=metavar, converter=converter)
+
+
+def _real(option: str, word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        raise ValueError(f"{option} is {word!r}; it must be a number") from None
+
+
+def _whole(least: int) -> Callable[[str, str], int]:
+    def convert(option: str, word: str) -> int:
+        try:
+            number = int(word)
+        except ValueError:
+            raise ValueError(f"{option} is {word!r}; it must be a whole number") from None
+        if number < least:
+            raise ValueError(f"{option.strip('-')} is {number}; it must be at least {least}")
+        return number
+
+    return convert
+
+
+def file(suffix: str = "") -> Parameter:
+    """A file to write, in a folder that exists."""
+
+    def convert(option: str, word: str) -> Path:
+        path = Path(word)
+        if suffix and path.suffix != suffix:
+            raise ValueError(f"{option} is {word!r}; its name must end in {suffix}")
+        if not path.resolve().parent.is_dir():
+            raise ValueError(f"{word} cannot be written: there is no folder for it")
+        return path
+
+    return _converted(f"FILE{suffix}", convert)
+
+
+N, COUNT = _converted("N", _whole(0)), _converted("N", _whole(1))
+X, S, HZ = (_converted(metavar, _real) for metavar in ("X", "S", "HZ"))
+RUN, DIR = text("RUN"), text("DIR")
+CONTROLLER, REFERENCE, DISTURBANCE = map(_word, ("CONTROLLER", "REFERENCE", "DISTURBANCE"))
+ACTUATION, GAINS, SHELL = map(_word, ("ACTUATION", "GAINS", "SHELL"))
+
+
+def heading(name: str) -> Parameter:
+    """A heading of the help pages, which stand in the order of the options."""
+    return Parameter(group=Group(name))
+
+
+EXPERIMENT = heading("the experiment")
+MODEL = heading("the arm, and the model that the controller believes")
+GAIN = heading("gains")
+SIMULATION = heading("simulation")
+SOUGHT = heading("what is sought")
+RUNS = heading("the runs, as in octarm run")
+OUTPUT = heading("output")

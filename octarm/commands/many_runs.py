@@ -1,0 +1,179 @@
+"""The commands on many runs: sweep, report, margin, tune."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+from octarm.commands import kinds
+from octarm.commands.kinds import Work
+
+
+def sweep(
+    spec: Annotated[Path, kinds.text("SPEC.toml")],
+    /,
+    *,
+    out: Annotated[Path | None, kinds.DIR] = None,
+    workers: Annotated[int | None, kinds.COUNT] = None,
+    resume: bool = False,
+    dry_run: bool = False,
+    cluster: Annotated[str | None, kinds.text("ADDRESS")] = None,
+) -> Work:
+    """Run thousands of episodes as a spec has it.
+
+    Writes a folder: spec.toml, manifest.json (what was run where), episodes/*.parquet with a row of
+    measures of each episode; in Python, octarm.read_sweep(DIR) gives the table. The table depends
+    on the spec alone, not on the number of workers, and interruptions cost nothing but the shards
+    that are being run.
+
+    Episodes that [record] of the spec selects, the worst, median or first diverged one of each
+    controller by tip_rms_error, or by their numbers, are then run again into DIR/recorded/.
+
+    Args:
+        spec: TOML file; scripts/disturbance_sweep.toml is one
+        out: folder to write
+        workers: processes, one thread each; one a core when not given
+        resume: go on with the sweep that was begun in the folder
+        dry_run: print the number of episodes, and the time and disk they take; run nothing
+        cluster: run on the dask cluster with the scheduler of this address, or on `local`, one of
+            this machine
+
+    Examples:
+      octarm sweep scripts/disturbance_sweep.toml --dry-run
+      octarm sweep scripts/disturbance_sweep.toml --out runs/noise --workers 8
+      octarm sweep scripts/disturbance_sweep.toml --out runs/noise --resume
+    """
+    from octarm.commands import sweep as work
+
+    options = work.Options(spec, out, workers, resume, cluster)
+    return partial(work.dry_run if dry_run else work.sweep, options)
+
+
+def report(
+    sweep: Annotated[Path, kinds.text("SWEEP")],
+    /,
+    *,
+    baseline: Annotated[str | None, kinds.CONTROLLER] = None,
+    metric: Annotated[tuple[str, ...], kinds.text("METRIC")] = (),
+    out: Annotated[Path | None, kinds.DIR] = None,
+) -> Work:
+    """Turn a sweep into a page with tables and figures.
+
+    Medians with intervals, paired differences, failures. Writes a folder: report.html (needs
+    nothing beside itself), figures/ as PNG and SVG, and the tables as CSV. The same sweep gives the
+    same files.
+
+    Args:
+        sweep: folder of the sweep
+        baseline: controller that the others are compared with, episode by episode; the spec's first
+            one when not given
+        metric: metric, or column of the table (rms_error, rms_error_theta3); rms_error,
+            tip_rms_error, chattering, effort and overshoot when not given
+        out: folder to write; report in the sweep's when not given
+
+    Examples:
+      octarm report runs/noise --baseline smc-boundary --metric tip_rms_error
+    """
+    from octarm.commands import report as work
+
+    return partial(work.report, sweep, baseline, metric, out)
+
+
+def margin(
+    *controllers: Annotated[str, kinds.CONTROLLER],
+    disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.SOUGHT] = (),
+    bound: Annotated[tuple[str, ...], kinds.text("METRIC:VALUE"), kinds.SOUGHT] = (),
+    low: Annotated[float | None, kinds.X, kinds.SOUGHT] = None,
+    high: Annotated[float | None, kinds.X, kinds.SOUGHT] = None,
+    seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 16,
+    share: Annotated[float, kinds.X, kinds.SOUGHT] = 0.9,
+    mismatch: Annotated[float, kinds.X, kinds.RUNS] = 0.0,
+    reference: Annotated[str, kinds.REFERENCE, kinds.RUNS] = "sine",
+    duration: Annotated[float, kinds.S, kinds.RUNS] = 6.0,
+    timestep: Annotated[float | None, kinds.S, kinds.RUNS] = None,
+    control_period: Annotated[float | None, kinds.S, kinds.RUNS] = None,
+    gains: Annotated[str | None, kinds.GAINS, kinds.RUNS] = None,
+    seed: Annotated[int, kinds.N, kinds.RUNS] = 0,
+    csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
+    json: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
+) -> Work:
+    r"""Find how much of a disturbance controllers bear.
+
+    One --disturbance goes without its VALUE: the one whose largest value is sought, by bisection,
+    for every seed at once, the same seeds for all controllers. The others act as octarm run has
+    them. The margin is what a share of the seeds bears within the error bounds, with a bootstrap
+    interval over seeds.
+
+    Args:
+        controllers: controllers to compare
+        disturbance: NAME or NAME:KEY=VALUE,.. for what varies, also nominal-mismatch;
+            NAME:VALUE[,KEY=VALUE..] for what acts as well; octarm run --help lists them
+        bound: a column of octarm sweep and its largest absolute value; all are to be met
+        low: value to begin with, which is to be borne; 0 when not given
+        high: value up to which is tried, greater or smaller than low; a usual one when not given
+        seeds: number of seeds
+        share: share of the seeds that have to meet the bounds; 1 for all of them
+        mismatch: error of the nominal model
+        reference: the desired motion
+        duration: length of each run [s]
+        timestep: physics step [s]
+        control_period: time between control actions [s]
+        gains: gains to start from
+        seed: seed of all that is random
+        csv: also write the table to this file
+        json: also write everything: the margins of each seed, and the coarse grid
+
+    Examples:
+      octarm margin smc-boundary afsmc --disturbance payload \
+        --disturbance noise:0.4 --bound tip_rms_error:0.01
+      octarm margin pd afsmc --disturbance nominal-mismatch \
+        --bound rms_error_theta1:0.02
+    """
+    from octarm.commands import margin as work
+
+    settings = work.Settings(
+        disturbance=disturbance,
+        bound=bound,
+        seeds=seeds,
+        share=share,
+        mismatch=mismatch,
+        reference=reference,
+        duration=duration,
+        timestep=timestep,
+        control_period=control_period,
+        gains=gains,
+        seed=seed,
+    )
+    return partial(work.margin, controllers, settings, low, high, csv, json)
+
+
+def tune(
+    controller: Annotated[str, kinds.CONTROLLER],
+    /,
+    *,
+    out: Annotated[Path | None, kinds.file(".toml")] = None,
+    budget: Annotated[float, kinds.S] = 8000.0,
+    seed: Annotated[int, kinds.N] = 0,
+    resume: bool = False,
+) -> Work:
+    """Find gains for one controller.
+
+    The search and its budget are the same for every controller. Writes a small TOML file: the
+    gains, what they cost by the measure that all controllers are tuned for, and how they were
+    found. octarm run --gains FILE.toml uses them.
+
+    Args:
+        controller: controller to tune
+        out: file to write; CONTROLLER.toml when not given; the search keeps its state beside it
+        budget: what the search may simulate, all arms counted [s]; 8000 s take minutes
+        seed: seed of the search
+        resume: go on with the search that was interrupted
+
+    Examples:
+      octarm tune smc-boundary --out my-gains.toml
+      octarm tune smc-boundary --out my-gains.toml --resume
+    """
+    from octarm.commands import tune as work
+
+    return partial(work.tune, controller, out or Path(f"{controller}.toml"), budget, seed, resume)

@@ -1,0 +1,181 @@
+"""The commands on one run: run, replay, record, plot, video."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+from octarm.commands import kinds
+from octarm.commands.kinds import Work
+
+
+def run(
+    *,
+    controller: Annotated[str, kinds.CONTROLLER, kinds.EXPERIMENT] = "smc-boundary",
+    reference: Annotated[str, kinds.REFERENCE, kinds.EXPERIMENT] = "sine",
+    disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = (),
+    duration: Annotated[float, kinds.S, kinds.EXPERIMENT] = 10.0,
+    seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
+    mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0,
+    nominal: Annotated[tuple[str, ...], kinds.text("NAME:FACTOR"), kinds.MODEL] = (),
+    parameter: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.MODEL] = (),
+    gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None,
+    gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = (),
+    timestep: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
+    control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
+    actuation: Annotated[str, kinds.ACTUATION, kinds.SIMULATION] = "f-coeff",
+    out: Annotated[Path | None, kinds.DIR, kinds.OUTPUT] = None,
+    view: Annotated[bool, kinds.OUTPUT] = False,
+) -> Work:
+    """Run one controller on the arm and record it.
+
+    Writes a run folder: run.rrd (the recording), run.npz (all arrays), run.json (what was run).
+
+    Args:
+        controller: the control law
+        reference: the desired motion
+        disturbance: NAME:VALUE[,KEY=VALUE..], what acts on the arm unknown to the controller; see
+            below
+        duration: length of the run [s]
+        seed: seed of all that is random; an undisturbed run has nothing random
+        mismatch: error of the controller's model: mass, inertia and damping times 1 + X,
+            stiffness times 1 + X/2
+        nominal: a further factor on a parameter of the controller's model, e.g. mass:0.7
+        parameter: a parameter of the true arm and of the model, e.g. mass:0.3,0.25,0.2 [kg]
+        gains: those to start from: tuned (for a control period of 0.0005 s), recommended (set by
+            hand, lower), or a file NAME.toml of octarm tune; tuned ones when not given
+        gain: one gain, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
+        timestep: physics step [s]; that of models/octarm.xml, 0.0005 s, when not given
+        control_period: time between control actions [s], whole physics steps; one step when not
+            given
+        actuation: how input forces act: f-coeff as in eq (2), internal between neighbouring modules
+        out: run folder to write; runs/DATE-TIME-CONTROLLER when not given
+        view: open the recording in the viewer when the run is done
+
+    Examples:
+      octarm run --view
+      octarm run --controller afsmc --mismatch -0.3 --out runs/adaptive
+      octarm run --disturbance noise:0.4 --disturbance payload:0.2,at=3
+      octarm run --controller smc --gain lambda:20 --parameter mass:0.4,0.3,0.2
+
+    Disturbances, by what they act on; keys with their defaults:
+
+    {disturbances}
+    """
+    from octarm.commands import run as work
+    from octarm.disturbances.spelling import parse_disturbance
+    from octarm.runs.experiment import Experiment
+
+    true = work.true_arm(parameter)
+    factors = work.named_values("--nominal", nominal)
+    experiment = Experiment(
+        controller=controller,
+        gains=work.gain_values(gain),
+        nominal=true.mismatched(mismatch).scaled(**factors),
+        parameters=true,
+        reference=reference,
+        disturbances=tuple(map(parse_disturbance, disturbance)),
+        seed=seed,
+        duration=duration,
+        timestep=timestep,
+        control_period=control_period,
+        actuation=actuation,
+    )
+    return partial(work.run, experiment, gains, out, view)
+
+
+def replay(
+    *runs: Annotated[Path, kinds.RUN],
+    screenshot: Annotated[Path | None, kinds.file(".png")] = None,
+    time: Annotated[float | None, kinds.S] = None,
+    web: bool = False,
+) -> Work:
+    """Open recorded runs in the rerun viewer.
+
+    One run folder, two of them side by side with the difference of their errors, or a sweep folder,
+    of which the recorded episodes are opened.
+
+    Args:
+        runs: run folder, two run folders, or a sweep folder
+        screenshot: write a picture of the viewer instead of opening it; no display
+        time: time shown in the picture [s]; the middle of the run when not given
+        web: serve the viewer to a browser on this machine; no network
+
+    Examples:
+      octarm replay runs/my-run
+      octarm replay runs/smc runs/afsmc
+      octarm replay runs/my-run --screenshot picture.png --time 4.5
+    """
+    from octarm.commands import replay as work
+
+    return partial(work.replay, runs, screenshot, time, web)
+
+
+def record(
+    run: Annotated[Path, kinds.RUN], /, *, out: Annotated[Path | None, kinds.file(".rrd")] = None
+) -> Work:
+    """Rebuild the recording of a run from its arrays.
+
+    The recording is made of run.npz and run.json alone.
+
+    Args:
+        run: run folder
+        out: recording to write; run.rrd in the folder when not given
+
+    Examples:
+      octarm record runs/my-run
+    """
+    from octarm.commands import redraw as work
+
+    return partial(work.record, run, out)
+
+
+def plot(
+    run: Annotated[Path, kinds.RUN], /, *, out: Annotated[Path | None, kinds.DIR] = None
+) -> Work:
+    """Draw the standard figures of a run, as PNG and SVG.
+
+    Args:
+        run: run folder
+        out: folder to write to; RUN-figures when not given
+
+    Examples:
+      octarm plot runs/my-run --out figures
+    """
+    from octarm.commands import redraw as work
+
+    return partial(work.plot, run, out)
+
+
+def video(
+    run: Annotated[Path, kinds.RUN],
+    /,
+    *,
+    out: Annotated[Path | None, kinds.file(".mp4")] = None,
+    width: Annotated[int, kinds.N] = 960,
+    height: Annotated[int, kinds.N] = 720,
+    rate: Annotated[float, kinds.HZ] = 30.0,
+    speed: Annotated[float, kinds.X] = 1.0,
+) -> Work:
+    """Film a run with MuJoCo's renderer.
+
+    It needs no display, but one of the libraries EGL and OSMesa; octarm doctor tells.
+
+    Args:
+        run: run folder
+        out: film to write; RUN.mp4 when not given
+        width: width [pixel]
+        height: height [pixel]
+        rate: pictures a second [Hz]
+        speed: how much faster than real time the film runs
+
+    Examples:
+      octarm video runs/my-run --out run.mp4 --speed 0.5
+    """
+    from octarm.recordings.video import choose_renderer
+
+    choose_renderer()  # before anything imports MuJoCo
+    from octarm.commands import redraw as work
+
+    return partial(work.video, run, out, size=(width, height), rate=rate, speed=speed)

@@ -1,0 +1,71 @@
+"""What the commands do that draw a run again from its arrays: record, plot, video."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from octarm.errors import ExitCode
+from octarm.runs import folder as runs
+from octarm.simulation.trajectory import Trajectory
+
+
+def record(run: Path, out: Path | None) -> int:
+    """`octarm record`: the recording of a run again, from its arrays and its description."""
+    from octarm.recordings.recording import write_recording
+
+    trajectory, description = rows_of(run)
+    target = out or run / runs.RECORDING
+    write_recording(target, trajectory, description)
+    print(f"wrote {target}")
+    return ExitCode.FINE
+
+
+def plot(run: Path, out: Path | None) -> int:
+    """`octarm plot`: the standard figures of a run."""
+    from octarm.recordings.plots import write_figures
+
+    trajectory, description = rows_of(run)
+    for path in write_figures(out or _sibling(run, "-figures"), trajectory, description):
+        print(f"wrote {path}")
+    return ExitCode.FINE
+
+
+def video(run: Path, out: Path | None, *, size: tuple[int, int], rate: float, speed: float) -> int:
+    """`octarm video`: MuJoCo's picture of a run as a film, `size` its width and height [pixel]."""
+    from octarm.recordings.video import write_video
+
+    trajectory, description = rows_of(run)
+    target = out or _sibling(run, ".mp4")
+    write_video(target, trajectory, description, size=size, rate=rate, speed=speed)
+    print(f"wrote {target}")
+    return ExitCode.FINE
+
+
+def _sibling(folder: Path, ending: str) -> Path:
+    """A name like the run folder's; the folder itself holds the run and nothing else."""
+    return folder.resolve().with_name(folder.resolve().name + ending)
+
+
+def rows_of(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
+    """The arrays of a run, as far as there are any, and its description.
+
+    Raises:
+        OctarmError: if there are none.
+    """
+    trajectory, description = runs.map_run(folder)
+    if description["status"] == runs.RUNNING:
+        say_partial(float(trajectory.t[-1]))
+        ended = {"status": trajectory.status, "message": trajectory.message}
+        return trajectory, {**description, **ended}
+    return trajectory, description
+
+
+def say_partial(end: float) -> None:
+    """Says on stderr that a run ends early, at a time [s]."""
+    print(
+        "octarm: the run is partial: it is still going on or was killed, and reaches to "
+        f"t = {end:.6g} s",
+        file=sys.stderr,
+    )

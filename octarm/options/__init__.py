@@ -1,1 +1,0 @@
-"""What each command can be asked for: its options, pure descriptions."""

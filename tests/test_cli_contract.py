@@ -1,0 +1,353 @@
+"""What users of the command line rely on: spellings, defaults, exit codes, errors, help pages."""
+
+import contextlib
+import io
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from controllers import CONTROLLERS
+from octarm.arm.actuation import ACTUATIONS
+from octarm.commands.cli import main
+from octarm.disturbances.catalogue import DISTURBANCES
+from octarm.references import REFERENCES
+
+GROUPS = {
+    "one run": ["run", "replay", "record", "plot", "video"],
+    "many runs": ["sweep", "report", "margin", "tune"],
+    "checks": ["validate", "verify"],
+    "this machine": ["doctor", "completion"],
+}
+COMMANDS = [name for names in GROUPS.values() for name in names]
+
+# Of each command its operands and its options by heading: the kind of value (empty for a flag),
+# and the default where the help names one; `..` where it may be given several times.
+OPERANDS = {
+    "replay": "RUN ..", "record": "RUN", "plot": "RUN", "video": "RUN", "sweep": "SPEC.toml",
+    "report": "SWEEP", "margin": "CONTROLLER ..", "tune": "CONTROLLER", "verify": "RUN ..",
+    "completion": "SHELL",
+}  # fmt: skip
+OPTIONS: dict[str, dict[str, dict[str, str]]] = {
+    "run": {
+        "the experiment": {
+            "--controller": "CONTROLLER smc-boundary",
+            "--reference": "REFERENCE sine",
+            "--disturbance": "DISTURBANCE ..",
+            "--duration": "S 10",
+            "--seed": "N 0",
+        },
+        "the arm, and the model that the controller believes": {
+            "--mismatch": "X 0",
+            "--nominal": "NAME:FACTOR ..",
+            "--parameter": "NAME:VALUES ..",
+        },
+        "gains": {"--gains": "GAINS", "--gain": "NAME:VALUES .."},
+        "simulation": {
+            "--timestep": "S",
+            "--control-period": "S",
+            "--actuation": "ACTUATION f-coeff",
+        },
+        "output": {"--out": "DIR", "--view": ""},
+    },
+    "replay": {"options": {"--screenshot": "FILE.png", "--time": "S", "--web": ""}},
+    "record": {"options": {"--out": "FILE.rrd"}},
+    "plot": {"options": {"--out": "DIR"}},
+    "video": {
+        "options": {
+            "--out": "FILE.mp4",
+            "--width": "N 960",
+            "--height": "N 720",
+            "--rate": "HZ 30",
+            "--speed": "X 1",
+        }
+    },
+    "sweep": {
+        "options": {
+            "--out": "DIR",
+            "--workers": "N",
+            "--resume": "",
+            "--dry-run": "",
+            "--cluster": "ADDRESS",
+        }
+    },
+    "report": {
+        "options": {"--baseline": "CONTROLLER", "--metric": "METRIC ..", "--out": "DIR"},
+    },
+    "margin": {
+        "what is sought": {
+            "--disturbance": "DISTURBANCE ..",
+            "--bound": "METRIC:VALUE ..",
+            "--low": "X",
+            "--high": "X",
+            "--seeds": "N 16",
+            "--share": "X 0.9",
+        },
+        "the runs, as in octarm run": {
+            "--mismatch": "X 0",
+            "--reference": "REFERENCE sine",
+            "--duration": "S 6",
+            "--timestep": "S",
+            "--control-period": "S",
+            "--gains": "GAINS",
+            "--seed": "N 0",
+        },
+        "output": {"--csv": "FILE", "--json": "FILE"},
+    },
+    "tune": {
+        "options": {"--out": "FILE.toml", "--budget": "S 8000", "--seed": "N 0", "--resume": ""}
+    },
+    "validate": {
+        "options": {
+            "--controllers": "",
+            "--modules": "N 3",
+            "--random-parameters": "N 0",
+            "--states": "N",
+            "--seed": "N 0",
+            "--json": "FILE",
+        }
+    },
+    "verify": {"options": {"--episode": "N ..", "--sample": "N"}},
+    "doctor": {},
+    "completion": {},
+}
+FLAT = [
+    (command, flag, *kind.partition(" ")[::2])
+    for command, headings in OPTIONS.items()
+    for options in headings.values()
+    for flag, kind in options.items()
+]
+SPELT = [f"{command} {flag}" for command, flag, *_ in FLAT]
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def page(*words: str) -> str:
+    """What `octarm WORDS` prints, where all is well."""
+    out = io.StringIO()
+    code: object = 0
+    with contextlib.redirect_stdout(out):
+        try:
+            code = main(words)
+        except SystemExit as leaving:
+            code = leaving.code
+    assert not code
+    return out.getvalue()
+
+
+def refused(*words: str) -> str:
+    """The sentence that `octarm WORDS` is refused with."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        assert main(words) == 2
+    assert out.getvalue() == ""
+    (line,) = err.getvalue().splitlines()
+    assert line.startswith("octarm: ")
+    assert list(Path().iterdir()) == []
+    return line.removeprefix("octarm: ")
+
+
+def sections(text: str) -> dict[str, str]:
+    """The parts of a help page by heading."""
+    parts = re.split(r"^(\w.*):$\n", text, flags=re.MULTILINE)
+    return dict(zip(parts[1::2], parts[2::2], strict=True))
+
+
+def entry(text: str, flag: str) -> str:
+    """What a help page says of an option, on one line."""
+    found = re.search(rf"^  {re.escape(flag)}(?![\w-]).*\n(?:    .*\n)*", text, re.MULTILINE)
+    assert found is not None, flag
+    return " ".join(found[0].split())
+
+
+def test_the_overview_has_the_commands_by_group_and_the_exit_codes():
+    text = page("--help")
+    assert page("-h") == text
+    parts = sections(text)
+    for title, names in GROUPS.items():
+        assert re.findall(r"^  (\w+)  +\w.*\.$", parts[title], re.MULTILINE) == names
+    assert "0 fine, 1 a check failed, 2 bad input, 3 the run diverged, 130 interrupted" in text
+    assert "--version" in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_help_page_has_operands_and_options_by_heading(command: str):
+    text = page(command, "--help")
+    assert page(command, "-h") == text
+    assert max(map(len, text.splitlines())) <= 80
+    assert text.startswith(f"usage: octarm {command}")
+    parts = sections(text)
+    operand, _, several = OPERANDS.get(command, "").partition(" ")
+    usage = text.splitlines()[0]
+    assert (f"{operand} [{operand} ..]" if several else f" {operand}") in usage
+    if operand:
+        assert entry(parts["operands"], operand)
+    for heading, options in OPTIONS[command].items():
+        flags = re.findall(r"^  (--[\w-]+)", parts[heading], re.MULTILINE)
+        assert flags == list(options)
+    known = [flag for options in OPTIONS[command].values() for flag in options]
+    before_examples = text.partition("\nexamples:\n")[0]
+    assert re.findall(r"^  (--[\w-]+)", before_examples, re.MULTILINE) == known
+    assert re.search(rf"^  octarm {command}", parts["examples"], re.MULTILINE)
+
+
+@pytest.mark.parametrize(("command", "flag", "kind", "default"), FLAT, ids=SPELT)
+def test_an_option_has_its_kind_of_value_and_its_default(
+    command: str, flag: str, kind: str, default: str
+):
+    text = entry(page(command, "--help"), flag)
+    assert text.startswith(f"{flag} {kind}".strip() + " ")
+    assert ("(repeatable)" in text) == (default == "..")
+    shown = re.search(r"\(default: (.*)\)", text)
+    assert (shown[1] if shown else "") == (default if default != ".." else "")
+
+
+@pytest.mark.parametrize(("command", "flag", "kind", "default"), FLAT, ids=SPELT)
+def test_an_option_takes_one_value_and_a_flag_none(
+    command: str, flag: str, kind: str, default: str
+):
+    operands = ["x"] if command in OPERANDS else []
+    if kind:
+        assert refused(command, *operands, flag) == f"{flag} needs a value after it"
+        assert flag in refused(command, *operands, flag, "--nowhere")
+    if kind and default != "..":
+        again = refused(command, *operands, flag, "1", f"{flag}=2")
+        assert again.startswith(f"{flag} is given twice")
+    if kind in ("S", "X", "N", "HZ"):
+        needed = "a whole number" if kind == "N" else "a number"
+        for word in ("some", "1.5.1", "1e", *(["1.5", "0x10"] if kind == "N" else [])):
+            wrong = refused(command, *operands, flag, word)
+            assert wrong == f"{flag} is {word!r}; it must be {needed}"
+    if not kind:
+        assert flag in refused(command, *operands, f"{flag}=perhaps")
+        no = flag.replace("--", "--no-")
+        assert no in refused(command, *operands, no)
+
+
+@pytest.mark.parametrize("command", OPERANDS)
+def test_operands_are_needed_and_counted(command: str):
+    kind = OPERANDS[command].partition(" ")[0]
+    if not OPERANDS[command].endswith(".."):
+        assert refused(command).startswith(f"octarm {command} needs {kind}, ")
+        assert "'y'" in refused(command, "x", "y")
+    else:
+        assert re.search(r"RUN|run|CONTROLLER|controller", refused(command))
+
+
+def test_words_that_are_not_known_are_refused_with_the_closest():
+    known = ", ".join(COMMANDS)
+    assert refused("ran") == f"unknown command 'ran', did you mean 'run'? known are {known}"
+    assert refused("xyz") == f"unknown command 'xyz'; known are {known}"
+    assert refused() == "no command is given; octarm --help lists them"
+    assert refused("run", "--duraton", "3").startswith(
+        "octarm run has no option '--duraton', did you mean '--duration'? known are --controller, "
+    )
+    assert refused("run", "--duraton=3").startswith("octarm run has no option '--duraton', did")
+    assert refused("run", "--dur", "3").startswith("octarm run has no option '--dur'")
+    assert (
+        refused("run", "--states", "1")
+        == "octarm run has no option --states; it belongs to octarm validate"
+    )
+    assert refused("run", "twice") == "octarm run has no use for 'twice'"
+    assert "'-x'" in refused("run", "-x")
+    assert refused("run", "--controller", "smc-boundry").startswith(
+        "unknown controller 'smc-boundry', did you mean 'smc-boundary'? known are pd, "
+    )
+    assert refused("run", "--reference", "cosine").startswith("unknown reference 'cosine'")
+    assert refused("run", "--actuation", "extern").startswith("unknown actuation 'extern'")
+    assert refused("run", "--disturbance", "nois:1").startswith("unknown disturbance 'nois'")
+    assert refused("run", "--nominal", "mas:1").startswith("unknown parameter 'mas'")
+    assert refused("run", "--parameter", "wdith:1").startswith("unknown parameter 'wdith'")
+    assert refused("run", "--gain", "Q:1").startswith("smc-boundary has no gain 'Q'")
+    assert refused("completion", "tcsh") == "unknown shell 'tcsh'; known are bash, zsh, fish"
+
+
+SPELLINGS = [
+    ["--mismatch", "-0.3"],
+    ["--mismatch=-0.3"],
+    ["--mismatch", "-.3"],
+    ["--mismatch", "-3e-1"],
+]
+
+
+def test_values_may_be_negative_and_stand_after_a_space_or_an_equals_sign():
+    described = []
+    for i, words in enumerate(SPELLINGS):
+        assert main(["run", *words, "--duration", "0.005", "--out", f"r{i}"]) == 0
+        described.append(re.sub(r'"command": .*', "", Path(f"r{i}/run.json").read_text()))
+    assert len(set(described)) == 1
+
+
+def test_repeatable_options_keep_their_order_and_operands_may_stand_anywhere(
+    capsys: pytest.CaptureFixture[str],
+):
+    words = "--disturbance noise:0.4 --gain lambda:15 --disturbance=payload:0.1,at=0.001 --gain=K:2"
+    assert main(["run", *words.split(), "--duration", "0.005", "--out", "=-odd"]) == 0
+    text = Path("=-odd/run.json").read_text()
+    assert text.index('"noise"') < text.index('"payload"')
+    assert main(["plot", "--out", "figures", "=-odd"]) == 0
+    assert any(Path("figures").glob("*.png"))
+    capsys.readouterr()
+    words = "pd --low -1e-3 --disturbance nominal-mismatch smcc --bound tip_rms_error:1 --seeds=1"
+    assert main(["margin", *words.split()]) == 2
+    assert "unknown controller 'smcc'" in capsys.readouterr().err
+
+
+def test_the_names_to_choose_from_stand_in_the_help():
+    text = page("run", "--help")
+    words = " ".join(text.split())
+    for name in [*CONTROLLERS, *REFERENCES, *ACTUATIONS]:
+        assert re.search(rf"(?<![\w-]){name}(?![\w-])", words), name
+    listed = text.partition("\nexamples:\n")[2]
+    for name in DISTURBANCES:
+        assert re.search(rf"^  (?:.*  )?{name}:", listed, re.MULTILINE), name
+    for name in CONTROLLERS:
+        assert name in entry(page("margin", "--help"), "CONTROLLER")
+        assert name in entry(page("tune", "--help"), "CONTROLLER")
+    for shell in ("bash", "zsh", "fish"):
+        assert shell in entry(page("completion", "--help"), "SHELL")
+        assert "octarm" in page("completion", shell)
+
+
+def imported(*words: str) -> set[str]:
+    """The heavy packages that are imported while words are understood or refused."""
+    code = (
+        "import sys\n"
+        "from octarm.commands.cli import main\n"
+        f"try: main({list(words)!r})\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numpy', 'scipy', 'mujoco', 'dm_control', 'rerun', 'matplotlib', 'pyarrow'}\n"
+        "print(*heavy & set(sys.modules), file=sys.stderr)"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    return set(done.stderr.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--help"],
+        ["--version"],
+        ["plot", "--help"],
+        ["ran"],
+        ["run", "--duraton", "3"],
+        ["run", "--duration", "long"],
+        ["margin", "--low"],
+        ["record"],
+    ],
+    ids=" ".join,
+)
+def test_nothing_heavy_is_imported_before_the_words_are_understood(words: list[str]):
+    assert imported(*words) == set()
+
+
+def test_the_help_of_a_command_does_not_wait_for_the_simulation():
+    for command in ("run", "margin", "sweep"):
+        assert imported(command, "--help") <= {"numpy"}
