@@ -57,11 +57,11 @@ def reproduce(options: argparse.Namespace) -> None:
     run_all(variants, effort, out, options.workers)
     evidence = gather(variants, effort, out, costs(variants))
     gains = options.gains or SHIPPED
-    for claim in writeup.write_all(evidence, out, gains):
+    root = ROOT if options.publish else None
+    for claim in writeup.write_all(evidence, out, gains, root):
         print(f"({claim.letter}) {claim.title}: {claim.outcome}")
     print(f"wrote {out / writeup.PAGE}")
     if options.publish:
-        writeup.publish(evidence, out, gains, ROOT)
         print(f"renewed {ROOT / 'README.md'} and .readme/paper.*")
 
 

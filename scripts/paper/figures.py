@@ -21,35 +21,12 @@ from octarm.reports.figures import (
     save_figure,
 )
 from octarm.reports.statistics import Interval
+from paper import variants
 from paper.claims import percent, worded, words
 from paper.evidence import Cell, Evidence, coordinates
 from paper.runs import LONG, Series, name_of
-from paper.studies import (
-    BENDS,
-    BEYOND,
-    MODELS,
-    MOVING,
-    NOISE,
-    RATES,
-    SLIDES,
-    WRONG,
-    study_of_rate,
-)
-from paper.variants import (
-    ABLATIONS,
-    AS_PRINTED,
-    CONSEQUENT,
-    CONTROLLERS,
-    FIXED_PREMISES,
-    INTEGRAL,
-    MATCHED,
-    PROPOSED,
-    SIGN,
-    SMC,
-    TWISTING,
-    UNGUARDED,
-    by_hand,
-)
+from paper.studies import BENDS, BEYOND, MODELS, MOVING, NOISE, RATES, SLIDES, WRONG, study_of_rate
+from paper.variants import CONSEQUENT, CONTROLLERS, INTEGRAL, PROPOSED, SIGN, SMC, TWISTING, by_hand
 
 GRAY = "#5f6b77"
 NAMES = {PROPOSED: "AFSMC (proposed)", SMC: "SMC, boundary layer", SIGN: "SMC, sgn"}
@@ -66,10 +43,10 @@ class Look(NamedTuple):
 
 
 _ABLATIONS = {
-    FIXED_PREMISES: Look("#7a8f1f", "--", "x"),
-    AS_PRINTED: Look("#7d6bd0", ":", "x"),
-    UNGUARDED: Look("#b0413e", "-", "x"),
-    MATCHED: Look("#dd9500", "--", "x"),
+    variants.FIXED_PREMISES: Look("#7a8f1f", "--", "x"),
+    variants.AS_PRINTED: Look("#7d6bd0", ":", "x"),
+    variants.UNGUARDED: Look("#b0413e", "-", "x"),
+    variants.MATCHED: Look("#dd9500", "--", "x"),
 }
 
 
@@ -197,8 +174,8 @@ def _overshoot(evidence: Evidence) -> Figure:
         for label in (SMC, by_hand(SMC), PROPOSED, by_hand(PROPOSED)):
             cells = [Cell(label, reference=reference, mismatch=m) for m in models.tolist()]
             if evidence.has(*cells):
-                y = [evidence.median(cell, f"overshoot_{joint}").value for cell in cells]
-                _line(ax, label, 100.0 * models, np.array(y), marker=False)
+                own = [evidence.median(cell, f"overshoot_{joint}") for cell in cells]
+                _band(ax, label, 100.0 * models, own, marker=False)
         _zero_line(ax)
         ax.axhline(3.0, color=GRAY, linewidth=0.9, linestyle=":")
         ax.set(title=f"overshoot of {joint} [%]", xlabel="error of the nominal model [%]")
@@ -223,7 +200,7 @@ def _ranking(evidence: Evidence) -> Figure:
 
 def _ablations(evidence: Evidence) -> Figure:
     labels = [
-        name for name in (CONSEQUENT, SMC, INTEGRAL, *ABLATIONS)
+        name for name in (CONSEQUENT, SMC, INTEGRAL, *variants.ABLATIONS)
         if evidence.has(Cell(name, noise=NOISE))
     ]  # fmt: skip
     readings = [
@@ -275,11 +252,11 @@ def _beyond(evidence: Evidence) -> Figure:
     for ax, (name, sort) in zip(grid[0], BEYOND.items(), strict=True):
         for label in CONTROLLERS:
             start = Cell(label, "beyond", mismatch=WRONG)
-            y = [evidence.error(start._replace(**{name: x})).value for x in sort.values]
-            _line(ax, label, sort.factor * np.array(sort.values), np.array(y))
+            own = [evidence.error(start._replace(**{name: x})) for x in sort.values]
+            _band(ax, label, sort.factor * np.array(sort.values), own)
         _logarithmic(ax, "y")
-        words_of = "loss of force" if name == "loss" else name
-        ax.set(xlabel=f"{words_of} [{sort.unit}]", title="error [% of the motion]")
+        quantity = "loss of force" if name == "loss" else name
+        ax.set(xlabel=f"{quantity} [{sort.unit}]", title="error [% of the motion]")
     _legend(figure, grid[0, 0])
     figure.set_figheight(figure.get_figheight() + 0.3)
     return figure
@@ -365,23 +342,19 @@ def _median(
         ax.fill_between(t, low, high, color=look(label).color, alpha=0.22, linewidth=0.0)
 
 
-def _line(ax: Axes, label: str, x: np.ndarray, y: np.ndarray, *, marker: bool = True) -> None:
+def _band(
+    ax: Axes, label: str, x: np.ndarray, own: Sequence[Interval], *, marker: bool = True
+) -> None:
+    """Medians with a band of intervals, where they are finite."""
+    numbers = np.array(own, dtype=float)
+    value, low, high = np.where(np.isfinite(numbers), numbers, np.nan).T
     style = look(label)
     ax.plot(
-        x, np.where(np.isfinite(y), y, np.nan), color=style.color, linestyle=style.line,
-        marker=style.marker if marker else "", label=title_of(label), markeredgewidth=0.0,
+        x, value, color=style.color, linestyle=style.line, marker=style.marker if marker else "",
+        label=title_of(label), markeredgewidth=0.0,
     )  # fmt: skip
-
-
-def _band(ax: Axes, label: str, x: np.ndarray, own: Sequence[Interval]) -> None:
-    """Medians with a band of intervals."""
-    value, low, high = np.array(own, dtype=float).T
-    _line(ax, label, x, value)
-    finite = np.isfinite(low + high)
-    ax.fill_between(
-        x, np.where(finite, low, np.nan), np.where(finite, high, np.nan),
-        color=look(label).color, alpha=0.18, linewidth=0.0,
-    )  # fmt: skip
+    if np.any(low < high):
+        ax.fill_between(x, low, high, color=style.color, alpha=0.18, linewidth=0.0)
 
 
 def _dot(ax: Axes, label: str, own: Interval, y: float, marker: str = "o") -> None:

@@ -110,7 +110,7 @@ class _Pool(Executor):
 def _sweep_job(sweep: Sweep, out: Path) -> Job:
     def do(pool: Executor, advance: Advance) -> None:
         file = out / SPECS / f"{sweep.name}.toml"
-        write(file, sweep.text())
+        write(file, sweep.text().encode())
         duration = sweep.content["duration"]
         octarm.sweep(
             octarm.read_spec(file),
@@ -166,12 +166,12 @@ def read_arrays(out: Path, requests: Iterable[Request]) -> dict[str, dict[str, n
     return arrays
 
 
-def write(path: Path, content: str | bytes) -> None:
+def write(path: Path, content: bytes) -> None:
     """Writes a file whole or not at all.
 
     Raises:
         OSError: if it cannot be written.
     """
     part = path.with_name(path.name + ".part")
-    part.write_bytes(content.encode() if isinstance(content, str) else content)
+    part.write_bytes(content)
     os.replace(part, path)

@@ -6,21 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from paper import studies
 from paper.claims import Examined, Row, Verdict, exact, percent
 from paper.evidence import Cell, Evidence, coordinates, interval
 from paper.runs import Series, name_of
-from paper.studies import (
-    BENDS,
-    MODELS,
-    MOVING,
-    NOISE,
-    RATES,
-    SETTLED,
-    SLIDES,
-    TIME,
-    WRONG,
-    study_of_rate,
-)
+from paper.studies import BENDS, MODELS, MOVING, NOISE, RATES, SETTLED, SLIDES, TIME, WRONG
 from paper.variants import AS_PRINTED, PROPOSED, SIGN, SMC, by_hand
 
 OVERSHOOT = 3.0  # of SMC, by the paper [%]
@@ -193,7 +183,7 @@ def chattering(evidence: Evidence) -> Examined:
     rates = {
         rate: evidence.median(cell, "chattering", 100.0).value
         for rate in RATES
-        if evidence.has(cell := Cell(PROPOSED, study_of_rate(rate), mismatch=WRONG))
+        if evidence.has(cell := Cell(PROPOSED, studies.study_of_rate(rate), mismatch=WRONG))
     }
     rows = [
         *(row for own in (quiet, noisy) for label in own for row in own[label]),

@@ -36,7 +36,7 @@ def all_claims(evidence: Evidence) -> list[Claim]:
     return [claim(name, examine(evidence)) for name, examine in _CLAIMS.items()]
 
 
-def write_all(evidence: Evidence, out: Path, gains: Path) -> list[Claim]:
+def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = None) -> list[Claim]:
     """Writes tables, claims, figures, the write-up and the page into a folder.
 
     All files in `tables` and `claims.json` are the same whenever the same is run; timings stand
@@ -46,38 +46,11 @@ def write_all(evidence: Evidence, out: Path, gains: Path) -> list[Claim]:
         evidence: what was run.
         out: folder.
         gains: of the tuned gain sets.
+        root: of the checkout, where what the repository shows is to be renewed, too:
+            `.readme/paper.*` and the claims in the README.
 
     Returns:
         The claims.
-
-    Raises:
-        OSError: if something cannot be written.
-    """
-    claims = all_claims(evidence)
-    written = all_tables(evidence, claims, gains)
-    drawn = list(figures.pictures(evidence))
-    for folder in (TABLES, FIGURES):
-        (out / folder).mkdir(parents=True, exist_ok=True)
-    for table in written.values():
-        write(out / TABLES / f"{table.name}.csv", as_csv(table))
-    write(out / "timings.csv", as_csv(timings(evidence)))
-    for picture in drawn:
-        write(out / FIGURES / f"{picture.name}.svg", picture.svg)
-        write(out / FIGURES / f"{picture.name}.png", picture.png)
-    write(out / CLAIMS, as_json(content(evidence, claims, written)))
-    write(out / "paper.md", markdown(evidence, claims, written, f"{FIGURES}/paper.png"))
-    write(out / PAGE, page(evidence, claims, drawn[1:], written))
-    return claims
-
-
-def publish(evidence: Evidence, out: Path, gains: Path, root: Path) -> None:
-    """Writes what the repository shows: `.readme/paper.*` and the claims in the README.
-
-    Args:
-        evidence: what was run.
-        out: folder that `write_all` has written.
-        gains: of the tuned gain sets.
-        root: of the checkout.
 
     Raises:
         OctarmError: if the README has no place for the claims.
@@ -85,13 +58,32 @@ def publish(evidence: Evidence, out: Path, gains: Path, root: Path) -> None:
     """
     claims = all_claims(evidence)
     written = all_tables(evidence, claims, gains)
+    drawn = list(figures.pictures(evidence))
     numbers = content(evidence, claims, written, timings=True)
-    folder, readme = root / ".readme", root / "README.md"
-    text = with_claims(readme.read_text(encoding="utf-8"), numbers)
-    write(folder / "paper.json", as_json(numbers))
-    write(folder / "paper.md", markdown(evidence, claims, written, "paper.png"))
-    write(folder / "paper.png", (out / FIGURES / "paper.png").read_bytes())
-    write(readme, text)
+    texts = {
+        **{f"{TABLES}/{name}.csv": as_csv(table) for name, table in written.items()},
+        "timings.csv": as_csv(timings(evidence)),
+        CLAIMS: as_json(content(evidence, claims, written)),
+        "paper.md": markdown(evidence, claims, written, f"{FIGURES}/paper.png"),
+        PAGE: page(evidence, claims, drawn[1:], written),
+        **{f"{FIGURES}/{one.name}.svg": one.svg for one in drawn},
+    }
+    files = {out / name: text.encode() for name, text in texts.items()}
+    files |= {out / FIGURES / f"{one.name}.png": one.png for one in drawn}
+    if root is not None:
+        readme = root / "README.md"
+        files |= {
+            root / ".readme" / "paper.json": as_json(numbers).encode(),
+            root / ".readme" / "paper.md": markdown(
+                evidence, claims, written, "paper.png"
+            ).encode(),
+            root / ".readme" / "paper.png": drawn[0].png,
+            readme: with_claims(readme.read_text(encoding="utf-8"), numbers).encode(),
+        }
+    for file, text in files.items():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write(file, text)
+    return claims
 
 
 def content(
