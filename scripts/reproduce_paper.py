@@ -10,16 +10,17 @@ import shlex
 import sys
 from pathlib import Path
 
-from paper.evidence import Evidence
-from paper.lyapunov import lyapunov_requests
-from paper.report import PAGE, Report
-from paper.runs import costs, run_all, series_requests, single_requests
-from paper.studies import FULL, QUICK, Effort, cast
+from paper import writeup
+from paper.evidence import gather
+from paper.jobs import run_all
+from paper.runs import costs
+from paper.studies import FULL, QUICK
+from paper.variants import all_variants
 
-from controllers.gain_sets import SHIPPED
 from octarm.errors import ExitCode, OctarmError
 
 ROOT = Path(__file__).resolve().parent.parent
+SHIPPED = ROOT / "controllers" / "gains"
 
 
 def main() -> int:
@@ -34,7 +35,7 @@ def main() -> int:
     options = parser.parse_args()
     try:
         reproduce(options)
-    except (ValueError, OSError, RuntimeError) as error:
+    except (OctarmError, OSError) as error:
         print(f"reproduce_paper: {error}", file=sys.stderr)
         return ExitCode.BAD_INPUT
     except KeyboardInterrupt:
@@ -52,27 +53,16 @@ def reproduce(options: argparse.Namespace) -> None:
         raise OctarmError("--publish needs all numbers; leave out --quick")
     if out.exists() and any(out.iterdir()) and not options.resume:
         raise OctarmError(f"{out} is not empty; go on with it by --resume, or choose another --out")
-    evidence = measure(effort, out, gains=options.gains, workers=options.workers)
-    report = Report(evidence, options.gains or SHIPPED)
-    report.write(out)
-    for claim in report.claims:
+    variants = all_variants(options.gains)
+    run_all(variants, effort, out, options.workers)
+    evidence = gather(variants, effort, out, costs(variants))
+    gains = options.gains or SHIPPED
+    root = ROOT if options.publish else None
+    for claim in writeup.write_all(evidence, out, gains, root):
         print(f"({claim.letter}) {claim.title}: {claim.outcome}")
-    print(f"wrote {out / PAGE}")
+    print(f"wrote {out / writeup.PAGE}")
     if options.publish:
-        report.publish(out, ROOT)
         print(f"renewed {ROOT / 'README.md'} and .readme/paper.*")
-
-
-def measure(effort: Effort, out: Path, *, gains: Path | None = None, workers: int = 0) -> Evidence:
-    """Runs what is not in the folder yet, and reads all of it."""
-    variants = cast(gains)
-    requests = [
-        *series_requests(variants, effort),
-        *lyapunov_requests(variants, effort),
-        *single_requests(variants, effort),
-    ]
-    run_all(effort.parts(variants), requests, out, workers)
-    return Evidence.gather(variants, effort, out, costs(variants))
 
 
 if __name__ == "__main__":  # the worker processes import this file, too

@@ -7,28 +7,27 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from paper import report as output
-from paper.evidence import Cell, Evidence, Measured
-from paper.lyapunov import LyapunovRequest
-from paper.report import Report
-from paper.runs import SingleRequest, series_requests
-from paper.studies import BENDS, CONTROLLERS, FULL, NOISE, PROPOSED, QUICK, SIGN, SMC, by_hand, cast
-from paper.tables import tuning
-from reproduce_paper import measure
+from paper import lyapunov, runs, writeup
+from paper.claims import Claim
+from paper.evidence import Cell, Evidence, gather, measured
+from paper.jobs import run_all
+from paper.studies import BENDS, FULL, NOISE, QUICK, STUDIES, sweeps
+from paper.tables import all_tables, as_csv, tuning
+from paper.variants import CONTROLLERS, PROPOSED, SIGN, SMC, all_variants, by_hand
 
+import octarm
 from controllers import make_controller
-from controllers.gain_sets import SHIPPED
-from octarm import sweep
-from octarm.runs.folder import read_run
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPT = ROOT / "scripts" / "reproduce_paper.py"
-EVERYBODY = cast()
+SHIPPED = ROOT / "controllers" / "gains"
+VARIANTS = all_variants()
 
 
 @pytest.fixture(scope="module")
@@ -41,128 +40,163 @@ class Quick:
     """What came of the quick variant."""
 
     evidence: Evidence
-    report: Report
+    claims: list[Claim]
     out: Path
 
 
 @pytest.fixture(scope="module")
-def quick(tmp_path_factory: pytest.TempPathFactory) -> Quick:
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Quick]:
     out = tmp_path_factory.mktemp("paper")
-    evidence = measure(QUICK, out)
-    report = Report(evidence, SHIPPED)
-    report.write(out)
-    return Quick(evidence, report, out)
+    run_all(VARIANTS, QUICK, out)
+    evidence = gather(VARIANTS, QUICK, out, runs.costs(VARIANTS))
+    yield Quick(evidence, writeup.write_all(evidence, out, SHIPPED), out)
 
 
 @pytest.mark.slow
 def test_the_quick_variant_comes_to_the_published_verdicts(quick: Quick, published: dict[str, Any]):
-    here = {claim.letter: str(claim.verdict) for claim in quick.report.claims}
+    here = {claim.letter: str(claim.verdict) for claim in quick.claims}
     assert here == {claim["letter"]: claim["verdict"] for claim in published["claims"]}
     assert list(here) == list("abcdefg")
 
 
 @pytest.mark.slow
 def test_the_report_needs_nothing_beside_itself(quick: Quick):
-    page = (quick.out / output.PAGE).read_text(encoding="utf-8")
+    page = (quick.out / writeup.PAGE).read_text(encoding="utf-8")
     assert not re.search(r"""(src|href)=["'](?!#)""", page)
     assert "nan" not in re.sub(r"<svg.*?</svg>", "", page, flags=re.DOTALL).lower().split()
-    for claim in quick.report.claims:
+    for claim in quick.claims:
         assert f"({claim.letter}) {claim.title}" in page
     for folder, ending in (
-        (output.FIGURES, "png"),
-        (output.FIGURES, "svg"),
-        (output.TABLES, "csv"),
+        (writeup.FIGURES, "png"),
+        (writeup.FIGURES, "svg"),
+        (writeup.TABLES, "csv"),
     ):
         assert len(list((quick.out / folder).glob(f"*.{ending}"))) >= 5
 
 
 @pytest.mark.slow
 def test_timings_stand_apart_and_all_else_is_the_same_again(quick: Quick):
-    slower = {name: c._replace(many=1.1 * c.many) for name, c in quick.evidence.costs.items()}
-    again = Report(dataclasses.replace(quick.evidence, costs=slower), SHIPPED)
-    for table in again.tables:
-        written = quick.out / output.TABLES / f"{table.name}.csv"
-        assert table.csv() == written.read_text(encoding="utf-8")
-    claims = (quick.out / output.CLAIMS).read_text(encoding="utf-8")
-    assert output.as_json(again.content()) == claims
+    slower = {n: c._replace(many=1.1 * c.many) for n, c in quick.evidence.costs.items()}
+    again = gather(VARIANTS, QUICK, quick.out, slower)
+    claims = writeup.all_claims(again)
+    tables = all_tables(again, claims, SHIPPED)
+    for table in tables.values():
+        written = quick.out / writeup.TABLES / f"{table.name}.csv"
+        assert as_csv(table) == written.read_text(encoding="utf-8")
+    content = writeup.content(again, claims, tables)
+    assert writeup.as_json(content) == (quick.out / writeup.CLAIMS).read_text(encoding="utf-8")
     assert "[us]" in (quick.out / "timings.csv").read_text(encoding="utf-8")
 
 
 def test_the_readme_shows_the_published_claims(published: dict[str, Any]):
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert output.with_claims(readme, published["claims"]) == readme
+    assert writeup.with_claims(readme, published) == readme
     assert published["effort"] == FULL.name and published["seeds"] == FULL.seeds == 64
     for name in ("paper.png", "paper.md"):
         assert f"](.readme/{name})" in readme and (ROOT / ".readme" / name).is_file()
 
 
-def test_every_tuned_controller_beats_its_hand_set_gains_on_the_objective():
-    evidence = Evidence(
-        variants=EVERYBODY,
-        effort=QUICK,
-        measured=Measured({}, {}),
-        series={},
-        outcomes=[],
-        costs={},
-    )
-    rows = tuning(evidence, SHIPPED).rows
-    assert len(rows) == len(CONTROLLERS)
+@pytest.mark.slow
+def test_every_tuned_controller_beats_its_hand_set_gains_on_the_objective(quick: Quick):
+    rows = list(tuning(quick.evidence, SHIPPED))
+    assert [row[0] for row in rows] == list(CONTROLLERS)
     for name, short, short_by_hand, long, long_by_hand, *_ in rows:
         costs = np.array([short, short_by_hand, long, long_by_hand], dtype=float)
         assert costs[0] < costs[1] and costs[2] < costs[3], name
 
 
+@pytest.mark.parametrize("file", sorted(STUDIES.glob("*/*.toml")), ids=lambda file: file.stem)
+def test_a_study_is_a_spec_with_the_label_of_its_variants(file: Path):
+    spec = octarm.read_spec(file)
+    effort = {"full": FULL, "quick": QUICK}[file.parent.name]
+    _, label = effort.specs[file.stem]
+    for name in spec.controllers:
+        variant = VARIANTS[label.format(name)]
+        shipped = VARIANTS[by_hand(name) if label == by_hand("{}") else name].gains
+        said = {k: v for k, v in spec.gains.get(name, {}).items()}
+        if "matched" not in label:
+            assert {**shipped, **said} == variant.gains
+
+
+def test_what_is_run_is_the_specs_with_cells_without_noise_apart():
+    parts = {part.name: part for part in sweeps(VARIANTS, FULL)}
+    assert (
+        parts["tuned"].content["episodes"] == 64 and parts["tuned-quiet"].content["episodes"] == 1
+    )
+    assert parts["tuned"].content["grid"]["disturbance"]["noise"] == [NOISE]
+    assert parts["tuned-quiet"].content["grid"]["disturbance"]["noise"] == [0.0]
+    assert len(parts["tuned-quiet"].content["grid"]["mismatch"]) == 7
+    assert parts["beyond" if "beyond" in parts else "payload"].seconds == 10 * 3 * 4 * 4.0
+
+
 def test_a_sweep_of_the_study_twice_gives_the_same_cells(tmp_path: Path):
-    part = next(p for p in QUICK.parts(EVERYBODY) if p.name == "tracking-premises")
-    part = part._replace(spec=dataclasses.replace(part.spec, duration=2.05, episodes=1))
-    cells = []
+    part = next(p for p in sweeps(VARIANTS, QUICK) if p.name == "premises")
+    part = part._replace(content={**part.content, "duration": 2.05, "episodes": 1})
+    (tmp_path / "spec.toml").write_text(part.text(), encoding="utf-8")
+    spec = octarm.read_spec(tmp_path / "spec.toml")
+    results = []
     for name in ("first", "second"):
-        sweep(part.spec, make_controller, tmp_path / name / part.name)
-        cells.append(Measured.read([part], tmp_path / name))
-    first, second = cells
-    for cell in first.cells():
-        for quantity in ("error", "chattering", "overshoot_theta1"):
-            assert np.array_equal(first.values(cell, quantity), second.values(cell, quantity))
+        octarm.sweep(spec, make_controller, tmp_path / name / part.name)
+        results.append(measured([part], tmp_path / name))
+    (rows, first), (_, second) = results
+    assert len(rows) == 6
+    for quantity in ("error", "chattering", "overshoot_theta1"):
+        assert np.array_equal(first[quantity], second[quantity])
 
 
 def test_what_figure_1_shows_is_what_is_recorded(tmp_path: Path):
-    request = next(r for r in series_requests(EVERYBODY, QUICK) if r.name == "sine-smc-boundary")
-    run = request._replace(duration=0.2, seeds=1).run()
-    single = SingleRequest("run", EVERYBODY[SMC], BENDS, -0.3, 0.2)
-    single.write(tmp_path)
-    folder = single.file(tmp_path).parent
-    trajectory, description = read_run(folder)
+    request = next(r for r in runs.requests(VARIANTS, QUICK) if r.name == "sine-smc-boundary")
+    request = request._replace(duration=0.2, seeds=1)
+    series = runs.Series(**runs.perform(request))
+    runs.record(request, -0.3, tmp_path / "run")
+    trajectory, description = octarm.read_run(tmp_path / "run")
     assert description["controller"]["name"] == SMC
-    assert (folder / "run.rrd").is_file()
-    assert np.array_equal(run.of(-0.3, 0.0)[:, 0], trajectory.q[::20])
-    assert not np.array_equal(run.of(-0.3, NOISE)[:, 0], trajectory.q[::20])
+    assert (tmp_path / "run" / "run.rrd").is_file()
+    assert np.array_equal(series.of(-0.3, 0.0)[:, 0], trajectory.q[::20])
+    assert not np.array_equal(series.of(-0.3, NOISE)[:, 0], trajectory.q[::20])
+
+
+def outcomes(variant, rate: float, duration: float) -> list[lyapunov.Outcome]:
+    request = runs.Request(
+        "run", variant, BENDS, duration, lyapunov.FIELDS, 0.0, lyapunov.counts, rate=rate
+    )
+    return lyapunov.outcomes(request, runs.perform(request))
 
 
 def test_the_lyapunov_function_of_the_printed_law_falls_when_control_is_fast():
     """With sgn(s) and without safeguards V' <= 0 holds everywhere; sampling alone can break it."""
-    printed = EVERYBODY[by_hand(PROPOSED)].changed("printed", phi=0.0, safeguards=0.0)
+    printed = VARIANTS[by_hand(PROPOSED)].changed("printed", phi=0.0, safeguards=0.0)
     grown = {}
     for rate in (10_000.0, 40_000.0):
-        outcomes = LyapunovRequest(printed, rate, 0.05).run()
-        assert all(o.inside == 0 and o.outside == round(0.05 * rate) - 1 for o in outcomes)
-        grown[rate] = max(o.grown_outside / o.outside for o in outcomes)
+        arms = outcomes(printed, rate, 0.05)
+        assert all(o.inside == 0 and o.outside == round(0.05 * rate) - 1 for o in arms)
+        grown[rate] = max(o.grown_outside / o.outside for o in arms)
     assert grown[40_000.0] <= grown[10_000.0] < 0.1
 
 
 def test_the_layer_tells_where_v_falls():
-    outcomes = LyapunovRequest(EVERYBODY[by_hand(SMC)], 2000.0, 0.1).run()
-    assert all(o.outside > 5 and o.grown_outside == 0 and o.covered for o in outcomes)
-    sign = LyapunovRequest(EVERYBODY[by_hand(SIGN)], 2000.0, 0.1).run()
+    arms = outcomes(VARIANTS[by_hand(SMC)], 2000.0, 0.1)
+    assert all(o.outside > 5 and o.grown_outside == 0 and o.covered for o in arms)
+    sign = outcomes(VARIANTS[by_hand(SIGN)], 2000.0, 0.1)
     assert all(o.inside == 0 and o.grown_outside > 0 for o in sign)
 
 
 @pytest.mark.slow
 def test_cells_are_found_by_what_acts(quick: Quick):
-    measured = quick.evidence.measured
-    assert measured.has(Cell(PROPOSED, mismatch=-0.3, noise=NOISE))
-    assert measured.has(Cell(PROPOSED, "beyond", mismatch=-0.3, payload=0.1))
-    assert not measured.has(Cell(PROPOSED, mismatch=-0.25))
-    assert len(measured.values(Cell(SMC, mismatch=0.3, noise=NOISE), "error")) == QUICK.seeds
+    evidence = quick.evidence
+    assert evidence.has(Cell(PROPOSED, mismatch=-0.3, noise=NOISE))
+    assert evidence.has(Cell(PROPOSED, "beyond", mismatch=-0.3, payload=0.1))
+    assert not evidence.has(Cell(PROPOSED, mismatch=-0.25))
+    assert len(evidence.values(Cell(SMC, mismatch=0.3, noise=NOISE), "error")) == QUICK.seeds
+
+
+@pytest.mark.slow
+def test_a_resumed_run_does_nothing_again(quick: Quick):
+    files = sorted(quick.out.glob("s*/**/*.npz")) + sorted(quick.out.glob("sweeps/*/episodes/*"))
+    before = [file.stat().st_mtime_ns for file in files]
+    run_all(VARIANTS, QUICK, quick.out)
+    assert before == [file.stat().st_mtime_ns for file in files]
+    assert len(files) > 10
 
 
 @pytest.mark.slow

@@ -4,13 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from paper import verdicts
+from paper import adaptation, tracking, writeup
 from paper.claims import Row, Verdict, number, span
 from paper.evidence import interval
 from paper.lyapunov import Outcome
-from paper.report import END, START, with_claims
-from paper.studies import PROPOSED, by_hand, cast, matched_slope
-from paper.tables import Table
+from paper.tables import Table, as_csv
+from paper.variants import PROPOSED, all_variants, by_hand, matched_slope
 
 from controllers import make_controller
 from octarm.arm.lagrange import equilibrium
@@ -36,13 +35,13 @@ def ratio(value: float, high: float | None = None) -> Interval:
     ],
 )
 def test_overshoot(smc: list[float], proposed: list[float], expected: Verdict):
-    assert verdicts.overshoot_verdict(smc, proposed) == expected
+    assert tracking.overshoot_verdict(smc, proposed) == expected
 
 
 def test_the_model_error_at_which_the_overshoot_is_that_of_the_paper():
     models = np.array([-0.3, 0.0, 0.3])
-    assert verdicts.crossing_at(models, np.array([-6.0, 0.0, 6.0])) == pytest.approx(0.15)
-    assert math.isnan(verdicts.crossing_at(models, np.array([-2.0, 0.0, 2.0])))
+    assert tracking.crossing_at(models, np.array([-6.0, 0.0, 6.0])) == pytest.approx(0.15)
+    assert math.isnan(tracking.crossing_at(models, np.array([-2.0, 0.0, 2.0])))
 
 
 @pytest.mark.parametrize(
@@ -55,7 +54,7 @@ def test_the_model_error_at_which_the_overshoot_is_that_of_the_paper():
     ],
 )
 def test_oscillation(smc: list[float], ratios: list[float], expected: Verdict):
-    assert verdicts.oscillation_verdict(smc, ratios) == expected
+    assert tracking.oscillation_verdict(smc, ratios) == expected
 
 
 @pytest.mark.parametrize(
@@ -68,7 +67,7 @@ def test_oscillation(smc: list[float], ratios: list[float], expected: Verdict):
     ],
 )
 def test_chattering(smooth: list[float], printed: list[float], expected: Verdict):
-    assert verdicts.chattering_verdict(smooth, printed) == expected
+    assert tracking.chattering_verdict(smooth, printed) == expected
 
 
 @pytest.mark.parametrize(
@@ -86,7 +85,7 @@ def test_chattering(smooth: list[float], printed: list[float], expected: Verdict
 def test_premises(
     noisy: list[Interval], quiet: list[Interval], tuned: list[Interval], expected: Verdict
 ):
-    assert verdicts.premises_verdict(noisy, quiet, tuned) == expected
+    assert adaptation.premises_verdict(noisy, quiet, tuned) == expected
 
 
 def outcome(*, outside: int = 0, inside: int = 0, diverged: bool = False) -> Outcome:
@@ -108,7 +107,7 @@ def outcome(*, outside: int = 0, inside: int = 0, diverged: bool = False) -> Out
     ],
 )
 def test_stability(outcomes: list[Outcome], expected: Verdict):
-    assert verdicts.stability_verdict(outcomes) == expected
+    assert adaptation.lyapunov_verdict(outcomes) == expected
 
 
 @pytest.mark.parametrize(
@@ -121,12 +120,12 @@ def test_stability(outcomes: list[Outcome], expected: Verdict):
     ],
 )
 def test_uncertainty(ratios: list[Interval], expected: Verdict):
-    assert verdicts.uncertainty_verdict(ratios) == expected
+    assert adaptation.uncertainty_verdict(ratios) == expected
 
 
 def test_computation():
-    assert verdicts.computation_verdict(0.01) == HOLDS
-    assert verdicts.computation_verdict(0.2) == FAILS
+    assert adaptation.load_verdict(0.01) == HOLDS
+    assert adaptation.load_verdict(0.2) == FAILS
 
 
 def test_intervals_hold_the_median_and_have_no_width_where_nothing_is_random():
@@ -142,33 +141,34 @@ def test_numbers_in_words():
     ]  # fmt: skip
     assert number(math.inf) == "∞"
     assert span([math.nan, 0.5, 0.25, math.inf], "%") == "0.250 to 0.500 %"
-    assert Row("", Interval(50.0, 25.0, 75.0), "%").text == "50 (25 .. 75) %"
+    assert str(Row("", Interval(50.0, 25.0, 75.0), "%")) == "50 (25 .. 75) %"
 
 
 def test_a_table_as_csv():
-    rows = (("a,b", Interval(1.0, 0.5, 1.5)), ("c", Interval(math.inf, math.nan, math.nan)))
-    head, first, second = Table("t", ("name", "error [%]"), rows).csv().splitlines()
+    rows = (("a<b", Interval(1.0, 0.5, 1.5)), ("c", Interval(math.inf, math.nan, math.nan)))
+    table = Table("t", "A table.", ("name", "error [%]"), rows)
+    head, first, second = as_csv(table).splitlines()
     assert head == "name,error [%],error [%] low,error [%] high"
-    assert first == '"a,b",1,0.5,1.5'
+    assert first == "a<b,1,0.5,1.5"
     assert second == "c,inf,,"
 
 
 def test_the_claims_go_between_the_markers():
     claim = {"letter": "a", "quote": "x | y", "verdict": "holds", "condition": "", "headline": "1"}
-    written = [claim]
-    before = f"# t\n\n{START}\nearlier\n{END}\n\nrest\n"
-    after = with_claims(before, written)
+    written = {"claims": [claim]}
+    before = f"# t\n\n{writeup.START}\nearlier\n{writeup.END}\n\nrest\n"
+    after = writeup.with_claims(before, written)
     assert after.startswith("# t\n\n") and after.endswith("\n\nrest\n")
     assert "earlier" not in after and "| (a) | “x / y” | **holds** | 1 |" in after
-    assert with_claims(after, written) == after
-    for broken in ("none", START, f"{END}{START}", before + before):
+    assert writeup.with_claims(after, written) == after
+    for broken in ("none", writeup.START, f"{writeup.END}{writeup.START}", before + before):
         with pytest.raises(ValueError, match="once each"):
-            with_claims(broken, written)
+            writeup.with_claims(broken, written)
 
 
 def test_the_matched_slope_is_that_of_the_bounds():
     """As a force: afsmc with all that it learns at its bounds, against smc-boundary."""
-    gains = cast()[by_hand(PROPOSED)].gains
+    gains = all_variants()[by_hand(PROPOSED)].gains
     nominal = nominal_parameters()
     proposed = make_controller(PROPOSED, nominal, gains)
     matched = make_controller("smc-boundary", nominal, matched_slope(gains))

@@ -63,18 +63,24 @@ Rival = Callable[[str, control.Environment], Callable[[], int]]
 
 
 def closed_loop(settings: Settings) -> list[Row]:
-    """A sweep against the open loop of the physics."""
+    """A sweep against the open loop of the physics, whose model has nothing to draw or to read.
+
+    The whole model of `octarm.build_model`, with geoms, sites and sensors, is a slower rival.
+    """
     rows: list[Row] = []
     with WorkerProcesses(PROCESSES) as pool:
         for name, least in TARGETS.items():
             turns = compare(pool, name, settings, open_loop)
             wall, computed = turns.ratios()
             sweep, bare = turns.costs()
+            whole = compare(pool, name, settings, whole_loop)
             rows += [
                 Row(f"{name}, throughput over open loop", wall, "1", at_least=least),
                 Row(f"{name}, by processor time", computed, "1", at_least=least),
                 Row(f"{name}, a step of an arm", 1e6 * sweep, "us"),
                 Row(f"{name}, a step of the open loop", 1e6 * bare, "us"),
+                Row(f"{name}, throughput over the whole model", whole.ratios()[0], "1"),
+                Row(f"{name}, a step of the whole model", 1e6 * whole.costs()[1], "us"),
                 Row(f"{name}, arms in real time, two cores", PROCESSES * _step() / sweep, "1"),
             ]
     return rows
@@ -150,18 +156,27 @@ class _TimeIsUp(Exception):
 
 
 def open_loop(name: str, environment: control.Environment) -> Callable[[], int]:
-    """Steps of the same model, as many arms, under inputs that do not change."""
+    """Steps of the same slim model, as many arms, under inputs that do not change."""
     del name
-    own = environment.physics.batch
-    model, draw = own.get_model(0), np.random.default_rng(0)
-    batch = mujoco.batch.Batch(model, own.nsim, 1)
+    batch = environment.physics.batch
+    return _stepping(batch.get_model(0), batch.nsim)
+
+
+def whole_loop(name: str, environment: control.Environment) -> Callable[[], int]:
+    """The same with the model that runs of one arm have, which can be drawn."""
+    del name
+    return _stepping(octarm.build_model(), environment.physics.batch.nsim)
+
+
+def _stepping(model: mujoco.MjModel, arms: int) -> Callable[[], int]:
+    batch = mujoco.batch.Batch(model, arms, 1)
     batch.bind("qpos")[:] = model.key("hanging").qpos
-    batch.bind("ctrl")[:] = draw.normal(size=(own.nsim, model.nu))
+    batch.bind("ctrl")[:] = np.random.default_rng(0).normal(size=(arms, model.nu))
 
     def turn() -> int:
         for _ in range(TURN):
             batch.step()
-        return TURN * own.nsim
+        return TURN * arms
 
     return turn
 

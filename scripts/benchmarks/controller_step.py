@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import mujoco.batch
 import numpy as np
@@ -10,8 +11,9 @@ import numpy as np
 import octarm
 from benchmarks.figures import Row, Settings, fastest
 from controllers import make_controller
-from octarm.arm.lagrange import equilibrium
+from octarm.arm.mjcf import build_slim_model
 from octarm.interfaces import Controller, Measurement, Reference
+from octarm.lagrange import equilibrium
 
 COMPARED = ("afsmc", "afsmc-consequent", "smc-boundary")
 LIMITS = {"afsmc": (1.0, 250.0)}  # an arm of a batch, one arm alone [us]
@@ -24,7 +26,9 @@ def controller_step(settings: Settings) -> list[Row]:
     calls = [controller_call(name, (arms,)) for name in COMPARED]
     many = fastest(calls, seconds)
     alone = fastest([controller_call(name, ()) for name in COMPARED], seconds)
-    physics, after_physics = fastest([physics_step(arms), calls[0]], seconds)
+    slim = physics_step(build_slim_model(), arms)
+    physics, after_physics = fastest([slim, calls[0]], seconds)
+    (whole,) = fastest([physics_step(octarm.build_model(), arms)], seconds)
     rows: list[Row] = []
     for name, batch, single in zip(COMPARED, many, alone, strict=True):
         an_arm, one_arm = LIMITS.get(name, (None, None))
@@ -32,15 +36,16 @@ def controller_step(settings: Settings) -> list[Row]:
         rows.append(Row(f"{name}, one arm alone", 1e6 * single, "us", one_arm))
     return [
         *rows,
-        Row(f"RK4 step, an arm of {arms}", 1e6 * physics / arms, "us"),
+        Row(f"RK4 step of the whole model, an arm of {arms}", 1e6 * whole / arms, "us"),
+        Row(f"RK4 step of the slim model, an arm of {arms}", 1e6 * physics / arms, "us"),
         Row(f"{COMPARED[0]} after it, caches cold", 1e6 * after_physics / arms, "us"),
         Row("the ratio of these two", after_physics / physics, "1", at_most=0.25),
     ]
 
 
-def physics_step(arms: int) -> Callable[[], None]:
+def physics_step(model: mujoco.MjModel, arms: int) -> Callable[[], None]:
     """One physics step of a batch in motion, on one thread."""
-    model, draw = octarm.build_model(), np.random.default_rng(0)
+    draw = np.random.default_rng(0)
     batch = mujoco.batch.Batch(model, arms, 1)
     moved = np.tile([0.005, 0.2], model.nq // 2) * draw.normal(size=(arms, model.nq))
     batch.bind("qpos")[:] = model.key("hanging").qpos + moved
@@ -48,10 +53,12 @@ def physics_step(arms: int) -> Callable[[], None]:
     return batch.step
 
 
-def controller_call(name: str, batch: tuple[int, ...]) -> Callable[[], None]:
+def controller_call(
+    name: str, batch: tuple[int, ...], gains: Mapping[str, Any] | None = None
+) -> Callable[[], None]:
     """The next step of a controller whose arms are near what is wanted, within the layer."""
     arm = octarm.nominal_parameters()
-    controller: Controller = make_controller(name, arm.mismatched(-0.3))
+    controller: Controller = make_controller(name, arm.mismatched(-0.3), gains)
     draw, size = np.random.default_rng(0), np.repeat([0.01, 0.3], arm.modules)
 
     def near(center: np.ndarray, scale: float) -> np.ndarray:

@@ -1,1 +1,1 @@
-"""The results section of the paper, measured again: studies, claims, tables, figures, a page."""
+"""The paper's results on this arm, as a client of the public interface."""

@@ -1,23 +1,18 @@
-"""What a claim of the paper is here: its words, what was measured, and a verdict by a rule.
-
-All words stand in `texts.toml`; this module has what turns numbers into words.
-"""
+"""What a claim of the paper is here: its words, what was measured, and a verdict by a rule."""
 
 from __future__ import annotations
 
 import dataclasses
 import enum
 import functools
-import importlib.resources
 import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
-import jinja2
-
+from octarm.reports.page import templates
 from octarm.reports.statistics import Interval
-from paper import studies
 
 
 class Verdict(enum.StrEnum):
@@ -33,20 +28,38 @@ class Row(NamedTuple):
 
     Attributes:
         name: what was measured.
-        value: median over seeds with its 95 % interval, or a number where nothing is random.
-        unit: empty for ratios.
+        number: median over seeds with its 95 % interval; the number itself, three times, where
+            nothing is random.
+        unit: of the three; empty for ratios.
         varies: whether it differs from run to run, as timings do.
     """
 
     name: str
-    value: Interval | float
+    number: Interval
     unit: str = ""
     varies: bool = False
 
-    @property
-    def text(self) -> str:
-        """The number, its interval and its unit."""
-        return f"{in_words(self.value)} {self.unit}".rstrip()
+    def __str__(self) -> str:
+        return f"{in_words(self.number)} {self.unit}".rstrip()
+
+
+def exact(name: str, value: float, unit: str = "", varies: bool = False) -> Row:
+    """A row of a number that is not random."""
+    return Row(name, Interval(value, value, value), unit, varies)
+
+
+class Examined(NamedTuple):
+    """What examining a claim gave.
+
+    Attributes:
+        verdict: by the rule.
+        rows: what was measured.
+        numbers: that the claim's words in `words.toml` ask for, by name.
+    """
+
+    verdict: Verdict
+    rows: Sequence[Row]
+    numbers: Mapping[str, Any]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -74,35 +87,12 @@ class Claim:
     condition: str
     rule: str
     headline: str
-    rows: tuple[Row, ...]
+    rows: Sequence[Row]
     why: str
-
-    @classmethod
-    def written(cls, letter: str, verdict: Verdict, rows: Sequence[Row], **values: Any) -> Claim:
-        """A claim with its words filled in.
-
-        Args:
-            letter: of the claim in `texts.toml`.
-            verdict: by its rule.
-            rows: what was measured.
-            **values: what its words are filled with.
-        """
-        only_if = verdict == Verdict.ONLY_IF
-        words = {
-            name: filled(text, verdict=str(verdict), only_if=only_if, **values)
-            for name, text in texts()["claims"][letter].items()
-        }
-        words["condition"] = words["condition"] if only_if else ""
-        return cls(letter=letter, verdict=verdict, rows=tuple(rows), **words)
-
-    @property
-    def numbers(self) -> list[tuple[str, str]]:
-        """Names and texts of the rows."""
-        return [(row.name, row.text) for row in self.rows]
 
     @property
     def outcome(self) -> str:
-        """The verdict and its condition."""
+        """The verdict with its condition."""
         return f"{self.verdict} {self.condition}".strip()
 
     def to_dict(self, *, timings: bool = False) -> dict[str, Any]:
@@ -111,76 +101,77 @@ class Claim:
         Args:
             timings: whether what differs from run to run is there, too.
         """
-        content = dataclasses.asdict(self) | {"verdict": str(self.verdict)}
-        content["rows"] = [
-            {
-                "name": row.name,
-                **dict(zip(("value", "low", "high"), rounded(row.value), strict=True)),
-                "unit": row.unit,
-            }
+        rows = [
+            {"name": row.name, **{k: rounded(x) for k, x in row.number._asdict().items()},
+             "unit": row.unit}
             for row in self.rows
             if timings or not row.varies
-        ]
+        ]  # fmt: skip
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         if not timings and any(row.varies for row in self.rows):
-            content.pop("headline")
-        return content
+            fields.pop("headline")
+        return {**fields, "verdict": str(self.verdict), "rows": rows}
+
+
+def claim(name: str, examined: Examined) -> Claim:
+    """A claim of `words.toml` with what was measured of it."""
+    wording = words()["claims"][name]
+    numbers = {**examined.numbers, "verdict": examined.verdict, "rows": examined.rows}
+    texts = {key: worded(text, **numbers) for key, text in wording.items()}
+    if examined.verdict != Verdict.ONLY_IF:
+        texts["condition"] = ""
+    return Claim(**{"condition": "", **texts}, verdict=examined.verdict, rows=examined.rows)
 
 
 @functools.cache
-def texts() -> dict[str, Any]:
-    """The content of `texts.toml`."""
-    return tomllib.loads(
-        importlib.resources.files("paper").joinpath("texts.toml").read_text("utf-8")
-    )
+def words() -> dict[str, Any]:
+    """All texts of the write-up, as Jinja templates."""
+    file = Path(__file__).with_name("words.toml")
+    return tomllib.loads(file.read_text(encoding="utf-8"))
 
 
-def filled(text: str, **values: Any) -> str:
-    """A template of `texts.toml` with its numbers, on one line."""
-    return " ".join(environment().from_string(text).render(**values).split())
+def worded(text: str, **numbers: Any) -> str:
+    """A text of `words.toml` with its numbers, in one line."""
+    return " ".join(TEXTS.from_string(text).render(**numbers).split())
 
 
-def environment(**options: Any) -> jinja2.Environment:
-    """Templates that know the constants of the studies, and how numbers are put into words."""
-    made = jinja2.Environment(undefined=jinja2.StrictUndefined, **options)
-    made.filters |= {"number": number, "percent": percent, "span": span, "listed": listed}
-    made.globals |= {name: value for name, value in vars(studies).items() if name.isupper()}
-    return made
-
-
-def ends(entry: Any) -> tuple[Any, Any, Any]:
-    """A median and its interval; thrice the same where there is none."""
-    return tuple(entry) if isinstance(entry, Interval) else (entry, entry, entry)
-
-
-def rounded(entry: Any) -> list[float | str]:
-    """These three to six digits, more than any of them is good for; words if not finite."""
-    return [float(f"{x:.6g}") if math.isfinite(x) else str(x) for x in map(float, ends(entry))]
+def rounded(value: float) -> float | str:
+    """To six digits, more than any of them is good for."""
+    return float(f"{value:.6g}") if math.isfinite(value) else str(value)
 
 
 def number(value: float) -> str:
     """Three digits."""
     if not math.isfinite(value):
         return {math.inf: "∞", -math.inf: "-∞"}.get(value, "-")
+    if value == 0.0:
+        return "0"
     size = abs(value)
     if float(value).is_integer() and size < 1e5:
-        return f"{abs(value) if value == 0.0 else value:.0f}"
+        return f"{value:.0f}"
     if size >= 1e5 or size < 1e-3:
         return f"{value:.2e}"
     return f"{value:.0f}" if size >= 99.95 else f"{value:#.3g}".rstrip(".")
 
 
-def spread(interval: Interval) -> str:
-    """The ends of an interval; empty where it has no width."""
-    same = interval.low == interval.high or math.isnan(interval.low)
-    return "" if same else f"{number(interval.low)} .. {number(interval.high)}"
-
-
-def in_words(entry: str | float | Interval) -> str:
-    """An entry of a table, or a number behind a verdict."""
+def in_words(entry: str | int | float | Interval) -> str:
+    """An entry of a table; an interval in brackets behind its median."""
     if isinstance(entry, Interval):
-        limits = spread(entry)
-        return number(entry.value) + (f" ({limits})" if limits else "")
+        return median(entry) + (f" ({spread(entry)})" if spread(entry) else "")
     return number(entry) if isinstance(entry, float) else str(entry)
+
+
+def median(entry: str | int | float | Interval) -> str:
+    """An entry of a table without its interval."""
+    return number(float(entry.value)) if isinstance(entry, Interval) else in_words(entry)
+
+
+def spread(entry: str | int | float | Interval) -> str:
+    """An interval's ends; empty where it has no width, or there is none."""
+    if not isinstance(entry, Interval):
+        return ""
+    low, high = float(entry.low), float(entry.high)
+    return "" if low == high or math.isnan(low) else f"{number(low)} .. {number(high)}"
 
 
 def percent(share: float) -> str:
@@ -188,16 +179,32 @@ def percent(share: float) -> str:
     return "exact" if share == 0.0 else f"{100.0 * share:+.0f} %"
 
 
-def span(values: Sequence[float], unit: str = "") -> str:
-    """The smallest to the largest of some numbers, those that are finite, in words."""
-    known = [float(value) for value in values if math.isfinite(value)]
-    if not known:
+def span(values: Sequence[float | Interval | Row], unit: str = "") -> str:
+    """The smallest to the largest of some numbers or medians, those that are finite, in words."""
+    numbers = [x.number.value if isinstance(x, Row) else x for x in values]
+    plain = [float(x.value if isinstance(x, Interval) else x) for x in numbers]
+    finite = [x for x in plain if math.isfinite(x)]
+    if not finite:
         return "unknown"
-    low, high = number(min(known)), number(max(known))
+    low, high = number(min(finite)), number(max(finite))
     return f"{low if low == high else f'{low} to {high}'} {unit}".rstrip()
 
 
-def listed(words: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
     """a, b and c."""
-    *first, last = words or ("none",)
+    *first, last = names or ("none",)
     return f"{', '.join(first)} and {last}" if first else last
+
+
+PAGES = templates(Path(__file__).with_name("templates"))
+PAGES.filters |= {
+    "g": lambda x: f"{x:g}",
+    "number": number,
+    "in_words": in_words,
+    "median": median,
+    "spread": spread,
+    "percent": percent,
+    "span": span,
+    "listed": listed,
+}
+TEXTS = PAGES.overlay(autoescape=False)

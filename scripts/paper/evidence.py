@@ -1,27 +1,26 @@
-"""All that claims, tables and figures take their numbers from."""
+"""The one table of measured cells, and all else that claims, tables and figures rest on."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
-from octarm import read_sweep
-from octarm.arm.mjcf import coordinate_names, nominal_parameters
+import octarm
 from octarm.reports.statistics import Interval, medians
-from octarm.sweeps.tune_cost import BEND_SCALE, SLIDE_SCALE, root_mean_square, weight
-from paper.lyapunov import Outcome, lyapunov_requests
-from paper.runs import SWEEPS, Cost, Series, series_requests
-from paper.studies import BENDS, MODELS, PROPOSED, TIME, Cast, Effort, Part
+from paper import jobs, lyapunov, runs
+from paper.runs import Cost, Series
+from paper.studies import BENDS, MODELS, TIME, Effort, Sweep, sweeps
+from paper.variants import Variant
 
-# What a part has in all its episodes where it does not vary it.
+# What an episode has where its sweep does not say it, in the order of the fields of `Cell`.
 NEUTRAL = {"noise": 0.0, "noise.time": TIME, "payload": 0.0, "actuation-delay": 0.0, "loss": 0.0}
+SCALE = {"s": 0.0175, "theta": 0.3}  # A, the mean amplitude of the motions [m], [rad]
 _METRICS = ("rms_error", "overshoot", "chattering")
-NAMES = tuple(coordinate_names(nominal_parameters().modules))  # of the coordinates
 
 
 class Cell(NamedTuple):
@@ -50,179 +49,201 @@ class Cell(NamedTuple):
     loss: float = 0.0
 
     def models(self) -> list[Cell]:
-        """The same with each of the three nominal models."""
+        """The same with each nominal model of the paper's figures."""
         return [self._replace(mismatch=model) for model in MODELS]
-
-    def over(self, label: str) -> tuple[Cell, Cell]:
-        """The cell, and the same of another variant."""
-        return self, self._replace(label=label)
-
-
-class Measured:
-    """All episodes of all studies, and medians over their seeds.
-
-    Quantities, each an array with a number an episode:
-
-    - `rms_error_s1` and so on, `overshoot_s1` and so on: metrics, see `octarm.metrics`;
-    - `error` = sqrt(mean_j (rms_j / A_j)^2), A = 0.0175 m and 0.3 rad: the error of all
-      coordinates as a share of the motion, as tuning has it [1];
-    - `chattering` = sqrt(mean_j (chattering_j / W_j)^2), chattering of Q above 50 Hz, W = the arm's
-      weight for slides and times its width for bends: as a share of the weight [1].
-
-    An episode that diverged has infinite values.
-    """
-
-    def __init__(self, cells: dict[Cell, np.ndarray], columns: dict[str, np.ndarray]) -> None:
-        """Rows of each cell in the order of their seeds, and the columns."""
-        self._rows, self._columns = cells, columns
-
-    @classmethod
-    def read(cls, parts: Iterable[Part], folder: Path) -> Measured:
-        """The sweeps of parts.
-
-        Raises:
-            OctarmError: if one is not there.
-        """
-        tables = [(part, read_sweep(folder / part.name)) for part in parts]
-        cells = [cell for part, table in tables for cell in _cells(part, table)]
-        seeds = np.concatenate([table["seed"].to_numpy() for _, table in tables])
-        rows: dict[Cell, list[int]] = {}
-        for row in np.argsort(seeds, kind="stable").tolist():
-            rows.setdefault(cells[row], []).append(row)
-        in_order = {cell: np.array(rows[cell]) for cell in dict.fromkeys(cells)}
-        return cls(in_order, _columns([table for _, table in tables]))
-
-    def has(self, *cells: Cell) -> bool:
-        """Whether there are episodes of all these cells."""
-        return all(cell in self._rows for cell in cells)
-
-    def cells(self) -> list[Cell]:
-        """All cells."""
-        return list(self._rows)
-
-    def values(self, cell: Cell, quantity: str) -> np.ndarray:
-        """A quantity of the episodes of a cell in the order of their seeds, shape (seeds,).
-
-        Raises:
-            KeyError: if there are no such episodes.
-        """
-        return self._columns[quantity][self._rows[cell]]
-
-    def diverged(self, *cells: Cell) -> str:
-        """How many episodes of some cells diverged, of how many: "3 of 64"."""
-        lost = np.concatenate([self.values(cell, "diverged") for cell in cells])
-        return f"{lost.sum()} of {len(lost)}"
-
-    def median(self, cell: Cell, quantity: str, factor: float = 1.0) -> Interval:
-        """Median over seeds and its 95 % interval, times a factor."""
-        return scaled(interval(self.values(cell, quantity)), factor)
-
-    def percent(self, cell: Cell, quantity: str = "error") -> Interval:
-        """Error [% of the motion], or chattering [% of the weight], of a cell."""
-        return self.median(cell, quantity, 100.0)
-
-    def ratio(self, cell: Cell, other: Cell, quantity: str = "error") -> Interval:
-        """Median over seeds of a quantity over that of another cell, seed by seed."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return interval(self.values(cell, quantity) / self.values(other, quantity))
-
-    def over_proposed(self, cell: Cell, quantity: str = "error") -> Interval:
-        """A quantity over that of the proposed controller, seed by seed."""
-        return self.ratio(*cell.over(PROPOSED), quantity)
-
-    def mean_error(self, label: str, noise: float) -> np.ndarray:
-        """Error of a variant, mean over the nominal models, shape (seeds,) [1]."""
-        cells = Cell(label, noise=noise).models()
-        return np.mean([self.values(cell, "error") for cell in cells], axis=0)
-
-
-def interval(values: np.ndarray) -> Interval:
-    """Median of numbers with one seed each, shape (seeds,).
-
-    The interval has no width where they are all the same.
-    """
-    seeds = np.arange(len(values))
-    if np.all(values == values[0]):  # nothing random acts
-        return Interval(float(values[0]), float(values[0]), float(values[0]))
-    return Interval(*(float(x[0]) for x in medians(values[:, None], seeds)))
-
-
-def scaled(value: Interval, factor: float) -> Interval:
-    """An interval times a factor."""
-    return Interval(*(factor * float(x) for x in value))
-
-
-def _cells(part: Part, table: pa.Table) -> list[Cell]:
-    """The cell of each row of a sweep."""
-
-    def column(name: str) -> list[float]:
-        if name in table.column_names:
-            return table[name].to_pylist()
-        return [NEUTRAL[name]] * table.num_rows
-
-    names = ("controller", "reference", "mismatch", *NEUTRAL)
-    return [
-        Cell(part.labels[controller], part.study, *values)
-        for controller, *values in zip(*map(column, names), strict=True)
-    ]
-
-
-def _columns(tables: Sequence[pa.Table]) -> dict[str, np.ndarray]:
-    joined = pa.concat_tables(
-        table.select(["status", *(f"{metric}_{name}" for metric in _METRICS for name in NAMES)])
-        for table in tables
-    )
-    lost = np.array(joined["status"].to_pylist()) == "diverged"
-    columns = {
-        name: np.where(lost, np.inf, joined[name].to_numpy()) for name in joined.column_names[1:]
-    }
-    true = nominal_parameters()
-    motion = np.repeat([SLIDE_SCALE, BEND_SCALE], true.modules)
-    heavy = weight(true) * np.repeat([1.0, float(true.width)], true.modules)
-
-    def together(metric: str, by: np.ndarray) -> np.ndarray:
-        return root_mean_square(
-            np.stack([columns[f"{metric}_{name}"] for name in NAMES], axis=-1) / by
-        )
-
-    error, chattering = together("rms_error", motion), together("chattering", heavy)
-    return {**columns, "error": error, "chattering": chattering, "diverged": lost}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Evidence:
     """What was run and measured.
 
+    Quantities of an episode are the metrics `rms_error_s1`, `overshoot_theta1` and so on, and
+
+    - `error` = sqrt(mean_j (rms_j / A_j)^2), A = 0.0175 m and 0.3 rad: the error of all
+      coordinates as a share of the motion, as tuning has it [1];
+    - `chattering` = sqrt(mean_j (chattering_j / W_j)^2), chattering of Q above 50 Hz, W = the arm's
+      weight for slides and times its width for bends: as a share of the weight [1].
+
+    They are infinite for an episode that diverged.
+
     Attributes:
-        variants: all that may have run, by label.
-        effort: how much.
-        measured: all episodes.
+        variants: who ran, by label.
+        effort: how much was run.
+        rows: of the episodes of each cell, in the order of their seeds.
+        columns: quantities by name, and `diverged`, each with an entry an episode.
         series: runs over time, by name.
         outcomes: how Lyapunov functions went.
-        costs: of a step, by label.
+        costs: of a controller's step, by name.
     """
 
-    variants: Cast
+    variants: Mapping[str, Variant]
     effort: Effort
-    measured: Measured
+    rows: Mapping[Cell, np.ndarray]
+    columns: Mapping[str, np.ndarray]
     series: Mapping[str, Series]
-    outcomes: Sequence[Outcome]
+    outcomes: Sequence[lyapunov.Outcome]
     costs: Mapping[str, Cost]
 
-    @classmethod
-    def gather(cls, variants: Cast, effort: Effort, out: Path, costs: Sequence[Cost]) -> Evidence:
-        """What `paper.runs.run_all` left in a folder.
+    def has(self, *cells: Cell) -> bool:
+        """Whether all these cells were run."""
+        return all(cell in self.rows for cell in cells)
+
+    def known(self, cells: Sequence[Cell]) -> list[Cell]:
+        """Those of the cells that were run."""
+        return [cell for cell in cells if cell in self.rows]
+
+    def values(self, cell: Cell, quantity: str) -> np.ndarray:
+        """A quantity of the episodes of a cell in the order of their seeds, shape (seeds,).
 
         Raises:
-            OctarmError: if something is missing.
+            KeyError: if the cell was not run.
         """
-        series = series_requests(variants, effort)
-        stability = lyapunov_requests(variants, effort)
-        return cls(
-            variants=variants,
-            effort=effort,
-            measured=Measured.read(effort.parts(variants), out / SWEEPS),
-            series={request.name: Series.read(request.file(out)) for request in series},
-            outcomes=[outcome for request in stability for outcome in request.read(out)],
-            costs={cost.label: cost for cost in costs},
-        )
+        return self.columns[quantity][self.rows[cell]]
+
+    def diverged(self, *cells: Cell) -> tuple[int, int]:
+        """How many episodes of cells diverged, and how many there are."""
+        lost = [self.values(cell, "diverged") for cell in cells]
+        return sum(int(x.sum()) for x in lost), sum(map(len, lost))
+
+    def median(self, cell: Cell, quantity: str, factor: float = 1.0) -> Interval:
+        """Median over seeds of a quantity, times a factor, and its 95 % interval."""
+        return Interval(*(factor * x for x in interval(self.values(cell, quantity))))
+
+    def error(self, cell: Cell) -> Interval:
+        """Error of a cell [% of the motion]."""
+        return self.median(cell, "error", 100.0)
+
+    def chattering(self, cell: Cell) -> Interval:
+        """Chattering of a cell [% of the weight]."""
+        return self.median(cell, "chattering", 100.0)
+
+    def mean_error(self, label: str, noise: float) -> Interval:
+        """Error of a variant on theta1 and theta2, mean of the models seed by seed [%]."""
+        return interval(100.0 * self._over_models(label, noise))
+
+    def over(self, label: str, other: str, noise: float) -> Interval:
+        """The error of `mean_error` over that of another variant, seed by seed [1]."""
+        return interval(self._over_models(label, noise) / self._over_models(other, noise))
+
+    def ratio(self, cell: Cell, label: str, quantity: str = "error") -> Interval:
+        """Median of a quantity over that of another variant in the same place, seed by seed [1]."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            shares = self.values(cell, quantity) / self.values(cell._replace(label=label), quantity)
+        return interval(shares)
+
+    def models(self, label: str) -> list[float]:
+        """The model errors with which a variant was run on theta1 and theta2 without noise [1]."""
+        return sorted(c.mismatch for c in self.rows if c == Cell(label, mismatch=c.mismatch))
+
+    def noises(self) -> list[float]:
+        """The strengths of the noise in the study of degradation, rising [1]."""
+        return sorted({cell.noise for cell in self.rows if cell.study == "degradation"})
+
+    def ranked(self, names: Sequence[str], noise: float) -> list[str]:
+        """Those that were run with this noise, the one with the least error first."""
+        known = [name for name in names if self.has(Cell(name, noise=noise))]
+        return sorted(known, key=lambda name: self.mean_error(name, noise).value)
+
+    def _over_models(self, label: str, noise: float) -> np.ndarray:
+        cells = Cell(label, noise=noise).models()
+        return np.mean([self.values(cell, "error") for cell in cells], axis=0)
+
+
+def interval(values: np.ndarray) -> Interval:
+    """Median of numbers with one seed each, shape (seeds,), and its 95 % interval.
+
+    The interval has no width where all are the same, since nothing is random there.
+    """
+    if np.all(values == values[0]):
+        return Interval(float(values[0]), float(values[0]), float(values[0]))
+    return Interval(*(float(x[0]) for x in medians(values[:, None], np.arange(len(values)))))
+
+
+def gather(
+    variants: Mapping[str, Variant], effort: Effort, out: Path, costs: Mapping[str, Cost]
+) -> Evidence:
+    """Reads what `paper.jobs.run_all` left in a folder.
+
+    Raises:
+        OctarmError: if a sweep is missing.
+        OSError: if another file is.
+    """
+    requests = list(runs.requests(variants, effort))
+    arrays = jobs.read_arrays(out, requests)
+    rows, columns = measured(list(sweeps(variants, effort)), out / jobs.SWEEPS)
+    return Evidence(
+        variants=variants,
+        effort=effort,
+        rows=rows,
+        columns=columns,
+        series={name: Series(**x) for name, x in arrays.items() if "q" in x},
+        outcomes=[
+            outcome
+            for request in requests
+            if request.keep is lyapunov.counts
+            for outcome in lyapunov.outcomes(request, arrays[request.name])
+        ],
+        costs=costs,
+    )
+
+
+def measured(
+    parts: Sequence[Sweep], folder: Path
+) -> tuple[dict[Cell, np.ndarray], dict[str, np.ndarray]]:
+    """The rows of all cells, and the columns, of sweeps; see `Evidence`.
+
+    Raises:
+        OctarmError: if one is not there.
+    """
+    tables = [octarm.read_sweep(folder / part.name) for part in parts]
+    keys = [key for part, table in zip(parts, tables, strict=True) for key in _cells(part, table)]
+    seeds = np.concatenate([table["seed"].to_numpy() for table in tables])
+    rows: dict[Cell, list[int]] = {}
+    for row, key in enumerate(keys):
+        rows.setdefault(key, []).append(row)
+    ordered = {key: np.array(sorted(own, key=lambda row: seeds[row])) for key, own in rows.items()}
+    return ordered, _columns(tables)
+
+
+def _cells(part: Sweep, table: pa.Table) -> list[Cell]:
+    columns = [
+        table[name].to_pylist() if name in table.column_names else [value] * table.num_rows
+        for name, value in {"reference": BENDS, "mismatch": 0.0, **NEUTRAL}.items()
+    ]
+    labels = [part.labels[name] for name in table["controller"].to_pylist()]
+    return [
+        Cell(label, part.study, *values) for label, *values in zip(labels, *columns, strict=True)
+    ]
+
+
+def _columns(tables: Sequence[pa.Table]) -> dict[str, np.ndarray]:
+    def column(name: str) -> np.ndarray:
+        return np.concatenate([table[name].to_numpy() for table in tables])
+
+    lost = column("status") == "diverged"
+    names = coordinates()
+    columns = {
+        f"{metric}_{name}": np.where(lost, np.inf, column(f"{metric}_{name}"))
+        for metric in _METRICS
+        for name in names
+    }
+    true = octarm.nominal_parameters()
+    weight = float(sum(true.mass.tolist())) * float(true.gravity)  # of the arm [N]
+    heavy = {"s": weight, "theta": weight * float(true.width)}
+
+    def mean_square(metric: str, scale: Mapping[str, float]) -> np.ndarray:
+        shares = [columns[f"{metric}_{name}"] / scale[name.rstrip("123")] for name in names]
+        return np.sqrt(sum(share * share for share in shares) / len(names))
+
+    return {
+        **columns,
+        "error": mean_square("rms_error", SCALE),
+        "chattering": mean_square("chattering", heavy),
+        "diverged": lost,
+    }
+
+
+def coordinates() -> list[str]:
+    """Names of the nominal arm's coordinates, in the order of q."""
+    modules = range(1, octarm.nominal_parameters().modules + 1)
+    return [f"{kind}{i}" for kind in ("s", "theta") for i in modules]

@@ -1,11 +1,10 @@
-"""The figures: 1 and 2 of the paper, the README's, and those of the studies."""
+"""The figures: 1 and 2 of the paper on this arm, those of the studies, and the README's."""
 
 from __future__ import annotations
 
-import functools
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure as NewFigure
@@ -22,224 +21,227 @@ from octarm.reports.figures import (
     save_figure,
 )
 from octarm.reports.statistics import Interval
-from paper.claims import filled, percent, texts
-from paper.evidence import NAMES, Cell, Evidence
+from paper import variants
+from paper.claims import percent, worded, words
+from paper.evidence import Cell, Evidence, coordinates
 from paper.runs import LONG, Series, name_of
-from paper.studies import (
-    ABLATIONS,
-    AS_PRINTED,
-    BENDS,
-    BEYOND,
-    CONSEQUENT,
-    CONTROLLERS,
-    FIXED_PREMISES,
-    INTEGRAL,
-    MATCHED,
-    MODELS,
-    MOVING,
-    NOISE,
-    PROPOSED,
-    RATE,
-    SIGN,
-    SLIDES,
-    SMC,
-    TWISTING,
-    UNGUARDED,
-    WRONG,
-    by_hand,
-    study_of_rate,
-)
-from paper.tables import by_error
+from paper.studies import BENDS, BEYOND, MODELS, MOVING, NOISE, RATES, SLIDES, WRONG, study_of_rate
+from paper.variants import CONSEQUENT, CONTROLLERS, INTEGRAL, PROPOSED, SIGN, SMC, TWISTING, by_hand
 
-GREY = "#5f6b77"
-HEADLINE = "paper"  # name of the README's picture
+GRAY = "#5f6b77"
+NAMES = {PROPOSED: "AFSMC (proposed)", SMC: "SMC, boundary layer", SIGN: "SMC, sgn"}
+_ORDER = (PROPOSED, SMC, SIGN, INTEGRAL, TWISTING, CONSEQUENT, "fsmc", "pd", "computed-torque",
+          "fuzzy")  # fmt: skip
 
-_COLORS: dict[str, str] = dict(zip(
-    (PROPOSED, SMC, SIGN, INTEGRAL, TWISTING, CONSEQUENT, "fsmc", "pd", "computed-torque", "fuzzy"),
-    COLORS, strict=True,
-))  # fmt: skip
+
+class Look(NamedTuple):
+    """How a variant is drawn, the same in all figures."""
+
+    color: str
+    line: Any
+    marker: str
+
+
 _ABLATIONS = {
-    FIXED_PREMISES: ("#7a8f1f", "--"),
-    AS_PRINTED: ("#7d6bd0", ":"),
-    UNGUARDED: ("#b0413e", "-"),
-    MATCHED: ("#dd9500", "--"),
+    variants.FIXED_PREMISES: Look("#7a8f1f", "--", "x"),
+    variants.AS_PRINTED: Look("#7d6bd0", ":", "x"),
+    variants.UNGUARDED: Look("#b0413e", "-", "x"),
+    variants.MATCHED: Look("#dd9500", "--", "x"),
 }
-_NAMES = {PROPOSED: "AFSMC (proposed)", SMC: "SMC, boundary layer", SIGN: "SMC, sgn"}
-_UNITS = {BENDS: ("rad", "mrad"), SLIDES: ("m", "mm")}
-_READINGS = {BENDS: "bends", SLIDES: "slides"}
-_SHADES = {-0.3: ("o", -0.2), 0.0: ("s", 0.0), 0.3: ("^", 0.2)}  # of models: marker and place
+
+
+def look(label: str) -> Look:
+    """The look of a variant; hand-set gains have a dashed line."""
+    if label in _ABLATIONS:
+        return _ABLATIONS[label]
+    name = label.removesuffix(by_hand(""))
+    color, marker = COLORS[_ORDER.index(name)], MARKERS[CONTROLLERS.index(name)]
+    return Look(color, "-" if name == label else (0, (4, 1.5)), marker)
+
+
+def title_of(label: str) -> str:
+    """The name of a variant in a legend."""
+    name, comma, rest = label.partition(", ")
+    return NAMES.get(name, name) + comma + rest
 
 
 def pictures(evidence: Evidence) -> Iterator[Picture]:
     """All figures that there are numbers for, the README's first."""
     effort = evidence.effort
-    yield _drawn(HEADLINE, _headline, evidence)
-    for reference in effort.references:
-        joints = " and ".join(MOVING[reference])
-        for name, noise in (("figure-1", 0.0), ("figure-2", NOISE)):
-            draw = functools.partial(_tracking, reference=reference, noise=noise)
-            words = {"joints": joints, "seeds": effort.seeds}
-            yield _drawn(name, draw, evidence, f"-{_READINGS[reference]}", **words)
-    yield _drawn("overshoot", _overshoot, evidence)
-    yield _drawn("ranking", _ranking, evidence)
-    yield _drawn("ablations", _ablations, evidence)
-    if effort.noises:
-        yield _drawn("degradation", _degradation, evidence)
-    if effort.complete:
-        yield _drawn("beyond", _beyond, evidence)
-        yield _drawn("rates", _rates, evidence)
+    yield draw("paper", lambda: _readme(evidence))
+    for reference in effort.readings:
+        ending, joints = {BENDS: "bends", SLIDES: "slides"}[reference], MOVING[reference]
+        for number, noise in (("1", 0.0), ("2", NOISE)):
+            yield draw(
+                f"figure-{number}-{ending}",
+                lambda r=reference, n=noise: _tracking(evidence, r, n),
+                words()["figures"][f"figure-{number}"],
+                joints=" and ".join(joints),
+                seeds=effort.seeds,
+            )
+    yield draw("overshoot", lambda: _overshoot(evidence))
+    yield draw("ranking", lambda: _ranking(evidence))
+    yield draw("ablations", lambda: _ablations(evidence))
     if effort.long:
-        yield _drawn("drift", _drift, evidence)
+        yield draw("degradation", lambda: _degradation(evidence))
+        yield draw("beyond", lambda: _beyond(evidence))
+        yield draw("rates", lambda: _rates(evidence))
+        yield draw("drift", lambda: _drift(evidence))
 
 
-def _drawn(
-    name: str,
-    draw: Callable[[Evidence], Figure],
-    evidence: Evidence,
-    ending: str = "",
-    **words: Any,
-) -> Picture:
-    """A figure with its caption; nothing in it differs from run to run."""
+def draw(name: str, make: Callable[[], Figure], caption: str = "", **numbers: Any) -> Picture:
+    """A figure in the style of all, without anything that differs from run to run.
+
+    Args:
+        name: of its files.
+        make: draws it.
+        caption: a text as in `words.toml`; the one of this name when empty.
+        numbers: that the text asks for.
+    """
     with figure_style():
-        caption = filled(texts()["figures"][name], **words)
-        return save_figure(name + ending, caption, draw(evidence))
+        return save_figure(name, worded(caption or words()["figures"][name], **numbers), make())
 
 
 def _tracking(evidence: Evidence, reference: str, noise: float) -> Figure:
-    """Figure 1, without noise, or 2 of the paper."""
-    joints, (unit, small) = MOVING[reference], _UNITS[reference]
-    series = {label: evidence.series[name_of(label, reference)] for label in evidence.effort.series}
-    first = next(iter(series.values()))
+    """Motion and error of both joints over time, a column a nominal model."""
+    unit = {BENDS: "rad", SLIDES: "m"}[reference]
+    joints, labels = MOVING[reference], evidence.effort.labels
+    runs = {label: evidence.series[name_of(label, reference)] for label in labels}
     figure, grid = _panels(2 * len(joints), len(MODELS), 3.1, 1.45, sharex=True, sharey="row")
     for column, model in enumerate(MODELS):
         for row, joint in enumerate(joints):
-            motion, error = grid[2 * row, column], grid[2 * row + 1, column]
-            place = NAMES.index(joint)
-            motion.plot(first.t, first.q_d[:, place], color=INK, linewidth=3.2, alpha=0.25,
+            motion, error = grid[2 * row : 2 * row + 2, column]
+            place, series = coordinates().index(joint), runs[labels[0]]
+            motion.plot(series.t, series.q_d[:, place], color=INK, linewidth=3.2, alpha=0.25,
                         label="desired")  # fmt: skip
-            for label, arms in series.items():
-                _arms(motion, label, arms.t, arms.of(model, noise)[:, :, place])
-                _arms(error, label, arms.t, 1e3 * _errors(arms, model, noise, place))
+            for label, series in runs.items():
+                _median(motion, label, series.t, series.of(model, noise)[:, :, place])
+                _median(error, label, series.t, _errors(series, model, noise, place))
             _zero_line(error)
             if column == 0:
                 motion.set_ylabel(f"{joint} [{unit}]")
-                error.set_ylabel(f"error [{small}]")
-    for row, joint in enumerate(joints):  # the two that matter stay in view
-        late = first.t > 0.5
-        errors = [
-            np.abs(_errors(series[label], model, noise, NAMES.index(joint))[late])
-            for label in (SMC, PROPOSED)
-            for model in MODELS
-        ]
-        largest = max(float(np.nanpercentile(values, 99.9)) for values in errors)
-        grid[2 * row + 1, 0].set_ylim(-1.5e3 * largest, 1.5e3 * largest)
-    _time_axes(grid, evidence.effort.short)
+                error.set_ylabel(f"error [m{unit}]")
+        _time_axis(grid[:, column], model, evidence.effort.duration)
+    for row, joint in enumerate(joints):
+        # The errors of the two controllers of the paper stay in view.
+        largest = max(
+            float(
+                np.nanpercentile(np.abs(_errors(runs[n], m, noise, place)[runs[n].t > 0.5]), 99.9)
+            )
+            for n in (SMC, PROPOSED)
+            for m in MODELS
+            for place in [coordinates().index(joint)]
+        )
+        grid[2 * row + 1, 0].set_ylim(-1.5 * largest, 1.5 * largest)
     _legend(figure, grid[0, 0])
     figure.align_ylabels(grid[:, 0])
     return figure
 
 
-def _headline(evidence: Evidence) -> Figure:
+def _readme(evidence: Evidence) -> Figure:
+    """Errors of theta1 over time without and with noise, a column a nominal model."""
     figure, grid = _panels(2, len(MODELS), 3.3, 1.75, sharex=True, sharey="row")
-    for row, (noise, words) in enumerate(((0.0, "no noise"), (NOISE, "40 % noise"))):
-        for column, model in enumerate(MODELS):
+    place = coordinates().index("theta1")
+    for row, noise in enumerate((0.0, NOISE)):
+        for ax, model in zip(grid[row], MODELS, strict=True):
             for label in (SMC, PROPOSED):
-                arms = evidence.series[name_of(label, BENDS)]
-                errors = 1e3 * _errors(arms, model, noise, NAMES.index("theta1"))
-                _arms(grid[row, column], label, arms.t, errors)
-            _zero_line(grid[row, column])
-        grid[row, 0].set_ylabel(f"error of theta1 [mrad]\n{words}")
-    _time_axes(grid, evidence.effort.short)
+                series = evidence.series[name_of(label, BENDS)]
+                _median(ax, label, series.t, _errors(series, model, noise, place))
+            _zero_line(ax)
+        grid[row, 0].set_ylabel(f"error of theta1 [mrad]\n{'40 % noise' if noise else 'no noise'}")
+    for column, model in enumerate(MODELS):
+        _time_axis(grid[:, column], model, evidence.effort.duration)
     _legend(figure, grid[0, 0])
     return figure
 
 
 def _errors(series: Series, model: float, noise: float, place: int) -> np.ndarray:
-    """Errors of a coordinate of some arms, shape (T, k) [m], [rad]."""
-    return series.of(model, noise)[:, :, place] - series.q_d[:, None, place]
+    """Errors of a coordinate of some arms, shape (T, k) [mrad] or [mm]."""
+    return 1e3 * (series.of(model, noise)[:, :, place] - series.q_d[:, place, None])
+
+
+def _time_axis(column: np.ndarray, model: float, duration: float) -> None:
+    """Title and time axis of a column of panels that share it."""
+    column[0].set_title(f"nominal model {percent(model)}")
+    column[-1].set(xlabel="time [s]", xlim=(0.0, duration), xticks=np.arange(duration))
 
 
 def _overshoot(evidence: Evidence) -> Figure:
-    places = [(reference, joint) for reference in MOVING for joint in MOVING[reference]]
-    figure, grid = _panels(1, len(places), 2.6, 2.5)
-    models = np.array(evidence.effort.mismatches)
-    for ax, (reference, joint) in zip(grid[0], places, strict=True):
+    readings = [(r, j) for r in (BENDS, SLIDES) for j in MOVING[r]]
+    figure, grid = _panels(1, len(readings), 2.6, 2.5)
+    models = np.array(evidence.models(by_hand(SMC)))
+    for ax, (reference, joint) in zip(grid[0], readings, strict=True):
         for label in (SMC, by_hand(SMC), PROPOSED, by_hand(PROPOSED)):
             cells = [Cell(label, reference=reference, mismatch=m) for m in models.tolist()]
-            if evidence.measured.has(*cells):
-                y = [evidence.measured.median(c, f"overshoot_{joint}").value for c in cells]
-                _line(ax, label, 100.0 * models, np.array(y), marker=False)
+            if evidence.has(*cells):
+                own = [evidence.median(cell, f"overshoot_{joint}") for cell in cells]
+                _band(ax, label, 100.0 * models, own, marker=False)
         _zero_line(ax)
-        ax.axhline(3.0, color=GREY, linewidth=0.9, linestyle=":")
-        ax.set_title(f"overshoot of {joint} [%]")
-        ax.set_xlabel("error of the nominal model [%]")
+        ax.axhline(3.0, color=GRAY, linewidth=0.9, linestyle=":")
+        ax.set(title=f"overshoot of {joint} [%]", xlabel="error of the nominal model [%]")
     _legend(figure, grid[0, 0])
     return figure
 
 
 def _ranking(evidence: Evidence) -> Figure:
-    order = by_error(evidence)
+    order = evidence.ranked(CONTROLLERS, NOISE)
     figure, grid = _panels(1, len(MODELS), 3.1, 0.25 * len(order) + 0.6, sharey=True, sharex=True)
     for ax, model in zip(grid[0], MODELS, strict=True):
         for place, name in enumerate(order):
-            noisy, quiet = (Cell(name, mismatch=model, noise=n) for n in (NOISE, 0.0))
-            _dot(ax, name, evidence.measured.percent(noisy), place)
-            value = evidence.measured.percent(quiet).value
-            ax.plot(value, place, "o", color=_look(name).color, fillstyle="none")
+            noisy, quiet = (evidence.error(Cell(name, mismatch=model, noise=x)) for x in (NOISE, 0))
+            _dot(ax, name, noisy, place)
+            ax.plot(quiet.value, place, "o", color=look(name).color, fillstyle="none")
         _logarithmic(ax, "x")
-        ax.set_title(f"nominal model {percent(model)}")
-        ax.set_xlabel("error [% of the motion]")
-        _names(ax, order)
+        ax.set(title=f"nominal model {percent(model)}", xlabel="error [% of the motion]")
+        _named_rows(ax, order)
     grid[0, 0].invert_yaxis()
     return figure
 
 
 def _ablations(evidence: Evidence) -> Figure:
-    measured, labels = evidence.measured, [CONSEQUENT, SMC, INTEGRAL, *ABLATIONS]
-    labels = [label for label in labels if measured.has(Cell(label, noise=NOISE))]
+    labels = [
+        name for name in (CONSEQUENT, SMC, INTEGRAL, *variants.ABLATIONS)
+        if evidence.has(Cell(name, noise=NOISE))
+    ]  # fmt: skip
     readings = [
-        reference
-        for reference in MOVING
-        if any(measured.has(Cell(label, reference=reference, noise=NOISE)) for label in labels)
-    ]
+        r for r in (BENDS, SLIDES)
+        if any(evidence.has(Cell(name, reference=r, noise=NOISE)) for name in labels)
+    ]  # fmt: skip
     figure, grid = _panels(1, len(readings), 4.6, 0.42 * len(labels) + 0.7, sharey=True)
+    shades = dict(zip(MODELS, (("o", -0.2), ("s", 0.0), ("^", 0.2)), strict=True))
     for ax, reference in zip(grid[0], readings, strict=True):
         for place, label in enumerate(labels):
-            for model, (marker, shift) in _SHADES.items():
-                cell = Cell(label, reference=reference, mismatch=model, noise=NOISE)
-                if measured.has(cell):
-                    _dot(ax, label, measured.over_proposed(cell), place + shift, marker)
-        ax.axvline(1.0, color=GREY, linewidth=0.9, linestyle=":")
-        ax.set_xscale("log")
-        ax.set_title(", ".join(MOVING[reference]))
-        ax.set_xlabel("error over that of afsmc")
-        _names(ax, [_title(label) for label in labels])
-    for model, (marker, _) in _SHADES.items():
-        grid[0, 0].plot([], [], marker, color=GREY, label=f"nominal model {percent(model)}")
+            for cell in evidence.known(Cell(label, reference=reference, noise=NOISE).models()):
+                marker, shift = shades[cell.mismatch]
+                _dot(ax, label, evidence.ratio(cell, PROPOSED), place + shift, marker)
+        ax.axvline(1.0, color=GRAY, linewidth=0.9, linestyle=":")
+        ax.set(xscale="log", title=", ".join(MOVING[reference]), xlabel="error over that of afsmc")
+        _named_rows(ax, [title_of(label) for label in labels])
+        low, high = ax.get_xlim()  # of few decades: numbers without powers
+        marks = (0.2, 0.3, 0.5, 0.7, 0.8, 1, 1.2, 1.5, 2, 3, 5, 10, 20)
+        ticks = [mark for mark in marks if low <= mark <= high]
+        ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        ax.set_xticks([], minor=True)
+    for model, (marker, _) in shades.items():
+        grid[0, 0].plot([], [], marker, color=GRAY, label=f"nominal model {percent(model)}")
     grid[0, 0].invert_yaxis()
-    for ax in grid[0]:  # numbers without powers
-        low, high = ax.get_xlim()
-        ticks = (0.2, 0.3, 0.5, 0.7, 0.8, 1, 1.2, 1.5, 2, 3, 5, 10, 20)
-        _ticks(ax, [tick for tick in ticks if low <= tick <= high])
     _legend(figure, grid[0, 0])
     return figure
 
 
 def _degradation(evidence: Evidence) -> Figure:
     figure, grid = _panels(1, 2, 4.2, 2.8)
-    noises = np.array([0.0, *evidence.effort.noises])
-    for ax, quantity, factor, title in (
-        (grid[0, 0], "error", 100.0, "error of all joints [% of the motion]"),
-        (grid[0, 1], "rms_error_theta1", 1e3, "rms error of theta1 [mrad]"),
-    ):
+    noises = evidence.noises()
+    quantities = (("error", "error of all joints [% of the motion]", 100.0),
+                  ("rms_error_theta1", "rms error of theta1 [mrad]", 1e3))  # fmt: skip
+    for ax, (quantity, title, factor) in zip(grid[0], quantities, strict=True):
         for label in CONTROLLERS:
-            cells = [Cell(label, "degradation", mismatch=WRONG, noise=n) for n in noises.tolist()]
-            if evidence.measured.has(*cells):
-                medians = [evidence.measured.median(cell, quantity, factor) for cell in cells]
-                _band(ax, label, 100.0 * noises, medians)
-        ax.axvline(100.0 * NOISE, color=GREY, linewidth=0.9, linestyle=":")
-        ax.set_title(title)
-        ax.set_xlabel("rms of the noise [% of the input's amplitude]")
+            cells = [Cell(label, "degradation", BENDS, WRONG, noise) for noise in noises]
+            if evidence.has(*cells):
+                own = [evidence.median(cell, quantity, factor) for cell in cells]
+                _band(ax, label, 100.0 * np.array(noises), own)
+        ax.axvline(100.0 * NOISE, color=GRAY, linewidth=0.9, linestyle=":")
+        ax.set(title=title, xlabel="rms of the noise [% of the input's amplitude]")
         ax.set_ylim(0.0, None)
     _legend(figure, grid[0, 0])
     return figure
@@ -247,16 +249,14 @@ def _degradation(evidence: Evidence) -> Figure:
 
 def _beyond(evidence: Evidence) -> Figure:
     figure, grid = _panels(1, len(BEYOND), 3.3, 2.9)
-    titles = {"payload": "payload", "delay": "delay", "loss": "loss of force"}
-    for ax, (name, stress) in zip(grid[0], BEYOND.items(), strict=True):
+    for ax, (name, sort) in zip(grid[0], BEYOND.items(), strict=True):
         for label in CONTROLLERS:
             start = Cell(label, "beyond", mismatch=WRONG)
-            cells = [start._replace(**{name: value}) for value in stress.values]
-            errors = [evidence.measured.percent(cell).value for cell in cells]
-            _line(ax, label, stress.factor * np.array(stress.values), np.array(errors))
+            own = [evidence.error(start._replace(**{name: x})) for x in sort.values]
+            _band(ax, label, sort.factor * np.array(sort.values), own)
         _logarithmic(ax, "y")
-        ax.set_xlabel(f"{titles[name]} [{stress.unit}]")
-        ax.set_title("error [% of the motion]")
+        quantity = "loss of force" if name == "loss" else name
+        ax.set(xlabel=f"{quantity} [{sort.unit}]", title="error [% of the motion]")
     _legend(figure, grid[0, 0])
     figure.set_figheight(figure.get_figheight() + 0.3)
     return figure
@@ -264,21 +264,20 @@ def _beyond(evidence: Evidence) -> Figure:
 
 def _rates(evidence: Evidence) -> Figure:
     figure, grid = _panels(1, 3, 3.2, 2.6)
-    rates = sorted({*evidence.effort.rates, RATE})
-    for ax, quantity, noise, title in (
-        (grid[0, 0], "error", NOISE, "error, 40 % noise [% of the motion]"),
-        (grid[0, 1], "chattering", NOISE, "chattering, 40 % noise [% of weight]"),
-        (grid[0, 2], "chattering", 0.0, "chattering, no noise [% of weight]"),
-    ):
+    panels = ((evidence.error, NOISE, "error, 40 % noise [% of the motion]"),
+              (evidence.chattering, NOISE, "chattering, 40 % noise [% of weight]"),
+              (evidence.chattering, 0.0, "chattering, no noise [% of weight]"))  # fmt: skip
+    start = Cell(PROPOSED, mismatch=WRONG, noise=NOISE)
+    rates = [r for r in RATES if evidence.has(start._replace(study=study_of_rate(r)))]
+    for ax, (measure, noise, title) in zip(grid[0], panels, strict=True):
         for label in (PROPOSED, SMC, TWISTING, SIGN):
-            cells = [Cell(label, study_of_rate(r), mismatch=WRONG, noise=noise) for r in rates]
-            medians = [evidence.measured.percent(cell, quantity) for cell in cells]
-            _band(ax, label, np.array(rates), medians)
+            cells = [Cell(label, study_of_rate(r), BENDS, WRONG, noise) for r in rates]
+            _band(ax, label, np.array(rates), [measure(cell) for cell in cells])
         ax.set_xscale("log")
         _logarithmic(ax, "y")
-        _ticks(ax, rates)
-        ax.set_xlabel("control rate [Hz]")
-        ax.set_title(title)
+        ax.set_xticks(rates, [f"{rate:g}" for rate in rates], minor=False)
+        ax.set_xticks([], minor=True)
+        ax.set(xlabel="control rate [Hz]", title=title)
     _legend(figure, grid[0, 0])
     return figure
 
@@ -288,47 +287,16 @@ def _drift(evidence: Evidence) -> Figure:
     gain, left = grid[0]
     for label, name in LONG.items():
         series = evidence.series[name]
-        E = series.E[:, :, NAMES.index("theta1")]
+        E = series.E[:, :, coordinates().index("theta1")]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of instants at which no arm is left
-            low, middle, high = np.nanpercentile(
-                np.where(E > 0.0, E, np.nan), [5.0, 50.0, 95.0], axis=1
-            )
-        color = _look(label).color
-        gain.plot(series.t, middle, color=color, label=_title(label))
-        gain.fill_between(series.t, low, high, color=color, alpha=0.18, linewidth=0.0)
-        left.plot(series.t, 100.0 * np.mean(~np.isnan(E), axis=1), color=color)
+            _median(gain, label, series.t, np.where(E > 0.0, E, np.nan), np.nanpercentile)
+        left.plot(series.t, 100.0 * np.mean(~np.isnan(E), axis=1), color=look(label).color)
     _logarithmic(gain, "y")
-    gain.set_title("gain E of theta1 [N m]")
-    left.set_title("arms within their limits [%]")
-    left.set_ylim(-3.0, 103.0)
-    for ax in grid[0]:
-        ax.set_xlabel("time [s]")
+    gain.set(title="gain E of theta1 [N m]", xlabel="time [s]")
+    left.set(title="arms within their limits [%]", xlabel="time [s]", ylim=(-3.0, 103.0))
     _legend(figure, gain)
     return figure
-
-
-class Look(NamedTuple):
-    """How a variant is drawn, the same in all figures."""
-
-    color: str
-    line: str
-    marker: str
-
-
-def _look(label: str) -> Look:
-    """The look of a variant; hand-set gains have a dashed line."""
-    if label in _ABLATIONS:
-        return Look(*_ABLATIONS[label], "x")
-    name = label.removesuffix(", hand-set")
-    line = "-" if name == label else (0, (4, 1.5))
-    return Look(_COLORS[name], cast(str, line), MARKERS[CONTROLLERS.index(name)])
-
-
-def _title(label: str) -> str:
-    """The name of a variant in a legend."""
-    name, comma, rest = label.partition(", ")
-    return _NAMES.get(name, name) + comma + rest
 
 
 def _panels(
@@ -339,23 +307,14 @@ def _panels(
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
-def _legend(figure: Figure, ax: Axes) -> None:
+def _legend(figure: Figure, ax: Axes, columns: int = 5) -> None:
     """One legend for all panels, above them."""
     handles, labels = ax.get_legend_handles_labels()
     unique = dict(zip(labels, handles, strict=True))
     figure.legend(
         list(unique.values()), list(unique), loc="outside upper center", handlelength=2.2,
-        ncols=min(len(unique), 5), columnspacing=1.8,
+        ncols=min(len(unique), columns), columnspacing=1.8,
     )  # fmt: skip
-
-
-def _time_axes(grid: np.ndarray, duration: float) -> None:
-    """Axes over time below each other, a column a nominal model."""
-    for column, model in enumerate(MODELS):
-        grid[0, column].set_title(f"nominal model {percent(model)}")
-        grid[-1, column].set_xlabel("time [s]")
-        grid[-1, column].set_xlim(0.0, duration)
-        grid[-1, column].set_xticks(np.arange(duration))
 
 
 def _zero_line(ax: Axes) -> None:
@@ -365,53 +324,42 @@ def _zero_line(ax: Axes) -> None:
 def _logarithmic(ax: Axes, which: str) -> None:
     """Makes an axis logarithmic, with plain numbers at its ticks."""
     getattr(ax, f"set_{which}scale")("log")
-    low, high = getattr(ax, f"get_{which}lim")()
-    logarithmic_ticks(getattr(ax, f"{which}axis"), low, high)
+    logarithmic_ticks(getattr(ax, f"{which}axis"), *getattr(ax, f"get_{which}lim")())
 
 
-def _ticks(ax: Axes, values: Sequence[float]) -> None:
-    """Plain numbers at these places of a logarithmic axis of few decades."""
-    ax.set_xticks(values, [f"{value:g}" for value in values])
-    ax.set_xticks([], minor=True)
-
-
-def _names(ax: Axes, names: Sequence[str]) -> None:
-    """Names at the rows of a panel."""
+def _named_rows(ax: Axes, names: Sequence[str]) -> None:
     ax.set_yticks(range(len(names)), names)
     ax.tick_params(axis="y", length=0)
 
 
-def _arms(ax: Axes, label: str, t: np.ndarray, values: np.ndarray) -> None:
-    """A line over time; for several arms, shape (T, k), their median and a band."""
-    color = _look(label).color
-    low, middle, high = np.percentile(values, [5.0, 50.0, 95.0], axis=1)
-    ax.plot(t, middle, color=color, label=_title(label), linewidth=1.1)
-    if values.shape[1] > 1:
-        ax.fill_between(t, low, high, color=color, alpha=0.22, linewidth=0.0)
+def _median(
+    ax: Axes, label: str, t: np.ndarray, own: np.ndarray, percentile: Any = np.percentile
+) -> None:
+    """The median of some arms over time, shape (T, k), and a band of 5 to 95 % of them."""
+    low, middle, high = percentile(own, [5.0, 50.0, 95.0], axis=1)
+    ax.plot(t, middle, color=look(label).color, label=title_of(label), linewidth=1.1)
+    if own.shape[1] > 1:
+        ax.fill_between(t, low, high, color=look(label).color, alpha=0.22, linewidth=0.0)
 
 
-def _line(ax: Axes, label: str, x: np.ndarray, y: np.ndarray, *, marker: bool = True) -> None:
-    style = _look(label)
+def _band(
+    ax: Axes, label: str, x: np.ndarray, own: Sequence[Interval], *, marker: bool = True
+) -> None:
+    """Medians with a band of intervals, where they are finite."""
+    numbers = np.array(own, dtype=float)
+    value, low, high = np.where(np.isfinite(numbers), numbers, np.nan).T
+    style = look(label)
     ax.plot(
-        x, np.where(np.isfinite(y), y, np.nan), color=style.color, linestyle=style.line,
-        marker=style.marker if marker else "", label=_title(label), markeredgewidth=0.0,
+        x, value, color=style.color, linestyle=style.line, marker=style.marker if marker else "",
+        label=title_of(label), markeredgewidth=0.0,
     )  # fmt: skip
+    if np.any(low < high):
+        ax.fill_between(x, low, high, color=style.color, alpha=0.18, linewidth=0.0)
 
 
-def _band(ax: Axes, label: str, x: np.ndarray, intervals: Sequence[Interval]) -> None:
-    """Medians with a band of intervals."""
-    value, low, high = np.array([tuple(map(float, interval)) for interval in intervals]).T
-    _line(ax, label, x, value)
-    good = np.isfinite(low + high)
-    ax.fill_between(
-        x, np.where(good, low, np.nan), np.where(good, high, np.nan),
-        color=_look(label).color, alpha=0.18, linewidth=0.0,
-    )  # fmt: skip
-
-
-def _dot(ax: Axes, label: str, interval: Interval, y: float, marker: str = "o") -> None:
+def _dot(ax: Axes, label: str, own: Interval, y: float, marker: str = "o") -> None:
     """A median with its interval, sideways."""
-    value, low, high = (float(x) for x in interval)
-    if np.isfinite(value):
-        ax.plot([low, high], [y, y], color=_look(label).color, linewidth=1.2)
-        ax.plot(value, y, marker, color=_look(label).color, markersize=5)
+    color = look(label).color
+    if np.isfinite(own.value):
+        ax.plot([own.low, own.high], [y, y], color=color, linewidth=1.2)
+        ax.plot(own.value, y, marker, color=color, markersize=5)

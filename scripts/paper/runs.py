@@ -1,121 +1,153 @@
-"""Runs over time that no sweep can give, and all studies on one set of processes, resumable.
+"""Arms of one variant side by side over time, in one way for all that is looked at in them.
 
-Every run is a request: it knows its file, and what it simulates; whoever is there already is left
-alone. What comes out does not depend on the number of processes, or on interruptions.
+Figures 1 and 2 show coordinates, the drift of the gain E is a question of long runs, and the
+Lyapunov functions need every control instant. All are arms under the one loop with a recorder of
+the fields that are wanted; what is kept of the rows is for the request to say.
 """
 
 from __future__ import annotations
 
-import functools
-import threading
-import time
-from collections.abc import Callable, Collection, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
-from dm_control.rl import control
-from tqdm import tqdm
+from benchmarks.controller_step import controller_call
+from benchmarks.figures import fastest
 
-from controllers import make_controller
-from octarm import load
-from octarm.arm.lagrange import equilibrium
-from octarm.arm.mjcf import nominal_parameters
+import octarm
 from octarm.disturbances.forces import BandLimitedNoise
-from octarm.files import whole_file
-from octarm.interfaces import Instant, Measurement, Reference, Rows
-from octarm.recordings.recording import run_recording
-from octarm.runs import folder as run_folder
-from octarm.runs.experiment import Experiment, run_into
-from octarm.simulation.environment import whole_periods
+from octarm.errors import ExitCode, OctarmError
+from octarm.interfaces import Instant, Rows
 from octarm.simulation.recorder import Recorder
-from octarm.simulation.rollout import copied, simulate
-from octarm.sweeps.execute import sweep
-from octarm.sweeps.workers import WorkerProcesses, cores
-from paper.studies import (
-    BENDS,
-    CONTROLLERS,
-    MODELS,
-    NOISE,
-    PROPOSED,
-    SEED,
-    TIME,
-    UNGUARDED,
-    WRONG,
-    Cast,
-    Effort,
-    Part,
-    Variant,
-)
+from octarm.simulation.rollout import simulate
+from paper import lyapunov
+from paper.studies import BENDS, MODELS, NOISE, RATE, SEED, TIME, WRONG, Effort
+from paper.variants import CONTROLLERS, PROPOSED, UNGUARDED, Variant
 
-SWEEPS = "sweeps"  # folder
-EVERY = 0.01  # [s]; between two rows of a series
-LONG = {PROPOSED: "long-guarded", UNGUARDED: "long-unguarded"}  # series that show drift
-ARMS = 1024  # side by side, when a step is timed
-_TURNS = 60
+EVERY = 0.01  # between two instants that figures show [s]
+LONG = {PROPOSED: "long-guarded", UNGUARDED: "long-unguarded"}
+ARMS = 1024  # side by side, when a step of a controller is timed
+Arrays = dict[str, np.ndarray]
 
 
-class Request(Protocol):
-    """A run that is written to a file."""
+class Request(NamedTuple):
+    """Arms of one variant: for each model error one without noise, and one for each seed.
+
+    Attributes:
+        name: of the file.
+        variant: what controls the arms.
+        reference: name of their desired motion.
+        duration: [s].
+        fields: that are recorded; besides those of the record there are `lost`, whether an arm has
+            left its limits, and `wanted_a`, the desired acceleration.
+        every: between two instants that are recorded; every control instant if 0 [s].
+        keep: makes the arrays that are kept from the recorded rows.
+        mismatches: model errors [1].
+        seeds: number of seeds of the noise; they are those of the sweeps.
+        quiet: whether there are arms without noise.
+        rate: of control [Hz].
+    """
+
+    name: str
+    variant: Variant
+    reference: str
+    duration: float
+    fields: tuple[str, ...]
+    every: float
+    keep: Callable[[Request, Rows], Mapping[str, np.ndarray]]
+    mismatches: tuple[float, ...] = MODELS
+    seeds: int = 0
+    quiet: bool = True
+    rate: float = RATE
+
+    @property
+    def mismatch(self) -> np.ndarray:
+        """Of the nominal model of each arm, shape (n,) [1]."""
+        return np.repeat(self.mismatches, self.seeds + self.quiet)
+
+    @property
+    def noise(self) -> np.ndarray:
+        """Rms over the input's amplitude of each arm, shape (n,) [1]."""
+        return np.tile([0.0] * self.quiet + [NOISE] * self.seeds, len(self.mismatches))
+
+    @property
+    def nominal(self) -> octarm.ArmParameters:
+        """What the controllers believe, with batch axis (n,)."""
+        return octarm.nominal_parameters().mismatched(self.mismatch)
 
     @property
     def seconds(self) -> float:
         """What is simulated, all arms counted [s]."""
-        ...
-
-    def file(self, out: Path) -> Path:
-        """Where it stands when it is done."""
-        ...
-
-    def write(self, out: Path) -> object:
-        """Runs it and writes the file, whole or not at all."""
-        ...
+        return len(self.mismatch) * self.duration
 
 
-class _ArmsRecorder(Recorder):
-    """Also records the desired accelerations, and which arms are within their limits."""
+def requests(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Request]:
+    """Those of figures 1 and 2 in both readings, the long ones, those of the Lyapunov functions."""
+    fields = ("q", "q_d", "lost", "E")
+    for label in effort.labels:
+        for reference in effort.readings:
+            yield Request(
+                name_of(label, reference), variants[label], reference, effort.duration, fields,
+                EVERY, kept, seeds=effort.seeds,
+            )  # fmt: skip
+    for label, name in LONG.items() if effort.long else ():
+        yield Request(
+            name, variants[label], BENDS, effort.long, fields, EVERY, kept, (WRONG,), effort.seeds,
+            quiet=False,
+        )  # fmt: skip
+    for label in effort.lyapunov:
+        for rate in effort.rates:
+            name = f"lyapunov-{label.replace(', ', '-')}-{rate:g}-Hz"
+            yield Request(
+                name, variants[label], BENDS, effort.duration, lyapunov.FIELDS, 0.0,
+                lyapunov.counts, rate=rate,
+            )  # fmt: skip
 
-    def __init__(self, physics: Any, hand_on: Callable[[Rows], object], **options: Any) -> None:
-        super().__init__(hand_on, **options)
-        self._physics = physics
 
-    def row(self, instant: Instant) -> dict[str, np.ndarray]:
-        """The recorded fields of one instant; see `Recorder.row`."""
-        more = {"a_d": np.atleast_2d(instant.reference.a), "intact": self._physics.intact()}
-        return super().row(instant) | more
+def name_of(label: str, reference: str) -> str:
+    """The name of the runs of figures 1 and 2."""
+    return f"{reference}-{label}"
 
 
-def record(
-    environment: control.Environment,
-    variant: Variant,
-    mismatch: np.ndarray,
-    duration: float,
-    fields: Collection[str],
-    stride: int = 1,
-) -> dict[str, np.ndarray]:
-    """Fields of every `stride`-th control instant of a batch of arms, each of shape (T, n, ...).
-
-    There are also `a_d`, the desired accelerations, and `intact`, shape (T, n), whether an arm was
-    within its limits. A field that the controller does not have is left out.
-
-    Args:
-        environment: with n arms.
-        variant: what controls them.
-        mismatch: errors of their nominal models, shape (n,) [1].
-        duration: [s].
-        fields: names, see `octarm.interfaces.Rows`.
-        stride: 1 for all instants.
-    """
-    nominal = nominal_parameters().mismatched(mismatch)
-    controller = make_controller(variant.controller, nominal, variant.gains)
-    blocks: list[Rows] = []
-    recorder = _ArmsRecorder(
-        environment.physics, lambda rows: blocks.append(copied(rows)), fields=fields, stride=stride
+def perform(request: Request) -> Arrays:
+    """Runs the arms; what is kept of them."""
+    noise, seeds = request.noise, [*[0] * request.quiet, *range(request.seeds)]
+    period = 1.0 / request.rate
+    environment = octarm.load(
+        request.reference,
+        disturbances=[BandLimitedNoise(ratio=noise[:, None], correlation_time=TIME)]
+        if noise.any()
+        else [],
+        batch=len(noise),
+        control_period=period,
+        timestep=min(period, 1.0 / RATE),
+        seed=[np.random.SeedSequence(SEED, spawn_key=(i,)) for i in seeds]
+        * len(request.mismatches),
     )
-    simulate(environment, controller, duration, recorder)
+    blocks: list[Arrays] = []
+
+    def hand_on(rows: Rows) -> None:
+        blocks.append({name: column.copy() for name, column in rows.items()})
+
+    stride = max(1, round(request.every / period))
+    recorder = Recorder(hand_on, fields=request.fields, stride=stride)
+
+    def observe(instant: Instant) -> None:
+        lost = ~environment.physics.intact()
+        more = {"lost": lost, "wanted_a": np.atleast_2d(instant.reference.a)}
+        command = instant.command._replace(signals={**instant.command.signals, **more})
+        recorder(instant._replace(command=command))
+
+    controller = request.variant.controls(request.nominal)
+    simulate(environment, controller, request.duration, observe)
     recorder.flush()
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+    rows = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+    diverged_at = environment.physics.diverged_at()
+    with np.errstate(all="ignore"):  # a diverged arm may hold anything
+        return {**request.keep(request, rows), "diverged_at": diverged_at}
 
 
 class Series(NamedTuple):
@@ -143,285 +175,57 @@ class Series(NamedTuple):
         """The coordinates of some of the arms, shape (T, k, 2N)."""
         return self.q[:, (self.mismatch == mismatch) & (self.noise == noise)]
 
-    @classmethod
-    def read(cls, path: Path) -> Series:
-        """What `SeriesRequest.write` wrote."""
-        with np.load(path, allow_pickle=False) as file:
-            return cls(**{name: file[name] for name in cls._fields})
+
+def kept(request: Request, rows: Rows) -> Arrays:
+    """The fields of `Series`, less `diverged_at`."""
+    lost, nothing = rows["lost"][..., None], np.empty(0)
+    return {
+        "t": EVERY * np.arange(len(lost)),
+        "q_d": rows["q_d"][:, 0],
+        "q": np.where(lost, np.nan, rows["q"]),
+        "E": np.where(lost, np.nan, rows["E"]) if "E" in rows else nothing,
+        "mismatch": request.mismatch,
+        "noise": request.noise,
+    }
 
 
-class SeriesRequest(NamedTuple):
-    """Arms of one variant over time: what figures 1 and 2 show, and what drifts.
-
-    Attributes:
-        name: of the file.
-        variant: what controls them.
-        reference: what they shall do.
-        mismatches: model errors, each with and without noise [1].
-        seeds: of the noise; those of the sweeps.
-        quiet: whether there is an arm without noise for each model error, too.
-        duration: [s].
-    """
-
-    name: str
-    variant: Variant
-    reference: str
-    mismatches: tuple[float, ...]
-    seeds: int
-    quiet: bool
-    duration: float
-
-    @property
-    def seconds(self) -> float:
-        """What is simulated, all arms counted [s]."""
-        return len(self.mismatches) * (self.seeds + self.quiet) * self.duration
-
-    def file(self, out: Path) -> Path:
-        """Where the arrays stand."""
-        return out / "series" / f"{self.name}.npz"
-
-    def run(self) -> Series:
-        """Runs the arms."""
-        seeds = [*([-1] if self.quiet else []), *range(self.seeds)]
-        mismatch = np.repeat(self.mismatches, len(seeds))
-        noise = np.tile([0.0 if seed < 0 else NOISE for seed in seeds], len(self.mismatches))
-        environment = load(
-            self.reference,
-            disturbances=[BandLimitedNoise(ratio=noise[:, None], correlation_time=TIME)],
-            batch=len(noise),
-            seed=[np.random.SeedSequence(SEED, spawn_key=(max(i, 0),)) for i in seeds]
-            * len(self.mismatches),
-        )
-        stride = whole_periods(EVERY, environment.control_timestep())
-        fields = ("q", "q_d", "E")
-        rows = record(environment, self.variant, mismatch, self.duration, fields, stride)
-        lost = ~rows["intact"][:, :, None]
-        t = EVERY * np.arange(len(lost))
-        q = np.where(lost, np.nan, rows["q"])
-        E = np.where(lost, np.nan, rows["E"]) if "E" in rows else np.empty(0)
-        q_d, diverged_at = rows["q_d"][:, 0], environment.physics.diverged_at()
-        return Series(t, q_d, q, E, mismatch, noise, diverged_at)
-
-    def write(self, out: Path) -> None:
-        """Writes the arrays, whole or not at all."""
-        with whole_file(self.file(out)) as part, open(part, "wb") as file:
-            np.savez(file, allow_pickle=False, **self.run()._asdict())
-
-
-def name_of(label: str, reference: str) -> str:
-    """The name of a series of figures 1 and 2."""
-    return f"{reference}-{label}"
-
-
-def series_requests(variants: Cast, effort: Effort) -> list[SeriesRequest]:
-    """Those of figures 1 and 2 in both readings, and the long ones."""
-    figures = [
-        SeriesRequest(
-            name=name_of(label, reference),
-            variant=variants[label],
-            reference=reference,
-            mismatches=MODELS,
-            seeds=effort.seeds,
-            quiet=True,
-            duration=effort.short,
-        )
-        for label in effort.series
-        for reference in effort.references
-    ]
-    long = [
-        SeriesRequest(name, variants[label], BENDS, (WRONG,), effort.seeds, False, effort.long)
-        for label, name in (LONG.items() if effort.long else ())
-    ]
-    return figures + long
-
-
-class SingleRequest(NamedTuple):
-    """A run of one arm without noise, in a run folder with a recording.
-
-    Attributes:
-        name: of its folder.
-        variant: what controls it.
-        reference: what it shall do.
-        mismatch: of the nominal model [1].
-        duration: [s].
-    """
-
-    name: str
-    variant: Variant
-    reference: str
-    mismatch: float
-    duration: float
-
-    @property
-    def seconds(self) -> float:
-        """What is simulated, in arms of a batch that cost as much as a single one [s]."""
-        return 8.0 * self.duration
-
-    def file(self, out: Path) -> Path:
-        """The last file of its folder that is written."""
-        return out / "runs" / self.name / run_folder.ARRAYS
-
-    def write(self, out: Path) -> None:
-        """Runs it into its folder."""
-        true = nominal_parameters()
-        experiment = Experiment(
-            controller=self.variant.controller,
-            gains=self.variant.gains,
-            nominal=true.mismatched(self.mismatch),
-            parameters=true,
-            reference=self.reference,
-            duration=self.duration,
-        )
-        environment, controller = experiment.begin(make_controller)
-        announced = experiment.announcement(environment, controller)
-        folder = self.file(out).parent
-        run_into(folder, environment, controller, announced, recording=run_recording, partial=False)
-
-
-def single_requests(variants: Cast, effort: Effort) -> list[SingleRequest]:
-    """All lines of figure 1."""
-    return [
-        SingleRequest(
-            f"{name_of(label, reference)}-{100 * model:+.0f}",
-            variants[label],
-            reference,
-            model,
-            effort.short,
-        )
-        for reference in (effort.references if effort.complete else ())
-        for label in effort.series
-        for model in MODELS
-    ]
-
-
-def run_all(
-    parts: Sequence[Part], requests: Sequence[Request], out: Path, workers: int = 0
-) -> None:
-    """Runs what is not there yet.
-
-    Args:
-        parts: the sweeps.
-        requests: all other runs.
-        out: folder.
-        workers: number of processes; one a core when 0.
+def record(request: Request, model: float, folder: Path) -> None:
+    """Has `octarm run` write the folder of one arm without noise, with a recording.
 
     Raises:
-        OctarmError: if the folder holds results of other studies.
-        OSError: if it cannot be written.
-        KeyboardInterrupt: if interrupted; what was finished is kept.
+        OctarmError: if it does not.
     """
-    for folder in {out / SWEEPS, *(request.file(out).parent for request in requests)}:
-        folder.mkdir(parents=True, exist_ok=True)
-    lock, count = threading.Lock(), workers or cores()
-    with (
-        tqdm(
-            total=sum(job.seconds for job in (*parts, *requests)),
-            unit=" simulated s", unit_scale=True, disable=None, leave=False,
-        ) as bar,
-        WorkerProcesses(count) as processes,
-    ):  # fmt: skip
-        pool = _Pool(processes)
-
-        def advance(seconds: float) -> None:
-            with lock:
-                bar.update(seconds)
-
-        def run_sweep(part: Part) -> None:
-            sweep(
-                part.spec,
-                make_controller,
-                out / SWEEPS / part.name,
-                executor=pool,
-                in_flight=2,
-                resume=True,
-                progress=lambda episodes: advance(episodes * part.spec.duration),
-            )
-
-        def run_request(request: Request) -> None:
-            if not request.file(out).is_file():
-                pool.submit(request.write, out).result()
-            advance(request.seconds)
-
-        jobs = [
-            *((part.seconds, functools.partial(run_sweep, part)) for part in parts),
-            *((run.seconds, functools.partial(run_request, run)) for run in requests),
-        ]
-        longest_first = sorted(jobs, key=lambda job: -job[0])
-        pool.do([job for _, job in longest_first], count + 1)
-
-
-class _Pool(Executor):
-    """Processes that several threads may give work to, until it is stopped."""
-
-    def __init__(self, processes: WorkerProcesses) -> None:
-        self._processes, self._lock, self._stopped = processes, threading.Lock(), False
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        with self._lock:
-            if self._stopped:
-                raise RuntimeError("the processes were stopped")
-            return self._processes.submit(fn, *args, **kwargs)
-
-    def do(self, jobs: Sequence[Callable[[], object]], threads: int) -> None:
-        """Does jobs, some at a time; the first error, or an interrupt, ends them all."""
-        with ThreadPoolExecutor(threads) as pool:
-            futures = [pool.submit(job) for job in jobs]
-            try:
-                for future in as_completed(futures):
-                    future.result()
-            except BaseException:
-                with self._lock:
-                    self._stopped = True
-                    self._processes.kill()
-                pool.shutdown(cancel_futures=True)
-                raise
+    variant = request.variant
+    command = [sys.executable, "-m", "octarm", "run", "--out", str(folder),
+               "--controller", variant.controller, "--reference", request.reference,
+               f"--mismatch={model}", "--duration", str(request.duration)]  # fmt: skip
+    command += ["--gains", variant.gain_set] if variant.gain_set else []
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode not in (ExitCode.FINE, ExitCode.DIVERGED):
+        raise OctarmError(f"{folder.name} was not recorded: {done.stderr.strip()}")
 
 
 class Cost(NamedTuple):
-    """What a controller's step costs on this machine; it differs from run to run.
+    """What a step of a controller costs on this machine; timings differ from run to run.
 
     Attributes:
-        label: of the variant.
         many: an arm of `ARMS` side by side: the arithmetic [s].
         alone: one arm alone: mostly what Python and NumPy take for each call [s].
     """
 
-    label: str
     many: float
     alone: float
 
 
-def costs(variants: Cast) -> list[Cost]:
-    """The shortest of many steps of each tuned controller, in turns so that all meet the same."""
-    steppers = {
-        (name, arms): _stepper(variants[name], arms) for name in CONTROLLERS for arms in (ARMS, 1)
-    }
-    best = dict.fromkeys(steppers, np.inf)
-    for _ in range(_TURNS):
-        for key, step in steppers.items():
-            begun = time.perf_counter()
-            step()
-            best[key] = min(best[key], time.perf_counter() - begun)
-    return [Cost(name, best[name, ARMS] / ARMS, best[name, 1]) for name in CONTROLLERS]
-
-
-def _stepper(variant: Variant, arms: int) -> Callable[[], None]:
-    """A function that goes on by one control instant, 0.5 ms; the arms are near the reference."""
-    arm = nominal_parameters()
-    controller = make_controller(variant.controller, arm.mismatched(WRONG), variant.gains)
-    draw, size = np.random.default_rng(0), np.repeat([0.01, 0.3], arm.modules)
-    shape = (arms, len(size)) if arms > 1 else (len(size),)
-
-    def near(center: np.ndarray, scale: float) -> np.ndarray:
-        return np.asfortranarray(center + scale * size * draw.normal(size=shape))
-
-    q, v = near(equilibrium(arm), 1.0), near(np.zeros(shape), 3.0)
-    reference = Reference(near(q, 0.02), near(v, 0.5), near(np.zeros(shape), 10.0))
-    state, t = controller.initial_state(shape[:-1]), 0.0
-
-    def step() -> None:
-        nonlocal state, t
-        _, state = controller(state, Measurement(t, q, v), reference)
-        t += 5e-4
-
-    return step
+def costs(variants: Mapping[str, Variant], seconds: float = 0.1) -> dict[str, Cost]:
+    """The shortest of many steps of each tuned controller, each measured for so long [s]."""
+    times = fastest(
+        [
+            controller_call(name, batch, variants[name].gains)
+            for name in CONTROLLERS
+            for batch in ((ARMS,), ())
+        ],
+        seconds,
+    )
+    pairs = zip(CONTROLLERS, times[::2], times[1::2], strict=True)
+    return {name: Cost(many / ARMS, alone) for name, many, alone in pairs}

@@ -1,0 +1,177 @@
+"""Running all that is missing: several sweeps and runs at a time on one set of processes."""
+
+from __future__ import annotations
+
+import io
+import os
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+import octarm
+from controllers import make_controller
+from octarm.sweeps.workers import WorkerProcesses, cores
+from paper import runs
+from paper.runs import Request
+from paper.studies import MODELS, Effort, Sweep, sweeps
+from paper.variants import Variant
+
+SPECS, SWEEPS, SERIES, RUNS = "specs", "sweeps", "series", "runs"  # folders
+Advance = Callable[[float], None]  # takes simulated seconds that are done
+
+
+class Job(NamedTuple):
+    """Something to be done.
+
+    Attributes:
+        seconds: what it simulates [s].
+        do: does what is not there yet, on processes, and says how it goes on.
+    """
+
+    seconds: float
+    do: Callable[[Executor, Advance], None]
+
+
+def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers: int = 0) -> None:
+    """Runs what is not there yet.
+
+    What is there does not depend on the number of processes, or on how often it was interrupted.
+
+    Args:
+        variants: by label.
+        effort: how much.
+        out: folder.
+        workers: number of processes; one a core when 0.
+
+    Raises:
+        OctarmError: if the folder holds results of other studies.
+        OSError: if it cannot be written.
+        KeyboardInterrupt: if interrupted; what was finished is kept.
+    """
+    for folder in (SPECS, SWEEPS, SERIES, RUNS):
+        (out / folder).mkdir(parents=True, exist_ok=True)
+    requests = list(runs.requests(variants, effort))
+    figure_1 = [r for r in requests if r.seeds and r.quiet and effort.long]
+    jobs = [
+        *(_sweep_job(sweep, out) for sweep in sweeps(variants, effort)),
+        *(_run_job(request, out) for request in requests),
+        *(_recording_job(r, model, out) for r in figure_1 for model in MODELS),
+    ]
+    jobs.sort(key=lambda job: -job.seconds)
+    lock = threading.Lock()
+    with (
+        tqdm(
+            total=sum(job.seconds for job in jobs), unit=" simulated s", unit_scale=True,
+            disable=None, leave=False,
+        ) as bar,
+        WorkerProcesses(workers or cores()) as processes,
+    ):  # fmt: skip
+
+        def advance(seconds: float) -> None:
+            with lock:
+                bar.update(seconds)
+
+        pool = _Pool(processes)
+        with ThreadPoolExecutor((workers or cores()) + 1) as threads:
+            futures = [threads.submit(job.do, pool, advance) for job in jobs]
+            try:
+                for future in as_completed(futures):
+                    future.result()
+            except BaseException:  # an interrupt, too
+                threads.shutdown(wait=False, cancel_futures=True)
+                pool.stop()
+                raise
+
+
+class _Pool(Executor):
+    """Processes that several threads may give work to, until it is stopped."""
+
+    def __init__(self, processes: WorkerProcesses) -> None:
+        self._processes, self._lock, self._stopped = processes, threading.Lock(), False
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        with self._lock:
+            if self._stopped:
+                raise RuntimeError("the processes were stopped")
+            return self._processes.submit(fn, *args, **kwargs)
+
+    def stop(self) -> None:
+        """Ends the processes at once."""
+        with self._lock:
+            self._stopped = True
+            self._processes.kill()
+
+
+def _sweep_job(sweep: Sweep, out: Path) -> Job:
+    def do(pool: Executor, advance: Advance) -> None:
+        file = out / SPECS / f"{sweep.name}.toml"
+        write(file, sweep.text().encode())
+        duration = sweep.content["duration"]
+        octarm.sweep(
+            octarm.read_spec(file),
+            make_controller,
+            out / SWEEPS / sweep.name,
+            executor=pool,
+            in_flight=2,
+            resume=True,
+            progress=lambda episodes: advance(episodes * duration),
+        )
+
+    return Job(sweep.seconds, do)
+
+
+def _run_job(request: Request, out: Path) -> Job:
+    def do(pool: Executor, advance: Advance) -> None:
+        if not series_file(out, request).is_file():
+            content = io.BytesIO()
+            np.savez(content, allow_pickle=False, **pool.submit(runs.perform, request).result())
+            write(series_file(out, request), content.getvalue())
+        advance(request.seconds)
+
+    return Job(request.seconds, do)
+
+
+def _recording_job(request: Request, model: float, out: Path) -> Job:
+    folder = out / RUNS / f"{request.name}-{100 * model:+.0f}"
+    seconds = 8.0 * request.duration  # weighed by what an arm costs by itself
+
+    def do(pool: Executor, advance: Advance) -> None:
+        if not (folder / "run.rrd").is_file() or not (folder / "run.npz").is_file():
+            pool.submit(runs.record, request, model, folder).result()
+        advance(seconds)
+
+    return Job(seconds, do)
+
+
+def series_file(out: Path, request: Request) -> Path:
+    """Where what was kept of a run stands."""
+    return out / SERIES / f"{request.name}.npz"
+
+
+def read_arrays(out: Path, requests: Iterable[Request]) -> dict[str, dict[str, np.ndarray]]:
+    """What was kept of runs, by their names.
+
+    Raises:
+        OSError: if one is missing.
+    """
+    arrays: dict[str, dict[str, np.ndarray]] = {}
+    for request in requests:
+        with np.load(series_file(out, request), allow_pickle=False) as file:
+            arrays[request.name] = dict(file)
+    return arrays
+
+
+def write(path: Path, content: bytes) -> None:
+    """Writes a file whole or not at all.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    part = path.with_name(path.name + ".part")
+    part.write_bytes(content)
+    os.replace(part, path)

@@ -1,0 +1,142 @@
+"""Who is compared: every controller with tuned and with hand-set gains, and the ablations.
+
+A variant is a controller of the command line with all its gains written out, so that the sweep it
+stands in can be run by `octarm sweep` and `octarm verify` alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import octarm
+from controllers import make_controller
+
+CONTROLLERS = (
+    "pd", "computed-torque", "fuzzy",
+    "smc", "smc-boundary", "smc-integral", "super-twisting",
+    "fsmc", "afsmc-consequent", "afsmc",
+)  # fmt: skip
+SIGN, SMC, PROPOSED = "smc", "smc-boundary", "afsmc"  # the paper's two, SMC in both its forms
+INTEGRAL, CONSEQUENT, TWISTING = "smc-integral", "afsmc-consequent", "super-twisting"
+FIXED_PREMISES = "afsmc, eta3 = eta4 = 0"
+AS_PRINTED = "afsmc, sgn as printed"
+UNGUARDED = "afsmc, no safeguards"
+MATCHED = "smc-boundary, matched slope"
+ABLATIONS = (FIXED_PREMISES, AS_PRINTED, UNGUARDED, MATCHED)
+HAND_SET = "{}, hand-set"  # the label of a controller with hand-set gains
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Variant:
+    """A controller with its gains.
+
+    Attributes:
+        label: under which it stands in tables and figures.
+        controller: name on the command line.
+        gains: all that are numbers, as numbers or lists.
+        gain_set: on the command line, before any gain is changed; the shipped one when empty.
+    """
+
+    label: str
+    controller: str
+    gains: Mapping[str, Any]
+    gain_set: str = ""
+
+    def changed(self, label: str, **gains: Any) -> Variant:
+        """The same with some gains replaced."""
+        return dataclasses.replace(self, label=label, gains={**self.gains, **gains})
+
+    def controls(self, nominal: octarm.ArmParameters) -> octarm.Controller:
+        """The controller with the nominal model that it believes."""
+        return make_controller(self.controller, nominal, self.gains)
+
+
+def by_hand(name: str) -> str:
+    """The label of a controller with hand-set gains."""
+    return HAND_SET.format(name)
+
+
+def all_variants(folder: Path | None = None) -> dict[str, Variant]:
+    """All variants by label: tuned ones, hand-set ones, ablations of the tuned `afsmc`.
+
+    Args:
+        folder: of gain sets NAME.toml to take instead of those shipped; a controller without one
+            has its hand-set gains.
+
+    Raises:
+        OctarmError: if a gain set cannot be read.
+    """
+    nominal = octarm.nominal_parameters()
+
+    def variant(label: str, name: str, gain_set: str) -> Variant:
+        gains = _gains_of(make_controller(name, nominal, gain_set=gain_set or None))
+        return Variant(label=label, controller=name, gains=gains, gain_set=gain_set)
+
+    def tuned_set(name: str) -> str:
+        if folder is None:
+            return ""
+        file = folder / f"{name}.toml"
+        return str(file) if file.is_file() else "recommended"
+
+    tuned = [variant(name, name, tuned_set(name)) for name in CONTROLLERS]
+    hand_set = [variant(by_hand(name), name, "recommended") for name in CONTROLLERS]
+    proposed, smc = (tuned[CONTROLLERS.index(name)] for name in (PROPOSED, SMC))
+    ablations = [
+        proposed.changed(FIXED_PREMISES, eta3=0.0, eta4=0.0),
+        proposed.changed(AS_PRINTED, phi=0.0),
+        proposed.changed(UNGUARDED, safeguards=0.0),
+        smc.changed(MATCHED, **matched_slope(proposed.gains)),
+    ]
+    return {one.label: one for one in (*tuned, *hand_set, *ablations)}
+
+
+def matched_slope(gains: Mapping[str, Any]) -> dict[str, Any]:
+    """Gains of `smc-boundary` that give no less and no more than the bounds of `afsmc` allow.
+
+    With E and all theta at their bounds, theta of each rule with the sign of its centre, and the
+    premises as they start, the force of `afsmc` besides K_v s is
+
+        E_max sat(s / phi) + theta_max f(s / scale),
+        f(z) = sum_l sgn(alpha_l) exp(-(sigma_l (z - alpha_l))^2)
+
+    K and phi are such that that of `smc-boundary` has the same slope at s = 0 and the same largest
+    value; lambda and K_v are the same anyway. What then is left between the two is adaptation, not
+    gain.
+    """
+    alpha, sigma = np.atleast_1d(gains["alpha0"]), np.atleast_1d(gains["sigma0"])
+    phi, scale, E_max, theta_max = (
+        np.atleast_1d(gains[name]) for name in ("phi", "scale", "E_max", "theta_max")
+    )
+    bells = np.sign(alpha) * np.exp(-np.square(sigma * alpha))
+    steepness = np.sum(2.0 * sigma * sigma * alpha * bells)
+    slope = E_max / phi + theta_max * steepness / scale
+    z = np.linspace(0.0, 3.0, 3001)[:, None]
+    f = np.sum(np.sign(alpha) * np.exp(-np.square(sigma * (z - alpha))), axis=-1, keepdims=True)
+    K = np.max(E_max * np.minimum(z * scale / phi, 1.0) + theta_max * f, axis=0)
+    return {
+        "lambda": gains["lambda"],
+        "K_v": gains["K_v"],
+        "K": _number_or_list(K),
+        "phi": _number_or_list(K / slope),
+    }
+
+
+def _gains_of(controller: Any) -> dict[str, Any]:
+    """The gains that are numbers, by the names under which `make_controller` takes them."""
+    fields = {f.name: getattr(controller, f.name) for f in dataclasses.fields(controller)}
+    return {
+        name.rstrip("_"): _number_or_list(np.asarray(value))
+        for name, value in fields.items()
+        if isinstance(value, float | np.ndarray)
+    }
+
+
+def _number_or_list(gain: np.ndarray) -> Any:
+    """A number where all are the same, else a list."""
+    values = np.unique(gain)
+    return values.item() if values.size == 1 else gain.tolist()
