@@ -134,7 +134,7 @@ def test_drawn_values_fill_their_range():
     plan = Plan(parse_spec(SPEC.replace("episodes = 3", "episodes = 256")))
     values = plan.values(np.arange(256))
     for axis in plan.spec.random:
-        low, high = axis.values
+        low, high = map(float, axis.values)
         share = (values[axis.name] - low) / (high - low)
         assert np.all((share >= 0.0) & (share <= 1.0))
         counts = np.histogram(share, 16, (0.0, 1.0))[0]
