@@ -38,6 +38,7 @@ class WorkerProcesses(ThreadPoolExecutor):
         """So many processes, each started when there is a call for it."""
         super().__init__(workers, initializer=_block_interrupts)
         self._processes: dict[int, _Process] = {}
+        self._killed = False
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Has the next process that is free call a function."""
@@ -46,10 +47,14 @@ class WorkerProcesses(ThreadPoolExecutor):
     def _start(self, fn: Callable[..., Any], *args: Any, **kwargs: Any) -> Future[Any]:
         """Has the process of this thread call a function; a new one if it has none that lives."""
         thread = threading.get_ident()
-        with contextlib.suppress(KeyError, BrokenProcessPool):
-            return self._processes[thread].submit(fn, *args, **kwargs)
-        self._processes[thread] = _Process()
-        return self._processes[thread].submit(fn, *args, **kwargs)
+        if not self._killed:
+            with contextlib.suppress(KeyError, BrokenProcessPool):
+                return self._processes[thread].submit(fn, *args, **kwargs)
+        process = self._processes[thread] = _Process()
+        if self._killed:
+            process.lifeline.close()
+            raise BrokenProcessPool("the processes were ended")
+        return process.submit(fn, *args, **kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Ends the processes when they have done what they were asked for."""
@@ -58,8 +63,10 @@ class WorkerProcesses(ThreadPoolExecutor):
             process.shutdown(wait)
 
     def kill(self) -> None:
-        """Ends the processes at once."""
-        super().shutdown(wait=False, cancel_futures=True)
+        """Ends the processes at once; calls that wait for one fail with a `BrokenProcessPool`."""
+        # Futures that are cancelled in the queue would never be done for those who wait for them.
+        self._killed = True
+        super().shutdown(wait=False)
         for process in list(self._processes.values()):
             process.lifeline.close()
 

@@ -6,9 +6,9 @@ import io
 import os
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -76,35 +76,15 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
             with lock:
                 bar.update(seconds)
 
-        pool = _Pool(processes)
         with ThreadPoolExecutor((workers or cores()) + 1) as threads:
-            futures = [threads.submit(job.do, pool, advance) for job in jobs]
+            futures = [threads.submit(job.do, processes, advance) for job in jobs]
             try:
                 for future in as_completed(futures):
                     future.result()
             except BaseException:  # an interrupt, too
                 threads.shutdown(wait=False, cancel_futures=True)
-                pool.stop()
+                processes.kill()
                 raise
-
-
-class _Pool(Executor):
-    """Processes that several threads may give work to, until it is stopped."""
-
-    def __init__(self, processes: WorkerProcesses) -> None:
-        self._processes, self._lock, self._stopped = processes, threading.Lock(), False
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        with self._lock:
-            if self._stopped:
-                raise RuntimeError("the processes were stopped")
-            return self._processes.submit(fn, *args, **kwargs)
-
-    def stop(self) -> None:
-        """Ends the processes at once."""
-        with self._lock:
-            self._stopped = True
-            self._processes.kill()
 
 
 def _sweep_job(sweep: Sweep, out: Path) -> Job:
