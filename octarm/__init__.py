@@ -41,6 +41,8 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "lagrange":  # a module, which stays reachable by this name
+        return importlib.import_module("octarm.lagrange")
     if name not in _HOMES:
         raise AttributeError(f"module 'octarm' has no attribute {name!r}")
     return getattr(importlib.import_module(f"octarm.{_HOMES[name]}"), name)
