@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import importlib.metadata
 from collections.abc import Sequence
+from typing import Annotated
 
 from cyclopts import App, Argument, Group, Parameter
 from cyclopts.exceptions import (
@@ -17,7 +18,7 @@ from cyclopts.exceptions import (
     UnusedCliTokensError,
 )
 
-from octarm.commands import checks, many_runs, one_run
+from octarm.commands import checks, kinds, many_runs, one_run
 from octarm.commands.kinds import SHELLS, Work
 from octarm.commands.pages import arguments_of, commands, is_operand, overview, page, spelling
 from octarm.errors import ExitCode, OctarmError, closest
@@ -29,11 +30,36 @@ APP = App(
     group_parameters=Group("options"),
     default_parameter=Parameter(negative=(), json_list=False, json_dict=False),
 )
+
+
+def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
+    """Print a script by which a shell completes commands.
+
+    Commands, options, names of controllers and references, files and folders.
+
+    Args:
+        shell: the shell
+
+    Examples:
+      octarm completion bash >> ~/.bashrc
+      octarm completion zsh >> ~/.zshrc
+      octarm completion fish > ~/.config/fish/completions/octarm.fish
+    """
+
+    def work() -> int:
+        for known in SHELLS:
+            if shell == known:
+                return _show(APP.generate_completion(shell=known) + _AFTER.get(shell, ""))
+        raise OctarmError(f"unknown shell {shell!r}{closest(shell, SHELLS)}")
+
+    return work
+
+
 for title, functions in {
     "one run": (one_run.run, one_run.replay, one_run.record, one_run.plot, one_run.video),
     "many runs": (many_runs.sweep, many_runs.report, many_runs.margin, many_runs.tune),
     "checks": (checks.validate, checks.verify),
-    "this machine": (checks.doctor, checks.completion),
+    "this machine": (checks.doctor, completion),
 }.items():
     group = Group(title)
     for function in functions:
@@ -61,18 +87,6 @@ def parse(words: Sequence[str]) -> Work:
     if command.__module__.startswith("octarm."):
         return command(*bound.args, **bound.kwargs)
     return functools.partial(command, *bound.args, **bound.kwargs)  # the version, words for a shell
-
-
-def print_completion(shell: str) -> int:
-    """Prints the script by which a shell completes commands, options and their values.
-
-    Raises:
-        OctarmError: for an unknown shell.
-    """
-    for known in SHELLS:
-        if shell == known:
-            return _show(APP.generate_completion(shell=known) + _AFTER.get(shell, ""))
-    raise OctarmError(f"unknown shell {shell!r}{closest(shell, SHELLS)}")
 
 
 def _show(text: str) -> int:

@@ -1,4 +1,4 @@
-"""The commands that check results and the machine: validate, verify, doctor, completion."""
+"""The commands that check results and the machine: validate, verify, doctor."""
 
 from __future__ import annotations
 
@@ -83,21 +83,3 @@ def doctor() -> Work:
     from octarm.commands import doctor as work
 
     return work.doctor
-
-
-def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
-    """Print a script by which a shell completes commands.
-
-    Commands, options, names of controllers and references, files and folders.
-
-    Args:
-        shell: the shell
-
-    Examples:
-      octarm completion bash >> ~/.bashrc
-      octarm completion zsh >> ~/.zshrc
-      octarm completion fish > ~/.config/fish/completions/octarm.fish
-    """
-    from octarm.commands.app import print_completion
-
-    return partial(print_completion, shell)

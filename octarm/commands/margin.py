@@ -111,10 +111,11 @@ def margin(
     runs = {name: settings.runs(name, varied) for name in controllers}
     for run in runs.values():
         run.rehearse()
-    print("\n".join(_heading(settings, varied)), flush=True)
     rows: list[Mapping[str, Any]] = []
     for name, run in runs.items():
         rows.append(_row(name, _search(name, run, settings.seeds), settings.share, varied))
+        if len(rows) == 1:  # not before it is known that there is something to say
+            print("\n".join(_heading(settings, varied)))
         print(_line(rows[-1], varied), flush=True)
     _print_notes(rows, varied, settings.seeds)
     if csv_file is not None:

@@ -75,7 +75,17 @@ def true_arm(changes: Sequence[str]) -> ArmParameters:
     for name in values:
         if name not in known:
             raise OctarmError(f"unknown parameter {name!r}{closest(name, known)}")
-    return dataclasses.replace(nominal_parameters(), **values)
+    nominal = nominal_parameters()
+    try:
+        return dataclasses.replace(nominal, **values)
+    except OctarmError:
+        given = np.size(values.get("mass", nominal.mass))
+        if given != nominal.modules:  # all others would be blamed for the number of modules
+            raise OctarmError(
+                f"mass has {given} values; the other parameters need one for each of "
+                f"{nominal.modules} modules, or as many new values"
+            ) from None
+        raise
 
 
 def gain_values(items: Sequence[str]) -> dict[str, npt.ArrayLike]:
