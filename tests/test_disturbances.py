@@ -73,7 +73,7 @@ def episode(arms: int | None = None, seeds=SEEDS, timestep: float = DT) -> Episo
 
 def ride(disturbances, start: Episode, steps: int = 60, period: int = 3) -> dict[str, np.ndarray]:
     """All that comes of them along a made-up motion under made-up inputs, one row a step."""
-    acting = ActiveDisturbances(disturbances, start)
+    active = ActiveDisturbances(disturbances, start)
     # Arm i of four moves as it does alone: motion and inputs are picked by its seed.
     arms = [SEEDS.index(seed) for seed in np.atleast_1d(np.array(start.seeds, dtype=object))]
     draw = np.random.default_rng(0)
@@ -83,11 +83,11 @@ def ride(disturbances, start: Episode, steps: int = 60, period: int = 3) -> dict
     rows: dict[str, list[np.ndarray]] = {}
     for k in range(steps):
         q, v, tau = (np.asfortranarray(x[k, pick]) for x in (q_all, v_all, tau_all))
-        row: dict[str, Any] = {"force": acting.force(k, q), "tau": acting.received(k, tau)}
-        acting.record(k, q, v)
+        row: dict[str, Any] = {"force": active.force(k, q), "tau": active.received(k, tau)}
+        active.record(k, q, v)
         if k % period == 0:
-            row["q"], row["v"] = acting.sensed(k, q, v)
-        plant = acting.plant(k)
+            row["q"], row["v"] = active.sensed(k, q, v)
+        plant = active.plant(k)
         if plant is not None:
             fields = dataclasses.asdict(plant.parameters)
             fields["angle"] = plant.gravity_angle
@@ -273,12 +273,12 @@ def test_other_disturbances_change_no_draws():
 
 def test_two_of_a_kind_have_streams_and_names_of_their_own():
     noise = BandLimitedNoise(rms=1.0)
-    acting = ActiveDisturbances([noise, StepForce(amplitude=2.0, on="all"), noise], episode())
-    assert [name for name, _ in acting.forces] == ["noise", "noise-2", "step"]
+    active = ActiveDisturbances([noise, StepForce(amplitude=2.0, on="all"), noise], episode())
+    assert [name for name, _ in active.forces] == ["noise", "noise-2", "step"]
     rows = []
     for k in range(0, 20_000, 10):
-        total = acting.force(k, REST)
-        first, second, step = acting.shares.values()
+        total = active.force(k, REST)
+        first, second, step = active.shares.values()
         np.testing.assert_array_equal(total, first + second + step)
         np.testing.assert_array_equal(step, 2.0)
         rows.append(np.concatenate([first, second]))
@@ -286,7 +286,7 @@ def test_two_of_a_kind_have_streams_and_names_of_their_own():
     assert np.max(np.abs(cross - np.eye(12))) < 0.12  # of 2000 holds: 5 standard deviations
     alone = ActiveDisturbances([noise], episode())
     alone.force(19_990, REST)
-    np.testing.assert_array_equal(alone.shares["noise"], acting.shares["noise"])
+    np.testing.assert_array_equal(alone.shares["noise"], active.shares["noise"])
 
 
 def test_measurement_delays_do_not_stack():
@@ -310,13 +310,13 @@ def test_nothing_in_the_realisation_depends_on_the_control_period():
 
 
 def test_nothing_acts_when_nothing_is_listed():
-    acting = ActiveDisturbances([], episode(4))
+    active = ActiveDisturbances([], episode(4))
     q, v, tau = np.random.default_rng(0).normal(size=(3, 4, 6))
-    assert acting.received(0, tau) is tau
-    assert acting.plant(0) is None
-    acting.record(0, q, v)
-    assert acting.sensed(0, q, v)[0] is q
-    np.testing.assert_array_equal(acting.force(0, q), np.zeros((4, 6)))
+    assert active.received(0, tau) is tau
+    assert active.plant(0) is None
+    active.record(0, q, v)
+    assert active.sensed(0, q, v)[0] is q
+    np.testing.assert_array_equal(active.force(0, q), np.zeros((4, 6)))
 
 
 def test_the_order_of_listing_does_not_matter():
@@ -325,8 +325,8 @@ def test_the_order_of_listing_does_not_matter():
 
 
 def test_what_the_caller_gets_cannot_be_changed_by_it():
-    acting = ActiveDisturbances([BandLimitedNoise(rms=1.0), StepForce(amplitude=1.0)], episode())
-    for array in (acting.force(0, REST), *acting.shares.values()):
+    active = ActiveDisturbances([BandLimitedNoise(rms=1.0), StepForce(amplitude=1.0)], episode())
+    for array in (active.force(0, REST), *active.shares.values()):
         with pytest.raises(ValueError, match="read-only"):
             array += 1.0
 
@@ -335,7 +335,7 @@ def test_what_the_caller_gets_cannot_be_changed_by_it():
 @pytest.mark.parametrize("arms", [None, 4])
 def test_a_copy_goes_on_alike_and_on_its_own(duplicate, arms: int | None):
     start = episode(arms)
-    acting = ActiveDisturbances([parse_disturbance(text) for text in SPELLINGS.values()], start)
+    active = ActiveDisturbances([parse_disturbance(text) for text in SPELLINGS.values()], start)
     shape = (100, *start.batch_shape, 6)
     q, v, tau = REST + 0.1 * np.random.default_rng(0).normal(size=(3, *shape))
 
@@ -348,9 +348,9 @@ def test_a_copy_goes_on_alike_and_on_its_own(duplicate, arms: int | None):
             out += [plant.parameters.mass] if (plant := which.plant(k)) else []
         return out
 
-    go(acting, range(50))
-    other = duplicate(acting)
-    first, second = go(acting, range(50, 100)), go(other, range(50, 100))
+    go(active, range(50))
+    other = duplicate(active)
+    first, second = go(active, range(50, 100)), go(other, range(50, 100))
     assert len(first) == len(second)
     for x, y in zip(first, second, strict=True):
         np.testing.assert_array_equal(x, y)

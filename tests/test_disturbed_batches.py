@@ -98,7 +98,7 @@ def test_removing_one_disturbance_changes_no_other_force(listed, removed: int):
     def shares(which) -> list[dict[str, np.ndarray]]:
         environment = load(disturbances=built(which, 0), seed=4)
         out: list[dict[str, np.ndarray]] = []
-        environment.physics.watch = lambda physics: out.append(dict(physics.acting.shares))
+        environment.physics.watch = lambda physics: out.append(dict(physics.active.shares))
         rollout(environment, Listener(lambda m, r: np.zeros_like(m.q)), 0.01)
         return out
 

@@ -100,13 +100,13 @@ def test_mismatch_has_further_factors():
 
 
 def test_tilted_gravity_adds_up():
-    acting = ActiveDisturbances(
+    active = ActiveDisturbances(
         [GravityTilt(angle=0.1), Mismatch(tilt=0.05), GravityTilt(angle=-0.4)], episode()
     )
-    plant = acting.plant(0)
+    plant = active.plant(0)
     assert plant is not None
     assert plant.gravity_angle == pytest.approx(-0.25)
-    assert acting.plant(1) is None
+    assert active.plant(1) is None
 
 
 def test_random_parameters_are_uniform_and_independent():
@@ -205,8 +205,8 @@ def test_changes_act_in_a_fixed_order_from_the_undisturbed_arm():
     """The payload is not scaled, whatever the order in which they are listed."""
     changes = [Payload(mass=0.2, at=0.1), Mismatch(mass=1.5), Drift(rate=0.1, of="mass")]
     for listed in (changes, changes[::-1]):
-        acting = ActiveDisturbances(listed, episode(1e-3))
-        known = {k: plant for k in range(400) if (plant := acting.plant(k)) is not None}
+        active = ActiveDisturbances(listed, episode(1e-3))
+        known = {k: plant for k in range(400) if (plant := active.plant(k)) is not None}
         assert sorted(known) == list(range(0, 400, 10))
         for k, plant in known.items():
             expected = P.mass * 1.5 * (1.0 + 0.1 * (k // 10 * 0.01))

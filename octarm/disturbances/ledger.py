@@ -24,7 +24,7 @@ _NOT_IN_LINES = ("peak", "unexplained")
 class _Arm(Protocol):
     """What the ledger asks of `octarm.simulation.stepping.AnyPhysics` with one arm."""
 
-    acting: ActiveDisturbances | None
+    active: ActiveDisturbances | None
 
     def steps(self) -> int: ...
     def q(self) -> np.ndarray: ...
@@ -48,7 +48,7 @@ class Ledger:
 
     def step(self, arm: _Arm) -> None:
         """An episode has begun, or a physics step has been done."""
-        active, step = arm.acting, arm.steps() - 1
+        active, step = arm.active, arm.steps() - 1
         if active is None:
             return
         if step < 0:
@@ -67,7 +67,7 @@ class Ledger:
         Lists are in the order of q, of tau for inputs, and of q, then v for readings. None stands
         for what could not be seen, or was not finite.
         """
-        rows, active = asked(self._disturbances), self._arm.acting
+        rows, active = asked(self._disturbances), self._arm.active
         with np.errstate(all="ignore"):  # a diverged arm may hold anything
             if active is not None and active.sensors and self._arm.steps() == 0:
                 self._read(active, 0)  # the run ended with the first readings

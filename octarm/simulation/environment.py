@@ -225,10 +225,10 @@ class TrackingTask(control.Task):
 
         q, v, q_d, v_d and a_d have shape (..., 2N), tip_position has shape (..., 3); see `load`.
         """
-        desired, acting = self._desired, physics.acting
+        desired, active = self._desired, physics.active
         q, v = physics.q(), physics.v()
-        if acting is not None and acting.sensors:  # nothing acts before the first episode
-            q, v = acting.sensed(physics.steps(), q, v)
+        if active is not None and active.sensors:  # nothing acts before the first episode
+            q, v = active.sensed(physics.steps(), q, v)
             tip = tip_position(q)
         else:
             tip = physics.tip_position()

@@ -27,7 +27,7 @@ with warnings.catch_warnings():  # without a display, glfw complains although no
 # dm_control logs each warning of MuJoCo, which also ends the run or freezes the arm of a batch.
 logging.getLogger("absl").addFilter(lambda record: record.funcName != "_warning_callback")
 
-_EPISODE = ("actuation", "acting", "limits", "_undisturbed", "_tau", "_received", "_disturbance",
+_EPISODE = ("actuation", "active", "limits", "_undisturbed", "_tau", "_received", "_disturbance",
             "_steps", "_intact", "_diverged_at", "_all_intact")  # fmt: skip
 
 
@@ -70,7 +70,7 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
 
         The model is shared only when asked for and when no disturbance changes it.
         """
-        changing = self.acting is not None and self.acting.plant_changes
+        changing = self.active is not None and self.active.plant_changes
         other = cast("ArmPhysics", super().copy(share_model and not changing))
         other.__dict__.update(copy.deepcopy(self._episode()))
         return other

@@ -151,8 +151,8 @@ class ArmRecorder(Recorder):
         """The recorded fields of one instant, and what the digest is made of."""
         row = super().row(instant)
         row[_STATE] = self._physics.integration_state()
-        acting = self._physics.acting
-        if acting is not None and acting.sensors:
+        active = self._physics.active
+        if active is not None and active.sensors:
             self.add_field(row, "q_measured", instant.measurement.q)
             self.add_field(row, "v_measured", instant.measurement.v)
         return row

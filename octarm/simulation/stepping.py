@@ -36,7 +36,7 @@ class AnyPhysics(control.Physics):
         coordinates: names and units of the coordinates and inputs.
         actuation: how inputs act on the arms.
         limits: beyond which an arm has diverged.
-        acting: the disturbances of this episode; None before the first one.
+        active: the disturbances of this episode; None before the first one.
         watch: called when an episode begins, and after every physics step.
     """
 
@@ -44,7 +44,7 @@ class AnyPhysics(control.Physics):
     coordinates: Coordinates
     actuation: Actuation
     limits: Limits
-    acting: ActiveDisturbances | None = None
+    active: ActiveDisturbances | None = None
     watch: Callable[[AnyPhysics], object] | None = None
 
     def _attach(
@@ -159,11 +159,11 @@ class AnyPhysics(control.Physics):
         """Holds the input forces tau, shape (..., 2N) [N], until the next call."""
         self._tau = np.array(control, dtype=np.float64)
 
-    def begin(self, acting: ActiveDisturbances) -> None:
+    def begin(self, active: ActiveDisturbances) -> None:
         """Starts an episode under these disturbances, the arms standing where they were placed."""
-        self.acting = acting
-        self._change(acting)
-        acting.record(0, self.q(), self.v())
+        self.active = active
+        self._change(active)
+        active.record(0, self.q(), self.v())
         if self.watch is not None:
             self.watch(self)
 
@@ -187,8 +187,8 @@ class AnyPhysics(control.Physics):
             self._advance()
             self._steps += 1
             q, v = self.q(), self.v()
-            if self.acting is not None:
-                self.acting.record(self._steps, q, v)
+            if self.active is not None:
+                self.active.record(self._steps, q, v)
             if self.watch is not None:
                 self.watch(self)
             self._check_limits(q, v)
@@ -197,12 +197,12 @@ class AnyPhysics(control.Physics):
 
     def _receive(self, q: np.ndarray, nstep: int) -> None:
         """What acts during the next physics step, q being the coordinates at its start."""
-        self._received, acting = self._tau, self.acting
-        if acting is not None:
-            self._change(acting)
-            self._received = acting.received(self._steps, self._tau)
-            if acting.forces:
-                force = acting.force(self._steps, q)
+        self._received, active = self._tau, self.active
+        if active is not None:
+            self._change(active)
+            self._received = active.received(self._steps, self._tau)
+            if active.forces:
+                force = active.force(self._steps, q)
                 self._added[self._qvel_index] = force.T
                 mean = force / nstep
                 if not self._all_intact:
@@ -210,9 +210,9 @@ class AnyPhysics(control.Physics):
                 self._disturbance = self._disturbance + mean
         self._ctrl[...] = self.actuation.tendon_forces(q, self._received)
 
-    def _change(self, acting: ActiveDisturbances) -> None:
+    def _change(self, active: ActiveDisturbances) -> None:
         """Lets the plants follow their disturbances."""
-        plant = acting.plant(self._steps)
+        plant = active.plant(self._steps)
         if plant is not None:
             self._write(plant)
 
@@ -223,9 +223,9 @@ class AnyPhysics(control.Physics):
 
     def _forget(self) -> None:
         """Undoes what the last episode has changed, MuJoCo's own state aside."""
-        if self.acting is not None and self.acting.plant_changes:
+        if self.active is not None and self.active.plant_changes:
             self._write(Plant(self._undisturbed))
-        self.acting = None
+        self.active = None
         self._tau = self._received = self._disturbance = self._zero
         self._steps = 0
         self._intact = np.ones(self.batch_shape, dtype=bool)
