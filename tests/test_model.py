@@ -15,12 +15,12 @@ from octarm.arm import lagrange
 from octarm.arm.mjcf import (
     build_model,
     build_slim_model,
-    coordinate_names,
     nominal_parameters,
     paper_order,
     template_model,
     world_position,
 )
+from octarm.arrays import coordinate_names
 
 MODULES = pytest.mark.parametrize("n", [1, 2, 3, 5, 7, 12])
 NAMED = ["body", "joint", "geom", "site", "camera", "light", "tendon", "actuator", "sensor", "key"]

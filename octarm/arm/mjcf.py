@@ -18,7 +18,6 @@ import numpy as np
 
 from octarm.arm.lagrange import newton
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import coordinate_names as coordinate_names
 from octarm.errors import FileError, OctarmError
 
 _COLUMN_SIDES = ((1, 1.0), (2, -1.0))  # column 1 lengthens with +theta

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from octarm.arrays import coordinate_names
 from octarm.checks.differences import Comparison, Difference, compare, listed, origin
 from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory
@@ -130,7 +129,8 @@ def check_run(
         raise OctarmError(f"{folder} cannot be run again: {error}") from None
     announced = experiment.announcement(environment, controller)
     again, described = perform(environment, controller, announced, progress=progress)
-    deviations = tuple(sorted(_deviations(stored, again), key=lambda d: d.row))
+    names = environment.physics.coordinates.names
+    deviations = tuple(sorted(_deviations(stored, again, names), key=lambda d: d.row))
     keys = [*_INPUTS]
     if not deviations:  # what was measured of another motion is another one anyway
         keys += ["metrics"] if interrupted else _RESULTS
@@ -159,9 +159,9 @@ def _stored(folder: Path, description: Mapping[str, Any]) -> Trajectory:
     return stored
 
 
-def _deviations(stored: Trajectory, again: Trajectory) -> Iterator[Deviation]:
+def _deviations(stored: Trajectory, again: Trajectory, names: Sequence[str]) -> Iterator[Deviation]:
     """Of all arrays that both have in the same form, as far as both reach."""
-    others, rows, n = dict(again.arrays()), min(len(stored), len(again)), stored.q.shape[1]
+    others, rows = dict(again.arrays()), min(len(stored), len(again))
     for name, array in stored.arrays():
         other = others.get(name)
         if other is None or other.shape[1:] != array.shape[1:]:
@@ -172,8 +172,8 @@ def _deviations(stored: Trajectory, again: Trajectory) -> Iterator[Deviation]:
             continue
         row, *place = here = tuple(int(i) for i in np.argwhere(differs)[0])
         words = ", ".join(map(str, place)) or "-"
-        if array.shape[1:] == (n,):
-            words = f"tau{place[0] + 1}" if name == "tau" else coordinate_names(n // 2)[place[0]]
+        if array.shape[1:] == (len(names),):
+            words = f"tau{place[0] + 1}" if name == "tau" else names[place[0]]
         with np.errstate(all="ignore"):
             largest = float(np.max(np.abs(was - now)[differs]))
         numbers = float(was[here]), float(now[here])

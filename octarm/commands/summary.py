@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from octarm.arm.mjcf import coordinate_names
 from octarm.disturbances.ledger import in_words
 from octarm.interfaces import Rows
-from octarm.metrics.table import SETTLED_AFTER
+from octarm.metrics.table import METRICS, SETTLED_AFTER
 
 _HEADINGS = ("rms", "peak", "rms/amplitude", "overshoot", "chattering", "reached s=0")
 
@@ -54,17 +53,19 @@ def summary(
         lines += ["disturbances, as delivered", *in_words(description["disturbances"])]
     metrics = description["metrics"]
     if None not in metrics["rms_error"]:
-        lines += _table(amplitude, metrics)
+        lines += _table(amplitude, description["coordinates"], metrics)
     return "\n".join(lines)
 
 
-def _table(amplitude: np.ndarray, metrics: Mapping[str, Any]) -> list[str]:
-    names = coordinate_names(len(amplitude) // 2)
-    unit = [("m", "N")] * (len(names) // 2) + [("rad", "N m")] * (len(names) // 2)
+def _table(
+    amplitude: np.ndarray, coordinates: Sequence[Mapping[str, str]], metrics: Mapping[str, Any]
+) -> list[str]:
     width = [10, 11, 15, 11, 14, 13]
     head = "".join(f"{h:>{w}}" for h, w in zip(_HEADINGS, width, strict=True))
     lines = [f"after {SETTLED_AFTER:g} s".ljust(13) + head.rstrip()]
-    for j, name in enumerate(names):
+    for j, coordinate in enumerate(coordinates):
+        name, unit = coordinate["name"], coordinate["unit"]
+        force = METRICS["chattering"].unit_for(unit)
         rms = metrics["rms_error"][j]
         share = 100.0 * rms / amplitude[j] if amplitude[j] > 0.0 else None
         reached = metrics.get("reaching_time")
@@ -73,11 +74,11 @@ def _table(amplitude: np.ndarray, metrics: Mapping[str, Any]) -> list[str]:
             f"{metrics['peak_error'][j]:.2e}",
             _cell(share, ".3f", " %"),
             _cell(metrics["overshoot"][j], "+.2f", " %"),
-            _cell(metrics["chattering"][j], ".1e", f" {unit[j][1]}"),
+            _cell(metrics["chattering"][j], ".1e", f" {force}"),
             _cell(reached[j] if reached else None, ".4g", " s"),
         )
         row = "".join(f"{cell:>{w}}" for cell, w in zip(cells, width, strict=True))
-        lines.append(f"{name:>7} [{unit[j][0]}]".ljust(13) + row.rstrip())
+        lines.append(f"{name:>7} [{unit}]".ljust(13) + row.rstrip())
     tip = f"tip: {1e3 * metrics['tip_rms_error']:.3g} mm rms"
     bound = metrics.get("reaching_bound")
     if bound is not None:

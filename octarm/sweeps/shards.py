@@ -12,7 +12,7 @@ import pyarrow as pa
 from dm_control.rl import control
 
 from octarm.arm.mjcf import nominal_parameters
-from octarm.arrays import coordinate_names, coordinate_units
+from octarm.arm.nominal import LagrangeModel
 from octarm.interfaces import Controller, ControllerFactory, Instant
 from octarm.metrics.table import METRICS, Column, Metrics, columns
 from octarm.runs.digest import CHECKPOINTS, StateDigest
@@ -213,8 +213,8 @@ def schema(spec: SweepSpec) -> pa.Schema:
 
 def _metric_columns() -> list[Column]:
     """The columns of all metrics."""
-    modules = nominal_parameters().modules
-    return columns(coordinate_names(modules), coordinate_units(modules))
+    arm = LagrangeModel(nominal_parameters())
+    return columns(arm.names, arm.units)
 
 
 def _column(values: Any, kind: pa.DataType, count: int) -> pa.Array:
