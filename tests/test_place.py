@@ -1,5 +1,6 @@
 """The place of a run: claimed by one, replaced whole, and nothing of anybody else is touched."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -60,6 +61,17 @@ def test_a_place_is_claimed_by_one_run(tmp_path):
         (here / "run.json").write_text("second")
     assert (tmp_path / "a" / "run.json").read_text() == "second"
     assert names(tmp_path) == {"a"}
+
+
+@posix
+def test_a_file_system_without_locks_does(tmp_path, monkeypatch):
+    def flock(handle: int, operation: int) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("fcntl.flock", flock)
+    write(tmp_path / "a")
+    write(tmp_path / "a", "again")
+    assert (tmp_path / "a" / "run.json").read_text() == "again"
 
 
 def test_an_earlier_run_stays_until_the_new_one_is_whole(tmp_path):

@@ -475,3 +475,17 @@ def test_what_cannot_be_verified_of_a_sweep_is_said_in_a_sentence(sweep, capsys)
     spec = sweep / "spec.toml"
     spec.write_text(spec.read_text().replace("seed = 1", "seed = 2"))
     assert "spec.toml was changed" in sentence("--episode", "0")
+
+
+@pytest.mark.parametrize("change", [lambda layer: np.nextafter(layer, 1.0), lambda layer: None])
+def test_another_boundary_layer_is_found(change, tmp_path):
+    write(tmp_path / "run", experiment())
+    with np.load(tmp_path / "run" / "run.npz") as file:
+        content = dict(file)
+    changed = change(content.pop("layer"))
+    np.savez(
+        tmp_path / "run" / "run.npz", **content, **({} if changed is None else {"layer": changed})
+    )
+    checked = check(tmp_path / "run")
+    assert not checked.identical
+    assert "layer" in "\n".join(checked.lines())

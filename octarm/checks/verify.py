@@ -181,7 +181,7 @@ def _deviations(stored: Trajectory, again: Trajectory, names: Sequence[str]) -> 
 
 
 def _form(stored: Trajectory, again: Trajectory) -> Iterator[Difference]:
-    """Names, shapes and lengths of the arrays that are not the same."""
+    """Names, shapes and lengths of the arrays that are not the same, and the boundary layer."""
     if len(stored) != len(again):
         yield Difference("rows", len(stored), len(again))
     was, now = ({name: a.shape[1:] for name, a in run.arrays()} for run in (stored, again))
@@ -189,3 +189,6 @@ def _form(stored: Trajectory, again: Trajectory) -> Iterator[Difference]:
         if was.get(name) != now.get(name):
             shapes = (shape.get(name, "absent") for shape in (was, now))
             yield Difference(f"shape of {name}", *shapes)
+    layers = [None if run.layer is None else run.layer.tolist() for run in (stored, again)]
+    if layers[0] != layers[1]:
+        yield Difference("layer", *layers)

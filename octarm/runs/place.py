@@ -116,6 +116,8 @@ def _claimed(folder: Path) -> Generator[None]:
             mine = os.path.samestat(os.fstat(handle), os.stat(folder))
         except (BlockingIOError, FileNotFoundError):
             mine = False
+        except OSError:  # some network file systems have no locks
+            mine = True
         if not mine:  # the folder was replaced between the two calls, or is locked
             raise OctarmError(f"another run is being written to {folder}; choose another --out")
         yield
