@@ -5,7 +5,7 @@ With the ends of the modules p_i and the angles phi_i = theta_1 + .. + theta_i o
 
     T = 1/2 sum m_i |p_i'|^2 + I_i phi_i'^2
     V = -g u(0).sum m_i p_i + 1/2 sum k_ai (L_ai - s0_i)^2      gravity along the hanging arm
-    R = 1/2 sum c_ai L_ai'^2,    L_1i, L_2i = s_i +- (l/2) theta_i
+    R = 1/2 sum c_ai L_ai'^2,    L_1i, L_2i = s_i +- (l_i/2) theta_i
 
 Pure functions that never see MuJoCo: they are what it is checked against, and what the controllers
 use as their nominal model. `inverse_dynamics` is the recursion that runs in the control loop; the
@@ -147,7 +147,7 @@ def force_coefficients(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     batch = np.broadcast_shapes(q.shape[:-1], p.batch_shape)
     out = np.array(np.broadcast_to(np.repeat(pushes, 2, axis=-1), (*batch, 2 * n, 2 * n)))
     turns = np.triu(np.ones((n, n)))  # the couple on plate b turns every theta_k with k <= b
-    half = 0.5 * np.asarray(p.width)[..., None, None]
+    half = 0.5 * p.width[..., None, :]
     out[..., n:, 0::2] += half * turns
     out[..., n:, 1::2] -= half * turns
     return out
@@ -171,7 +171,7 @@ def energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, 
         p.mass * np.sum(velocity * velocity, axis=-1) + p.inertia * rate * rate, axis=-1
     )
     height = np.sum(p.mass * positions(q)[..., 0], axis=-1)
-    bend = 0.5 * np.asarray(p.width)[..., None] * q[..., n:]
+    bend = 0.5 * p.width * q[..., n:]
     lengths = np.stack([q[..., :n] + bend, q[..., :n] - bend], axis=-2)  # L_ai
     stretch = lengths - np.asarray(p.rest_length)[..., None, :]
     springs = 0.5 * np.sum(p.stiffness * stretch * stretch, axis=(-2, -1))
@@ -267,19 +267,19 @@ def _column_forces(
     pushes: list[Entry] = []
     couples: list[Entry] = []
     for i in range(n):
-        stretch, bend = q[i] - rest[i], half * q[n + i]
-        rate, bend_rate = v[i], half * v[n + i]
+        stretch, bend = q[i] - rest[i], half[i] * q[n + i]
+        rate, bend_rate = v[i], half[i] * v[n + i]
         first = k1[i] * (stretch + bend) + c1[i] * (rate + bend_rate)
         second = k2[i] * (stretch - bend) + c2[i] * (rate - bend_rate)
         pushes.append(first + second)
-        couples.append(half * (first - second))
+        couples.append(half[i] * (first - second))
     return pushes, couples
 
 
 def _column_matrix(p: ArmParameters, coefficient: np.ndarray) -> np.ndarray:
     """T diag(coefficient) T^T with T the constant moments of the columns."""
     n = p.modules
-    half = 0.5 * np.asarray(p.width)[..., None]
+    half = 0.5 * p.width
     first, second = coefficient[..., 0, :], coefficient[..., 1, :]
     out = np.zeros((*p.batch_shape, 2 * n, 2 * n))
     i = np.arange(n)

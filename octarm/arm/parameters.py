@@ -20,11 +20,12 @@ if TYPE_CHECKING:
 _RULES: dict[str, tuple[int, float, bool]] = {
     "mass": (1, 0.0, False),
     "inertia": (1, 0.0, False),
-    "width": (0, 0.0, False),
+    "width": (1, 0.0, False),
     "stiffness": (2, 0.0, False),
     "damping": (2, 0.0, True),
     "rest_length": (1, 0.0, False),
     "gravity": (0, -np.inf, True),
+    "tip_length": (0, 0.0, True),
 }
 
 
@@ -36,39 +37,44 @@ class Entries(NamedTuple):
     Attributes:
         mass: N entries.
         inertia: N entries.
-        half_width: half the distance between the columns, one entry.
+        half_width: half the distance between the columns, N entries.
         stiffness: for columns 1 and 2, N entries each.
         damping: for columns 1 and 2, N entries each.
         rest_length: N entries.
         gravity: one entry.
+        tip_length: one entry.
     """
 
     mass: Sequence[Entry]
     inertia: Sequence[Entry]
-    half_width: Entry
+    half_width: Sequence[Entry]
     stiffness: tuple[Sequence[Entry], Sequence[Entry]]
     damping: tuple[Sequence[Entry], Sequence[Entry]]
     rest_length: Sequence[Entry]
     gravity: Entry
+    tip_length: Entry
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class ArmParameters:
     """Parameters of N serially stacked modules, each a slide followed by a hinge.
 
-    Every field may carry batch axes before the axes named here. Arrays are copied and read-only.
+    Every field may carry batch axes before the axes named here, and one number stands for all
+    modules and columns. Arrays are copied and read-only.
     Row 0 of the two-row fields is column 1 of each module, the one that lengthens with a positive
     bending angle.
 
     Attributes:
         mass: lumped mass at the end of each module, shape (..., N) [kg].
         inertia: its moment of inertia about the bending axis, shape (..., N) [kg m^2].
-        width: distance between the two columns of a module, shape (...) [m]; `l` in the paper,
-            whose printed text shows it as 1.
+        width: distance between the two columns of each module, shape (..., N) [m]; `l` in the
+            paper, whose printed text shows it as 1.
         stiffness: of each column, shape (..., 2, N) [N/m].
         damping: of each column, shape (..., 2, N) [N s/m].
         rest_length: length of each module's columns without force, shape (..., N) [m].
         gravity: acceleration along the hanging arm, shape (...) [m/s^2].
+        tip_length: length of a rigid, massless piece from the last plate to the tip, shape (...)
+            [m].
 
     Raises:
         OctarmError: if a field has the wrong shape, sign, or a value that is not finite.
@@ -81,6 +87,7 @@ class ArmParameters:
     damping: np.ndarray
     rest_length: np.ndarray
     gravity: np.ndarray
+    tip_length: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(()))
 
     if TYPE_CHECKING:  # the constructor takes anything array-like
 
@@ -94,13 +101,17 @@ class ArmParameters:
             damping: npt.ArrayLike,
             rest_length: npt.ArrayLike,
             gravity: npt.ArrayLike,
+            tip_length: npt.ArrayLike = 0.0,
         ) -> None: ...
 
     def __post_init__(self) -> None:
         modules = (read_only("mass", self.mass).shape or (0,))[-1]
         for name, (axes, smallest, inclusive) in _RULES.items():
             value = read_only(name, getattr(self, name))
-            _check_shape(name, value, (2, modules)[2 - axes :])
+            shape = (2, modules)[2 - axes :]
+            if not value.ndim and modules:
+                value = read_only(name, np.full(shape, value))
+            _check_shape(name, value, shape)
             _check_bound(name, value, smallest, inclusive)
             object.__setattr__(self, name, value)
         _ = self.batch_shape  # raises when the batch axes do not fit together
@@ -137,11 +148,12 @@ class ArmParameters:
         return Entries(
             mass=split(self.mass),
             inertia=split(self.inertia),
-            half_width=0.5 * entry(self.width),
+            half_width=split(0.5 * self.width),
             stiffness=(split(self.stiffness[..., 0, :]), split(self.stiffness[..., 1, :])),
             damping=(split(self.damping[..., 0, :]), split(self.damping[..., 1, :])),
             rest_length=split(self.rest_length),
             gravity=entry(self.gravity),
+            tip_length=entry(self.tip_length),
         )
 
     def arm(self, i: int) -> ArmParameters:

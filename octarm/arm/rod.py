@@ -73,7 +73,7 @@ class Rod:
             if not good.all():
                 allowed = "at least 0" if may_be_zero else "above 0"
                 raise OctarmError(
-                    f"{field.name} of a rod is {values[~good][0]:g}; it must be finite and {allowed}"
+                    f"{field.name} holds {values[~good][0]:g}; it must be finite and {allowed}"
                 )
 
     def at(self, profile: Profile) -> Callable[[float], float]:
