@@ -56,14 +56,14 @@ def static_tip(rod: Rod, tip_force: np.ndarray, gravity: np.ndarray) -> np.ndarr
     moment = 0.0
     for share in np.arange(1, _STAGES + 1) / _STAGES:
         close = moment + 1e-6 * float(np.broadcast_to(rod.EI, 2)[0]) / length
-        found = root_scalar(
+        solution = root_scalar(
             lambda m, share=share: end(m, share)[3],
             x0=moment,
             x1=close,
             method="secant",
             xtol=1e-14,
         )
-        if not found.converged:
+        if not solution.converged:
             raise OctarmError("the static shape of the rod was not found; the load is too large")
         moment = solution.root
     return end(moment, 1.0)[:3]
