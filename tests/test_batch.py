@@ -62,7 +62,7 @@ def test_size_order_and_threads_of_a_batch_do_not_matter(arms: int, threads: int
 
 def test_arms_may_have_their_own_parameters_and_nominal_models():
     factor = np.array([0.8, 1.0, 1.3])
-    arms = P.scaled(mass=factor[:, None], width=factor, rest_length=factor[:, None])
+    arms = P.scaled(mass=factor[:, None], width=factor[:, None], rest_length=factor[:, None])
     believed = arms.scaled(stiffness=np.array([0.9, 1.0, 1.1])[:, None, None])
     together, _ = states_of_batch(
         make_controller("smc-boundary", believed), 3, parameters=arms, reference="set-point"

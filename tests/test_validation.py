@@ -255,7 +255,7 @@ def test_stepping_rk4_in_halves_is_euler_and_fails(monkeypatch: pytest.MonkeyPat
 def test_one_module_oscillates_as_two_springs_on_a_mass():
     p = arm_with(1)
     k = p.stiffness[:, 0].sum()
-    slide, hinge = np.sqrt(k / p.mass[0]), np.sqrt(k * (0.5 * p.width) ** 2 / p.inertia[0])
+    slide, hinge = np.sqrt(k / p.mass[0]), np.sqrt(k * (0.5 * p.width[0]) ** 2 / p.inertia[0])
     frequencies, _ = free_motion.undamped_modes(p)
     np.testing.assert_allclose(frequencies, sorted([slide, hinge]), rtol=1e-14)
     rates = np.linalg.eigvals(free_motion.analytic_linearisation(p))
@@ -269,7 +269,7 @@ def test_the_reference_of_one_module_is_the_closed_form():
     start = np.array([0.02, 0.3])
     motion = free_motion.reference_motion(p, still + start, np.zeros(2))
     t = np.linspace(0.0, free_motion.DURATION, free_motion.SAMPLES + 1)[:, None]
-    k = p.stiffness[:, 0].sum() * np.array([1.0, 0.25 * float(p.width) ** 2])
+    k = p.stiffness[:, 0].sum() * np.array([1.0, 0.25 * p.width[0] ** 2])
     w = np.sqrt(k / np.array([p.mass[0], p.inertia[0]]))
     np.testing.assert_allclose(motion, still + start * np.cos(w * t), rtol=0.0, atol=1e-10)
 

@@ -17,7 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from octarm.arm.kinematics import plate_entries
-from octarm.arrays import Entry, entry, join, split
+from octarm.arrays import Entry, join, split
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Actuation(abc.ABC):
     """How input forces act on the arm. Q has shape (..., 2N) [N], [N m], tau (..., 2N) [N].
 
     Attributes:
-        width: distance l between the two columns of a module, shape (...) [m].
+        width: distance l between the two columns of each module, shape (..., N) [m].
     """
 
     name: ClassVar[str]
@@ -48,7 +48,7 @@ class Actuation(abc.ABC):
         """
 
     def _joined(self, entries: Sequence[Entry], like: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return join(entries, like, other.shape, (*np.shape(self.width), len(entries)))
+        return join(entries, like, other.shape, (*self.width.shape[:-1], len(entries)))
 
 
 class InternalActuation(Actuation):
@@ -61,17 +61,16 @@ class InternalActuation(Actuation):
 
     def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Q = T tau."""
-        inputs, half = split(tau), 0.5 * entry(self.width)
-        pairs = list(zip(inputs[0::2], inputs[1::2], strict=True))
-        out = [left + right for left, right in pairs]
-        out += [half * (left - right) for left, right in pairs]
+        inputs, half = split(tau), split(0.5 * self.width)
+        lefts, rights = inputs[0::2], inputs[1::2]
+        out = [left + right for left, right in zip(lefts, rights, strict=True)]
+        out += [x * (left - right) for x, left, right in zip(half, lefts, rights, strict=True)]
         return self._joined(out, tau, q)
 
     def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
         """tau = T^-1 Q."""
-        n, width = force.shape[-1] // 2, entry(self.width)
-        wanted, out = split(force), list[Entry]()
-        for push, couple in zip(wanted[:n], wanted[n:], strict=True):
+        n, wanted, out = force.shape[-1] // 2, split(force), list[Entry]()
+        for push, couple, width in zip(wanted[:n], wanted[n:], split(self.width), strict=True):
             out += [0.5 * push + couple / width, 0.5 * push - couple / width]
         return self._joined(out, force, q)
 
@@ -93,7 +92,7 @@ class GroundedActuation(Actuation):
         """Q = F_coeff(q) tau."""
         n = q.shape[-1] // 2
         s, axes = split(q), plate_entries(q)
-        inputs, half = split(tau), 0.5 * entry(self.width)
+        inputs, half = split(tau), split(0.5 * self.width)
         out: list[Entry] = [0.0] * (2 * n)
         fx = fy = moment = 0.0  # that module i carries
         for i in reversed(range(n)):
@@ -103,7 +102,7 @@ class GroundedActuation(Actuation):
             left, right = inputs[2 * i], inputs[2 * i + 1]
             push = left + right
             fx, fy = fx + push * cos, fy + push * sin
-            moment = moment + half * (left - right)
+            moment = moment + half[i] * (left - right)
             out[i], out[n + i] = cos * fx + sin * fy, moment
         return self._joined(out, q, tau)
 
@@ -111,7 +110,7 @@ class GroundedActuation(Actuation):
         """tau = F_coeff(q)^-1 Q by back-substitution from the tip."""
         n: int = q.shape[-1] // 2
         s, axes = split(q), plate_entries(q)
-        wanted, width = split(force), entry(self.width)
+        wanted, width = split(force), split(self.width)
         out: list[Entry] = [0.0] * (2 * n)
         fx = fy = carried = 0.0  # force and moment of the modules below
         for i in reversed(range(n)):
@@ -119,7 +118,7 @@ class GroundedActuation(Actuation):
                 carried = _carried(wanted[n + i + 1], s[i + 1], axes[i + 1], fx, fy)
             cos, sin = axes[i]
             push = wanted[i] - (cos * fx + sin * fy)
-            couple = (wanted[n + i] - carried) / width
+            couple = (wanted[n + i] - carried) / width[i]
             fx, fy = fx + push * cos, fy + push * sin
             out[2 * i], out[2 * i + 1] = 0.5 * push + couple, 0.5 * push - couple
         return self._joined(out, q, force)

@@ -80,12 +80,11 @@ def build_slim_model(
 ) -> mujoco.MjModel:
     """The model of `build_model` without what no state depends on, so that a step takes less time.
 
-    Geoms, sensors, the tip's site, cameras and lights are left out. A step gives the same bits.
+    Geoms, sensors, cameras and lights are left out. A step gives the same bits.
     """
     parameters = nominal_parameters() if parameters is None else parameters
     spec = _arm_spec(parameters, timestep)
-    tip = spec.site("tip")
-    for part in (*spec.sensors, *spec.geoms, tip, *spec.cameras, *spec.lights):
+    for part in (*spec.sensors, *spec.geoms, *spec.cameras, *spec.lights):
         spec.delete(part)
     return _compiled(spec, parameters)
 
@@ -101,15 +100,19 @@ def _arm_spec(p: ArmParameters, timestep: float | None) -> mujoco.MjSpec:
         raise OctarmError(f"parameters have batch axes {p.batch_shape}; a model describes one arm")
     _set_modules(spec, p.modules)
     nominal = nominal_parameters()
-    wider = float(p.width / nominal.width)
     for i in range(1, p.modules + 1):
         body = spec.body(f"module_{i}")
         body.mass, body.inertia = p.mass[i - 1], [p.inertia[i - 1]] * 3
-        longer = float(p.rest_length[i - 1] / nominal.rest_length[min(i, nominal.modules) - 1])
+        alike = (
+            min(i, nominal.modules) - 1
+        )  # the module of the template that this one is drawn like
+        longer = float(p.rest_length[i - 1] / nominal.rest_length[alike])
+        wider = float(p.width[i - 1] / nominal.width[alike])
         for name in (*_sleeves(i), *_rods(i)):
             geom = spec.geom(name)
             geom.fromto = np.array(geom.fromto) * np.tile([longer, wider, 1.0], 2)
             geom.size = np.array(geom.size) * wider
+    spec.site("tip").pos = [float(p.tip_length), 0.0, 0.0]
     return spec
 
 
@@ -191,12 +194,12 @@ class PlantFields:
         )
         columns = zip(self._tendons, self._bends, self._reactions, strict=True)
         for a, (column, bends, reactions) in enumerate(columns):
-            lever = _COLUMN_SIDES[a][1] * 0.5 * p.width[..., None]
+            lever = _COLUMN_SIDES[a][1] * 0.5 * p.width
             self._field("tendon_stiffness")[..., column] = p.stiffness[..., a, :]
             self._field("tendon_damping")[..., column] = p.damping[..., a, :]
             self._field("tendon_lengthspring")[..., column, :] = p.rest_length[..., None]
             self._field("wrap_prm")[..., bends] = lever
-            self._field("actuator_gear")[..., reactions, 5] = lever
+            self._field("actuator_gear")[..., reactions, 5] = lever[..., 1:]
         return bool(changed)
 
 

@@ -109,8 +109,8 @@ class ArmParameters:
         for name, (axes, smallest, inclusive) in _RULES.items():
             value = read_only(name, getattr(self, name))
             shape = (2, modules)[2 - axes :]
-            if not value.ndim and modules:
-                value = read_only(name, np.full(shape, value))
+            if modules and value.shape[-axes:] in ((), (1,) * axes):
+                value = read_only(name, np.broadcast_to(value, value.shape[:-axes] + shape))
             _check_shape(name, value, shape)
             _check_bound(name, value, smallest, inclusive)
             object.__setattr__(self, name, value)
@@ -215,7 +215,7 @@ class ArmParameters:
         Raises:
             OctarmError: if a field is missing, unknown or invalid.
         """
-        wrong = set(fields) ^ set(_RULES)
+        wrong = (set(fields) ^ set(_RULES)) - {"tip_length"}  # which has a default
         if wrong:
             raise OctarmError(
                 f"parameters need exactly the fields {', '.join(_RULES)}; "
@@ -232,15 +232,16 @@ class ArmParameters:
         modules = range(1, model.nq // 2 + 1)
         bodies = [model.body(f"module_{i}") for i in modules]
         columns = [[model.tendon(f"column_{a}_{i}") for i in modules] for a in (1, 2)]
-        theta_of_column_1 = model.tendon_adr[model.tendon("column_1_1").id] + 1
+        bends = [model.tendon_adr[column.id] + 1 for column in columns[0]]
         return cls(
             mass=[body.mass[0] for body in bodies],
             inertia=[body.inertia[2] for body in bodies],
-            width=2.0 * model.wrap_prm[theta_of_column_1],
+            width=[2.0 * model.wrap_prm[bend] for bend in bends],
             stiffness=[[model.tendon_stiffness[c.id] for c in row] for row in columns],
             damping=[[model.tendon_damping[c.id] for c in row] for row in columns],
             rest_length=[model.tendon_lengthspring[c.id, 0] for c in columns[0]],
             gravity=-model.opt.gravity[2],
+            tip_length=model.site("tip").pos[0],
         )
 
 

@@ -66,7 +66,7 @@ def levers(p: ArmParameters) -> np.ndarray:
 
     Angles times their lever compare with lengths, moments divided by it with forces.
     """
-    return np.repeat([1.0, 0.5 * float(p.width)], p.modules)
+    return np.concatenate([np.ones(p.modules), 0.5 * p.width])
 
 
 def relative_error(measured: np.ndarray, expected: np.ndarray) -> float:
@@ -119,15 +119,15 @@ def mujoco_mechanics(
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     data = mujoco.MjData(model)
     states = states._replace(tau=GroundedActuation(p.width).ctrl(states.tau))
-    half = 0.5 * float(p.width)
-    rows = [_at_state(model, data, half, *state) for state in zip(*states, strict=True)]
+    half_width = 0.5 * p.width
+    rows = [_at_state(model, data, half_width, *state) for state in zip(*states, strict=True)]
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 
 
 def _at_state(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    half: float,
+    half_width: np.ndarray,
     q: np.ndarray,
     v: np.ndarray,
     a: np.ndarray,
@@ -154,7 +154,7 @@ def _at_state(
         "positions": data.xpos[bodies],
         "inertia": inertia[np.ix_(dof, dof)],
         "tendon_moments": moments[: model.nq, dof].T,
-        "coefficients": _wrenches(model, data, bodies, half)[:, dof].T,
+        "coefficients": _wrenches(model, data, bodies, half_width)[:, dof].T,
         "bias": data.qfrc_bias[dof],
         "springs": data.qfrc_spring[dof],
         "dampers": data.qfrc_damper[dof],
@@ -168,7 +168,7 @@ def _at_state(
 
 
 def _wrenches(
-    model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], half: float
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], half_width: np.ndarray
 ) -> np.ndarray:
     """Generalised forces of the paper's inputs, shape (2N, nv), one input a row.
 
@@ -180,6 +180,6 @@ def _wrenches(
         axis = data.xmat[model.body_parentid[body]].reshape(3, 3)[:, 0]
         hinge = data.xaxis[model.joint(f"theta_{i + 1}").id]
         for row, side in ((rows[2 * i], 1.0), (rows[2 * i + 1], -1.0)):
-            couple = side * half * hinge
+            couple = side * half_width[i] * hinge
             mujoco.mj_applyFT(model, data, axis, couple, data.xpos[body], body, row)
     return rows

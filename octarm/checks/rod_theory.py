@@ -6,6 +6,8 @@ are the references that chains of modules are compared with; nothing here knows 
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, root_scalar
@@ -53,11 +55,14 @@ def static_tip(rod: Rod, tip_force: np.ndarray, gravity: np.ndarray) -> np.ndarr
         solution = solve_ivp(slope, (0.0, length), start, method="DOP853", rtol=1e-12, atol=1e-14)
         return solution.y[:, -1]
 
+    def remaining(moment: float, share: float) -> float:
+        return float(end(moment, share)[3])
+
     moment = 0.0
     for share in np.arange(1, _STAGES + 1) / _STAGES:
         close = moment + 1e-6 * float(np.broadcast_to(rod.EI, 2)[0]) / length
         solution = root_scalar(
-            lambda m, share=share: end(m, share)[3],
+            functools.partial(remaining, share=share),
             x0=moment,
             x1=close,
             method="secant",
@@ -115,4 +120,5 @@ def _uniform(rod: Rod) -> tuple[float, float, float, float]:
     profiles = (rod.EA, rod.EI, rod.density, rod.rotary_inertia)
     if any(np.ptp(np.broadcast_to(p, 2)) > 0.0 for p in profiles):
         raise OctarmError("beam theory needs a uniform rod; this one tapers")
-    return (rod.length, *(float(np.mean(p)) for p in profiles[1:]))
+    stiff, heavy, turning = (float(np.mean(p)) for p in profiles[1:])
+    return rod.length, stiff, heavy, turning

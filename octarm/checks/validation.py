@@ -53,6 +53,7 @@ def arm_with(modules: int) -> ArmParameters:
         p,
         mass=tapered(p.mass),
         inertia=tapered(p.inertia),
+        width=tapered(p.width),
         stiffness=[tapered(column) for column in p.stiffness],
         damping=[tapered(column) for column in p.damping],
         rest_length=tapered(p.rest_length),
@@ -72,7 +73,7 @@ def random_arm(rng: np.random.Generator, modules: int) -> ArmParameters:
     return arm_with(modules).scaled(
         mass=factor(0.6, 1.6, modules),
         inertia=factor(0.6, 1.6, modules),
-        width=factor(0.75, 1.35),
+        width=factor(0.75, 1.35, modules),
         stiffness=factor(0.6, 1.6, 2, modules),
         damping=factor(0.5, 1.6, 2, modules),
         rest_length=factor(0.75, 1.35, modules),

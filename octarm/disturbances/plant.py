@@ -132,7 +132,7 @@ def _changed(factors: Mapping[str, Amount], tilt: Amount, step: int, plant: Plan
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Payload(PlantChange):
-    """A point mass at the tip, from a given time on.
+    """A point mass at the last plate, from a given time on; the tip unless a rigid piece follows.
 
     It has the tip's velocity when it is picked up: there is no impact.
 
@@ -164,7 +164,7 @@ class Payload(PlantChange):
 
 
 def _loaded(mass: Amount, first: np.ndarray, step: int, plant: Plant) -> Plant:
-    """The plant with a mass [kg] at the tip, which is the last body's place, from a step on."""
+    """The plant with a mass [kg] at its last plate, from a step on."""
     p = plant.parameters
     added = np.where(step >= first, mass, 0.0)
     batch = np.broadcast_shapes(p.mass.shape[:-1], added.shape)

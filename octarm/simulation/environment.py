@@ -229,7 +229,7 @@ class TrackingTask(control.Task):
         q, v = physics.q(), physics.v()
         if active is not None and active.sensors:  # nothing acts before the first episode
             q, v = active.sensed(physics.steps(), q, v)
-            tip = tip_position(q)
+            tip = tip_position(q, self._episode.parameters.entries.tip_length)
         else:
             tip = physics.tip_position()
         return collections.OrderedDict(
