@@ -6,27 +6,28 @@ import numpy as np
 from scipy.linalg import eigh
 
 from octarm.arm import lagrange
+from octarm.arm.kinematics import tip_force
 from octarm.arm.parameters import ArmParameters
 from octarm.errors import OctarmError
 
 _STAGES = 10  # in which a load is put on
 
 
-def static_tip(p: ArmParameters, tip_force: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+def static_tip(p: ArmParameters, end_force: np.ndarray, gravity: np.ndarray) -> np.ndarray:
     """Tip of a chain under dead loads: x, y and the angle there, shape (3,) [m], [m], [rad].
 
     By Newton's method on the stationary point of springs less loads; see `lagrange.newton`.
 
     Args:
         p: the chain; its own gravity does not count.
-        tip_force: dead force on the tip, shape (2,) [N].
+        end_force: dead force on the tip, shape (2,) [N].
         gravity: acceleration of the masses, shape (2,) [m/s^2].
 
     Raises:
         OctarmError: if there is no such shape.
     """
     n = p.modules
-    loads = np.concatenate([p.mass[:, None] * gravity, tip_force[None, :]])
+    loads = np.concatenate([p.mass[:, None] * gravity, end_force[None, :]])
     q = np.concatenate([p.rest_length, np.zeros(n)])
     for share in np.arange(1, _STAGES + 1) / _STAGES:
         carried = (
@@ -80,3 +81,13 @@ def frequencies(p: ArmParameters) -> tuple[np.ndarray, np.ndarray]:
     squares = [eigh(stiffness[k, k], inertia[k, k], eigvals_only=True) for k in kinds]
     bending, axial = (np.sqrt(square) / (2.0 * np.pi) for square in squares)
     return bending, axial
+
+
+def tip_compliance(p: ArmParameters) -> float:
+    """Deflection of the tip of the straight chain by a small force across it [m/N].
+
+    By the slope of the springs' forces: y = J^T K^-1 J for the generalised force J of 1 N.
+    """
+    q = np.concatenate([p.rest_length, np.zeros(p.modules)])
+    force = tip_force(q, 0.0, 1.0, p.entries.tip_length)
+    return float(force @ np.linalg.solve(lagrange.stiffness_matrix(p), force))
