@@ -81,8 +81,9 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
 
     def reset(self, keyframe_id: int | None = None) -> None:
         """Back to the undisturbed model's defaults or a keyframe, with no input."""
-        super().reset(keyframe_id)
-        self._forget()
+        with self.exclusive.anew():
+            super().reset(keyframe_id)
+            self._forget()
 
     def step(self, nstep: int = 1) -> None:
         """Advances by `nstep` physics steps; see `AnyPhysics.step`.
@@ -91,7 +92,7 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
             PhysicsError: when MuJoCo reports a bad state; the state is never reset.
         """
         try:
-            with self.check_invalid_state():
+            with self.exclusive, self.check_invalid_state():
                 super().step(nstep)
                 if self._all_intact:
                     mujoco.mj_step1(self.model.ptr, self.data.ptr)  # sensors of the new state

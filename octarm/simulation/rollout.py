@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from dm_control.rl import control
@@ -33,7 +33,7 @@ def simulate(
     duration: float,
     *observers: Observer,
 ) -> str:
-    """The simulation loop: one episode from the start, for one arm or a batch.
+    """The simulation loop: the environment's next episode, for one arm or a batch.
 
     The loop turns the controller's generalised force into the action with what it may know:
     tau = F(q measured)^-1 Q. It ends early when no arm is within its limits.
@@ -49,12 +49,26 @@ def simulate(
         `AnyPhysics.intact` and `AnyPhysics.diverged_at`.
 
     Raises:
-        OctarmError: if the duration is not positive, or the controller's force has a wrong shape.
+        OctarmError: if the duration is not positive, the controller's force has a wrong shape, or
+            something else moves the arms of this environment before the episode has ended.
     """
+    periods = whole_periods(duration, environment.control_timestep())
+    with environment.physics.exclusive.loop() as turn:
+        return _episode(environment, turn, controller, periods, observers)
+
+
+def _episode(
+    environment: control.Environment,
+    turn: contextlib.AbstractContextManager[None],
+    controller: Controller,
+    periods: int,
+    observers: Sequence[Observer],
+) -> str:
+    """See `simulate`; the arms can be moved within `with turn:` alone."""
     physics: AnyPhysics = environment.physics
     task: TrackingTask = environment.task
-    periods = whole_periods(duration, environment.control_timestep())
-    timestep = environment.reset()
+    with turn:
+        timestep = environment.reset()
     state = controller.initial_state(physics.batch_shape)
     message = ""
     for _ in range(periods):
@@ -70,7 +84,8 @@ def simulate(
             disturbance = np.zeros_like(q)
         else:
             try:
-                timestep = environment.step(tau)
+                with turn:
+                    timestep = environment.step(tau)
             except control.PhysicsError as error:
                 message = physics.divergence() or f"diverged at t = {physics.time():.6g} s: {error}"
             tau = physics.tau()  # what a wrapper made of it
@@ -90,7 +105,7 @@ def rollout(
     *,
     progress: Callable[[], object] | None = None,
 ) -> Trajectory:
-    """Runs one episode of one arm from the start, and records it.
+    """Runs the next episode of one arm, and records it.
 
     Args:
         environment: what `octarm.load` returns, possibly wrapped.
@@ -103,8 +118,8 @@ def rollout(
         finite. Such a run ends there.
 
     Raises:
-        OctarmError: if the duration is not positive, the controller's force has a wrong shape, or
-            the environment holds a batch of arms.
+        OctarmError: if the duration is not positive, the controller's force has a wrong shape, the
+            environment holds a batch of arms, or something else moves the arm meanwhile.
     """
     blocks: list[Rows] = []
     recorder = ArmRecorder(environment, lambda rows: blocks.append(copied(rows)))
@@ -163,7 +178,7 @@ class ArmRecorder(Recorder):
         duration: float,
         progress: Callable[[], object] | None = None,
     ) -> Ending:
-        """Runs one episode from the start, as `rollout` does; to be called once.
+        """Runs the next episode, as `rollout` does; to be called once.
 
         An interrupt ends the run.
 
@@ -186,7 +201,8 @@ class ArmRecorder(Recorder):
         with contextlib.suppress(KeyboardInterrupt):  # the run is over, there is nothing to end
             self.flush()
         status = "interrupted" if interrupted else "diverged" if message else "ok"
-        return Ending(self.layer, status, message, self._digest.hexdigest())
+        episode = self._environment.task.episode
+        return Ending(self.layer, status, message, self._digest.hexdigest(), episode)
 
 
 def copied(rows: Rows) -> Rows:
