@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import collections
 import math
+import operator
 from collections.abc import Sequence
-from typing import Any, cast
 
 import numpy as np
 from dm_control.rl import control
@@ -210,10 +210,14 @@ class TrackingTask(control.Task):
         Raises:
             OctarmError: if the number of the episode is not a whole one, at least 0.
         """
-        index = cast("Any", self.next_episode)
-        if not isinstance(index, int | np.integer) or index < 0:
-            raise OctarmError(f"next_episode is {index!r}; it must be a whole number, at least 0")
-        episode = self._first.later(int(index))
+        try:
+            index = operator.index(self.next_episode)
+        except TypeError:
+            index = -1
+        if index < 0:
+            given = self.next_episode
+            raise OctarmError(f"next_episode is {given!r}; it must be a whole number, at least 0")
+        episode = self._first.later(index)
         self._start_at(0)
         self.random = episode.streams("wrappers")[0]
         rest = physics.hanging()
