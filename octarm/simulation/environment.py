@@ -267,7 +267,8 @@ class TrackingTask(control.Task):
         """
         error = (physics.q() - self._desired.q) / self._margin
         mean = sum(split(error * error)) / error.shape[-1]
-        return np.where(physics.intact(), np.exp(math.log(0.1) * mean), 0.0)[()]
+        reward = np.exp(math.log(0.1) * mean)
+        return reward if physics.all_intact() else np.where(physics.intact(), reward, 0.0)[()]
 
     def get_termination(self, physics: AnyPhysics) -> float | None:
         """Discount 0 when every arm has left its limits, 1 when the time is up, else None."""

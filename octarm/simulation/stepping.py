@@ -136,6 +136,10 @@ class AnyPhysics(control.Physics):
         """Which arms are still within their limits, shape (...) of bool."""
         return self._intact.copy()
 
+    def all_intact(self) -> bool:
+        """Whether every arm is still within its limits."""
+        return self._all_intact
+
     def all_lost(self) -> bool:
         """Whether no arm is within its limits any more."""
         return not (self._all_intact or self._intact.any())
