@@ -225,7 +225,7 @@ def _refusal(physics: AnyPhysics, force: np.ndarray, measurement: Measurement) -
             f"{measurement.q.shape}"
         )
     usable: np.ndarray = np.abs(force) <= _LARGEST_FORCE
-    if usable.all():
+    if np.count_nonzero(usable) == usable.size:
         return ""
     physics.freeze(~np.all(usable, axis=-1))
     if physics.batch_shape:
