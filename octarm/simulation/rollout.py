@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
 from collections.abc import Callable, Sequence
 
@@ -72,9 +73,10 @@ def _episode(
     state = controller.initial_state(physics.batch_shape)
     message = ""
     for _ in range(periods):
-        seen = {name: _read_only(array) for name, array in timestep.observation.items()}
-        measurement = Measurement(task.time, seen["q"], seen["v"])
-        reference = Reference(seen["q_d"], seen["v_d"], seen["a_d"])
+        seen = timestep.observation
+        measurement = Measurement(task.time, _read_only(seen["q"]), _read_only(seen["v"]))
+        q_d, v_d, a_d = seen["q_d"], seen["v_d"], seen["a_d"]
+        reference = Reference(_read_only(q_d), _read_only(v_d), _read_only(a_d))
         with np.errstate(all="ignore"):  # what diverges is reported, not warned of
             command, state = controller(state, measurement, reference)
             message = _refusal(physics, command.force, measurement)
@@ -126,7 +128,7 @@ def rollout(
     ending = recorder.run(controller, duration, progress)
     if ending.status == "interrupted":
         raise KeyboardInterrupt
-    return joined(blocks, ending)
+    return dataclasses.replace(joined(blocks, ending), episode=environment.task.episode)
 
 
 class ArmRecorder(Recorder):
@@ -201,8 +203,7 @@ class ArmRecorder(Recorder):
         with contextlib.suppress(KeyboardInterrupt):  # the run is over, there is nothing to end
             self.flush()
         status = "interrupted" if interrupted else "diverged" if message else "ok"
-        episode = self._environment.task.episode
-        return Ending(self.layer, status, message, self._digest.hexdigest(), episode)
+        return Ending(self.layer, status, message, self._digest.hexdigest())
 
 
 def copied(rows: Rows) -> Rows:

@@ -29,22 +29,16 @@ class Ending(NamedTuple):
         status: how it ended.
         message: one sentence on that.
         digest: of all states.
-        episode: which one of the environment's episodes it was, from 0.
     """
 
     layer: np.ndarray | None = None
     status: Status = "ok"
     message: str = ""
     digest: str = ""
-    episode: int = 0
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What there is, by name, as it is saved: `layer`, shape (2N,), and texts, shape ().
-
-        The number of the episode, shape (), is there unless it is 0.
-        """
-        fields = self._asdict().items()
-        return {n: np.asarray(x) for n, x in fields if x is not None and (n != "episode" or x)}
+        """What there is, by name, as it is saved: `layer`, shape (2N,), and texts, shape ()."""
+        return {name: np.asarray(x) for name, x in self._asdict().items() if x is not None}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,7 +64,8 @@ class Trajectory:
         status: `ok`, or `diverged` or `interrupted` when the run ended before its time.
         message: one sentence on how such a run ended; empty otherwise.
         digest: SHA-256 over MuJoCo's integration state at every control instant.
-        episode: which one of the environment's episodes it was, from 0; see `octarm.load`.
+        episode: which one of the environment's episodes it was, from 0, see `octarm.load`; None
+            when it was read from a file.
 
     Raises:
         OctarmError: if lengths differ, or a signal has the name of another field.
@@ -89,7 +84,7 @@ class Trajectory:
     status: Status = "ok"
     message: str = ""
     digest: str = ""
-    episode: int = 0
+    episode: int | None = None
 
     def __post_init__(self) -> None:
         for name in self.signals:
@@ -123,7 +118,7 @@ class Trajectory:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the twin `.npz`, whole or not at all; equal trajectories give equal bytes."""
-        ending = Ending(self.layer, self.status, self.message, self.digest, self.episode)
+        ending = Ending(self.layer, self.status, self.message, self.digest)
         with whole_file(path) as part, open(part, "wb") as file:
             np.savez(file, allow_pickle=False, **dict(self.arrays()), **ending.arrays())
 
@@ -152,10 +147,9 @@ class Trajectory:
         Raises:
             KeyError: if something is missing.
         """
-        texts: dict[str, Any] = {n: str(arrays[n]) for n in ("status", "message", "digest")}
-        episode = int(str(arrays.get("episode", 0)))
+        texts: dict[str, Any] = {name: str(arrays[name]) for name in Ending._fields[1:]}
         rows = {name: array for name, array in arrays.items() if name not in Ending._fields}
-        return cls.from_rows(rows, Ending(arrays.get("layer"), **texts, episode=episode))
+        return cls.from_rows(rows, Ending(arrays.get("layer"), **texts))
 
     @classmethod
     def from_rows(cls, rows: Rows, ending: Ending) -> Trajectory:
