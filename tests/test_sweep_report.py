@@ -338,6 +338,32 @@ def test_a_controller_that_always_diverges_is_told(tmp_path):
     assert "1 All episodes diverged of better." in told(write_sweep(tmp_path / "s", table))
 
 
+@pytest.mark.parametrize("lost", [False, True])
+def test_none_finished_is_not_all_diverged(tmp_path, capsys, lost):
+    """Of better half of the episodes are finished, of the last controller none."""
+    table = columns()
+    diverge(table, (table["controller"] == "better") & lost)
+    folder = write_sweep(tmp_path / "s", table)
+    for i in (3, 4, 5):
+        (folder / f"episodes/0000{i}.parquet").unlink()
+    text = told(folder)
+    assert f"No episode of {HOSTILE} is finished." in text
+    assert "54 of 108 episodes are there" in text
+    assert ("All finished episodes diverged of better: 18 of 36 planned." in text) == lost
+    assert "All episodes diverged" not in text
+    status = " that did not diverge" if lost else ""
+    assert f"No finished episode{status} has a value of chattering, overshoot_theta2" in text
+    assert main(["report", str(folder)]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"^<script>.* 0 +0 +none finished$", out, re.MULTILINE)
+    body = "".join(ET.fromstring((folder / "report/report.html").read_text()).itertext())
+    assert "54 of 108 episodes of 4 s" in body
+    assert body.count("none finished") >= 2
+    assert "Median over all finished episodes" in body
+    assert "Empty where no finished episode" in body
+    assert "nan" not in out
+
+
 # --- the page --------------------------------------------------------------------------------
 
 
