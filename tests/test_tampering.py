@@ -95,7 +95,7 @@ FILES = {
     "a byte amid it": lambda file, other: flipped(file, 0.6),
     "its last byte": lambda file, other: flipped(file, 1.0),
     "emptied": lambda file, other: file.write_bytes(b""),
-    "cut": lambda file, other: file.write_bytes(file.read_bytes()[:-1]),
+    "cut": lambda file, other: file.write_bytes(file.read_bytes()[:-3]),
     "doubled": lambda file, other: file.write_bytes(2 * file.read_bytes()),
     "deleted": lambda file, other: file.unlink(),
     "swapped": lambda file, other: shutil.copy(other, file),
@@ -156,7 +156,7 @@ def test_what_was_not_changed_is_identical(run, calm, tmp_path):
 PLACES = [  # of each table those entries that are of its first kinds
     "format", "controller.name", "controller.gains", "controller.gains.lambda_",
     "controller.gains.phi.2", "parameters.mass.0", "parameters.gravity", "coordinates.3.unit",
-    "nominal.width", "reference.frequency.1", "disturbances.0.name", "disturbances.0.asked.on",
+    "nominal.width", "reference.amplitude.3", "disturbances.0.name", "disturbances.0.asked.on",
     "disturbances.0.delivered.rms.4", "seed", "spawn_key", "duration", "timestep",
     "control_period", "actuation", "metrics", "metrics.effort.5", "metrics.tip_rms_error",
     "status", "message", "digest", "command", "sha256.run.json",
@@ -167,12 +167,11 @@ def place_of(content: dict, dotted: str) -> tuple:
     return next(p for p in places(content) if ".".join(map(str, p)) == dotted)
 
 
-@pytest.mark.parametrize("how", ["changed", "deleted", "added"])
 @pytest.mark.parametrize("dotted", PLACES)
-def test_an_entry_of_run_json(run, dotted, how):
+def test_an_entry_of_run_json(run, dotted):
     content = read(run / "run.json")
-    altering = altered(content, place_of(content, dotted), how)
-    (run / "run.json").write_text(json.dumps(altering))
+    how = ("changed", "deleted", "added")[PLACES.index(dotted) % 3]  # all of them below
+    (run / "run.json").write_text(json.dumps(altered(content, place_of(content, dotted), how)))
     assert noticed(run)
 
 
@@ -243,7 +242,7 @@ ARRAYS = {
 
 
 @pytest.mark.parametrize("how", ARRAYS)
-@pytest.mark.parametrize("name", ["t", "q", "V", "layer", "status"])
+@pytest.mark.parametrize("name", ["q", "status"])
 def test_an_array(run, name, how):
     with_array(run, name, ARRAYS[how])
     assert noticed(run)
@@ -261,18 +260,18 @@ def test_every_array(original, tmp_path, how):
 
 
 def test_an_array_more_and_bytes_between_arrays(run):
-    content = (run / "run.npz").read_bytes()
     with np.load(run / "run.npz") as file:
         arrays = dict(file)
     np.savez(run / "run.npz", **arrays, extra=np.zeros(40))
     restate(run)
     found = check(run)
     assert found is None or [d.key for d in found.differences] == ["shape of extra"]
+    np.savez(run / "run.npz", **arrays)
+    restate(run)
+    assert not noticed(run)
     np.savez_compressed(run / "run.npz", **arrays)
     found = check(run)
     assert found is not None and [d.key for d in found.differences] == ["sha256.run.npz"]
-    (run / "run.npz").write_bytes(content)
-    assert not noticed(run)
 
 
 @pytest.mark.parametrize("how", FILES)
@@ -315,8 +314,9 @@ def test_a_recording_is_that_of_the_run(run, calm):
     assert found is not None
     keys = [d.key for d in found.differences]
     assert all(key.startswith("run.rrd /") for key in keys)
-    assert any(key.startswith("run.rrd /signals octarm:signals, row 0[0].") for key in keys)
-    assert "run.rrd /ledger TextDocument:text" in keys
+    assert "run.rrd /signals octarm:signals" in keys  # without the disturbance
+    assert "run.rrd /ledger TextDocument:text" in keys  # which the other one does not have
+    assert any(key.startswith("run.rrd /world/tube Cylinders3D:colors, row ") for key in keys)
 
 
 def test_a_recording_may_be_missing_or_made_again(run, tmp_path, capsys):
@@ -451,9 +451,9 @@ def test_an_entry_of_a_manifest(sweep, dotted, how):
     (sweep / "manifest.json").write_text(json.dumps(altered(content, place, how)))
     if (dotted, how) in {("starts.0.versions", "changed"), ("starts.0", "added")}:
         return  # as on another machine, and as a sweep that was interrupted
-    with pytest.raises(OctarmError):
-        octarm.read_sweep(sweep)
-    assert not verified(sweep)
+    for reader in (octarm.read_sweep, lambda f: [FinishedSweep(f).row(i) for i in (0, 4, 8, 12)]):
+        with pytest.raises(OctarmError):
+            reader(sweep)
 
 
 LISTS = {
@@ -528,9 +528,8 @@ def test_a_value_and_the_digest_beside_it(sweep):
     )
     assert main(["report", str(sweep), "--metric", "effort"]) == 2
     (sweep / "episodes/00001.parquet").unlink()
-    restored = SPEC and sweep
-    assert main(["sweep", str(restored / "spec.toml"), "--out", str(sweep), "--workers", "1",
-                 "--resume"]) == 0  # fmt: skip
+    command = ["sweep", str(sweep / "spec.toml"), "--out", str(sweep), "--workers", "1"]
+    assert main([*command, "--resume"]) == 0
     put_shard(sweep, 1, with_values(sweep, 1, "digest", larger), stated=False)
     assert main(["report", str(sweep), "--metric", "effort"]) == 2
     put_shard(sweep, 1, (sweep / "episodes/00001.parquet").read_bytes(), stated=True)
@@ -558,7 +557,7 @@ def test_other_shards_under_a_new_checksum(sweep, another, capsys):
             with pytest.raises(OctarmError, match=r"00002.parquet"):
                 octarm.read_sweep(sweep, ["effort_tau1"])
     put_shard(sweep, 2, (another / "episodes/00002.parquet").read_bytes(), stated=True)
-    assert not verified(sweep, "--episode", "9")  # the noise is that of another seed
+    assert not verified(sweep, "--episode", "10")  # the noise is that of another seed
 
 
 def test_files_more_in_a_sweep(sweep, capsys):
@@ -586,9 +585,9 @@ def test_a_recorded_episode(sweep, another, name, how):
 
 def test_a_recorded_episode_is_the_one_that_its_name_says(sweep, capsys):
     folder = next((sweep / "recorded").iterdir())
-    folder.rename(folder.with_name("4-chosen"))
+    folder.rename(folder.with_name("12-chosen"))
     assert not verified(sweep, "--episode", "0")
-    assert "recorded/4-chosen: controller.name" in capsys.readouterr().out
+    assert "recorded/12-chosen: controller.name" in capsys.readouterr().out
 
 
 def test_a_changed_recording_of_an_episode_is_made_again(sweep, capsys):

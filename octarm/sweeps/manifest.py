@@ -46,8 +46,8 @@ def new_manifest(plan: Plan, gains: Mapping[str, Any], spec_file: bytes) -> dict
         "spec_sha256": hashlib.sha256(spec_file).hexdigest(),
         "episodes": plan.episodes,
         "gains": gains,
-        "starts": [],
         "shards": [{**shard, "sha256": ""} for shard in _shards(plan)],
+        "starts": [],
     }
 
 
