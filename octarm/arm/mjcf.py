@@ -16,7 +16,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from octarm.arm.lagrange import newton
+from octarm.arm.lagrange import newton, potential_hessian
 from octarm.arm.parameters import ArmParameters
 from octarm.errors import FileError, OctarmError
 
@@ -126,14 +126,16 @@ def _compiled(spec: mujoco.MjSpec, parameters: ArmParameters) -> mujoco.MjModel:
         mujoco.mj_fwdVelocity(model, data)
         return data.qfrc_bias - data.qfrc_passive
 
-    def linearised(qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        nudges = 1e-6 * np.eye(model.nq)
-        slope = [(residual(qpos + h) - residual(qpos - h)) / 2e-6 for h in nudges]
-        return residual(qpos), np.stack(slope, axis=1)
+    order = paper_order(model)[0]
 
-    start = np.zeros(model.nq)
-    start[0::2] = parameters.rest_length
-    model.key("hanging").qpos[:] = newton(linearised, start, 1e-13)
+    def linearised(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By MuJoCo's forces; the slope, which only sets the way there, is the analytic one."""
+        qpos = np.empty_like(q)
+        qpos[order] = q
+        return residual(qpos)[order], potential_hessian(parameters, q)
+
+    straight = np.concatenate([parameters.rest_length, np.zeros(parameters.modules)])
+    model.key("hanging").qpos[order] = newton(linearised, straight, 1e-13)
     return model
 
 
