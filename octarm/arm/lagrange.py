@@ -30,7 +30,7 @@ from octarm.arrays import Entry, cos_sin, join, split
 from octarm.errors import OctarmError
 
 
-_FARTHEST = 1e6  # [m], [rad]; where springs are so soft, forces are nothing but rounding
+NO_EQUILIBRIUM = "no static equilibrium was found: stiffness is too low for this weight"
 
 
 def inverse_dynamics(
@@ -230,10 +230,8 @@ def newton(
             step = np.linalg.solve(slope, force[..., None])[..., 0]
             q = q - step
             if np.all(np.abs(step) < within * np.maximum(1.0, np.abs(q))):
-                if np.max(np.abs(q)) > _FARTHEST:
-                    break
                 return q
-    raise OctarmError("no static equilibrium was found: stiffness is too low for this weight")
+    raise OctarmError(NO_EQUILIBRIUM)
 
 
 def potential_hessian(p: ArmParameters, q: np.ndarray) -> np.ndarray:

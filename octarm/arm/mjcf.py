@@ -16,11 +16,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from octarm.arm.lagrange import newton, potential_hessian
+from octarm.arm.lagrange import NO_EQUILIBRIUM, newton, potential_hessian
 from octarm.arm.parameters import ArmParameters
 from octarm.errors import FileError, OctarmError
 
 _COLUMN_SIDES = ((1, 1.0), (2, -1.0))  # column 1 lengthens with +theta
+_FARTHEST = 1e6  # [m], [rad]; of springs so soft, MuJoCo's forces are nothing but rounding
 _PARTS = ("column_1", "column_2", "backbone")
 
 
@@ -135,7 +136,10 @@ def _compiled(spec: mujoco.MjSpec, parameters: ArmParameters) -> mujoco.MjModel:
         return residual(qpos)[order], potential_hessian(parameters, q)
 
     straight = np.concatenate([parameters.rest_length, np.zeros(parameters.modules)])
-    model.key("hanging").qpos[order] = newton(linearised, straight, 1e-13)
+    rest = newton(linearised, straight, 1e-13)
+    if np.max(np.abs(rest)) > _FARTHEST:
+        raise OctarmError(NO_EQUILIBRIUM)
+    model.key("hanging").qpos[order] = rest
     return model
 
 
