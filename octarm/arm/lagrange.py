@@ -29,7 +29,6 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Entry, cos_sin, join, split
 from octarm.errors import OctarmError
 
-
 NO_EQUILIBRIUM = "no static equilibrium was found: stiffness is too low for this weight"
 
 
