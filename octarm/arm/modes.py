@@ -130,7 +130,8 @@ def _per_inertia(p: ArmParameters, q: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """D^-1 dG/dq and D^-1 B at q, each of shape (..., 2N, 2N)."""
     q = _spread(p, q)
     inertia, slope = lagrange.mass_matrix(p, q), lagrange.potential_hessian(p, q)
-    slopes = np.concatenate([slope, np.broadcast_to(lagrange.damping_matrix(p), slope.shape)], axis=-1)
+    damper = np.broadcast_to(lagrange.damping_matrix(p), slope.shape)
+    slopes = np.concatenate([slope, damper], axis=-1)
     try:
         stiffness, damping = np.split(np.linalg.solve(inertia, slopes), 2, axis=-1)
     except np.linalg.LinAlgError:  # masses so small that their products vanish

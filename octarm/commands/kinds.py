@@ -92,6 +92,8 @@ def file(suffix: str = "") -> Parameter:
 
 
 N, COUNT = _converted("N", _whole(0)), _converted("N", _whole(1))
+
+
 def _step(option: str, word: str) -> float | str:
     return word if word == "auto" else _real(option, word)
 

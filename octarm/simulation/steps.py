@@ -62,15 +62,14 @@ def _check(rest: np.ndarray, timestep: float, integrator: str, arms: ArmParamete
     longest = longest_step(arms, rest, integrator)
     if np.all(timestep <= longest):
         return
-    worst = int(np.argmin(longest))
-    which, arm = "the arm", arms
+    worst, arm = None, arms
     if arms.batch_shape:
-        which, arm = f"arm {worst}", arms.arm(worst)
-        rest = rest[worst] if rest.ndim > 1 else rest
+        worst = int(np.argmin(longest))
+        arm, rest = arms.arm(worst), rest[worst] if rest.ndim > 1 else rest
     allowed = float(np.min(longest))
     raise StepError(
-        f"timestep is {timestep:g} s; the fastest mode of {which} "
-        f"{_fastest(arm, rest, integrator, allowed)}, so that with {integrator} it must be at most "
+        f"timestep is {timestep:g} s; the fastest mode of the arm "
+        f"{_fastest(arm, rest, allowed)}, so that with {integrator} it must be at most "
         f"{_rounded_down(allowed):.3g} s; {AUTO!r} chooses one",
         worst,
     )
@@ -80,15 +79,16 @@ class StepError(OctarmError):
     """A physics step that is too long for an arm.
 
     Attributes:
-        arm: its number in the batch; 0 for one arm.
+        sentence: what is wrong, without the arm's number.
+        arm: its number in the batch; None if all arms are alike.
     """
 
-    def __init__(self, message: str, arm: int) -> None:
-        super().__init__(message)
-        self.arm = arm
+    def __init__(self, sentence: str, arm: int | None) -> None:
+        super().__init__(sentence if arm is None else f"arm {arm}: {sentence}")
+        self.sentence, self.arm = sentence, arm
 
 
-def _fastest(arm: ArmParameters, rest: np.ndarray, integrator: str, allowed: float) -> str:
+def _fastest(arm: ArmParameters, rest: np.ndarray, allowed: float) -> str:
     """What the mode does that needs the shortest step."""
     if not allowed > 0.0:
         return "is beyond any number"
@@ -112,7 +112,25 @@ def steps_of(
     batch_shape: tuple[int, ...],
     integrator: str,
 ) -> np.ndarray:
-    """The longest stable step of each arm of an episode, shape (...) [s].
+    """The longest stable step of each arm of an episode, shape (...) [s]; see `check_arms`."""
+    found: list[np.ndarray] = []
+
+    def look(rest: np.ndarray, arms: ArmParameters) -> None:
+        found.append(longest_step(arms, rest, integrator))
+
+    _survey(look, arm, disturbances, seeds, batch_shape)
+    return functools.reduce(np.minimum, found, np.full(batch_shape, np.inf))
+
+
+def check_arms(
+    arm: ArmParameters,
+    disturbances: Sequence[Disturbance],
+    seeds: Sequence[np.random.SeedSequence],
+    batch_shape: tuple[int, ...],
+    integrator: str,
+    timestep: float | None,
+) -> None:
+    """Raises StepError if a step is too long for an arm of an episode.
 
     Args:
         arm: undisturbed parameters, of one arm or of the batch.
@@ -120,20 +138,35 @@ def steps_of(
         seeds: one an arm.
         batch_shape: () or (n,).
         integrator: name.
+        timestep: physics step [s]; that of `models/octarm.xml` if None.
     """
-    found: list[np.ndarray] = []
+    step = usual_step() if timestep is None else timestep
+
+    def look(rest: np.ndarray, arms: ArmParameters) -> None:
+        _check(rest, step, integrator, arms)
+
+    _survey(look, arm, disturbances, seeds, batch_shape)
+
+
+def _survey(
+    look: Callable[[np.ndarray, ArmParameters], None],
+    arm: ArmParameters,
+    disturbances: Sequence[Disturbance],
+    seeds: Sequence[np.random.SeedSequence],
+    batch_shape: tuple[int, ...],
+) -> None:
+    """Looks at every arm that an episode may have, with where the undisturbed ones hang."""
     rest = equilibrium(arm)
     still = Reference(rest, np.zeros_like(rest), np.zeros_like(rest))
     episode = Episode(
         parameters=arm,
-        timestep=_usual_step(),
+        timestep=usual_step(),
         reference=lambda t: still,
         seeds=seeds,
         batch_shape=batch_shape,
-        check_arm=lambda p: found.append(longest_step(p, rest, integrator)),
+        check_arm=functools.partial(look, rest),
     )
     ActiveDisturbances([d for d in disturbances if isinstance(d, PlantChange)], episode)
-    return functools.reduce(np.minimum, found, np.full(batch_shape, np.inf))
 
 
 def fitting_step(longest: float, control_period: float | None) -> tuple[float, float]:
@@ -145,7 +178,7 @@ def fitting_step(longest: float, control_period: float | None) -> tuple[float, f
     Raises:
         OctarmError: if it would be below 1e-7 s.
     """
-    usual = _usual_step()
+    usual = usual_step()
     period = usual if control_period is None else control_period
     check_period(period)
     for decade, part in itertools.product(range(12), (1, 2, 5)):
@@ -174,5 +207,6 @@ def check_period(period: float, step: float | None = None) -> None:
 
 
 @functools.cache
-def _usual_step() -> float:
+def usual_step() -> float:
+    """The physics step of `models/octarm.xml` [s]."""
     return float(build_slim_model().opt.timestep)

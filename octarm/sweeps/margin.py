@@ -289,7 +289,7 @@ class MarginRuns:
             OctarmError: if a control period at both ends fails.
         """
         ends = np.array([0.0, 1.0])
-        check_batch(seeds * _POINTS, nominal_parameters().modules, what="seeds")
+        check_batch(9 * seeds, nominal_parameters().modules)  # on the coarse grid
         environment, controller = self._begin(np.repeat(np.arange(seeds), 2), np.tile(ends, seeds))
         known = measure(environment, controller, environment.control_timestep()).metrics
         for metric, _ in self.bounds:

@@ -60,7 +60,8 @@ class Axis:
 
 
 SETTINGS = (
-    "seed", "episodes", "duration", "timestep", "control_period", "actuation", "batch", "integrator",
+    "seed", "episodes", "duration", "timestep", "control_period", "actuation", "integrator",
+    "batch",
 )  # fmt: skip
 
 
@@ -107,6 +108,11 @@ class SweepSpec:
     def controllers(self) -> tuple[str, ...]:
         """Names of the controllers."""
         return tuple(str(v) for a in self.axes if a.name == "controller" for v in a.values)
+
+    @property
+    def references(self) -> tuple[str, ...]:
+        """Names of the desired motions."""
+        return tuple(str(v) for a in self.axes if a.name == "reference" for v in a.values)
 
     @property
     def disturbances(self) -> tuple[str, ...]:

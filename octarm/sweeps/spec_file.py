@@ -39,6 +39,7 @@ from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError, OctarmError, closest
 from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
+from octarm.simulation.steps import AUTO
 from octarm.sweeps.spec import SETTINGS, Axis, SweepSpec, class_of, which
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
@@ -56,11 +57,17 @@ def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
+def _step(value: float | str) -> float | str:
+    if value != AUTO and not (isinstance(value, float) and 1e-7 <= value <= 0.1):
+        raise ValueError(f"{spelt(AUTO)}, or a number from 1e-07 to 0.1")
+    return value
+
+
 Distinct = AfterValidator(_distinct)
 Reference = Annotated[str, one_of(REFERENCES)]
 Mismatch = Annotated[float, Field(gt=-1.0, le=1e6)]
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
-Auto = Annotated[str, one_of(["auto"])]
+Step = Annotated[float | str, AfterValidator(_step)]
 Number = Annotated[float, pydantic.AllowInfNan(True)]
 Gain = float | list[float]
 
@@ -114,7 +121,7 @@ class SpecFile(Model):
     seed: Annotated[int, Field(ge=0)] = 0
     episodes: Annotated[int, Field(ge=1)] = 1
     duration: Positive = 10.0
-    timestep: Annotated[FiniteFloat, Field(ge=1e-7, le=0.1)] | Auto | None = None
+    timestep: Step | None = None
     control_period: Annotated[FiniteFloat, Field(gt=0.0, le=10.0)] | None = None
     actuation: Annotated[str, one_of(ACTUATIONS)] = "f-coeff"
     batch: Annotated[int, Field(ge=1)] = 1024
