@@ -31,31 +31,39 @@ def jacobian(q: np.ndarray) -> np.ndarray:
     Axes are end b, direction, coordinate j; J[..., -1, :, :] is that of the tip where no rigid
     piece follows.
     """
-    n = q.shape[-1] // 2
     u = plate_axes(q)
-    normal = np.stack([-u[..., 1], u[..., 0]], axis=-1)
-    out = np.zeros_like(u, shape=(*q.shape[:-1], n, 2, 2 * n))
-    for b in range(n):
-        for j in range(b + 1):
-            out[..., b, :, j] = u[..., j, :]
-            lever = q[..., j, None] * normal[..., j, :]
-            out[..., b, :, n : n + j] += lever[..., None]  # segment j swings with theta_k, k < j
-    return out
+    return _along_the_arm(u, q[..., : u.shape[-2], None] * _normal(u))
 
 
 def jacobian_rate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """J' = d/dt dp_b/dq_j when q moves with v, shape (..., N, 2, 2N) [1/s], [m/s]."""
-    n = q.shape[-1] // 2
     u = plate_axes(q)
-    normal = np.stack([-u[..., 1], u[..., 0]], axis=-1)
+    n, normal = u.shape[-2], _normal(u)
     rate = _plate_angles(v)[..., None]
     turn = rate * normal  # u' = phi' n
     swing = v[..., :n, None] * normal - q[..., :n, None] * rate * u  # (s n)' = s' n - s phi' u
-    out = np.zeros_like(u, shape=(*np.broadcast_shapes(q.shape, v.shape)[:-1], n, 2, 2 * n))
-    for b in range(n):
-        for j in range(b + 1):
-            out[..., b, :, j] = turn[..., j, :]
-            out[..., b, :, n : n + j] += swing[..., j, :, None]
+    return _along_the_arm(turn, swing)
+
+
+def _normal(u: np.ndarray) -> np.ndarray:
+    """n(a) to u(a), shapes (..., 2)."""
+    return np.stack([-u[..., 1], u[..., 0]], axis=-1)
+
+
+def _along_the_arm(slides: np.ndarray, levers: np.ndarray) -> np.ndarray:
+    """What all ends get from what the segments before them contribute, shape (..., N, 2, 2N).
+
+    Segment j gives `slides`, shape (..., N, 2), to its own s_j, and its lever, of the same shape,
+    to every theta_k with k < j.
+    """
+    n = slides.shape[-2]
+    before = np.tri(n, dtype=bool)[..., None]  # j <= b
+    out = np.empty_like(slides, shape=(*slides.shape[:-2], n, 2, 2 * n))
+    out[..., :n] = np.swapaxes(np.where(before, slides[..., None, :, :], 0.0), -1, -2)
+    swings = np.where(
+        before.swapaxes(0, 1) & ~np.eye(n, dtype=bool)[..., None], levers[..., None, :, :], 0.0
+    )  # [k, j], j > k
+    out[..., n:] = np.moveaxis(np.cumsum(swings, axis=-2), -3, -1)
     return out
 
 

@@ -29,6 +29,8 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Entry, cos_sin, join, split
 from octarm.errors import OctarmError
 
+NO_EQUILIBRIUM = "no static equilibrium was found: stiffness is too low for this weight"
+
 
 def inverse_dynamics(
     p: ArmParameters,
@@ -228,24 +230,34 @@ def newton(
             q = q - step
             if np.all(np.abs(step) < within * np.maximum(1.0, np.abs(q))):
                 return q
-    raise OctarmError("no static equilibrium was found: stiffness is too low for this weight")
+    raise OctarmError(NO_EQUILIBRIUM)
 
 
 def potential_hessian(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     """dG/dq, the stiffness felt at q, symmetric, shape (..., 2N, 2N) [N/m] to [N m].
 
-    Gravity is linear in d2p/dq_i dq_j, and J' is that tensor contracted with a velocity.
+    Gravity has the potential -g sum_i M_i s_i cos phi_{i-1}, M_i being the mass from module i on,
+    of which only phi_{i-1} = theta_1 + .. + theta_{i-1} and s_i are variable.
     """
     n = _modules(p, q=q)
-    gravity = np.asarray(p.gravity)[..., None]
     batch = np.broadcast_shapes(q.shape[:-1], p.batch_shape)
     out = np.array(np.broadcast_to(stiffness_matrix(p), (*batch, 2 * n, 2 * n)))
-    for j in range(2 * n):
-        unit = np.zeros_like(q)
-        unit[..., j] = 1.0
-        rate = jacobian_rate(q, unit)[..., 0, :]
-        out[..., :, j] -= gravity * np.einsum("...b,...bi->...i", p.mass, rate)
+    axes = plate_axes(q)
+    weight = np.asarray(p.gravity)[..., None] * _from_the_tip(p.mass)
+    mixed = np.triu((weight * axes[..., 1])[..., None, :] * np.ones((n, n)), 1)  # [k, i], k < i
+    out[..., n:, :n] += mixed
+    out[..., :n, n:] += np.swapaxes(mixed, -1, -2)
+    hanging = weight * q[..., :n] * axes[..., 0]
+    bends = np.zeros((*batch, n + 1))
+    bends[..., :n] = _from_the_tip(hanging)  # of the segments beyond theta_k and theta_l
+    i = np.arange(n)
+    out[..., n:, n:] += bends[..., np.maximum(i[:, None], i) + 1]
     return out
+
+
+def _from_the_tip(x: np.ndarray) -> np.ndarray:
+    """Sums from each module to the last one, shape (..., N)."""
+    return np.cumsum(x[..., ::-1], axis=-1)[..., ::-1]
 
 
 def _modules(p: ArmParameters, **arrays: np.ndarray) -> int:

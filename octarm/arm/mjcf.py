@@ -19,11 +19,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from octarm.arm.lagrange import newton
+from octarm.arm.lagrange import NO_EQUILIBRIUM, newton, potential_hessian
 from octarm.arm.parameters import ArmParameters
 from octarm.errors import FileError, OctarmError
 
 _COLUMN_SIDES = ((1, 1.0), (2, -1.0))  # column 1 lengthens with +theta
+_FARTHEST = 1e6  # [m], [rad]; of springs so soft, MuJoCo's forces are nothing but rounding
 _PARTS = ("column_1", "column_2", "backbone")
 
 
@@ -133,14 +134,19 @@ def _compiled(spec: mujoco.MjSpec, parameters: ArmParameters) -> mujoco.MjModel:
         mujoco.mj_fwdVelocity(model, data)
         return data.qfrc_bias - data.qfrc_passive
 
-    def linearised(qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        nudges = 1e-6 * np.eye(model.nq)
-        slope = [(residual(qpos + h) - residual(qpos - h)) / 2e-6 for h in nudges]
-        return residual(qpos), np.stack(slope, axis=1)
+    order = paper_order(model)[0]
 
-    start = np.zeros(model.nq)
-    start[0::2] = parameters.rest_length
-    model.key("hanging").qpos[:] = newton(linearised, start, 1e-13)
+    def linearised(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By MuJoCo's forces; the slope, which only sets the way there, is the analytic one."""
+        qpos = np.empty_like(q)
+        qpos[order] = q
+        return residual(qpos)[order], potential_hessian(parameters, q)
+
+    straight = np.concatenate([parameters.rest_length, np.zeros(parameters.modules)])
+    rest = newton(linearised, straight, 1e-13)
+    if np.max(np.abs(rest)) > _FARTHEST:
+        raise OctarmError(NO_EQUILIBRIUM)
+    model.key("hanging").qpos[order] = rest
     return model
 
 

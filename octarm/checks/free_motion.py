@@ -17,6 +17,7 @@ from scipy.linalg import eigh
 from octarm.arm import lagrange
 from octarm.arm.actuation import InternalActuation
 from octarm.arm.mjcf import paper_order
+from octarm.arm.modes import state_matrix
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.mechanics import levers
 
@@ -134,10 +135,7 @@ class FreeMotion(NamedTuple):
 
 def analytic_linearisation(p: ArmParameters) -> np.ndarray:
     """d(v, v')/d(q, v) at the equilibrium by D, B and the Hessian of V, shape (4N, 4N)."""
-    q = lagrange.equilibrium(p)
-    inertia = lagrange.mass_matrix(p, q)
-    slopes = np.hstack([lagrange.potential_hessian(p, q), lagrange.damping_matrix(p)])
-    return _state_matrix(-np.linalg.solve(inertia, slopes))
+    return state_matrix(p, lagrange.equilibrium(p))
 
 
 def mujoco_linearisation(model: mujoco.MjModel, q: np.ndarray) -> np.ndarray:

@@ -25,6 +25,7 @@ _WORDS = {
     "REFERENCE": "octarm.references:REFERENCES",
     "DISTURBANCE": "octarm.disturbances.catalogue:DISTURBANCES",
     "ACTUATION": "octarm.arm.actuation:ACTUATIONS",
+    "INTEGRATOR": "octarm.arm.modes:INTEGRATORS",
     "SHELL": "octarm.commands.kinds:SHELLS",
 }
 
@@ -91,10 +92,18 @@ def file(suffix: str = "") -> Parameter:
 
 
 N, COUNT = _converted("N", _whole(0)), _converted("N", _whole(1))
+
+
+def _step(option: str, word: str) -> float | str:
+    return word if word == "auto" else _real(option, word)
+
+
+STEP = _converted("S|auto", _step)
 X, S, HZ = (_converted(metavar, _real) for metavar in ("X", "S", "HZ"))
 RUN, DIR = text("RUN"), text("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE = map(_word, ("CONTROLLER", "REFERENCE", "DISTURBANCE"))
-ACTUATION, GAINS, SHELL = map(_word, ("ACTUATION", "GAINS", "SHELL"))
+ACTUATION, INTEGRATOR = map(_word, ("ACTUATION", "INTEGRATOR"))
+GAINS, SHELL = map(_word, ("GAINS", "SHELL"))
 
 
 def heading(name: str) -> Parameter:

@@ -91,7 +91,7 @@ def margin(
     mismatch: Annotated[float, kinds.X, kinds.RUNS] = 0.0,
     reference: Annotated[str, kinds.REFERENCE, kinds.RUNS] = "sine",
     duration: Annotated[float, kinds.S, kinds.RUNS] = 6.0,
-    timestep: Annotated[float | None, kinds.S, kinds.RUNS] = None,
+    timestep: Annotated[float | str | None, kinds.STEP, kinds.RUNS] = None,
     control_period: Annotated[float | None, kinds.S, kinds.RUNS] = None,
     gains: Annotated[str | None, kinds.GAINS, kinds.RUNS] = None,
     seed: Annotated[int, kinds.N, kinds.RUNS] = 0,
@@ -117,7 +117,7 @@ def margin(
         mismatch: error of the nominal model
         reference: the desired motion
         duration: length of each run [s]
-        timestep: physics step [s]
+        timestep: physics step [s], or auto for one that suits the fastest mode of all arms
         control_period: time between control actions [s]
         gains: gains to start from
         seed: seed of all that is random

@@ -48,7 +48,7 @@ class Settings:
     mismatch: float
     reference: str
     duration: float
-    timestep: float | None
+    timestep: float | str | None
     control_period: float | None
     gains: str | None
     seed: int
@@ -109,8 +109,7 @@ def margin(
     settings.check()
     varied = settings.varied(low, high)
     runs = {name: settings.runs(name, varied) for name in controllers}
-    for run in runs.values():
-        run.rehearse()
+    runs = {name: run.rehearsed(settings.seeds) for name, run in runs.items()}
     rows: list[Mapping[str, Any]] = []
     for name, run in runs.items():
         rows.append(_row(name, _search(name, run, settings.seeds), settings.share, varied))

@@ -22,9 +22,10 @@ def run(
     parameter: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.MODEL] = (),
     gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None,
     gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = (),
-    timestep: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
+    timestep: Annotated[float | str | None, kinds.STEP, kinds.SIMULATION] = None,
     control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
     actuation: Annotated[str, kinds.ACTUATION, kinds.SIMULATION] = "f-coeff",
+    integrator: Annotated[str, kinds.INTEGRATOR, kinds.SIMULATION] = "rk4",
     out: Annotated[Path | None, kinds.DIR, kinds.OUTPUT] = None,
     view: Annotated[bool, kinds.OUTPUT] = False,
 ) -> Work:
@@ -46,10 +47,12 @@ def run(
         gains: those to start from: tuned (for a control period of 0.0005 s), recommended (set by
             hand, lower), or a file NAME.toml of octarm tune; tuned ones when not given
         gain: one gain, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
-        timestep: physics step [s]; that of models/octarm.xml, 0.0005 s, when not given
+        timestep: physics step [s]; that of models/octarm.xml, 0.0005 s, when not given; auto is the
+            longest part of the control period that suits the fastest mode of the arm
         control_period: time between control actions [s], whole physics steps; one step when not
             given
         actuation: how input forces act: f-coeff as in eq (2), internal between neighbouring modules
+        integrator: rk4, or implicitfast, of first order, for arms with very much damping
         out: run folder to write; runs/DATE-TIME-CONTROLLER when not given
         view: open the recording in the viewer when the run is done
 
@@ -81,6 +84,7 @@ def run(
         timestep=timestep,
         control_period=control_period,
         actuation=actuation,
+        integrator=integrator,
     )
     return partial(work.run, experiment, gains, out, view)
 

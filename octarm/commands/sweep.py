@@ -17,6 +17,8 @@ from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import ExitCode, OctarmError, sentence_of
 from octarm.formats import read_toml
+from octarm.memory import check_batch
+from octarm.simulation.steps import AUTO
 from octarm.sweeps.episodes import COLUMNS, FinishedSweep, record_episodes, select
 from octarm.sweeps.execute import estimate
 from octarm.sweeps.execute import sweep as run_sweep
@@ -24,6 +26,7 @@ from octarm.sweeps.plan import Plan
 from octarm.sweeps.progress import ProgressBar, digits
 from octarm.sweeps.spec import SweepSpec
 from octarm.sweeps.spec_file import read_spec
+from octarm.sweeps.steps import with_step
 from octarm.sweeps.store import RECORDED, SweepFolder, read_sweep
 from octarm.sweeps.workers import WorkerProcesses, cores, dask_cluster
 
@@ -59,6 +62,9 @@ def dry_run(options: Options) -> int:
     """`octarm sweep --dry-run`: prints what the sweep will take."""
     spec = _checked_spec(options)
     workers = options.workers or cores()
+    if spec.timestep == AUTO:
+        spec = with_step(spec, probes=True)
+        print(f"a physics step of {spec.timestep:g} s, as a few episodes need it")
     expected = estimate(spec, make_controller)
     print(f"{expected.episodes} episodes of {spec.duration:g} s in {expected.shards} shards")
     for axis in spec.axes:
@@ -78,6 +84,10 @@ def dry_run(options: Options) -> int:
         count = words * len(spec.controllers) + len(spec.record) - words
         size = _size(_RECORDED * expected.periods)
         print(f"then up to {count} recorded episodes, each about {size} and run alone")
+    try:
+        Plan(spec).check_size()
+    except OctarmError as error:
+        print(f"octarm sweep will refuse it: {error}")
     if expected.shards < workers:
         print(f"a batch below {spec.batch} would make more shards, for all {workers} workers")
     return ExitCode.FINE
@@ -169,6 +179,7 @@ def _pool(options: Options, plan: Plan) -> Generator[tuple[Executor, int | Calla
             yield cluster
         return
     workers = min(workers, len(plan.shards))
+    check_batch(len(plan.shards[0]), nominal_parameters().modules, workers)
     with WorkerProcesses(workers) as processes:
         yield processes, workers
 

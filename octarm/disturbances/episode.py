@@ -63,6 +63,11 @@ class Event(NamedTuple):
     text: str
 
 
+def any_arm(arm: ArmParameters) -> None:
+    """Refuses no arm."""
+    del arm
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Episode:
     """All that a disturbance may know when an episode starts.
@@ -75,6 +80,8 @@ class Episode:
         batch_shape: () for one arm, (n,) for a batch.
         index: which one of the environment's episodes it is, from 0.
         occurrence: 1, or which one of several disturbances of the same class is started.
+        check_arm: raises OctarmError for an arm that cannot be simulated; it is called with every
+            arm that the plant may become.
     """
 
     parameters: ArmParameters
@@ -84,6 +91,7 @@ class Episode:
     batch_shape: tuple[int, ...] = ()
     index: int = 0
     occurrence: int = 1
+    check_arm: Callable[[ArmParameters], object] = any_arm
 
     def __post_init__(self) -> None:
         arms = int(np.prod(self.batch_shape, dtype=int))
@@ -269,10 +277,13 @@ class PlantProcess(NamedTuple):
     Attributes:
         changes_at: whether `apply` at a physics step differs from the one before it.
         apply: the plant from a physics step on, given what it would be without this process.
+        extremes: the same at the ends of the range that it goes through, whatever the duration;
+            when none are given, the plant is checked each time that it changes.
     """
 
     changes_at: Callable[[int], bool]
     apply: Callable[[int, Plant], Plant]
+    extremes: Sequence[Callable[[Plant], Plant]] = ()
 
 
 class SensorProcess(Protocol):

@@ -32,7 +32,9 @@ from octarm.simulation.rollout import ArmRecorder, copied
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.trajectory import Ending, Trajectory, joined
 
-_AS_THEY_ARE = {"seed", "spawn_key", "duration", "timestep", "control_period", "actuation"}
+_AS_THEY_ARE = {
+    "seed", "spawn_key", "duration", "timestep", "control_period", "actuation", "integrator",
+}  # fmt: skip
 
 
 class Recording(Protocol):
@@ -67,9 +69,10 @@ class Experiment:
         seed: of all that is random.
         spawn_key: of the `SeedSequence` that has this seed; empty but for episodes of sweeps.
         duration: of the run [s].
-        timestep: physics step [s]; that of models/octarm.xml when None.
+        timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
         control_period: time between control actions [s]; one physics step when None.
         actuation: see `octarm.arm.actuation`.
+        integrator: see `octarm.load`.
     """
 
     controller: str
@@ -81,9 +84,10 @@ class Experiment:
     seed: int = 0
     spawn_key: tuple[int, ...] = ()
     duration: float
-    timestep: float | None = None
+    timestep: float | str | None = None
     control_period: float | None = None
     actuation: str = "f-coeff"
+    integrator: str = "rk4"
 
     def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
         """The environment and the controller.
@@ -102,6 +106,7 @@ class Experiment:
             control_period=self.control_period,
             actuation=self.actuation,
             seed=seed,
+            integrator=self.integrator,
         )
         return environment, factory(self.controller, self.nominal, self.gains)
 
@@ -125,6 +130,7 @@ class Experiment:
             "timestep": physics.timestep(),
             "control_period": environment.control_timestep(),
             "actuation": self.actuation,
+            "integrator": self.integrator,
             "metrics": {},
             "status": runs.RUNNING,
             "message": "",
@@ -191,6 +197,7 @@ class _Inputs(_Table):
     timestep: float
     control_period: float
     actuation: str
+    integrator: str
 
 
 def perform(

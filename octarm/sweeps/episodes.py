@@ -75,6 +75,7 @@ class FinishedSweep:
             timestep=spec.timestep,
             control_period=spec.control_period,
             actuation=spec.actuation,
+            integrator=spec.integrator,
         )
 
     def begin(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import collections
 import contextlib
 import dataclasses
-import itertools
 import time
 from collections.abc import Callable
 from concurrent.futures import (
@@ -24,12 +23,14 @@ import pyarrow as pa
 from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory, Instant
+from octarm.memory import check_batch
 from octarm.runs import folder as runs
 from octarm.simulation.environment import whole_periods
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.progress import Note, Notes
 from octarm.sweeps.shards import begin, run_arms, run_shard
 from octarm.sweeps.spec import SweepSpec
+from octarm.sweeps.steps import with_step
 from octarm.sweeps.store import PROGRESS, SweepFolder, shard_bytes
 from octarm.sweeps.workers import WorkerProcesses, cores
 
@@ -82,6 +83,8 @@ def sweep(
         KeyboardInterrupt: if interrupted, when the shards at work are finished; at once if
             interrupted again. It says what is there.
     """
+    Plan(spec).check_size()
+    spec = with_step(spec)
     plan = Plan(spec)
     folder = SweepFolder(Path(out), plan)
     folder.check(resume=resume)
@@ -196,6 +199,7 @@ def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
         The gains of each controller for the nominal arm, ready for JSON.
     """
     nominal = nominal_parameters()
+    check_batch(len(plan.shards[0]), nominal.modules)  # no shard is larger by more than one arm
     gains: dict[str, object] = {
         name: runs.gains_of(plan.spec.controller(name, nominal, factory))
         for name in plan.spec.controllers
@@ -227,10 +231,12 @@ class Forecast(NamedTuple):
 
 def estimate(spec: SweepSpec, factory: ControllerFactory) -> Forecast:
     """Measures a few control periods of a shard of each controller; writes nothing."""
+    spec = with_step(spec, probes=True)
     plan = Plan(spec)
     rehearse(plan, factory)
-    by_controller = itertools.groupby(plan.shards, lambda s: plan.arms(s[:1]).controller)
-    parts = [_estimate(plan, [*shards], factory) for _, shards in by_controller]
+    controllers = len(spec.controllers)  # the slowest axis
+    each = len(plan.shards) // controllers
+    parts = [_estimate(plan, i * each, each, factory) for i in range(controllers)]
     return Forecast(
         episodes=plan.episodes,
         periods=parts[0].periods,
@@ -240,9 +246,9 @@ def estimate(spec: SweepSpec, factory: ControllerFactory) -> Forecast:
     )
 
 
-def _estimate(plan: Plan, shards: list[range], factory: ControllerFactory) -> Forecast:
-    """What the shards of one controller take, by the first control periods of the first one."""
-    arms, instants = plan.arms(shards[0]), list[float]()
+def _estimate(plan: Plan, first: int, count: int, factory: ControllerFactory) -> Forecast:
+    """What so many shards of one controller take, by the first control periods of the first."""
+    arms, instants = plan.arms(plan.shards[first]), list[float]()
     period = begin(plan.spec, arms, factory)[0].control_timestep()
     periods = whole_periods(plan.spec.duration, period)
 
@@ -256,11 +262,11 @@ def _estimate(plan: Plan, shards: list[range], factory: ControllerFactory) -> Fo
     rate = (warm[-1] - warm[0]) / max(1, len(warm) - 1)
     once = max(0.0, elapsed - len(instants) * rate)  # a shard, before and after its periods
     empty = len(shard_bytes(table.slice(0, 0)))
-    episodes = sum(map(len, shards))
+    episodes, measured = plan.episodes // len(plan.spec.controllers), len(arms.seeds)
     return Forecast(
         episodes=episodes,
         periods=periods,
-        shards=len(shards),
-        seconds=once * len(shards) + rate * periods / len(shards[0]) * episodes,
-        size=int(empty * len(shards) + table.nbytes / len(shards[0]) * episodes),
+        shards=count,
+        seconds=once * count + rate * periods / measured * episodes,
+        size=int(empty * count + table.nbytes / measured * episodes),
     )

@@ -100,6 +100,7 @@ def begin(
         timestep=spec.timestep,
         control_period=spec.control_period,
         actuation=spec.actuation,
+        integrator=spec.integrator,
     )
     nominal = nominal_parameters().mismatched(arms.mismatch)
     return environment, spec.controller(arms.controller, nominal, factory)
