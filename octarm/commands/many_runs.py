@@ -8,6 +8,7 @@ from typing import Annotated
 
 from octarm.commands import kinds
 from octarm.commands.kinds import Work
+from octarm.commands.terminal import surviving_output
 
 
 def sweep(
@@ -47,7 +48,9 @@ def sweep(
     from octarm.commands import sweep as work
 
     options = work.Options(spec, out, workers, resume, cluster)
-    return partial(work.dry_run if dry_run else work.sweep, options)
+    if dry_run:
+        return partial(work.dry_run, options)
+    return surviving_output(partial(work.sweep, options))
 
 
 def report(
@@ -77,7 +80,7 @@ def report(
     """
     from octarm.commands import report as work
 
-    return partial(work.report, sweep, baseline, metric, out)
+    return surviving_output(partial(work.report, sweep, baseline, metric, out))
 
 
 def margin(
@@ -145,7 +148,8 @@ def margin(
         gains=gains,
         seed=seed,
     )
-    return partial(work.margin, controllers, settings, low, high, csv, json)
+    job = partial(work.margin, controllers, settings, low, high, csv, json)
+    return job if csv is None and json is None else surviving_output(job)
 
 
 def tune(
@@ -176,4 +180,5 @@ def tune(
     """
     from octarm.commands import tune as work
 
-    return partial(work.tune, controller, out or Path(f"{controller}.toml"), budget, seed, resume)
+    out = out or Path(f"{controller}.toml")
+    return surviving_output(partial(work.tune, controller, out, budget, seed, resume))

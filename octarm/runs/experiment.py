@@ -272,8 +272,9 @@ def run_into(
                 closing.enter_context(ignored_interrupts())
                 recorder.finish(description)
             archive.save(folder / runs.ARRAYS, ending)
+        trajectory = mapped(folder / runs.ARRAYS)
         runs.write_description(folder, description)
-    return mapped(out / runs.ARRAYS), description
+    return trajectory, description
 
 
 def _perform(
