@@ -63,7 +63,8 @@ def _write(out: Path, text: str, files: dict[str, str], drawn: list[Picture]) ->
     for picture in drawn:
         contents[out / FIGURES / f"{picture.name}.svg"] = picture.svg.encode()
         contents[out / FIGURES / f"{picture.name}.png"] = picture.png
-    write_files({**contents, out / PAGE: text.encode()})
+    page_bytes = text.encode(errors="backslashreplace")  # names of files may be any bytes
+    write_files({**contents, out / PAGE: page_bytes})
     earlier = [out / name for name in TABLES]
     for start in ("degradation-", "distributions", "map-", "failures"):
         earlier += (out / FIGURES).glob(f"{start}*")
