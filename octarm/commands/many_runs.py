@@ -20,6 +20,7 @@ def sweep(
     resume: bool = False,
     dry_run: bool = False,
     cluster: Annotated[str | None, kinds.text("ADDRESS")] = None,
+    wait_for_workers: Annotated[float, kinds.S] = 60.0,
 ) -> Work:
     """Run thousands of episodes as a spec has it.
 
@@ -39,6 +40,7 @@ def sweep(
         dry_run: print the number of episodes, and the time and disk they take; run nothing
         cluster: run on the dask cluster with the scheduler of this address, or on `local`, one of
             this machine
+        wait_for_workers: how long the cluster may have no worker, at the beginning or later [s]
 
     Examples:
       octarm sweep scripts/disturbance_sweep.toml --dry-run
@@ -47,7 +49,7 @@ def sweep(
     """
     from octarm.commands import sweep as work
 
-    options = work.Options(spec, out, workers, resume, cluster)
+    options = work.Options(spec, out, workers, resume, cluster, wait_for_workers)
     if dry_run:
         return partial(work.dry_run, options)
     return surviving_output(partial(work.sweep, options))
