@@ -8,6 +8,7 @@ from typing import Annotated
 
 from octarm.commands import kinds
 from octarm.commands.kinds import Work
+from octarm.commands.terminal import surviving_output
 
 
 def validate(
@@ -42,7 +43,8 @@ def validate(
 
     states = (3000 if controllers else 10_000) if states is None else states
     compare = work.ledger if controllers else work.plant
-    return partial(work.validate, compare, modules, random_parameters, states, seed, json)
+    job = partial(work.validate, compare, modules, random_parameters, states, seed, json)
+    return job if json is None else surviving_output(job)
 
 
 def verify(

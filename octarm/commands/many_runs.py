@@ -8,6 +8,7 @@ from typing import Annotated
 
 from octarm.commands import kinds
 from octarm.commands.kinds import Work
+from octarm.commands.terminal import surviving_output
 
 
 def sweep(
@@ -19,6 +20,7 @@ def sweep(
     resume: bool = False,
     dry_run: bool = False,
     cluster: Annotated[str | None, kinds.text("ADDRESS")] = None,
+    wait_for_workers: Annotated[float, kinds.S] = 60.0,
 ) -> Work:
     """Run thousands of episodes as a spec has it.
 
@@ -38,6 +40,7 @@ def sweep(
         dry_run: print the number of episodes, and the time and disk they take; run nothing
         cluster: run on the dask cluster with the scheduler of this address, or on `local`, one of
             this machine
+        wait_for_workers: how long the cluster may have no worker, at the beginning or later [s]
 
     Examples:
       octarm sweep scripts/disturbance_sweep.toml --dry-run
@@ -46,8 +49,10 @@ def sweep(
     """
     from octarm.commands import sweep as work
 
-    options = work.Options(spec, out, workers, resume, cluster)
-    return partial(work.dry_run if dry_run else work.sweep, options)
+    options = work.Options(spec, out, workers, resume, cluster, wait_for_workers)
+    if dry_run:
+        return partial(work.dry_run, options)
+    return surviving_output(partial(work.sweep, options))
 
 
 def report(
@@ -77,7 +82,7 @@ def report(
     """
     from octarm.commands import report as work
 
-    return partial(work.report, sweep, baseline, metric, out)
+    return surviving_output(partial(work.report, sweep, baseline, metric, out))
 
 
 def margin(
@@ -145,7 +150,8 @@ def margin(
         gains=gains,
         seed=seed,
     )
-    return partial(work.margin, controllers, settings, low, high, csv, json)
+    job = partial(work.margin, controllers, settings, low, high, csv, json)
+    return job if csv is None and json is None else surviving_output(job)
 
 
 def tune(
@@ -176,4 +182,5 @@ def tune(
     """
     from octarm.commands import tune as work
 
-    return partial(work.tune, controller, out or Path(f"{controller}.toml"), budget, seed, resume)
+    out = out or Path(f"{controller}.toml")
+    return surviving_output(partial(work.tune, controller, out, budget, seed, resume))

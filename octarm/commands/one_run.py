@@ -8,6 +8,7 @@ from typing import Annotated
 
 from octarm.commands import kinds
 from octarm.commands.kinds import Work
+from octarm.commands.terminal import surviving_output
 
 
 def run(
@@ -86,7 +87,7 @@ def run(
         actuation=actuation,
         integrator=integrator,
     )
-    return partial(work.run, experiment, gains, out, view)
+    return surviving_output(partial(work.run, experiment, gains, out, view))
 
 
 def replay(
@@ -113,7 +114,8 @@ def replay(
     """
     from octarm.commands import replay as work
 
-    return partial(work.replay, runs, screenshot, time, web)
+    job = partial(work.replay, runs, screenshot, time, web)
+    return job if screenshot is None else surviving_output(job)
 
 
 def record(
@@ -132,7 +134,7 @@ def record(
     """
     from octarm.commands import redraw as work
 
-    return partial(work.record, run, out)
+    return surviving_output(partial(work.record, run, out))
 
 
 def plot(
@@ -149,7 +151,7 @@ def plot(
     """
     from octarm.commands import redraw as work
 
-    return partial(work.plot, run, out)
+    return surviving_output(partial(work.plot, run, out))
 
 
 def video(
@@ -182,4 +184,5 @@ def video(
     choose_renderer()  # before anything imports MuJoCo
     from octarm.commands import redraw as work
 
-    return partial(work.video, run, out, size=(width, height), rate=rate, speed=speed)
+    size = (width, height)
+    return surviving_output(partial(work.video, run, out, size=size, rate=rate, speed=speed))

@@ -19,6 +19,7 @@ from octarm.errors import ExitCode, OctarmError, sentence_of
 from octarm.formats import read_toml
 from octarm.memory import check_batch
 from octarm.simulation.steps import AUTO
+from octarm.sweeps.cluster import WAIT, dask_cluster
 from octarm.sweeps.episodes import COLUMNS, FinishedSweep, record_episodes, select
 from octarm.sweeps.execute import estimate
 from octarm.sweeps.execute import sweep as run_sweep
@@ -28,7 +29,7 @@ from octarm.sweeps.spec import SweepSpec
 from octarm.sweeps.spec_file import read_spec
 from octarm.sweeps.steps import with_step
 from octarm.sweeps.store import RECORDED, SweepFolder, read_sweep
-from octarm.sweeps.workers import WorkerProcesses, cores, dask_cluster
+from octarm.sweeps.workers import WorkerProcesses, cores
 
 _MEASURE = "tip_rms_error"  # by it episodes are worst and median ones, too
 _RECORDED = 2000  # [byte] a control period; from 1000 without signals to 4000 with rules
@@ -36,13 +37,17 @@ _RECORDED = 2000  # [byte] a control period; from 1000 without signals to 4000 w
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """What a sweep is run with: the spec's file, the folder to write, workers or a cluster."""
+    """What a sweep is run with: the spec's file, the folder to write, workers or a cluster.
+
+    `wait` is how long a cluster may have no worker [s].
+    """
 
     spec: Path
     out: Path | None
     workers: int | None
     resume: bool
     cluster: str | None
+    wait: float
 
 
 def sweep(options: Options) -> int:
@@ -175,7 +180,7 @@ def _pool(options: Options, plan: Plan) -> Generator[tuple[Executor, int | Calla
     """The executor that was asked for, and how many shards it should be given at a time."""
     workers = options.workers or cores()
     if options.cluster is not None:
-        with dask_cluster(options.cluster, workers) as cluster:
+        with dask_cluster(options.cluster, workers, options.wait) as cluster:
             yield cluster
         return
     workers = min(workers, len(plan.shards))
@@ -202,6 +207,7 @@ def _resume(options: Options) -> str:
     words = ["octarm", "sweep", str(options.spec), "--out", str(options.out)]
     words += ["--workers", str(options.workers)] if options.workers else []
     words += ["--cluster", options.cluster] if options.cluster else []
+    words += ["--wait-for-workers", f"{options.wait:g}"] if options.wait != WAIT else []
     return shlex.join([*words, "--resume"])
 
 

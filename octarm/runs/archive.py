@@ -167,16 +167,18 @@ def mapped(path: str | os.PathLike[str]) -> Trajectory:
             if content.testzip() is not None or any(i.compress_type for i in members):
                 return Trajectory.load(path)  # says what is wrong, or unpacks it
             arrays: dict[str, np.ndarray] = {}
+            # One mapping for all of them: each one would keep a file open.
+            whole = np.asarray(np.memmap(path, np.uint8, "r"))
             for member in members:
                 with content.open(member):  # after which the file stands where the array begins
-                    arrays[member.filename.removesuffix(".npy")] = _mapped_array(path, file)
+                    arrays[member.filename.removesuffix(".npy")] = _mapped_array(whole, file)
         return Trajectory.from_arrays(arrays)
     except (KeyError, RuntimeError, ValueError, zipfile.BadZipFile) as error:
         raise OctarmError(f"{path} is not a trajectory file ({error})") from None
 
 
-def _mapped_array(path: str | os.PathLike[str], file: IO[bytes]) -> np.ndarray:
-    """The array at the present place of a file, mapped if it holds the numbers of a run.
+def _mapped_array(whole: np.ndarray, file: IO[bytes]) -> np.ndarray:
+    """The array at the present place of a file, a part of its bytes if it holds numbers of a run.
 
     Any other one is read, which refuses Python objects: their mapped memory would be pointers.
 
@@ -186,9 +188,9 @@ def _mapped_array(path: str | os.PathLike[str], file: IO[bytes]) -> np.ndarray:
     start = file.tell()
     if npy.read_magic(file) == (1, 0):
         shape, fortran, kind = npy.read_array_header_1_0(file)
-        if kind == _NUMBER and math.prod(shape):
-            order = "F" if fortran else "C"
-            return np.asarray(np.memmap(path, kind, "r", file.tell(), shape, order))
+        if kind == _NUMBER and (size := kind.itemsize * math.prod(shape)):
+            values = whole[file.tell() :][:size].view(kind)
+            return values.reshape(shape, order="F" if fortran else "C")
     file.seek(start)
     array: Any = npy.read_array(file, allow_pickle=False)
     array.setflags(write=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import os
 import shlex
 import sys
 from collections.abc import Callable, Mapping
@@ -137,7 +138,7 @@ class Experiment:
             "versions": versions(),
             "host": host(),
             "digest": "",
-            "command": shlex.join(["octarm", *sys.argv[1:]]),
+            "command": _readable(shlex.join(["octarm", *sys.argv[1:]])),
         }
 
     @classmethod
@@ -165,6 +166,11 @@ class Experiment:
             disturbances=tuple(from_entry(entry.model_dump()) for entry in inputs.disturbances),
             **numbers,
         )
+
+
+def _readable(word: str) -> str:
+    """A word of the command line as a text file may hold it; names of files may be any bytes."""
+    return os.fsencode(word).decode("utf-8", "backslashreplace")
 
 
 class _Table(Model, extra="ignore"):
@@ -279,8 +285,9 @@ def run_into(
                 closing.enter_context(ignored_interrupts())
                 recorder.finish(description)
             archive.save(folder / runs.ARRAYS, ending)
+        trajectory = mapped(folder / runs.ARRAYS)
         runs.write_description(folder, description)
-    return mapped(out / runs.ARRAYS), description
+    return trajectory, description
 
 
 def _perform(

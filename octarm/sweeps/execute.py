@@ -32,11 +32,14 @@ from octarm.sweeps.shards import begin, run_arms, run_shard
 from octarm.sweeps.spec import SweepSpec
 from octarm.sweeps.steps import with_step
 from octarm.sweeps.store import PROGRESS, SweepFolder, shard_bytes
-from octarm.sweeps.workers import WorkerProcesses, cores
+from octarm.sweeps.workers import WorkerProcesses, WorkersError, check_not_beginning, cores
 
 _TRIES = 4  # of a shard whose worker dies
 _GLANCE = 1.0  # [s]; after so long it looks how far the shards are, and at the number of workers
-_MENDABLE = (OctarmError, OSError, MemoryError, BrokenExecutor, CancelledError)  # others are bugs
+# Others are bugs.
+_MENDABLE = (
+    OctarmError, OSError, MemoryError, ModuleNotFoundError, BrokenExecutor, CancelledError,
+)  # fmt: skip
 _FAILURES = 3  # shards that may fail before no new one is begun
 _MEASURED, _WARM = 60, 10  # control periods that an estimate runs, and those of them not counted
 
@@ -65,7 +68,8 @@ def sweep(
             able to import it.
         out: folder of the sweep.
         executor: that runs the shards; processes on all cores when not given.
-        in_flight: number of shards that it is given at a time; one a core when not given.
+        in_flight: number of shards that it is given at a time, 0 when it has nobody to run them;
+            one a core when not given.
         resume: whether a sweep that was begun in the folder goes on.
         progress: called with the number of episodes that have just been finished, first with that
             of those that were already there.
@@ -83,23 +87,31 @@ def sweep(
         KeyboardInterrupt: if interrupted, when the shards at work are finished; at once if
             interrupted again. It says what is there.
     """
+    check_not_beginning()
     Plan(spec).check_size()
     spec = with_step(spec)
     plan = Plan(spec)
     folder = SweepFolder(Path(out), plan)
     folder.check(resume=resume)
-    gains = rehearse(plan, factory)
-    with folder.locked():
-        for change in folder.begin(gains):
-            say(change)
-        done = set(folder.finished())
-        progress(sum(len(plan.shards[i]) for i in done))
-        todo = [i for i in range(len(plan.shards)) if i not in done]
-        # Processes are started one by one, when there is a call for them.
-        pool = executor or WorkerProcesses(max(1, min(cores(), len(todo))))
-        owned = contextlib.nullcontext() if executor else pool
-        with owned, Notes(folder.path / PROGRESS) as notes:
-            run = _Run(plan, factory, folder, notes, pool, progress, partial, say, todo)
+    with contextlib.ExitStack() as workers:
+        if executor is None:
+            # Processes are started one by one, when there is a call for them.
+            pool = WorkerProcesses(max(1, min(cores(), len(plan.shards))))
+            executor = workers.enter_context(pool)
+        tried = isinstance(executor, WorkerProcesses) and not resume
+        begun = executor.submit(callable, factory) if tried else None
+        gains = rehearse(plan, factory)
+        # Known before there is a folder, which a script that was mended would find.
+        failure = begun.exception() if begun is not None else None
+        if isinstance(failure, WorkersError):
+            raise failure.with_traceback(None)
+        with folder.locked(), workers.pop_all(), Notes(folder.path / PROGRESS) as notes:
+            for change in folder.begin(gains):
+                say(change)
+            done = set(folder.finished())
+            progress(sum(len(plan.shards[i]) for i in done))
+            todo = [i for i in range(len(plan.shards)) if i not in done]
+            run = _Run(plan, factory, folder, notes, executor, progress, partial, say, todo)
             run.go(in_flight if callable(in_flight) else in_flight or cores())
     run.report()
     return folder.path
@@ -127,9 +139,13 @@ class _Run:
 
     def go(self, limit: int | Callable[[], int]) -> None:
         """Runs them, so many at a time."""
+        useful = 1
         while self._at_work or (self.pending and not self._stopping):
             try:
-                self._begin(limit() if callable(limit) else limit)
+                useful = self._useful(limit)
+                if self._interrupted and not useful:
+                    return
+                self._begin(max(1, useful))
                 for future in wait(self._at_work, _GLANCE, FIRST_COMPLETED).done:
                     self._take(self._at_work[future], future)
                     del self._at_work[future]
@@ -137,11 +153,18 @@ class _Run:
                 shards = self._at_work.values()
                 self.partial(sum(self.notes.share(i) * len(self.plan.shards[i]) for i in shards))
             except KeyboardInterrupt:
-                if self._interrupted:
+                if self._interrupted or not useful:
                     raise KeyboardInterrupt(self._left()) from None
                 self._interrupted = True
                 n = len(self._at_work)
                 self.say(f"finishing the {n} shards that are at work; Ctrl-C again stops at once")
+
+    def _useful(self, limit: int | Callable[[], int]) -> int:
+        """How many shards there is use for; says what is left if there never will be."""
+        try:
+            return limit() if callable(limit) else limit
+        except OctarmError as error:
+            raise OctarmError(f"{error}; {self._left()}") from error
 
     def report(self) -> None:
         """Raises the error that the run ended with, if it did."""
@@ -184,6 +207,8 @@ class _Run:
                 self.pending.append(shard)
             else:
                 self._failed[shard] = error
+        except WorkersError:
+            raise
         except Exception as error:
             self._failed[shard] = error
         else:
