@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
 from octarm import ArmParameters
 from octarm.arm import lagrange
 from octarm.arm.actuation import ACTUATIONS, Actuation, GroundedActuation, InternalActuation
+from octarm.arm.mjcf import (
+    build_model,
+    build_slim_model,
+    model_path,
+    nominal_parameters,
+    paper_order,
+)
+from octarm.checks.validation import arm_with
 
 MODULES = pytest.mark.parametrize("n", [1, 2, 3, 5])
 KINDS = pytest.mark.parametrize("kind", ACTUATIONS.values(), ids=ACTUATIONS.keys())
@@ -88,13 +97,47 @@ def test_inputs_and_force_invert_each_other(kind, n, widths, states):
 
 @KINDS
 @MODULES
-@BATCHES
-def test_tendon_forces_have_the_moments_of_the_inputs(kind, n, widths, states):
+@pytest.mark.parametrize("build", [build_model, build_slim_model])
+def test_the_motors_of_the_model_exert_the_force_of_the_inputs_in_every_state(kind, n, build):
     rng = np.random.default_rng(3)
-    width, (q, tau) = random_width(rng, widths), random_motion(rng, n, states)
-    actuation = kind(width)
-    moments = times(column_moments(width, n), actuation.tendon_forces(q, tau))
-    assert_close(moments, actuation.force(q, tau))
+    width, (q, tau) = random_width(rng, ()), random_motion(rng, n, (500,))
+    nominal = nominal_parameters()
+    p = arm_with(n).scaled(width=width / nominal.width)
+    actuation, model = kind(p.width), build(p)
+    data, (positions, velocities) = mujoco.MjData(model), paper_order(model)
+    found = np.empty_like(q)
+    for row, q_row, ctrl in zip(found, q, actuation.ctrl(tau), strict=True):
+        data.qpos[positions], data.ctrl[:] = q_row, ctrl
+        mujoco.mj_forward(model, data)
+        row[:] = data.qfrc_actuator[velocities]
+    assert_close(found, times(matrix(kind, p.width, q), tau))
+
+
+def test_the_bare_file_exerts_f_coeff_tau_where_ctrl_is_tau():
+    """With MuJoCo alone: tau, and tau once more for the motors whose names begin with reaction."""
+    model = mujoco.MjModel.from_xml_path(str(model_path()))
+    data = mujoco.MjData(model)
+    q, tau = random_motion(np.random.default_rng(8), 3, (500,))
+    p = nominal_parameters()
+    inputs = [f"{a}_{i}" for i in (1, 2, 3) for a in (1, 2)]
+    motors = [model.actuator(k).name.partition("_")[::2] for k in range(model.nu)]
+    assert [kind for kind, _ in motors] == ["push"] * 6 + ["reaction"] * 4
+    order = [inputs.index(column) for _, column in motors]
+    assert order == [0, 1, 2, 3, 4, 5, 2, 3, 4, 5]
+    internal = InternalActuation(p.width)
+    for q_row, tau_row in zip(q, tau, strict=True):
+        for i in range(3):
+            data.joint(f"s_{i + 1}").qpos = q_row[i]
+            data.joint(f"theta_{i + 1}").qpos = q_row[3 + i]
+        data.ctrl[:] = tau_row[order]
+        forces = []
+        for disabled in (0, 1 << 1):  # group 1 holds the reactions
+            model.opt.disableactuator = disabled
+            mujoco.mj_forward(model, data)
+            names = [f"{kind}_{i}" for kind in ("s", "theta") for i in (1, 2, 3)]
+            forces.append(np.array([data.joint(name).qfrc_actuator[0] for name in names]))
+        assert_close(forces[0], lagrange.force_coefficients(p, q_row) @ tau_row)
+        assert_close(forces[1], internal.force(q_row, tau_row))
 
 
 @KINDS
@@ -136,8 +179,8 @@ def test_a_batch_row_equals_the_single_call_bit_for_bit(kind, n, batch, order, m
     q, tau = (np.asarray(x, order=order) for x in random_motion(rng, n, (batch,)))
 
     def results(actuation: Actuation, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        maps = (actuation.force, actuation.inputs, actuation.tendon_forces)
-        return np.stack([f(q, tau) for f in maps], axis=-2)
+        maps = (actuation.force(q, tau), actuation.inputs(q, tau), actuation.ctrl(tau))
+        return np.concatenate(maps, axis=-1)
 
     together = results(kind(width), q, tau)
     for i in range(batch):
@@ -152,8 +195,9 @@ def test_inputs_are_not_modified(kind):
     q.setflags(write=False)
     tau.setflags(write=False)
     actuation = kind(np.asarray(0.08))
-    for f in (actuation.force, actuation.inputs, actuation.tendon_forces):
+    for f in (actuation.force, actuation.inputs):
         f(q, tau)
+    actuation.ctrl(tau)[...] = 0.0
     np.testing.assert_array_equal(q, before[0])
     np.testing.assert_array_equal(tau, before[1])
 
@@ -162,5 +206,5 @@ def test_inputs_are_not_modified(kind):
 def test_integers_are_taken_as_numbers_not_truncated(kind):
     actuation = kind(np.asarray(0.08))
     q, tau = np.array([1, 1, 1, 0, 1, 0]), np.array([1, 0, 2, 0, 3, 1])
-    for f in (actuation.force, actuation.inputs, actuation.tendon_forces):
+    for f in (actuation.force, actuation.inputs):
         np.testing.assert_array_equal(f(q, tau), f(1.0 * q, 1.0 * tau))

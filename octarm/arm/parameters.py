@@ -217,7 +217,7 @@ class ArmParameters:
 
         The arm hangs along the negative z axis of the world.
         """
-        modules = range(1, model.nu // 2 + 1)
+        modules = range(1, model.nq // 2 + 1)
         bodies = [model.body(f"module_{i}") for i in modules]
         columns = [[model.tendon(f"column_{a}_{i}") for i in modules] for a in (1, 2)]
         theta_of_column_1 = model.tendon_adr[model.tendon("column_1_1").id] + 1

@@ -39,16 +39,16 @@ def simulate(
     v: np.ndarray,
     samples: int,
     stride: int = 1,
-    tendon_forces: np.ndarray | float = 0.0,
+    ctrl: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Steps MuJoCo from q, v, shape (2N,), under constant tendon forces, shape (2N,) [N].
+    """Steps MuJoCo from q, v, shape (2N,), under constant `ctrl`, shape (4N - 2,) [N].
 
     Returns:
         q and v at the start and after every `stride` steps, each of shape (samples + 1, 2N).
     """
     qpos, dof = paper_order(model)
     data = mujoco.MjData(model)
-    data.qpos[qpos], data.qvel[dof], data.ctrl[:] = q, v, tendon_forces
+    data.qpos[qpos], data.qvel[dof], data.ctrl[:] = q, v, ctrl
     motion = np.empty((2, samples + 1, q.size))
     motion[:, 0] = q, v
     for k in range(1, samples + 1):
@@ -215,17 +215,18 @@ def energy_drift(model: mujoco.MjModel, p: ArmParameters, q: np.ndarray, v: np.n
 
 
 def energy_imbalance(
-    model: mujoco.MjModel, p: ArmParameters, q: np.ndarray, v: np.ndarray, tendon_forces: np.ndarray
+    model: mujoco.MjModel, p: ArmParameters, q: np.ndarray, v: np.ndarray, tau: np.ndarray
 ) -> float:
     """T + V - (T + V)_0 - work + dissipated energy after DURATION, relative to the largest T [1].
 
-    From q, v, shape (2N,), under constant tendon forces, shape (2N,) [N], whose generalised force
-    is constant, so that their work is exact; dissipation by Simpson's rule.
+    From q, v, shape (2N,), under constant inputs, shape (2N,) [N], between neighbouring modules:
+    their generalised force is constant, so that their work is exact; dissipation by Simpson's rule.
     """
     steps = round(DURATION / model.opt.timestep)
-    q_t, v_t = simulate(model, q, v, steps, tendon_forces=tendon_forces)
+    internal = InternalActuation(p.width)
+    q_t, v_t = simulate(model, q, v, steps, ctrl=internal.ctrl(tau))
     kinetic, potential = lagrange.energy(p, q_t, v_t)
-    work = (q_t[-1] - q_t[0]) @ InternalActuation(p.width).force(q, tendon_forces)
+    work = (q_t[-1] - q_t[0]) @ internal.force(q, tau)
     power = np.sum(v_t * (v_t @ lagrange.damping_matrix(p)), axis=-1)
     dissipated = simpson(power, dx=model.opt.timestep)
     change = (kinetic + potential)[-1] - (kinetic + potential)[0]

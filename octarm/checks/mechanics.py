@@ -1,8 +1,7 @@
 """What MuJoCo and the analytic model say about the arm at given states, in one form for both.
 
 `mujoco_mechanics` reads MuJoCo, state by state; `lagrange_mechanics` computes the same quantities
-from eqs (1)-(5), all states at once. Neither borrows a number from the other, the map from tau to
-tendon forces excepted, which belongs to the plant.
+from eqs (1)-(5), all states at once. Neither borrows a number from the other.
 
 At n states, in the paper's order of the coordinates, a model answers with these arrays:
 
@@ -114,13 +113,12 @@ def mujoco_mechanics(
 ) -> dict[str, np.ndarray]:
     """What MuJoCo says; the module's docstring has the shapes (n, ...).
 
-    `p` gives the input forces their meaning; MuJoCo has its own numbers.
+    Of `p` the width alone is used, for the levers of F_coeff; MuJoCo has its own numbers.
     """
     model = copy.copy(model)
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     data = mujoco.MjData(model)
-    tendon_forces = GroundedActuation(p.width).tendon_forces(states.q, states.tau)
-    states = states._replace(tau=tendon_forces)
+    states = states._replace(tau=GroundedActuation(p.width).ctrl(states.tau))
     half = 0.5 * float(p.width)
     rows = [_at_state(model, data, half, *state) for state in zip(*states, strict=True)]
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
@@ -133,15 +131,15 @@ def _at_state(
     q: np.ndarray,
     v: np.ndarray,
     a: np.ndarray,
-    tendon_forces: np.ndarray,
+    ctrl: np.ndarray,
 ) -> dict[str, np.ndarray]:
     qpos, dof = paper_order(model)
-    bodies = [model.body(f"module_{i}").id for i in range(1, model.nu // 2 + 1)]
+    bodies = [model.body(f"module_{i}").id for i in range(1, model.nq // 2 + 1)]
     data.qpos[qpos], data.qvel[:] = q, 0.0
     mujoco.mj_forward(model, data)
     at_rest = data.qfrc_bias - data.qfrc_spring
 
-    data.qvel[dof], data.ctrl[:] = v, tendon_forces
+    data.qvel[dof], data.ctrl[:] = v, ctrl
     mujoco.mj_forward(model, data)
     inertia = np.empty((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
@@ -155,7 +153,7 @@ def _at_state(
     return {
         "positions": data.xpos[bodies],
         "inertia": inertia[np.ix_(dof, dof)],
-        "tendon_moments": moments[:, dof].T,
+        "tendon_moments": moments[: model.nq, dof].T,
         "coefficients": _wrenches(model, data, bodies, half)[:, dof].T,
         "bias": data.qfrc_bias[dof],
         "springs": data.qfrc_spring[dof],
@@ -172,12 +170,12 @@ def _at_state(
 def _wrenches(
     model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], half: float
 ) -> np.ndarray:
-    """Generalised forces of the paper's inputs, shape (nu, nv), one input a row.
+    """Generalised forces of the paper's inputs, shape (2N, nv), one input a row.
 
     A unit force on the end of a module along the axis of the plate it stands on, and a couple of
     +-l/2 about the hinge; the world takes the reaction of both.
     """
-    rows = np.zeros((model.nu, model.nv))
+    rows = np.zeros((model.nq, model.nv))
     for i, body in enumerate(bodies):
         axis = data.xmat[model.body_parentid[body]].reshape(3, 3)[:, 0]
         hinge = data.xaxis[model.joint(f"theta_{i + 1}").id]

@@ -72,7 +72,7 @@ class AnyPhysics(control.Physics):
         self._undisturbed = undisturbed
         self.coordinates = planar_coordinates(undisturbed.modules)
         self.limits = Limits.of(undisturbed)
-        self._input_limit = self._alike(model.actuator_ctrlrange[:, 1])
+        self._input_limit = self._alike(model.actuator_ctrlrange[: model.nq, 1])
         self._rest = self._alike(rest_of(model))
         self._zero = np.zeros_like(self._rest)
         self._zero.setflags(write=False)
@@ -176,7 +176,7 @@ class AnyPhysics(control.Physics):
             self._all_intact = False
 
     def step(self, n_sub_steps: int = 1) -> None:
-        """Advances by physics steps under Q = F(q) tau, q being the true coordinates.
+        """Advances by physics steps under Q = F(q) tau, q being the true coordinates at any time.
 
         An arm stops at its first state outside the limits. It ends early when no arm is left.
         """
@@ -208,7 +208,7 @@ class AnyPhysics(control.Physics):
                 if not self._all_intact:
                     mean = np.where(self._intact[..., None], mean, 0.0)
                 self._disturbance = self._disturbance + mean
-        self._ctrl[...] = self.actuation.tendon_forces(q, self._received)
+        self._ctrl[...] = self.actuation.ctrl(self._received)
 
     def _change(self, active: ActiveDisturbances) -> None:
         """Lets the plants follow their disturbances."""

@@ -35,7 +35,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from octarm.arm.lagrange import equilibrium
-from octarm.arm.mjcf import nominal_parameters, template_model
+from octarm.arm.mjcf import nominal_input_limit, nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import split
 from octarm.disturbances.actuators import Saturation
@@ -157,7 +157,7 @@ def costs(
         EachItsOwn(motions, each([names.index(s.reference) for s in scenarios])),
         disturbances=[
             BandLimitedNoise(ratio=each([s.noise for s in scenarios])[:, None]),
-            Saturation(limit=template_model().actuator_ctrlrange[:, 1]),
+            Saturation(limit=nominal_input_limit()),
         ],
         batch=n * len(scenarios),
         seed=examination.seeds() * n,
