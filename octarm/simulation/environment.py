@@ -23,6 +23,7 @@ from octarm.errors import OctarmError, closest
 from octarm.interfaces import Motion, Reference
 from octarm.references import named_reference
 from octarm.simulation.batch import BatchPhysics
+from octarm.simulation.engines import LAGRANGE, MUJOCO, check_engine
 from octarm.simulation.physics import ArmPhysics
 from octarm.simulation.stepping import AnyPhysics
 
@@ -42,6 +43,7 @@ def load(
     actuation: str = "f-coeff",
     seed: int | np.random.SeedSequence | Sequence[np.random.SeedSequence] = 0,
     threads: int = 1,
+    engine: str = MUJOCO,
 ) -> control.Environment:
     """The arm, hanging at rest, and a motion it shall follow; or a batch of n such arms.
 
@@ -67,15 +69,18 @@ def load(
         seed: of all that is random in the episode. Arm i of a batch has the seed
             `SeedSequence(seed, spawn_key=(i,))`, unless one is given for each arm.
         threads: that step a batch; results do not depend on it.
+        engine: `mujoco`, or `lagrange`, the analytic arm, which is some fifty times as fast and
+            needs the extra `fast`.
 
     Returns:
         An environment with the observations q, v, q_d, v_d, a_d, each of shape (2N,), and
         tip_position, shape (3,), in the world frame, where the arm seems to have it.
 
     Raises:
-        OctarmError: for an unknown name, a period that is not a whole multiple of the step, or an
-            arm that does not hang within its limits.
+        OctarmError: for an unknown name, an engine that is not installed, a period that is not a
+            whole multiple of the step, or an arm that does not hang within its limits.
     """
+    check_engine(engine)
     if actuation not in ACTUATIONS:
         raise OctarmError(f"unknown actuation {actuation!r}{closest(actuation, ACTUATIONS)}")
     true = nominal_parameters() if parameters is None else parameters
@@ -86,7 +91,11 @@ def load(
         )
     seeds = _seeds(seed, batch)
     forces = ACTUATIONS[actuation](true.width)
-    if batch is None:
+    if engine == LAGRANGE:
+        from octarm.simulation.analytic import LagrangePhysics  # only where numba is installed
+
+        physics = LagrangePhysics(true, batch, forces, timestep=timestep, threads=threads)
+    elif batch is None:
         physics = ArmPhysics.from_arm_model(build_model(true, timestep), forces)
     else:
         model = build_slim_model(true.arm(0) if true.batch_shape else true, timestep)

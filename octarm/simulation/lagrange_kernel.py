@@ -36,7 +36,7 @@ LANES = 16
 
 _FIELDS = (
     "S T VS VT S0 T0 VS0 VT0 DS DT DVS DVT "  # state of the stage, at the start, mean derivative
-    "M I KS KD KT CS CD CT REST HALF "  # the plant: see `rk4_step`
+    "MASS INERTIA KS KD KT CS CD CT REST HALF "  # the plant: see `rk4_step`
     "LOW_S LOW_T HIGH_S HIGH_T FAST_S FAST_T INSIDE "  # its limits, and whether they hold
     "FS FT RS RT "  # force and couple that are held, and the parts of them that act on the ground
     "QS QT C SN W P E MU BETA A0 A1 AX AY ALPHA AS AT"  # of a stage; AS and AT are s'' and theta''
@@ -47,7 +47,7 @@ _place = {name: np.uint64(i * LANES) for i, name in enumerate(_FIELDS)}
 S, T, VS, VT = (_place[name] for name in ("S", "T", "VS", "VT"))
 S0, T0, VS0, VT0 = (_place[name] for name in ("S0", "T0", "VS0", "VT0"))
 DS, DT, DVS, DVT = (_place[name] for name in ("DS", "DT", "DVS", "DVT"))
-M, I, REST, HALF = (_place[name] for name in ("M", "I", "REST", "HALF"))
+MASS, INERTIA, REST, HALF = (_place[name] for name in ("MASS", "INERTIA", "REST", "HALF"))
 KS, KD, KT, CS, CD, CT = (_place[name] for name in ("KS", "KD", "KT", "CS", "CD", "CT"))
 LOW_S, LOW_T, HIGH_S, HIGH_T = (_place[name] for name in ("LOW_S", "LOW_T", "HIGH_S", "HIGH_T"))
 FAST_S, FAST_T, INSIDE = (_place[name] for name in ("FAST_S", "FAST_T", "INSIDE"))
@@ -131,7 +131,7 @@ def _accelerate(w, n):
         before, after = at - _RECORD, at + _RECORD
         for k in range(_LANES):
             c, s = w[at + C + k], w[at + SN + k]
-            m, inertia = w[at + M + k], w[at + I + k]
+            m, inertia = w[at + MASS + k], w[at + INERTIA + k]
             length, mu, beta = w[after + S + k], w[after + MU + k], w[after + BETA + k]
             couple = w[at + QT + k] - (w[after + QT + k] - w[after + RT + k])
             pull = w[after + QS + k] - w[after + RS + k]
@@ -252,7 +252,7 @@ def _load_plant(w, plant, gravity, start, count):
     for i in range(len(plant)):
         at = np.uint64(i + 1) * _RECORD
         for j in range(PLANT_ROWS):
-            _fetch(w, at + M + np.uint64(j) * _LANES, plant[i, j], start, count)
+            _fetch(w, at + MASS + np.uint64(j) * _LANES, plant[i, j], start, count)
         for k in range(_LANES):
             w[at + C + k], w[at + SN + k] = 1.0, 0.0  # of the last plate nothing depends
 
