@@ -25,6 +25,7 @@ _WORDS = {
     "REFERENCE": "octarm.references:REFERENCES",
     "DISTURBANCE": "octarm.disturbances.catalogue:DISTURBANCES",
     "ACTUATION": "octarm.arm.actuation:ACTUATIONS",
+    "ENGINE": "octarm.simulation.engines:ENGINES",
     "SHELL": "octarm.commands.kinds:SHELLS",
 }
 
@@ -94,7 +95,7 @@ N, COUNT = _converted("N", _whole(0)), _converted("N", _whole(1))
 X, S, HZ = (_converted(metavar, _real) for metavar in ("X", "S", "HZ"))
 RUN, DIR = text("RUN"), text("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE = map(_word, ("CONTROLLER", "REFERENCE", "DISTURBANCE"))
-ACTUATION, GAINS, SHELL = map(_word, ("ACTUATION", "GAINS", "SHELL"))
+ACTUATION, ENGINE, GAINS, SHELL = map(_word, ("ACTUATION", "ENGINE", "GAINS", "SHELL"))
 
 
 def heading(name: str) -> Parameter:

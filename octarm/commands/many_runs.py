@@ -19,6 +19,7 @@ def sweep(
     resume: bool = False,
     dry_run: bool = False,
     cluster: Annotated[str | None, kinds.text("ADDRESS")] = None,
+    engine: Annotated[str | None, kinds.ENGINE] = None,
 ) -> Work:
     """Run thousands of episodes as a spec has it.
 
@@ -38,6 +39,8 @@ def sweep(
         dry_run: print the number of episodes, and the time and disk they take; run nothing
         cluster: run on the dask cluster with the scheduler of this address, or on `local`, one of
             this machine
+        engine: what steps the arms, mujoco or lagrange, which is many times as fast; it takes the
+            place of the spec's
 
     Examples:
       octarm sweep scripts/disturbance_sweep.toml --dry-run
@@ -46,7 +49,7 @@ def sweep(
     """
     from octarm.commands import sweep as work
 
-    options = work.Options(spec, out, workers, resume, cluster)
+    options = work.Options(spec, out, workers, resume, cluster, engine)
     return partial(work.dry_run if dry_run else work.sweep, options)
 
 
@@ -95,6 +98,7 @@ def margin(
     control_period: Annotated[float | None, kinds.S, kinds.RUNS] = None,
     gains: Annotated[str | None, kinds.GAINS, kinds.RUNS] = None,
     seed: Annotated[int, kinds.N, kinds.RUNS] = 0,
+    engine: Annotated[str | None, kinds.ENGINE, kinds.RUNS] = None,
     csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
     json: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
 ) -> Work:
@@ -121,6 +125,8 @@ def margin(
         control_period: time between control actions [s]
         gains: gains to start from
         seed: seed of all that is random
+        engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
+            given
         csv: also write the table to this file
         json: also write everything: the margins of each seed, and the coarse grid
 
@@ -131,6 +137,7 @@ def margin(
         --bound rms_error_theta1:0.02
     """
     from octarm.commands import margin as work
+    from octarm.simulation.engines import usual_engine
 
     settings = work.Settings(
         disturbance=disturbance,
@@ -144,6 +151,7 @@ def margin(
         control_period=control_period,
         gains=gains,
         seed=seed,
+        engine=usual_engine() if engine is None else engine,
     )
     return partial(work.margin, controllers, settings, low, high, csv, json)
 
@@ -156,6 +164,7 @@ def tune(
     budget: Annotated[float, kinds.S] = 8000.0,
     seed: Annotated[int, kinds.N] = 0,
     resume: bool = False,
+    engine: Annotated[str | None, kinds.ENGINE] = None,
 ) -> Work:
     """Find gains for one controller.
 
@@ -169,6 +178,8 @@ def tune(
         budget: what the search may simulate, all arms counted [s]; 8000 s take minutes
         seed: seed of the search
         resume: go on with the search that was interrupted
+        engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
+            given
 
     Examples:
       octarm tune smc-boundary --out my-gains.toml
@@ -176,4 +187,5 @@ def tune(
     """
     from octarm.commands import tune as work
 
-    return partial(work.tune, controller, out or Path(f"{controller}.toml"), budget, seed, resume)
+    out = out or Path(f"{controller}.toml")
+    return partial(work.tune, controller, out, budget, seed, resume, engine)

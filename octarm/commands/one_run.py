@@ -25,6 +25,7 @@ def run(
     timestep: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
     control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
     actuation: Annotated[str, kinds.ACTUATION, kinds.SIMULATION] = "f-coeff",
+    engine: Annotated[str, kinds.ENGINE, kinds.SIMULATION] = "mujoco",
     out: Annotated[Path | None, kinds.DIR, kinds.OUTPUT] = None,
     view: Annotated[bool, kinds.OUTPUT] = False,
 ) -> Work:
@@ -50,6 +51,7 @@ def run(
         control_period: time between control actions [s], whole physics steps; one step when not
             given
         actuation: how input forces act: f-coeff as in eq (2), internal between neighbouring modules
+        engine: what steps the arm: mujoco, or lagrange, the analytic arm, compiled (extra fast)
         out: run folder to write; runs/DATE-TIME-CONTROLLER when not given
         view: open the recording in the viewer when the run is done
 
@@ -81,6 +83,7 @@ def run(
         timestep=timestep,
         control_period=control_period,
         actuation=actuation,
+        engine=engine,
     )
     return partial(work.run, experiment, gains, out, view)
 

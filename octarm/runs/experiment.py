@@ -27,12 +27,15 @@ from octarm.runs import folder as runs
 from octarm.runs.archive import Archive, mapped
 from octarm.runs.place import new_folder
 from octarm.runs.versions import host, versions
+from octarm.simulation.engines import MUJOCO
 from octarm.simulation.environment import TrackingTask, load, whole_periods
 from octarm.simulation.rollout import ArmRecorder, copied
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.trajectory import Ending, Trajectory, joined
 
-_AS_THEY_ARE = {"seed", "spawn_key", "duration", "timestep", "control_period", "actuation"}
+_AS_THEY_ARE = {
+    "seed", "spawn_key", "duration", "timestep", "control_period", "actuation", "engine",
+}  # fmt: skip
 
 
 class Recording(Protocol):
@@ -70,6 +73,7 @@ class Experiment:
         timestep: physics step [s]; that of models/octarm.xml when None.
         control_period: time between control actions [s]; one physics step when None.
         actuation: see `octarm.arm.actuation`.
+        engine: that steps the arm, see `octarm.simulation.engines`.
     """
 
     controller: str
@@ -84,6 +88,7 @@ class Experiment:
     timestep: float | None = None
     control_period: float | None = None
     actuation: str = "f-coeff"
+    engine: str = MUJOCO
 
     def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
         """The environment and the controller.
@@ -102,6 +107,7 @@ class Experiment:
             control_period=self.control_period,
             actuation=self.actuation,
             seed=seed,
+            engine=self.engine,
         )
         return environment, factory(self.controller, self.nominal, self.gains)
 
@@ -125,10 +131,11 @@ class Experiment:
             "timestep": physics.timestep(),
             "control_period": environment.control_timestep(),
             "actuation": self.actuation,
+            "engine": self.engine,
             "metrics": {},
             "status": runs.RUNNING,
             "message": "",
-            "versions": versions(),
+            "versions": versions(self.engine),
             "host": host(),
             "digest": "",
             "command": shlex.join(["octarm", *sys.argv[1:]]),
@@ -191,6 +198,7 @@ class _Inputs(_Table):
     timestep: float
     control_period: float
     actuation: str
+    engine: str
 
 
 def perform(

@@ -78,6 +78,7 @@ class FinishedSweep:
             timestep=spec.timestep,
             control_period=spec.control_period,
             actuation=spec.actuation,
+            engine=spec.engine,
         )
 
 

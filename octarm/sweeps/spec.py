@@ -15,6 +15,7 @@ from octarm.disturbances.fields import field_keys
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.formats import to_toml
 from octarm.interfaces import Controller, ControllerFactory
+from octarm.simulation.engines import MUJOCO
 
 Value = float | str
 
@@ -59,7 +60,9 @@ class Axis:
         return isinstance(self.values[0], str)
 
 
-SETTINGS = ("seed", "episodes", "duration", "timestep", "control_period", "actuation", "batch")
+SETTINGS = (
+    "seed", "episodes", "duration", "timestep", "control_period", "actuation", "engine", "batch",
+)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -75,6 +78,7 @@ class SweepSpec:
         timestep: physics step [s]; that of models/octarm.xml when None.
         control_period: time between control actions [s]; one physics step when None.
         actuation: see `octarm.arm.actuation`.
+        engine: that steps the arms, see `octarm.simulation.engines`.
         batch: largest number of arms that are stepped together.
         fixed: fields of disturbances that are the same in all episodes, by disturbance.
         gain_sets: `tuned` or `recommended`, by controller; tuned gains where there are any, else
@@ -92,6 +96,7 @@ class SweepSpec:
     timestep: float | None = None
     control_period: float | None = None
     actuation: str = "f-coeff"
+    engine: str = MUJOCO
     batch: int = 1024
     fixed: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
     gain_sets: Mapping[str, str] = dataclasses.field(default_factory=dict[str, str])

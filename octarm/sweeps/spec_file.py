@@ -1,8 +1,8 @@
 """A sweep's TOML file, checked word by word before anything happens.
 
 At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep`, `control_period`
-[s], `actuation`, `batch` and `gain_set`, and `controller`, `reference` and `mismatch` where they
-have one value. The tables are:
+[s], `actuation`, `engine`, `batch` and `gain_set`, and `controller`, `reference` and `mismatch`
+where they have one value. The tables are:
 
 - `[grid]`: `controller`, `reference` and `mismatch` as lists;
 - `[grid.disturbance]`: lists of values of disturbances, spelt as on the command line: `noise` for
@@ -38,6 +38,7 @@ from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError, OctarmError, closest
 from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
+from octarm.simulation.engines import ENGINES, MUJOCO
 from octarm.sweeps.spec import SETTINGS, Axis, SweepSpec, class_of, which
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
@@ -115,6 +116,7 @@ class SpecFile(Model):
     timestep: Positive | None = None
     control_period: Positive | None = None
     actuation: Annotated[str, one_of(ACTUATIONS)] = "f-coeff"
+    engine: Annotated[str, one_of(ENGINES)] = MUJOCO
     batch: Annotated[int, Field(ge=1)] = 1024
     controller: str | None = None
     reference: Reference | None = None
