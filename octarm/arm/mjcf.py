@@ -5,8 +5,8 @@ y to the right, so that a point (x, y) of `octarm.lagrange` is (y, 0, -x) in MuJ
 MuJoCo orders the coordinates along the arm, q = [s1, theta1, s2, ..]; outside this module they are
 always in the paper's order, q = [s1..sN, theta1..thetaN].
 
-The motors exert F_coeff(q) tau, eq (2), in every state: `ctrl` holds tau, and then tau of the modules
-from the second on once more, for the motors that put the reactions on the ground.
+The motors exert F_coeff(q) tau, eq (2), in every state: `ctrl` holds tau, and then tau of the
+modules from the second on once more, for the motors that put the reactions on the ground.
 """
 
 from __future__ import annotations
