@@ -16,6 +16,8 @@ from octarm.interfaces import Command, Controller, Instant
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout, simulate
 
+pytestmark = pytest.mark.usefixtures("each_engine")
+
 P = nominal_parameters()
 DURATION = 0.03
 

@@ -58,6 +58,24 @@ def nominal_input_limit() -> float:
     return float(template_model().actuator_ctrlrange[0, 1])
 
 
+def physics_step(timestep: float | None = None) -> float:
+    """A physics step, 1e-7 to 0.1 [s]; that of `models/octarm.xml` when it is not given.
+
+    Raises:
+        OctarmError: if it is not allowed.
+    """
+    if timestep is None:
+        return _nominal_step()
+    if not 1e-7 <= timestep <= 0.1:
+        raise OctarmError(f"timestep is {timestep:g} s; it must be between 1e-07 and 0.1 s")
+    return timestep
+
+
+@functools.cache
+def _nominal_step() -> float:
+    return float(template_model().opt.timestep)
+
+
 def build_model(
     parameters: ArmParameters | None = None, timestep: float | None = None
 ) -> mujoco.MjModel:
@@ -93,10 +111,7 @@ def build_slim_model(
 def _arm_spec(p: ArmParameters, timestep: float | None) -> mujoco.MjSpec:
     """The template with as many modules, and with all parameters that are more than numbers."""
     spec = mujoco.MjSpec.from_file(str(model_path()))
-    if timestep is not None:
-        if not 1e-7 <= timestep <= 0.1:
-            raise OctarmError(f"timestep is {timestep:g} s; it must be between 1e-07 and 0.1 s")
-        spec.option.timestep = timestep
+    spec.option.timestep = physics_step(timestep)
     if p.batch_shape:
         raise OctarmError(f"parameters have batch axes {p.batch_shape}; a model describes one arm")
     _set_modules(spec, p.modules)

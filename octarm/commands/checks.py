@@ -14,6 +14,7 @@ from octarm.commands.terminal import surviving_output
 def validate(
     *,
     controllers: bool = False,
+    engines: bool = False,
     modules: Annotated[int, kinds.COUNT] = 3,
     random_parameters: Annotated[int, kinds.N] = 0,
     states: Annotated[int | None, kinds.COUNT] = None,
@@ -22,12 +23,14 @@ def validate(
 ) -> Work:
     """Check MuJoCo against the analytic model.
 
-    Or, with --controllers, the controllers against their proofs. Prints a report; exit code 1 when
-    a check failed.
+    Or, with --controllers, the controllers against their proofs; with --engines, the engines
+    against each other. Prints a report; exit code 1 when a check failed.
 
     Args:
         controllers: check instead that each controller's Lyapunov function falls as its proof
             says, and that the misprints of the paper are noticed
+        engines: check instead that mujoco and lagrange move the arm alike for 10 s, with every
+            controller and under every disturbance; it takes minutes
         modules: number of modules of the arm
         random_parameters: check so many arms with random parameters instead of the nominal one
         states: random states that each comparison runs over; 10000, of controllers 3000, when not
@@ -40,9 +43,12 @@ def validate(
       octarm validate --controllers
     """
     from octarm.commands import validate as work
+    from octarm.errors import OctarmError
 
+    if controllers and engines:
+        raise OctarmError("--controllers and --engines are given; one check at a time")
     states = (3000 if controllers else 10_000) if states is None else states
-    compare = work.ledger if controllers else work.plant
+    compare = work.ledger if controllers else work.engines if engines else work.plant
     job = partial(work.validate, compare, modules, random_parameters, states, seed, json)
     return job if json is None else surviving_output(job)
 

@@ -26,6 +26,7 @@ _WORDS = {
     "DISTURBANCE": "octarm.disturbances.catalogue:DISTURBANCES",
     "ACTUATION": "octarm.arm.actuation:ACTUATIONS",
     "INTEGRATOR": "octarm.arm.modes:INTEGRATORS",
+    "ENGINE": "octarm.simulation.engines:ENGINES",
     "SHELL": "octarm.commands.kinds:SHELLS",
 }
 
@@ -102,7 +103,7 @@ STEP = _converted("S|auto", _step)
 X, S, HZ = (_converted(metavar, _real) for metavar in ("X", "S", "HZ"))
 RUN, DIR = text("RUN"), text("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE = map(_word, ("CONTROLLER", "REFERENCE", "DISTURBANCE"))
-ACTUATION, INTEGRATOR = map(_word, ("ACTUATION", "INTEGRATOR"))
+ACTUATION, INTEGRATOR, ENGINE = map(_word, ("ACTUATION", "INTEGRATOR", "ENGINE"))
 GAINS, SHELL = map(_word, ("GAINS", "SHELL"))
 
 

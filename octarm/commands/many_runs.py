@@ -21,6 +21,7 @@ def sweep(
     dry_run: bool = False,
     cluster: Annotated[str | None, kinds.text("ADDRESS")] = None,
     wait_for_workers: Annotated[float, kinds.S] = 60.0,
+    engine: Annotated[str | None, kinds.ENGINE] = None,
 ) -> Work:
     """Run thousands of episodes as a spec has it.
 
@@ -41,6 +42,8 @@ def sweep(
         cluster: run on the dask cluster with the scheduler of this address, or on `local`, one of
             this machine
         wait_for_workers: how long the cluster may have no worker, at the beginning or later [s]
+        engine: what steps the arms, mujoco or lagrange, which is many times as fast; it takes the
+            place of the spec's
 
     Examples:
       octarm sweep scripts/disturbance_sweep.toml --dry-run
@@ -49,7 +52,7 @@ def sweep(
     """
     from octarm.commands import sweep as work
 
-    options = work.Options(spec, out, workers, resume, cluster, wait_for_workers)
+    options = work.Options(spec, out, workers, resume, cluster, wait_for_workers, engine)
     if dry_run:
         return partial(work.dry_run, options)
     return surviving_output(partial(work.sweep, options))
@@ -100,6 +103,7 @@ def margin(
     control_period: Annotated[float | None, kinds.S, kinds.RUNS] = None,
     gains: Annotated[str | None, kinds.GAINS, kinds.RUNS] = None,
     seed: Annotated[int, kinds.N, kinds.RUNS] = 0,
+    engine: Annotated[str | None, kinds.ENGINE, kinds.RUNS] = None,
     csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
     json: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
 ) -> Work:
@@ -126,6 +130,8 @@ def margin(
         control_period: time between control actions [s]
         gains: gains to start from
         seed: seed of all that is random
+        engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
+            given
         csv: also write the table to this file
         json: also write everything: the margins of each seed, and the coarse grid
 
@@ -136,6 +142,7 @@ def margin(
         --bound rms_error_theta1:0.02
     """
     from octarm.commands import margin as work
+    from octarm.simulation.engines import usual_engine
 
     settings = work.Settings(
         disturbance=disturbance,
@@ -149,6 +156,7 @@ def margin(
         control_period=control_period,
         gains=gains,
         seed=seed,
+        engine=usual_engine() if engine is None else engine,
     )
     job = partial(work.margin, controllers, settings, low, high, csv, json)
     return job if csv is None and json is None else surviving_output(job)
@@ -162,6 +170,7 @@ def tune(
     budget: Annotated[float, kinds.S] = 8000.0,
     seed: Annotated[int, kinds.N] = 0,
     resume: bool = False,
+    engine: Annotated[str | None, kinds.ENGINE] = None,
 ) -> Work:
     """Find gains for one controller.
 
@@ -175,6 +184,8 @@ def tune(
         budget: what the search may simulate, all arms counted [s]; 8000 s take minutes
         seed: seed of the search
         resume: go on with the search that was interrupted
+        engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
+            given
 
     Examples:
       octarm tune smc-boundary --out my-gains.toml
@@ -183,4 +194,4 @@ def tune(
     from octarm.commands import tune as work
 
     out = out or Path(f"{controller}.toml")
-    return surviving_output(partial(work.tune, controller, out, budget, seed, resume))
+    return surviving_output(partial(work.tune, controller, out, budget, seed, resume, engine))

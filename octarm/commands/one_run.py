@@ -27,6 +27,7 @@ def run(
     control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
     actuation: Annotated[str, kinds.ACTUATION, kinds.SIMULATION] = "f-coeff",
     integrator: Annotated[str, kinds.INTEGRATOR, kinds.SIMULATION] = "rk4",
+    engine: Annotated[str, kinds.ENGINE, kinds.SIMULATION] = "mujoco",
     out: Annotated[Path | None, kinds.DIR, kinds.OUTPUT] = None,
     view: Annotated[bool, kinds.OUTPUT] = False,
 ) -> Work:
@@ -54,6 +55,7 @@ def run(
             given
         actuation: how input forces act: f-coeff as in eq (2), internal between neighbouring modules
         integrator: rk4, or implicitfast, of first order, for arms with very much damping
+        engine: what steps the arm: mujoco, or lagrange, the analytic arm, compiled (extra fast)
         out: run folder to write; runs/DATE-TIME-CONTROLLER when not given
         view: open the recording in the viewer when the run is done
 
@@ -86,6 +88,7 @@ def run(
         control_period=control_period,
         actuation=actuation,
         integrator=integrator,
+        engine=engine,
     )
     return surviving_output(partial(work.run, experiment, gains, out, view))
 

@@ -18,7 +18,9 @@ from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import ExitCode, OctarmError, sentence_of
 from octarm.formats import read_toml
 from octarm.memory import check_batch
+from octarm.simulation.engines import LAGRANGE, check_engine
 from octarm.simulation.steps import AUTO
+from octarm.sweeps import engine_check
 from octarm.sweeps.cluster import WAIT, dask_cluster
 from octarm.sweeps.episodes import COLUMNS, FinishedSweep, record_episodes, select
 from octarm.sweeps.execute import estimate
@@ -39,7 +41,7 @@ _RECORDED = 2000  # [byte] a control period; from 1000 without signals to 4000 w
 class Options:
     """What a sweep is run with: the spec's file, the folder to write, workers or a cluster.
 
-    `wait` is how long a cluster may have no worker [s].
+    `wait` is how long a cluster may have no worker [s]. The engine takes the place of the spec's.
     """
 
     spec: Path
@@ -48,6 +50,7 @@ class Options:
     resume: bool
     cluster: str | None
     wait: float
+    engine: str | None = None
 
 
 def sweep(options: Options) -> int:
@@ -58,6 +61,7 @@ def sweep(options: Options) -> int:
     _run(spec, options, options.out)
     alike = _record(spec, options, options.out)
     _print_summary(options.out)
+    alike &= _engines_agree(spec, options.out)
     print(f"wrote {options.out}/  (spec.toml, manifest.json, episodes/*.parquet)")
     print(f"read it: octarm.read_sweep({str(options.out)!r})")
     return ExitCode.FINE if alike else ExitCode.CHECK_FAILED
@@ -101,6 +105,9 @@ def dry_run(options: Options) -> int:
 def _checked_spec(options: Options) -> SweepSpec:
     """The spec, whose controllers can be made and whose recorded episodes there are."""
     spec = read_spec(options.spec)
+    if options.engine is not None:
+        spec = dataclasses.replace(spec, engine=options.engine)
+    check_engine(spec.engine)
     plan = Plan(spec)
     for name in spec.controllers:
         keys = ("gain_set", name) if name in spec.gain_sets else ("grid", "controller")
@@ -203,11 +210,22 @@ def _print_summary(folder: Path) -> None:
         print(f"{name:<20} {values.size:>9} {diverged.sum():>9}  {median}")
 
 
+def _engines_agree(spec: SweepSpec, folder: Path) -> bool:
+    """Whether the episodes that ran on both engines came out alike; it says so."""
+    if spec.engine != LAGRANGE:
+        return True
+    (column,) = (x.to_numpy() for x in read_sweep(folder, [engine_check.COLUMN]))
+    difference = column[~np.isnan(column)]
+    print(engine_check.sentence(difference, len(column)))
+    return bool(np.all(difference <= engine_check.LIMIT))
+
+
 def _resume(options: Options) -> str:
     words = ["octarm", "sweep", str(options.spec), "--out", str(options.out)]
     words += ["--workers", str(options.workers)] if options.workers else []
     words += ["--cluster", options.cluster] if options.cluster else []
     words += ["--wait-for-workers", f"{options.wait:g}"] if options.wait != WAIT else []
+    words += ["--engine", options.engine] if options.engine else []
     return shlex.join([*words, "--resume"])
 
 

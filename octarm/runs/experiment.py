@@ -28,6 +28,7 @@ from octarm.runs import folder as runs
 from octarm.runs.archive import Archive, mapped
 from octarm.runs.place import new_folder
 from octarm.runs.versions import host, versions
+from octarm.simulation.engines import MUJOCO
 from octarm.simulation.environment import TrackingTask, load, whole_periods
 from octarm.simulation.rollout import ArmRecorder, copied
 from octarm.simulation.stepping import AnyPhysics
@@ -35,6 +36,7 @@ from octarm.simulation.trajectory import Ending, Trajectory, joined
 
 _AS_THEY_ARE = {
     "seed", "spawn_key", "duration", "timestep", "control_period", "actuation", "integrator",
+    "engine",
 }  # fmt: skip
 
 
@@ -74,6 +76,7 @@ class Experiment:
         control_period: time between control actions [s]; one physics step when None.
         actuation: see `octarm.arm.actuation`.
         integrator: see `octarm.load`.
+        engine: that steps the arm, see `octarm.simulation.engines`.
     """
 
     controller: str
@@ -89,6 +92,7 @@ class Experiment:
     control_period: float | None = None
     actuation: str = "f-coeff"
     integrator: str = "rk4"
+    engine: str = MUJOCO
 
     def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
         """The environment and the controller.
@@ -108,6 +112,7 @@ class Experiment:
             actuation=self.actuation,
             seed=seed,
             integrator=self.integrator,
+            engine=self.engine,
         )
         return environment, factory(self.controller, self.nominal, self.gains)
 
@@ -132,10 +137,11 @@ class Experiment:
             "control_period": environment.control_timestep(),
             "actuation": self.actuation,
             "integrator": self.integrator,
+            "engine": self.engine,
             "metrics": {},
             "status": runs.RUNNING,
             "message": "",
-            "versions": versions(),
+            "versions": versions(self.engine),
             "host": host(),
             "digest": "",
             "command": _readable(shlex.join(["octarm", *sys.argv[1:]])),
@@ -204,6 +210,7 @@ class _Inputs(_Table):
     control_period: float
     actuation: str
     integrator: str
+    engine: str
 
 
 def perform(

@@ -61,10 +61,6 @@ class BatchPhysics(AnyPhysics):
         """Tips in the world frame, shape (n, 3) [m]."""
         return tip_position(self.q(), self._undisturbed.entries.tip_length)
 
-    def divergence(self) -> str:
-        """Empty: arms of a batch diverge one by one, see `intact`."""
-        return ""
-
     def step(self, n_sub_steps: int = 1) -> None:
         """Advances by physics steps; see `AnyPhysics.step`."""
         with self.exclusive, np.errstate(all="ignore"):  # a frozen arm may hold anything

@@ -25,6 +25,7 @@ from octarm.interfaces import Motion, Reference
 from octarm.memory import check_batch
 from octarm.references import named_reference
 from octarm.simulation.batch import BatchPhysics
+from octarm.simulation.engines import LAGRANGE, MUJOCO, check_engine
 from octarm.simulation.physics import ArmPhysics
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.steps import (
@@ -56,6 +57,7 @@ def load(
     seed: int | np.random.SeedSequence | Sequence[np.random.SeedSequence] = 0,
     threads: int = 1,
     integrator: str = "rk4",
+    engine: str = MUJOCO,
 ) -> control.Environment:
     """The arm, hanging at rest, and a motion it shall follow; or a batch of n such arms.
 
@@ -87,19 +89,24 @@ def load(
             its episodes are derived from it, see `octarm.disturbances.streams.episode_seed`.
         threads: that step a batch, at most 1024; results do not depend on it.
         integrator: `rk4`, or `implicitfast`, which is of first order, for arms with much damping.
+        engine: `mujoco`, or `lagrange`, the analytic arm, which is some fifty times as fast and
+            needs the extra `fast`; it steps by RK4 alone.
 
     Returns:
         An environment with the observations q, v, q_d, v_d, a_d, each of shape (2N,), and
         tip_position, shape (3,), in the world frame, where the arm seems to have it.
 
     Raises:
-        OctarmError: for an unknown name, a period that is not a whole multiple of the step, an arm
-            that does not hang within its limits, a step that is too long for its fastest mode, or
-            more arms than memory holds.
+        OctarmError: for an unknown name, an engine that is not installed, a period that is not a
+            whole multiple of the step, an arm that does not hang within its limits, a step that is
+            too long for its fastest mode, or more arms than memory holds.
     """
+    check_engine(engine)
     if actuation not in ACTUATIONS:
         raise OctarmError(f"unknown actuation {actuation!r}{closest(actuation, ACTUATIONS)}")
     check_integrator(integrator)
+    if engine == LAGRANGE and integrator != "rk4":
+        raise OctarmError(f"engine {engine!r} steps by rk4 alone; integrator is {integrator!r}")
     true = nominal_parameters() if parameters is None else parameters
     if true.batch_shape not in ((), () if batch is None else (batch,)):
         raise OctarmError(
@@ -118,7 +125,11 @@ def load(
         steps = steps_of(true, disturbances, seeds, axes, integrator)
         timestep, control_period = fitting_step(float(np.min(steps)), control_period)
     forces = ACTUATIONS[actuation](true.width)
-    if batch is None:
+    if engine == LAGRANGE:
+        from octarm.simulation.analytic import LagrangePhysics  # only where numba is installed
+
+        physics = LagrangePhysics(true, batch, forces, timestep=timestep, threads=threads)
+    elif batch is None:
         model = build_model(true, timestep)
         model.opt.integrator = integrator_of(integrator)
         physics = ArmPhysics.from_arm_model(model, forces)

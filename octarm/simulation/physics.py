@@ -121,11 +121,6 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
         angle = float(np.arctan2(gravity[0], -gravity[2]))
         return Plant(ArmParameters.from_model(self.model.ptr), angle)
 
-    def divergence(self) -> str:
-        """How the arm has left its limits and when, as a sentence; empty while it is intact."""
-        violation = self.limits.violation(self.q(), self.v())
-        return f"diverged at t = {self.time():.6g} s: {violation}" if violation else ""
-
     def integration_state(self) -> np.ndarray:
         """All that the next step depends on (mjSTATE_INTEGRATION), shape (k,)."""
         state = np.empty(self._state_size)

@@ -73,12 +73,24 @@ class AnyPhysics(control.Physics):
         self._qpos, self._qvel = state("qpos").T, state("qvel").T
         self._ctrl, self._added = state("ctrl"), state("qfrc_applied").T
         self._fields = PlantFields(model, field)
-        self._timestep = float(model.opt.timestep)
-        self._undisturbed = undisturbed
+        limit = model.actuator_ctrlrange[: model.nq, 1]
+        self._describe(undisturbed, float(model.opt.timestep), limit, rest_of(model))
+
+    def _describe(
+        self, undisturbed: ArmParameters, timestep: float, limit: np.ndarray, rest: np.ndarray
+    ) -> None:
+        """Takes what is the same in every episode.
+
+        Args:
+            undisturbed: the arms' parameters, of one arm or with batch axis (n,).
+            timestep: physics step [s].
+            limit: bound on the absolute input forces, shape (2N,) [N].
+            rest: the loaded equilibrium of an arm, shape (2N,) [m], [rad].
+        """
+        self._timestep, self._undisturbed = timestep, undisturbed
         self.coordinates = planar_coordinates(undisturbed.modules)
         self.limits = Limits.of(undisturbed)
-        self._input_limit = self._alike(model.actuator_ctrlrange[: model.nq, 1])
-        self._rest = self._alike(rest_of(model))
+        self._input_limit, self._rest = self._alike(limit), self._alike(rest)
         self._zero = np.zeros_like(self._rest)
         self._zero.setflags(write=False)
         self.exclusive = Exclusive()
@@ -96,9 +108,13 @@ class AnyPhysics(control.Physics):
     def _follow_inertias(self) -> None:
         """Makes MuJoCo's constants follow inertias that were written."""
 
-    @abc.abstractmethod
     def divergence(self) -> str:
-        """How an arm alone has left its limits and when, as a sentence; empty for a batch."""
+        """How an arm alone has left its limits and when, as a sentence; empty if it has not.
+
+        It is empty for a batch, whose arms diverge one by one, see `intact`.
+        """
+        violation = "" if self.batch_shape else self.limits.violation(self.q(), self.v())
+        return f"diverged at t = {self.time():.6g} s: {violation}" if violation else ""
 
     def q(self) -> np.ndarray:
         """Generalised coordinates, shape (..., 2N) [m], [rad]."""

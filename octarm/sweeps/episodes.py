@@ -76,6 +76,7 @@ class FinishedSweep:
             control_period=spec.control_period,
             actuation=spec.actuation,
             integrator=spec.integrator,
+            engine=spec.engine,
         )
 
     def begin(

@@ -15,6 +15,7 @@ from octarm.disturbances.fields import field_keys
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.formats import to_toml
 from octarm.interfaces import Controller, ControllerFactory
+from octarm.simulation.engines import MUJOCO
 
 Value = float | str
 
@@ -61,7 +62,7 @@ class Axis:
 
 SETTINGS = (
     "seed", "episodes", "duration", "timestep", "control_period", "actuation", "integrator",
-    "batch",
+    "engine", "batch",
 )  # fmt: skip
 
 
@@ -78,6 +79,7 @@ class SweepSpec:
         timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
         control_period: time between control actions [s]; one physics step when None.
         actuation: see `octarm.arm.actuation`.
+        engine: that steps the arms, see `octarm.simulation.engines`.
         batch: largest number of arms that are stepped together.
         integrator: see `octarm.load`.
         fixed: fields of disturbances that are the same in all episodes, by disturbance.
@@ -96,6 +98,7 @@ class SweepSpec:
     timestep: float | str | None = None
     control_period: float | None = None
     actuation: str = "f-coeff"
+    engine: str = MUJOCO
     batch: int = 1024
     integrator: str = "rk4"
     fixed: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])

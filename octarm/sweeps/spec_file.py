@@ -1,7 +1,7 @@
 """A sweep's TOML file, checked word by word before anything happens.
 
 At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep` (or `"auto"`),
-`control_period` [s], `actuation`, `integrator`, `batch` and `gain_set`, and `controller`,
+`control_period` [s], `actuation`, `integrator`, `engine`, `batch` and `gain_set`, and `controller`,
 `reference` and `mismatch` where they have one value. The tables are:
 
 - `[grid]`: `controller`, `reference` and `mismatch` as lists;
@@ -39,6 +39,7 @@ from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError, OctarmError, closest
 from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
+from octarm.simulation.engines import ENGINES, MUJOCO
 from octarm.simulation.steps import AUTO
 from octarm.sweeps.spec import SETTINGS, Axis, SweepSpec, class_of, which
 
@@ -124,6 +125,7 @@ class SpecFile(Model):
     timestep: Step | None = None
     control_period: Annotated[FiniteFloat, Field(gt=0.0, le=10.0)] | None = None
     actuation: Annotated[str, one_of(ACTUATIONS)] = "f-coeff"
+    engine: Annotated[str, one_of(ENGINES)] = MUJOCO
     batch: Annotated[int, Field(ge=1)] = 1024
     integrator: Annotated[str, one_of(INTEGRATORS)] = "rk4"
     controller: str | None = None

@@ -30,6 +30,7 @@ from octarm.files import write_text
 from octarm.formats import Model, read_json, to_json
 from octarm.interfaces import Controller, Knob, Tunable
 from octarm.runs import versions as origin
+from octarm.simulation.engines import MUJOCO
 from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, Examination, costs
 
 _PACKAGES = ("python", "octarm", "mujoco", "dm-control", "numpy", "scipy")
@@ -197,6 +198,7 @@ def tune(
     state: SearchState | None = None,
     keep: Callable[[SearchState], object] = lambda state: None,
     progress: Callable[[float], object] = lambda seconds: None,
+    engine: str = MUJOCO,
 ) -> Tuned:
     """Searches gains; the same bits for the same arguments, wherever it went on from.
 
@@ -208,6 +210,7 @@ def tune(
         state: where an earlier search stopped; the beginning when not given.
         keep: called with the state after every generation.
         progress: called with simulated seconds as they pass, see `tune_cost.costs`.
+        engine: that steps the arms.
 
     Raises:
         OctarmError: if the controller cannot be made, or has no gain that can be tuned.
@@ -220,7 +223,7 @@ def tune(
         return factory(nominal, {**fixed, **gains})
 
     def tried(examination: Examination, candidates: np.ndarray) -> np.ndarray:
-        return costs(examination, make, space.turned(candidates), progress)
+        return costs(examination, make, space.turned(candidates), progress, engine)
 
     def cost(candidates: np.ndarray) -> np.ndarray:
         return tried(budget.short, candidates).mean(axis=1)
@@ -328,11 +331,14 @@ class StateFile:
         return SearchState(content.generation, population, costs)
 
 
-def settings(controller: str, space: Space, budget: Budget, seed: int) -> dict[str, Any]:
+def settings(
+    controller: str, space: Space, budget: Budget, seed: int, engine: str
+) -> dict[str, Any]:
     """All that a search depends on, ready for JSON."""
     return {
         "controller": controller,
         "seed": seed,
+        "engine": engine,
         "budget": dataclasses.asdict(budget),
         "gains": {name: gain.tolist() for name, gain in space.gains.items()},
         "range": [knob._asdict() for knob in space.knobs],

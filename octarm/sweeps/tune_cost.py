@@ -45,9 +45,10 @@ from octarm.metrics.chattering import Chattering
 from octarm.metrics.metric import Settings
 from octarm.metrics.tracking import TrackingError
 from octarm.references import named_reference
-from octarm.simulation.batch import BatchPhysics
+from octarm.simulation.engines import MUJOCO
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import simulate
+from octarm.simulation.stepping import AnyPhysics
 from octarm.sweeps.progress import arm_seconds
 
 SLIDE_SCALE = 0.0175  # A [m]
@@ -131,6 +132,7 @@ def costs(
     factory: ControllerFactory,
     candidates: Mapping[str, np.ndarray],
     progress: Callable[[float], object] = lambda seconds: None,
+    engine: str = MUJOCO,
 ) -> np.ndarray:
     """The cost of each candidate in each scenario, shape (n, scenarios) [1]; J is its mean.
 
@@ -143,6 +145,7 @@ def costs(
         candidates: gains with a row for each of them, shapes (n, 1) or (n, 2N).
         progress: called with the seconds that have been simulated since the last call, all arms
             counted.
+        engine: that steps the arms.
     """
     n, scenarios = len(next(iter(candidates.values()))), examination.scenarios
 
@@ -161,6 +164,7 @@ def costs(
         ],
         batch=n * len(scenarios),
         seed=examination.seeds() * n,
+        engine=engine,
     )
     nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
     gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}
@@ -196,7 +200,7 @@ class EachItsOwn:
 class _Observer:
     """Measures the arms while they run."""
 
-    def __init__(self, examination: Examination, period: float, physics: BatchPhysics) -> None:
+    def __init__(self, examination: Examination, period: float, physics: AnyPhysics) -> None:
         self._examination, self._period, self._physics = examination, period, physics
         like = np.zeros_like(physics.q())
         first, settings = {"q": like, "force": like}, Settings(control_period=period)
