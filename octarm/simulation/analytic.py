@@ -21,6 +21,7 @@ from octarm.arm.mjcf import nominal_input_limit, physics_step
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Entry
 from octarm.disturbances.episode import Plant
+from octarm.simulation.exclusive import Exclusive
 from octarm.simulation.lagrange_kernel import LANES, rk4_step, work_space
 from octarm.simulation.stepping import AnyPhysics
 
@@ -73,7 +74,12 @@ class LagrangePhysics(AnyPhysics):
         self.reset()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: x for k, x in self.__dict__.items() if k not in ("_pool", "watch")}
+        hidden = ("_pool", "watch", "exclusive")
+        return {name: value for name, value in self.__dict__.items() if name not in hidden}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.exclusive = Exclusive()
 
     def copy(self) -> LagrangePhysics:
         """Physics in the same state, with the same actuation, inputs and disturbances."""
@@ -81,21 +87,25 @@ class LagrangePhysics(AnyPhysics):
 
     def reset(self) -> None:
         """All arms to zero, undisturbed and with no input."""
-        for array in (self._qpos, self._qvel, self._added, self._ctrl):
-            array[...] = 0.0
-        self._forget()
+        with self.exclusive.anew():
+            for array in (self._qpos, self._qvel, self._added, self._ctrl):
+                array[...] = 0.0
+            self._forget()
 
     def after_reset(self) -> None:
         """Nothing is derived from the state."""
 
     def step(self, n_sub_steps: int = 1) -> None:
         """Advances by physics steps; see `AnyPhysics.step`."""
-        with np.errstate(all="ignore"):  # an arm that has left its limits may hold anything
+        with (
+            self.exclusive,
+            np.errstate(all="ignore"),
+        ):  # an arm that has left its limits may hold anything
             super().step(n_sub_steps)
 
     def tip_position(self) -> np.ndarray:
         """Tips in the world frame, shape (..., 3) [m]."""
-        return tip_position(self.q())
+        return tip_position(self.q(), self._undisturbed.entries.tip_length)
 
     def plant(self) -> Plant:
         """The arms as they are."""
@@ -173,9 +183,9 @@ class PlantRows:
 
         def module(i: int) -> list[Entry]:
             (k1, k2), (c1, c2) = ([x[i] for x in pair] for pair in (of.stiffness, of.damping))
-            columns = [part for a, b in ((k1, k2), (c1, c2)) for part in _columns(a, b, half)]
+            columns = [part for a, b in ((k1, k2), (c1, c2)) for part in _columns(a, b, half[i])]
             bounds = [bound[i] for bound in self._limits]
-            return [of.mass[i], of.inertia[i], *columns, of.rest_length[i], half, *bounds]
+            return [of.mass[i], of.inertia[i], *columns, of.rest_length[i], half[i], *bounds]
 
         rows = np.stack([_stacked(module(i)) for i in range(p.modules)], axis=0)
         self.rows = np.ascontiguousarray(rows)
