@@ -24,6 +24,7 @@ def fields(**changed: Any) -> dict[str, Any]:
         "damping": [[12.0, 10.0], [11.0, 9.0]],
         "rest_length": [0.12, 0.1],
         "gravity": 9.81,
+        "input_range": [[-20.0, -20.0, 0.0, -9.0], [20.0, 0.0, 20.0, 9.0]],
     }
     return valid | changed
 

@@ -48,12 +48,6 @@ def nominal_parameters() -> ArmParameters:
     return ArmParameters.from_model(template_model())
 
 
-@functools.cache
-def nominal_input_limit() -> float:
-    """Bound on the absolute input forces [N]: the actuators' range in `models/octarm.xml`."""
-    return float(template_model().actuator_ctrlrange[0, 1])
-
-
 def build_model(
     parameters: ArmParameters | None = None, timestep: float | None = None
 ) -> mujoco.MjModel:
@@ -98,9 +92,12 @@ def _arm_spec(p: ArmParameters, timestep: float | None) -> mujoco.MjSpec:
     _set_modules(spec, p.modules)
     nominal = nominal_parameters()
     wider = float(p.width / nominal.width)
+    low, high = p.input_bounds(())
     for i in range(1, p.modules + 1):
         body = spec.body(f"module_{i}")
         body.mass, body.inertia = p.mass[i - 1], [p.inertia[i - 1]] * 3
+        for column, (a, _) in enumerate(_COLUMN_SIDES, start=2 * (i - 1)):
+            spec.actuator(f"push_{a}_{i}").ctrlrange = [low[column], high[column]]
         longer = float(p.rest_length[i - 1] / nominal.rest_length[min(i, nominal.modules) - 1])
         for name in (*_sleeves(i), *_rods(i)):
             geom = spec.geom(name)

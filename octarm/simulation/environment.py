@@ -45,9 +45,9 @@ def load(
 ) -> control.Environment:
     """The arm, hanging at rest, and a motion it shall follow; or a batch of n such arms.
 
-    The action is tau, the input forces of eq (1), shape (2N,) [N]. They act as the generalised
-    force F_coeff(q) tau and are held for one control period. For a batch, the action and all
-    observations have a first axis of n, and so does the reward.
+    The action is tau, the input forces of eq (1), shape (2N,) [N]. What is within the arm's input
+    range acts as the generalised force F_coeff(q) tau and is held for one control period. For a
+    batch, the action and all observations have a first axis of n, and so does the reward.
 
     The environment is one episode: every reset starts the same one again, with the same
     realisation of what is random in it. Another seed gives another one.
@@ -216,9 +216,9 @@ class TrackingTask(control.Task):
         self._start_at(self._periods + 1)
 
     def action_spec(self, physics: AnyPhysics) -> specs.BoundedArray:
-        """Input forces tau, shape (2N,) [N], within the actuators' range."""
-        limit = physics.input_limit()
-        return specs.BoundedArray(limit.shape, np.float64, -limit, limit, name="tau")
+        """Input forces tau, shape (2N,) [N], within the arm's input range."""
+        low, high = physics.input_range()
+        return specs.BoundedArray(low.shape, np.float64, low, high, name="tau")
 
     def get_observation(self, physics: AnyPhysics) -> collections.OrderedDict[str, np.ndarray]:
         """What is measured and what is wanted, in fresh arrays.

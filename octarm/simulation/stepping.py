@@ -72,7 +72,8 @@ class AnyPhysics(control.Physics):
         self._undisturbed = undisturbed
         self.coordinates = planar_coordinates(undisturbed.modules)
         self.limits = Limits.of(undisturbed)
-        self._input_limit = self._alike(model.actuator_ctrlrange[:, 1])
+        self._input_range = undisturbed.input_bounds(self.batch_shape)
+        self._limited = bool(np.isfinite(self._input_range).any())
         self._rest = self._alike(rest_of(model))
         self._zero = np.zeros_like(self._rest)
         self._zero.setflags(write=False)
@@ -118,9 +119,10 @@ class AnyPhysics(control.Physics):
         """Generalised force that was added, mean over the last `step`, shape (..., 2N)."""
         return self._disturbance.copy(order="K")
 
-    def input_limit(self) -> np.ndarray:
-        """Bound on the absolute input forces tau, shape (..., 2N) [N]."""
-        return self._input_limit.copy(order="K")
+    def input_range(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lowest and the highest input forces, each of shape (..., 2N) [N]."""
+        low, high = self._input_range
+        return low.copy(order="K"), high.copy(order="K")
 
     def hanging(self) -> np.ndarray:
         """The loaded equilibrium of the undisturbed arms, shape (..., 2N) [m], [rad]."""
@@ -197,10 +199,11 @@ class AnyPhysics(control.Physics):
 
     def _receive(self, q: np.ndarray, nstep: int) -> None:
         """What acts during the next physics step, q being the coordinates at its start."""
-        self._received, active = self._tau, self.active
+        received, active = self._within_range(self._tau), self.active
         if active is not None:
             self._change(active)
-            self._received = active.received(self._steps, self._tau)
+            if active.actuators:
+                received = self._within_range(active.received(self._steps, received))
             if active.forces:
                 force = active.force(self._steps, q)
                 self._added[self._qvel_index] = force.T
@@ -208,7 +211,15 @@ class AnyPhysics(control.Physics):
                 if not self._all_intact:
                     mean = np.where(self._intact[..., None], mean, 0.0)
                 self._disturbance = self._disturbance + mean
-        self._ctrl[...] = self.actuation.tendon_forces(q, self._received)
+        self._received = received
+        self._ctrl[...] = self.actuation.tendon_forces(q, received)
+
+    def _within_range(self, tau: np.ndarray) -> np.ndarray:
+        """What the actuators can give of the input forces tau, shape (..., 2N) [N]."""
+        if not self._limited:
+            return tau
+        low, high = self._input_range
+        return np.minimum(np.maximum(tau, low), high)
 
     def _change(self, active: ActiveDisturbances) -> None:
         """Lets the plants follow their disturbances."""
