@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from octarm.arrays import read_only
 from octarm.errors import OctarmError
-from octarm.interfaces import Knob, Measurement, NominalModel, Reference
+from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
 
 Gain = np.ndarray | float
 
@@ -197,6 +197,40 @@ class Law:
         except ValueError:
             listed = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
             raise OctarmError(f"the batch axes of one instant do not fit: {listed}") from None
+
+    def without_windup(
+        self, measurement: Measurement, command: Command, rate: np.ndarray
+    ) -> np.ndarray:
+        """The rate of what a law integrates, 0 where integrating on would be windup.
+
+        Conditional integration: the loop turns Q into tau = F_coeff(q)^-1 Q and cuts off what is
+        beyond the input range, so that the arm lacks F_coeff(q) (tau - tau within the range). A
+        coordinate that lacks force in the direction in which -s pushes gets no more of it by
+        integrating further in that direction. Where nothing is cut off, the rate is what it was.
+
+        Args:
+            measurement: of this instant.
+            command: that the law answers, with the signal s.
+            rate: of an integral that acts on Q with a minus sign, such as e or s, shape (..., 2N).
+        """
+        if self._input_range is None:
+            return rate
+        low, high = self._input_range
+        tau = self.nominal.inputs(measurement.q, command.force)
+        excess = tau - np.minimum(np.maximum(tau, low), high)
+        if not excess.any():
+            return rate
+        F = self.nominal.force_coefficients(measurement.q)
+        # Term by term, so that an arm's result does not depend on the batch that it is in.
+        lacking = sum(F[..., k] * excess[..., k, None] for k in range(self.nominal.coordinates))
+        further = (lacking * command.signals["s"] < 0.0) & (lacking * rate < 0.0)
+        return np.where(further, 0.0, rate)
+
+    @functools.cached_property
+    def _input_range(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """The range of the nominal model's inputs; None where it has no end."""
+        ends = self.nominal.input_range
+        return ends if any(np.any(np.isfinite(end)) for end in ends) else None
 
 
 def elapsed(before: float | None, now: float) -> float:

@@ -7,6 +7,8 @@ the controller:
 
 `command.force` is a generalised force Q. The loop turns it into the actuators' input forces with
 what a controller may know, tau = F_coeff(q measured)^-1 Q, and holds tau until the next period.
+What of tau is beyond the arm's input range is cut off; a controller may know this too, see
+`NominalModel.input_range`.
 
 A controller is a frozen dataclass of gains, complete once constructed. It keeps nothing between
 calls: what it has to remember is the `state` it returns, and that state is handed back at the next
@@ -139,8 +141,8 @@ class NominalModel(Protocol):
         ...
 
     @property
-    def input_limit(self) -> np.ndarray:
-        """Bound on the absolute input forces tau, shape (2N,) [N]."""
+    def input_range(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lowest and the highest input forces tau, each of shape (..., 2N) [N]."""
         ...
 
     def inverse_dynamics(
@@ -163,6 +165,10 @@ class NominalModel(Protocol):
 
     def force_coefficients(self, q: np.ndarray) -> np.ndarray:
         """F_coeff(q) of Q = F_coeff(q) tau, shape (..., 2N, 2N) [1], [m]."""
+        ...
+
+    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """The input forces tau = F_coeff(q)^-1 Q that make up a force Q, shape (..., 2N) [N]."""
         ...
 
     def equilibrium(self) -> np.ndarray:

@@ -25,6 +25,7 @@ def fields(**changed: Any) -> dict[str, Any]:
         "rest_length": [0.12, 0.1],
         "gravity": 9.81,
         "tip_length": 0.02,
+        "input_range": [[-20.0, -20.0, 0.0, -9.0], [20.0, 0.0, 20.0, 9.0]],
     }
     return valid | changed
 

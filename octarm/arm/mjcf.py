@@ -52,12 +52,6 @@ def nominal_parameters() -> ArmParameters:
     return ArmParameters.from_model(template_model())
 
 
-@functools.cache
-def nominal_input_limit() -> float:
-    """Bound on the absolute input forces [N]: the actuators' range in `models/octarm.xml`."""
-    return float(template_model().actuator_ctrlrange[0, 1])
-
-
 def physics_step(timestep: float | None = None) -> float:
     """A physics step, 1e-7 to 0.1 [s]; that of `models/octarm.xml` when it is not given.
 
@@ -116,12 +110,13 @@ def _arm_spec(p: ArmParameters, timestep: float | None) -> mujoco.MjSpec:
         raise OctarmError(f"parameters have batch axes {p.batch_shape}; a model describes one arm")
     _set_modules(spec, p.modules)
     nominal = nominal_parameters()
+    low, high = p.input_bounds(())
     for i in range(1, p.modules + 1):
         body = spec.body(f"module_{i}")
         body.mass, body.inertia = p.mass[i - 1], [p.inertia[i - 1]] * 3
-        alike = (
-            min(i, nominal.modules) - 1
-        )  # the module of the template that this one is drawn like
+        for column, (a, _) in enumerate(_COLUMN_SIDES, start=2 * (i - 1)):
+            spec.actuator(f"push_{a}_{i}").ctrlrange = [low[column], high[column]]
+        alike = min(i, nominal.modules) - 1  # the module of the template that it is drawn like
         longer = float(p.rest_length[i - 1] / nominal.rest_length[alike])
         wider = float(p.width[i - 1] / nominal.width[alike])
         for name in (*_sleeves(i), *_rods(i)):

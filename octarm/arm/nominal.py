@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from octarm.arm import lagrange, model_error
+from octarm.arm.actuation import GroundedActuation
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import coordinate_names, coordinate_units
 
@@ -50,11 +51,9 @@ class LagrangeModel:
         return np.concatenate([lengths, np.ones_like(lengths)], axis=-1)
 
     @property
-    def input_limit(self) -> np.ndarray:
-        """The actuators' range in `models/octarm.xml`, shape (2N,) [N]."""
-        from octarm.arm.mjcf import nominal_input_limit  # controllers load no MuJoCo before
-
-        return np.full(self.coordinates, nominal_input_limit())
+    def input_range(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lowest and the highest input forces, each of shape (..., 2N) [N]."""
+        return self.parameters.input_bounds(self.parameters.input_range.shape[:-2])
 
     def inverse_dynamics(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, v_r: np.ndarray | None = None
@@ -77,6 +76,10 @@ class LagrangeModel:
     def force_coefficients(self, q: np.ndarray) -> np.ndarray:
         """F_coeff(q), eq (2), shape (..., 2N, 2N) [1], [m]."""
         return lagrange.force_coefficients(self.parameters, q)
+
+    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """tau = F_coeff(q)^-1 Q, shape (..., 2N) [N]."""
+        return GroundedActuation(self.parameters.width).inputs(q, force)
 
     def equilibrium(self) -> np.ndarray:
         """The coordinates at which the arm hangs still, shape (..., 2N) [m], [rad]."""

@@ -49,6 +49,7 @@ class ActiveDisturbances:
         shares: each force's own share of the last `force`, by name, shape (..., 2N) [N], [N m].
         inputs: what came out of each actuator fault in the last `received`, by name, shape
             (..., 2N) [N].
+        commanded: the input forces tau that the last `received` was given, shape (..., 2N) [N].
         readings: what came out of each sensor fault in the last `sensed`, by name.
     """
 
@@ -57,6 +58,7 @@ class ActiveDisturbances:
         self.episode = episode
         self.shares: dict[str, np.ndarray] = {}
         self.inputs: dict[str, np.ndarray] = {}
+        self.commanded = np.empty(0)
         self.readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self._total = np.empty(0)
         families = (Force, PlantChange, ActuatorFault, SensorFault)
@@ -85,6 +87,7 @@ class ActiveDisturbances:
 
         Each step is asked for once.
         """
+        self.commanded = tau
         for name, process in self.actuators:
             self.inputs[name] = tau = process(step, tau)
         return tau

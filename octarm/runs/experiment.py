@@ -314,9 +314,9 @@ def _perform(
     def take_up(rows: Rows) -> None:
         keep(rows, recorder.layer)
         if not measured:
-            period, limit = environment.control_timestep(), physics.input_limit()
+            period, bounds = environment.control_timestep(), physics.input_range()
             layer = recorder.layer
-            measured.append(Metrics(control_period=period, input_limit=limit, layer=layer))
+            measured.append(Metrics(control_period=period, input_range=bounds, layer=layer))
         measured[0].update(rows)
 
     recorder = ArmRecorder(environment, take_up)

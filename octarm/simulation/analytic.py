@@ -17,7 +17,7 @@ from octarm.arm.actuation import Actuation
 from octarm.arm.kinematics import tip_position
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.limits import Limits
-from octarm.arm.mjcf import nominal_input_limit, physics_step
+from octarm.arm.mjcf import physics_step
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Entry
 from octarm.disturbances.episode import Plant
@@ -66,8 +66,7 @@ class LagrangePhysics(AnyPhysics):
         self._lost = 0
         self._work = [work_space(n) for _ in range(min(threads, -(-(arms or 1) // LANES)))]
         first = parameters.arm(0) if parameters.batch_shape else parameters
-        limit = np.full(2 * n, nominal_input_limit())
-        self._describe(parameters, physics_step(timestep), limit, equilibrium(first))
+        self._describe(parameters, physics_step(timestep), equilibrium(first))
         if parameters.batch_shape:
             for i in range(1, len(self._rest)):
                 self._rest[i] = equilibrium(parameters.arm(i))
@@ -97,10 +96,7 @@ class LagrangePhysics(AnyPhysics):
 
     def step(self, n_sub_steps: int = 1) -> None:
         """Advances by physics steps; see `AnyPhysics.step`."""
-        with (
-            self.exclusive,
-            np.errstate(all="ignore"),
-        ):  # an arm that has left its limits may hold anything
+        with self.exclusive, np.errstate(all="ignore"):  # a lost arm may hold anything
             super().step(n_sub_steps)
 
     def tip_position(self) -> np.ndarray:

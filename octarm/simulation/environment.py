@@ -61,9 +61,9 @@ def load(
 ) -> control.Environment:
     """The arm, hanging at rest, and a motion it shall follow; or a batch of n such arms.
 
-    The action is tau, the input forces of eq (1), shape (2N,) [N]. They act as the generalised
-    force F_coeff(q) tau and are held for one control period. For a batch, the action and all
-    observations have a first axis of n, and so does the reward.
+    The action is tau, the input forces of eq (1), shape (2N,) [N]. What is within the arm's input
+    range acts as the generalised force F_coeff(q) tau and is held for one control period. For a
+    batch, the action and all observations have a first axis of n, and so does the reward.
 
     Every reset starts the next episode, with a new realisation of all that is random: episode 0 at
     the first reset, then 1 and so on. The same seed gives the same episodes. To have an episode
@@ -277,9 +277,9 @@ class TrackingTask(control.Task):
         self._start_at(self._periods + 1)
 
     def action_spec(self, physics: AnyPhysics) -> specs.BoundedArray:
-        """Input forces tau, shape (2N,) [N], within the actuators' range."""
-        limit = physics.input_limit()
-        return specs.BoundedArray(limit.shape, np.float64, -limit, limit, name="tau")
+        """Input forces tau, shape (2N,) [N], within the arm's input range."""
+        low, high = physics.input_range()
+        return specs.BoundedArray(low.shape, np.float64, low, high, name="tau")
 
     def get_observation(self, physics: AnyPhysics) -> collections.OrderedDict[str, np.ndarray]:
         """What is measured and what is wanted, in fresh arrays.
@@ -290,7 +290,7 @@ class TrackingTask(control.Task):
         q, v = physics.q(), physics.v()
         if active is not None and active.sensors:  # nothing acts before the first episode
             q, v = active.sensed(physics.steps(), q, v)
-            tip = tip_position(q, self._episode.parameters.entries.tip_length)
+            tip = tip_position(q, self._first.parameters.entries.tip_length)
         else:
             tip = physics.tip_position()
         return collections.OrderedDict(

@@ -28,7 +28,7 @@ with warnings.catch_warnings():  # without a display, glfw complains although no
 logging.getLogger("absl").addFilter(lambda record: record.funcName != "_warning_callback")
 
 _INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION.value
-_EPISODE = ("actuation", "active", "limits", "_undisturbed", "_tau", "_received", "_disturbance",
+_EPISODE = ("actuation", "active", "limits", "_undisturbed", "_tau", "_possible", "_received", "_disturbance",
             "_steps", "_intact", "_diverged_at", "_all_intact")  # fmt: skip
 
 

@@ -172,8 +172,8 @@ class Observer:
     def __call__(self, instant: Instant) -> None:
         """Takes a control instant."""
         if self._measured is None:
-            limit, layer = self._physics.input_limit(), instant.command.layer
-            metrics = Metrics(control_period=self._period, input_limit=limit, layer=layer)
+            bounds, layer = self._physics.input_range(), instant.command.layer
+            metrics = Metrics(control_period=self._period, input_range=bounds, layer=layer)
             # Without a cycle of references, so that the arms' memory is free when the run is over.
             self._measured = metrics, Recorder(metrics.update, fields=METRICS.fields)
         self._digest(instant)

@@ -20,7 +20,7 @@ Why it is what it is:
   references. The true arm is the nominal one.
 - The measurement begins after 1 s, when the start from rest is over, and lasts one period of the
   sine. What drifts slowly does not show in that time: see `LONG`.
-- No controller gets more force than the actuators' range has: what it asks for beyond is cut off.
+- No controller gets more force than the arm's input range has: what it asks for beyond is cut off.
 
 The noise comes from seeds of its own, which no run and no sweep has, and every candidate meets the
 same noise.
@@ -35,10 +35,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from octarm.arm.lagrange import equilibrium
-from octarm.arm.mjcf import nominal_input_limit, nominal_parameters
+from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import split
-from octarm.disturbances.actuators import Saturation
 from octarm.disturbances.forces import BandLimitedNoise
 from octarm.interfaces import ControllerFactory, Instant, Motion, Reference
 from octarm.metrics.chattering import Chattering
@@ -160,7 +159,6 @@ def costs(
         EachItsOwn(motions, each([names.index(s.reference) for s in scenarios])),
         disturbances=[
             BandLimitedNoise(ratio=each([s.noise for s in scenarios])[:, None]),
-            Saturation(limit=nominal_input_limit()),
         ],
         batch=n * len(scenarios),
         seed=examination.seeds() * n,
