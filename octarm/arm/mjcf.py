@@ -24,6 +24,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.errors import FileError, OctarmError
 
 _COLUMN_SIDES = ((1, 1.0), (2, -1.0))  # column 1 lengthens with +theta
+MOST_MODULES = 100
 _FARTHEST = 1e6  # [m], [rad]; of springs so soft, MuJoCo's forces are nothing but rounding
 _PARTS = ("column_1", "column_2", "backbone")
 
@@ -108,6 +109,11 @@ def _arm_spec(p: ArmParameters, timestep: float | None) -> mujoco.MjSpec:
     spec.option.timestep = physics_step(timestep)
     if p.batch_shape:
         raise OctarmError(f"parameters have batch axes {p.batch_shape}; a model describes one arm")
+    if p.modules > MOST_MODULES:
+        raise OctarmError(
+            f"the arm has {p.modules} modules; it must have at most {MOST_MODULES}, since the time "
+            "of a physics step grows with their square"
+        )
     _set_modules(spec, p.modules)
     nominal = nominal_parameters()
     low, high = p.input_bounds(())

@@ -10,7 +10,13 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from octarm.arm import lagrange
-from octarm.arm.mjcf import build_model, nominal_parameters, paper_order, template_model
+from octarm.arm.mjcf import (
+    MOST_MODULES,
+    build_model,
+    nominal_parameters,
+    paper_order,
+    template_model,
+)
 from octarm.arm.parameters import ArmParameters
 from octarm.checks import free_motion
 from octarm.checks.mechanics import (
@@ -21,7 +27,10 @@ from octarm.checks.mechanics import (
     relative_error,
 )
 from octarm.errors import OctarmError
+from octarm.memory import check_memory
 from octarm.tolerances import Check, CheckTable, run_checks
+
+_BYTES = 400.0  # [byte] that a state takes for each pair of modules, measured
 
 # What build_model writes into a model, or must find there.
 _PHYSICS = (
@@ -38,10 +47,12 @@ def arm_with(modules: int) -> ArmParameters:
     nominal one.
 
     Raises:
-        OctarmError: if `modules` is below 1.
+        OctarmError: if `modules` is below 1 or above 100.
     """
-    if modules < 1:
-        raise OctarmError(f"the number of modules is {modules}; it must be at least 1")
+    if not 1 <= modules <= MOST_MODULES:
+        raise OctarmError(
+            f"the number of modules is {modules}; it must be at least 1 and at most {MOST_MODULES}"
+        )
     p = nominal_parameters()
     last = p.modules - 1
     place = np.linspace(0, last, modules) if modules > p.modules else np.arange(modules)
@@ -103,6 +114,8 @@ def validate(
     """
     if states < 1:
         raise OctarmError(f"the number of states is {states}; it must be at least 1")
+    needed = _BYTES * states * parameters.modules**2
+    check_memory(needed, f"{states} states of an arm of {parameters.modules} modules")
     model = build_model(parameters)
     at_states, in_motion = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2))
     parts = {

@@ -15,9 +15,9 @@ def validate(
     *,
     controllers: bool = False,
     engines: bool = False,
-    modules: Annotated[int, kinds.COUNT] = 3,
-    random_parameters: Annotated[int, kinds.N] = 0,
-    states: Annotated[int | None, kinds.COUNT] = None,
+    modules: Annotated[int, kinds.whole(1, 60)] = 3,
+    random_parameters: Annotated[int, kinds.whole(0, 10_000)] = 0,
+    states: Annotated[int | None, kinds.whole(1, 1_000_000)] = None,
     seed: Annotated[int, kinds.N] = 0,
     json: Annotated[Path | None, kinds.file()] = None,
 ) -> Work:
@@ -31,7 +31,7 @@ def validate(
             says, and that the misprints of the paper are noticed
         engines: check instead that mujoco and lagrange move the arm alike for 10 s, with every
             controller and under every disturbance; it takes minutes
-        modules: number of modules of the arm
+        modules: number of modules of the arm, at most 60; the time grows with its cube
         random_parameters: check so many arms with random parameters instead of the nominal one
         states: random states that each comparison runs over; 10000, of controllers 3000, when not
             given

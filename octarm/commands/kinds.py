@@ -65,7 +65,10 @@ def _real(option: str, word: str) -> float:
         raise ValueError(f"{option} is {word!r}; it must be a number") from None
 
 
-def _whole(least: int) -> Callable[[str, str], int]:
+_LARGEST = 2**63 - 1  # that tables and recordings hold
+
+
+def _whole(least: int, most: int = _LARGEST) -> Callable[[str, str], int]:
     def convert(option: str, word: str) -> int:
         try:
             number = int(word)
@@ -73,6 +76,8 @@ def _whole(least: int) -> Callable[[str, str], int]:
             raise ValueError(f"{option} is {word!r}; it must be a whole number") from None
         if number < least:
             raise ValueError(f"{option.strip('-')} is {number}; it must be at least {least}")
+        if number > most:
+            raise ValueError(f"{option.strip('-')} is {number}; it must be at most {most}")
         return number
 
     return convert
@@ -90,6 +95,11 @@ def file(suffix: str = "") -> Parameter:
         return path
 
     return _converted(f"FILE{suffix}", convert)
+
+
+def whole(least: int, most: int) -> Parameter:
+    """A whole number of what takes a whole machine, or hours, beyond the largest one."""
+    return _converted("N", _whole(least, most))
 
 
 N, COUNT = _converted("N", _whole(0)), _converted("N", _whole(1))

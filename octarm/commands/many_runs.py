@@ -16,7 +16,7 @@ def sweep(
     /,
     *,
     out: Annotated[Path | None, kinds.DIR] = None,
-    workers: Annotated[int | None, kinds.COUNT] = None,
+    workers: Annotated[int | None, kinds.whole(1, 4096)] = None,
     resume: bool = False,
     dry_run: bool = False,
     cluster: Annotated[str | None, kinds.text("ADDRESS")] = None,

@@ -28,8 +28,8 @@ with warnings.catch_warnings():  # without a display, glfw complains although no
 logging.getLogger("absl").addFilter(lambda record: record.funcName != "_warning_callback")
 
 _INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION.value
-_EPISODE = ("actuation", "active", "limits", "_undisturbed", "_tau", "_possible", "_received", "_disturbance",
-            "_steps", "_intact", "_diverged_at", "_all_intact")  # fmt: skip
+_EPISODE = ("actuation", "active", "limits", "_undisturbed", "_tau", "_possible", "_received",
+            "_disturbance", "_steps", "_intact", "_diverged_at", "_all_intact")  # fmt: skip
 
 
 class ArmPhysics(AnyPhysics, dm_mujoco.Physics):

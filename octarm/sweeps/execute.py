@@ -232,6 +232,7 @@ def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
     for episodes in plan.probes():
         arms = plan.arms(episodes)
         environment, _ = begin(plan.spec, arms, factory)
+        whole_periods(plan.spec.duration, environment.control_timestep())
         run_arms(plan, arms, factory, duration=environment.control_timestep())
     return gains
 

@@ -119,7 +119,7 @@ class Record(Model):
 class SpecFile(Model):
     """The whole file; fields of disturbances are read in `_fields`."""
 
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
     episodes: Annotated[int, Field(ge=1)] = 1
     duration: Positive = 10.0
     timestep: Step | None = None

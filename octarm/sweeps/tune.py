@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,6 +33,7 @@ from octarm.simulation.engines import MUJOCO
 from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, Examination, costs
 
 _PACKAGES = ("python", "octarm", "mujoco", "dm-control", "numpy", "scipy")
+_LARGEST = 1e8  # [s] of simulated time
 
 
 class Unknown(NamedTuple):
@@ -136,10 +136,10 @@ class Budget:
     def within(cls, seconds: float) -> Budget:
         """As many generations as the search may simulate in so many seconds [s], at least one."""
         generation = cls(generations=1).search_seconds
-        if not generation <= seconds < math.inf:
+        if not generation <= seconds <= _LARGEST:
             raise OctarmError(
                 f"budget is {seconds:g} s; it must be at least {generation:g} s, one generation, "
-                "and finite"
+                f"and at most {_LARGEST:g} s, which take months"
             )
         return cls(generations=int(seconds // generation))
 
