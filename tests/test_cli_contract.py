@@ -71,6 +71,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--resume": "",
             "--dry-run": "",
             "--cluster": "ADDRESS",
+            "--wait-for-workers": "S 60",
         }
     },
     "report": {

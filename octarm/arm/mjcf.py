@@ -88,7 +88,7 @@ def build_slim_model(
 
 def _arm_spec(p: ArmParameters, timestep: float | None) -> mujoco.MjSpec:
     """The template with as many modules, and with all parameters that are more than numbers."""
-    spec = mujoco.MjSpec.from_file(str(model_path()))
+    spec = mujoco.MjSpec.from_string(model_path().read_text(encoding="utf-8"))
     if timestep is not None:
         if not 1e-7 <= timestep <= 0.1:
             raise OctarmError(f"timestep is {timestep:g} s; it must be between 1e-07 and 0.1 s")
