@@ -18,6 +18,7 @@ from paper.studies import FULL, QUICK
 from paper.variants import all_variants
 
 from octarm.errors import ExitCode, OctarmError
+from octarm.interrupts import raise_interrupts
 
 ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = ROOT / "controllers" / "gains"
@@ -33,6 +34,7 @@ def main() -> int:
     parser.add_argument("--gains", type=Path, help="folder of gain sets instead of those shipped")
     parser.add_argument("--publish", action="store_true", help="renew what the repository shows")
     options = parser.parse_args()
+    raise_interrupts()
     try:
         reproduce(options)
     except (OctarmError, OSError) as error:

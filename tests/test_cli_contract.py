@@ -73,6 +73,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--dry-run": "",
             "--cluster": "ADDRESS",
             "--engine": "ENGINE",
+            "--wait-for-workers": "S 60",
         }
     },
     "report": {

@@ -105,7 +105,7 @@ def build_slim_model(
 
 def _arm_spec(p: ArmParameters, timestep: float | None) -> mujoco.MjSpec:
     """The template with as many modules, and with all parameters that are more than numbers."""
-    spec = mujoco.MjSpec.from_file(str(model_path()))
+    spec = mujoco.MjSpec.from_string(model_path().read_text(encoding="utf-8"))
     spec.option.timestep = physics_step(timestep)
     if p.batch_shape:
         raise OctarmError(f"parameters have batch axes {p.batch_shape}; a model describes one arm")

@@ -41,6 +41,8 @@ def dask_cluster(
             version. The number of calls raises it, too.
     """
     check_not_beginning()
+    if not wait >= 0.0:
+        raise OctarmError(f"wait-for-workers is {wait:g} s; it must be at least 0 s")
     try:
         import distributed
         from distributed.versions import VersionMismatchWarning
