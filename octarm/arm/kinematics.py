@@ -93,9 +93,7 @@ def plate_entries(q: np.ndarray) -> list[tuple[Entry, Entry]]:
 
 def tip_position(q: np.ndarray) -> np.ndarray:
     """The tip in the world frame, shape (..., 3) [m], entry by entry along the batch."""
-    x = y = 0.0
-    for length, (cos, sin) in zip(split(q), plate_entries(q), strict=False):
-        x, y = x + length * cos, y + length * sin
+    x, y = tip(q)
     out = np.zeros_like(q, shape=(*q.shape[:-1], 3))
     out[..., 0], out[..., 2] = y, -x
     return out

@@ -193,8 +193,8 @@ class EachItsOwn:
 
     def __call__(self, t: float) -> Reference:
         """What the arms shall do at time t [s], shapes (n, 2N)."""
-        parts = zip(*(motion(t) for motion in self.motions), strict=True)
-        return Reference(*(np.stack(rows, axis=-1).take(self.choice, -1).T for rows in parts))
+        few = np.array([motion(t) for motion in self.motions])  # motion, part, coordinate
+        return Reference(*few.transpose(1, 2, 0).take(self.choice, -1).transpose(0, 2, 1))
 
 
 class _Observer:
