@@ -54,15 +54,16 @@ def test_the_recorded_inputs_give_the_recorded_force():
 
 
 def test_the_arm_moves_as_the_analytic_model_says():
-    """One RK4 step under a held tau, against RK4 on the analytic equations with a held force."""
+    """One RK4 step under a held tau, against RK4 on the analytic equations with F_coeff(q) tau."""
     step, p = 1e-4, nominal_parameters()
     run = rollout(load(timestep=step), Probe(), 0.02)
 
     def rate(x):
+        force = force_coefficients(p, x[:6]) @ tau
         return np.concatenate([x[6:], forward_dynamics(p, x[:6], x[6:], force)])
 
     for k in range(100, 110):
-        x, force = np.concatenate([run.q[k], run.v[k]]), run.force[k]
+        x, tau = np.concatenate([run.q[k], run.v[k]]), run.tau[k]
         k1 = rate(x)
         k2 = rate(x + 0.5 * step * k1)
         k3 = rate(x + 0.5 * step * k2)

@@ -13,7 +13,7 @@ import pytest
 from octarm.arm import lagrange
 from octarm.arm.mjcf import build_model, model_path, nominal_parameters
 from octarm.arm.parameters import ArmParameters
-from octarm.checks import free_motion, mechanics, validation
+from octarm.checks import forced_motion, free_motion, mechanics, validation
 from octarm.checks.validation import arm_with, random_arm, validate
 from octarm.tolerances import Check, CheckTable
 
@@ -33,6 +33,7 @@ def nominal() -> CheckTable:
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shorter free motions, where the row that must fail is another one."""
     monkeypatch.setattr(free_motion, "DURATION", 0.2)
+    monkeypatch.setattr(forced_motion, "DURATION", 0.1)
 
 
 # Right arms.
@@ -72,6 +73,7 @@ def test_progress_names_each_part_before_it_starts():
         "static equilibrium",
         "small motions",
         "free motion",
+        "forced motion",
         "energy balance",
     ]
 

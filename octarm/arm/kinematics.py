@@ -119,9 +119,7 @@ def plate_entries(q: np.ndarray) -> list[tuple[Entry, Entry]]:
 
 def tip_position(q: np.ndarray, tip_length: Entry = 0.0) -> np.ndarray:
     """The tip in the world frame, shape (..., 3) [m], entry by entry along the batch."""
-    x = y = 0.0
-    for length, (cos, sin) in zip(split(q), plate_entries(q), strict=False):
-        x, y = x + length * cos, y + length * sin
+    x, y = tip(q)
     if np.any(tip_length):
         cos, sin = last_axis(q)
         x, y = x + tip_length * cos, y + tip_length * sin

@@ -95,7 +95,7 @@ class ActiveDisturbances:
     def force(self, step: int, q: np.ndarray) -> np.ndarray:
         """The generalised force held over a physics step, shape (..., 2N) [N], [N m]; read-only.
 
-        q has the true coordinates at its start, shape (..., 2N) [m], [rad].
+        q has the true coordinates at its middle, shape (..., 2N) [m], [rad].
         """
         if not self.forces:
             return np.zeros_like(q)

@@ -303,9 +303,10 @@ class SensorProcess(Protocol):
 class Force(Disturbance):
     """A disturbance that pushes the arm.
 
-    Its process is called with the number of a physics step and the true coordinates at its start,
-    shape (..., 2N) [m], [rad]. It returns the generalised force held over this step, shape
-    (..., 2N) [N], [N m].
+    Its process is called with the number of a physics step and the true coordinates at its middle,
+    as the velocities at its start predict them, shape (..., 2N) [m], [rad]. It returns the
+    generalised force held over this step, shape (..., 2N) [N], [N m]. With a force that depends on
+    q, a run is therefore of second order in the physics step.
     """
 
     family: ClassVar[str] = "forces"

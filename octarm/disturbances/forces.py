@@ -107,7 +107,7 @@ class _PushForce(Force):
 class SineForce(_PushForce):
     """A sine on joints or tip, amplitude sin(2 pi frequency (t - at) + phase).
 
-    Over a physics step it is what it is at its start.
+    Over a physics step it is what it is at its start: a run is of first order in the step.
 
     Attributes:
         amplitude: shape (...) [N], or [N m] on a bend.

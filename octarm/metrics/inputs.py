@@ -51,8 +51,9 @@ class InputUse(Accumulator):
 class ForceUse(Accumulator):
     """Size and work of the controller's generalised force Q, over the whole run.
 
-    `force_effort` is its root mean square [N], [N m]. While Q_j is held, it does the work
-    Q_j times the change of q_j until the next instant: exactly so, not only for short periods.
+    `force_effort` is its root mean square [N], [N m]. The work that Q_j does during a period is
+    taken to be Q_j times the change of q_j: exactly so for a Q that is held; where tau is held and
+    the arm turns, up to terms that vanish with the period.
     `work` is the sum, what the arm was given net; `energy` is the sum of the absolute values,
     the integral of |Q_j q_j'| dt as long as q_j' keeps its sign during a period [J]. Each has the
     shape (..., 2N). The period that begins at the last instant is not counted in these two, as

@@ -214,9 +214,9 @@ class AnyPhysics(control.Physics):
         An arm stops at its first state outside the limits. It ends early when no arm is left.
         """
         self._disturbance = self._zero
-        q = self.q()
+        q, v = self.q(), self.v()
         for _ in range(n_sub_steps):
-            self._receive(q, n_sub_steps)
+            self._receive(q, v, n_sub_steps)
             self._advance()
             self._steps += 1
             q, v = self.q(), self.v()
@@ -228,15 +228,17 @@ class AnyPhysics(control.Physics):
             if self.all_lost():
                 return
 
-    def _receive(self, q: np.ndarray, nstep: int) -> None:
-        """What acts during the next physics step, q being the coordinates at its start."""
+    def _receive(self, q: np.ndarray, v: np.ndarray, nstep: int) -> None:
+        """What acts during the next physics step; q and v are those at its start."""
         received, active = self._possible, self.active
         if active is not None:
             self._change(active)
             if active.actuators:
                 received = self._within_range(active.received(self._steps, received))
             if active.forces:
-                force = active.force(self._steps, q)
+                # It is held over the step. Taken at the start, it would be late by half a step:
+                # of first order, and a spring would feed the arm energy. So it is of second order.
+                force = active.force(self._steps, q + (0.5 * self._timestep) * v)
                 self._added[self._qvel_index] = force.T
                 mean = force / nstep
                 if not self._all_intact:

@@ -24,7 +24,7 @@ from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_distur
 from octarm.errors import OctarmError, closest
 from octarm.interfaces import Controller, ControllerFactory
 from octarm.memory import check_batch
-from octarm.simulation.engines import MUJOCO
+from octarm.simulation.engines import usual_engine
 from octarm.simulation.environment import load
 from octarm.sweeps.progress import arm_seconds
 from octarm.sweeps.shards import measure
@@ -263,7 +263,7 @@ class MarginRuns:
         duration: of a run [s].
         timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
         control_period: time between control actions [s]; one physics step when None.
-        engine: that steps the arms.
+        engine: that steps the arms; `lagrange` where it is installed, when not given.
         seed: of all that is random.
         threads: that step a batch.
         progress: called with the seconds that were simulated since the last call, all arms counted.
@@ -278,7 +278,7 @@ class MarginRuns:
     duration: float = 6.0
     timestep: float | str | None = None
     control_period: float | None = None
-    engine: str = MUJOCO
+    engine: str = dataclasses.field(default_factory=usual_engine)
     seed: int = 0
     threads: int = 1
     progress: Callable[[float], object] = lambda seconds: None

@@ -29,7 +29,6 @@ from octarm.files import write_text
 from octarm.formats import Model, read_json, to_json
 from octarm.interfaces import Controller, Knob, Tunable
 from octarm.runs import versions as origin
-from octarm.simulation.engines import MUJOCO
 from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, Examination, costs
 
 _PACKAGES = ("python", "octarm", "mujoco", "dm-control", "numpy", "scipy")
@@ -198,7 +197,7 @@ def tune(
     state: SearchState | None = None,
     keep: Callable[[SearchState], object] = lambda state: None,
     progress: Callable[[float], object] = lambda seconds: None,
-    engine: str = MUJOCO,
+    engine: str | None = None,
 ) -> Tuned:
     """Searches gains; the same bits for the same arguments, wherever it went on from.
 
@@ -210,7 +209,7 @@ def tune(
         state: where an earlier search stopped; the beginning when not given.
         keep: called with the state after every generation.
         progress: called with simulated seconds as they pass, see `tune_cost.costs`.
-        engine: that steps the arms.
+        engine: that steps the arms, see `tune_cost.costs`.
 
     Raises:
         OctarmError: if the controller cannot be made, or has no gain that can be tuned.

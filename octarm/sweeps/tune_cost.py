@@ -44,7 +44,7 @@ from octarm.metrics.chattering import Chattering
 from octarm.metrics.metric import Settings
 from octarm.metrics.tracking import TrackingError
 from octarm.references import named_reference
-from octarm.simulation.engines import MUJOCO
+from octarm.simulation.engines import usual_engine
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import simulate
 from octarm.simulation.stepping import AnyPhysics
@@ -131,7 +131,7 @@ def costs(
     factory: ControllerFactory,
     candidates: Mapping[str, np.ndarray],
     progress: Callable[[float], object] = lambda seconds: None,
-    engine: str = MUJOCO,
+    engine: str | None = None,
 ) -> np.ndarray:
     """The cost of each candidate in each scenario, shape (n, scenarios) [1]; J is its mean.
 
@@ -144,7 +144,7 @@ def costs(
         candidates: gains with a row for each of them, shapes (n, 1) or (n, 2N).
         progress: called with the seconds that have been simulated since the last call, all arms
             counted.
-        engine: that steps the arms.
+        engine: that steps the arms; `lagrange` where it is installed, when not given.
     """
     n, scenarios = len(next(iter(candidates.values()))), examination.scenarios
 
@@ -162,7 +162,7 @@ def costs(
         ],
         batch=n * len(scenarios),
         seed=examination.seeds() * n,
-        engine=engine,
+        engine=usual_engine() if engine is None else engine,
     )
     nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
     gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}
@@ -191,8 +191,8 @@ class EachItsOwn:
 
     def __call__(self, t: float) -> Reference:
         """What the arms shall do at time t [s], shapes (n, 2N)."""
-        parts = zip(*(motion(t) for motion in self.motions), strict=True)
-        return Reference(*(np.stack(rows, axis=-1).take(self.choice, -1).T for rows in parts))
+        few = np.array([motion(t) for motion in self.motions])  # motion, part, coordinate
+        return Reference(*few.transpose(1, 2, 0).take(self.choice, -1).transpose(0, 2, 1))
 
 
 class _Observer:
