@@ -62,8 +62,7 @@ def write_description(folder: Path, description: Mapping[str, Any]) -> None:
         FileError: if it cannot be written.
     """
     content = written(description)
-    content[SUMS] = checksums(folder, content)
-    write_text(folder / DESCRIPTION, formats.to_json(content))
+    _write(folder, content, checksums(folder, content))
 
 
 def written(description: Mapping[str, Any]) -> dict[str, Any]:
@@ -100,8 +99,17 @@ def note_recording(folder: Path) -> None:
     content = read_description(folder)
     stated = content.get(SUMS)
     table = cast(dict[str, Any], stated) if isinstance(stated, dict) else {}
-    content[SUMS] = {**table, RECORDING: _checksum(folder / RECORDING)}
-    write_text(folder / DESCRIPTION, formats.to_json(content))
+    _write(folder, content, {**table, RECORDING: _checksum(folder / RECORDING)})
+
+
+def _write(folder: Path, content: Mapping[str, Any], sums: Mapping[str, Any]) -> None:
+    """Writes `run.json`, whose checksums end the line of the command.
+
+    Two runs of the same experiment then differ in this line alone.
+    """
+    others = {key: value for key, value in content.items() if key != SUMS}
+    text = formats.to_json(others).removesuffix("\n}\n")
+    write_text(folder / DESCRIPTION, f"{text}, {json.dumps({SUMS: sums})[1:]}\n")
 
 
 def _checksum(path: Path) -> str:
