@@ -79,7 +79,7 @@ def references(p: ArmParameters) -> np.ndarray:
 
 
 def driven(model: mujoco.MjModel, p: ArmParameters, reference: np.ndarray) -> dict[str, Motion]:
-    """The motions of DRIVEN, with the references of `references`."""
+    """The motions of DRIVEN, with the references of `references`, shape (SAMPLES + 1, 8, 2N)."""
     tau, still = inputs(p), np.zeros(p.coordinates)
     out: dict[str, Motion] = {}
     for i, name in enumerate(DRIVEN):
@@ -92,7 +92,7 @@ def disturbed_orders(p: ArmParameters, reference: np.ndarray) -> dict[str, float
     """Order of convergence [1] of the loop's physics with RK4, for each of DISTURBED.
 
     Over two timesteps, 0.2 of the arm's shortest time constant and half of it, with the references
-    of `references`.
+    of `references`, shape (SAMPLES + 1, 8, 2N).
     """
     hold, (push, on), only = DURATION / SAMPLES, _push(p), np.eye(len(DISTURBED))
     disturbances = [
