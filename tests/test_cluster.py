@@ -79,8 +79,6 @@ def test_a_sweep_without_workers_ends_at_the_first_interrupt(tmp_path):
         def submit(self, *_args, **_options):
             return Future()
 
-    from concurrent.futures import Future
-
     calls: list[int] = []
 
     def nobody() -> int:
