@@ -119,11 +119,14 @@ def test_a_margin_is_killed_at_any_instant(commands, tmp_path):
 
 
 def paper(out: Path, *words: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
+    """The script, when its imports are over."""
+    process = subprocess.Popen(
         [sys.executable, Path(__file__).with_name("small_paper.py"), "--quick", "--out", out,
          *words],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
+    assert process.stdout is not None and process.stdout.readline() == "begun\n"
+    return process
 
 
 def results(out: Path) -> dict[str, bytes]:
