@@ -17,6 +17,7 @@ from paper.runs import costs
 from paper.studies import FULL, QUICK
 from paper.variants import all_variants
 
+from octarm.commands.terminal import repair_streams, surviving_output
 from octarm.errors import ExitCode, OctarmError
 from octarm.interrupts import raise_interrupts
 
@@ -68,4 +69,5 @@ def reproduce(options: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":  # the worker processes import this file, too
-    sys.exit(main())
+    repair_streams()
+    sys.exit(surviving_output(main)())

@@ -11,6 +11,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 import reproduce_paper  # noqa: E402
 from paper import studies  # noqa: E402
 
+from octarm.interrupts import raise_interrupts  # noqa: E402
+
 DURATION = 2.05  # [s]; errors count from 2 s on
 _sweeps = studies.sweeps
 
@@ -29,4 +31,6 @@ if __name__ == "__main__":
     studies.QUICK = reproduce_paper.QUICK = quick
     jobs.sweeps = evidence.sweeps = short_sweeps
     reproduce_paper.costs = functools.partial(reproduce_paper.costs, seconds=1e-4)
+    raise_interrupts()
+    print("begun", flush=True)
     sys.exit(reproduce_paper.main())
