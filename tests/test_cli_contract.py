@@ -49,6 +49,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--timestep": "S",
             "--control-period": "S",
             "--actuation": "ACTUATION f-coeff",
+            "--integrator": "INTEGRATOR rk4",
         },
         "output": {"--out": "DIR", "--view": ""},
     },

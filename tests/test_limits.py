@@ -31,11 +31,19 @@ tilt = { low = -0.1, high = 0.1, method = "sobol" }
 """
 
 
-@pytest.mark.parametrize("period", [8.5e172, 5e4, 10.1, 0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("period", [8.5e172, 5e4, 10.1, np.inf])
 def test_a_control_period_that_controls_nothing_is_refused(period: float):
     for timestep in (None, "auto"):
-        with pytest.raises(OctarmError, match=r"control period is .* above 0 and at most 10 s"):
+        with pytest.raises(OctarmError, match=r"control period is .* must be at most 10 s: an arm"):
             load(control_period=period, timestep=timestep)
+
+
+@pytest.mark.parametrize("period", [0.0, -1.0, np.nan])
+def test_a_control_period_is_positive(period: float):
+    with pytest.raises(OctarmError, match=r"control period is .* must be a whole multiple of"):
+        load(control_period=period)
+    with pytest.raises(OctarmError, match=r"control period is .* must be positive"):
+        load(control_period=period, timestep="auto")
 
 
 def test_a_control_period_of_more_steps_than_a_million_is_refused():
@@ -81,7 +89,7 @@ def test_a_command_line_of_such_numbers_is_refused(words: list[str], sentence: s
 
 def test_the_budget_of_a_search_ends_somewhere():
     assert Budget.within(1e8).generations > 1e5
-    with pytest.raises(OctarmError, match="which take months"):
+    with pytest.raises(OctarmError, match=r"and finite, at most 1e\+08 s"):
         Budget.within(np.inf)
 
 
