@@ -50,6 +50,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--control-period": "S",
             "--actuation": "ACTUATION f-coeff",
             "--engine": "ENGINE mujoco",
+            "--integrator": "INTEGRATOR rk4",
         },
         "output": {"--out": "DIR", "--view": ""},
     },

@@ -31,11 +31,19 @@ tilt = { low = -0.1, high = 0.1, method = "sobol" }
 """
 
 
-@pytest.mark.parametrize("period", [8.5e172, 5e4, 10.1, 0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("period", [8.5e172, 5e4, 10.1, np.inf])
 def test_a_control_period_that_controls_nothing_is_refused(period: float):
     for timestep in (None, "auto"):
-        with pytest.raises(OctarmError, match=r"control period is .* above 0 and at most 10 s"):
+        with pytest.raises(OctarmError, match=r"control period is .* must be at most 10 s: an arm"):
             load(control_period=period, timestep=timestep)
+
+
+@pytest.mark.parametrize("period", [0.0, -1.0, np.nan])
+def test_a_control_period_is_positive(period: float):
+    with pytest.raises(OctarmError, match=r"control period is .* must be a whole multiple of"):
+        load(control_period=period)
+    with pytest.raises(OctarmError, match=r"control period is .* must be positive"):
+        load(control_period=period, timestep="auto")
 
 
 def test_a_control_period_of_more_steps_than_a_million_is_refused():
@@ -81,7 +89,7 @@ def test_a_command_line_of_such_numbers_is_refused(words: list[str], sentence: s
 
 def test_the_budget_of_a_search_ends_somewhere():
     assert Budget.within(1e8).generations > 1e5
-    with pytest.raises(OctarmError, match="which take months"):
+    with pytest.raises(OctarmError, match=r"and finite, at most 1e\+08 s"):
         Budget.within(np.inf)
 
 
@@ -98,14 +106,16 @@ def test_more_threads_than_any_machine_has_are_refused(threads: int):
         load(batch=2, threads=threads)
 
 
-def test_a_batch_that_is_estimated_to_fit_does_so(monkeypatch):
+def test_a_batch_that_is_estimated_to_fit_does_so():
     """The estimate is between what the arms take and ten times of it, peak memory counted."""
     code = (
-        "import resource, octarm\n"
+        "import octarm\n"
         "from controllers import make_controller\n"
         "from octarm.sweeps.shards import measure\n"
         "from octarm.arm.mjcf import nominal_parameters\n"
-        "peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "def peak():\n"
+        "    with open('/proc/self/status') as file:\n"
+        "        return next(int(x.split()[1]) for x in file if x.startswith('VmHWM'))\n"
         "law = make_controller('afsmc', nominal_parameters())\n"
         "measure(octarm.load(batch=1), law, 0.005)\n"
         "before = peak()\n"

@@ -239,7 +239,7 @@ def test_a_margin_has_one_step_for_all_its_arms():
         )
 
     with pytest.raises(StepError, match=r"^arm \d: timestep is 0.0005 s"):
-        runs(None).rehearsed()
-    chosen = runs("auto").rehearsed(2)
+        runs(None).rehearse()
+    chosen = runs("auto").rehearse(2)
     assert (chosen.timestep, chosen.control_period) == pytest.approx((5e-5, 5e-4))
-    assert chosen.rehearsed() is chosen
+    assert chosen.rehearse() is chosen

@@ -25,7 +25,7 @@ from octarm.errors import FileError, OctarmError
 
 _COLUMN_SIDES = ((1, 1.0), (2, -1.0))  # column 1 lengthens with +theta
 MOST_MODULES = 100
-_FARTHEST = 1e6  # [m], [rad]; of springs so soft, MuJoCo's forces are nothing but rounding
+_FARTHEST = 1e9  # [m], [rad]; of springs so soft, MuJoCo's forces are nothing but rounding
 _PARTS = ("column_1", "column_2", "backbone")
 
 

@@ -109,7 +109,7 @@ def _step(option: str, word: str) -> float | str:
     return word if word == "auto" else _real(option, word)
 
 
-STEP = _converted("S|auto", _step)
+STEP = _converted("S", _step)
 X, S, HZ = (_converted(metavar, _real) for metavar in ("X", "S", "HZ"))
 RUN, DIR = text("RUN"), text("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE = map(_word, ("CONTROLLER", "REFERENCE", "DISTURBANCE"))

@@ -113,7 +113,7 @@ def margin(
     settings.check()
     varied = settings.varied(low, high)
     runs = {name: settings.runs(name, varied) for name in controllers}
-    runs = {name: run.rehearsed(settings.seeds) for name, run in runs.items()}
+    runs = {name: run.rehearse(settings.seeds) for name, run in runs.items()}
     rows: list[Mapping[str, Any]] = []
     for name, run in runs.items():
         rows.append(_row(name, _search(name, run, settings.seeds), settings.share, varied))

@@ -54,7 +54,7 @@ def run(
         control_period: time between control actions [s], whole physics steps; one step when not
             given
         actuation: how input forces act: f-coeff as in eq (2), internal between neighbouring modules
-        integrator: rk4, or implicitfast, of first order, for arms with very much damping
+        integrator: rk4, or implicitfast, which is of first order, for arms with very much damping
         engine: what steps the arm: mujoco, or lagrange, the analytic arm, compiled (extra fast)
         out: run folder to write; runs/DATE-TIME-CONTROLLER when not given
         view: open the recording in the viewer when the run is done

@@ -326,7 +326,7 @@ class TrackingTask(control.Task):
 def _whole_steps(period: float, step: float) -> int:
     check_period(period, step)
     ratio = period / step
-    if not (round(ratio) >= 1 and abs(ratio - round(ratio)) < 1e-6):
+    if not (math.isfinite(ratio) and round(ratio) >= 1 and abs(ratio - round(ratio)) < 1e-6):
         raise OctarmError(
             f"control period is {period:g} s; it must be a whole multiple of the physics step, "
             f"{step:g} s"

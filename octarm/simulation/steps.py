@@ -180,7 +180,9 @@ def fitting_step(longest: float, control_period: float | None) -> tuple[float, f
     """
     usual = usual_step()
     period = usual if control_period is None else control_period
-    check_period(period)
+    if not period > 0.0:
+        raise OctarmError(f"control period is {period:g} s; it must be positive")
+    check_period(period, usual)
     for decade, part in itertools.product(range(12), (1, 2, 5)):
         step = period / (part * 10**decade)
         if step <= usual * (1.0 + 1e-9) and step * _RESERVE <= longest:
@@ -193,16 +195,13 @@ def fitting_step(longest: float, control_period: float | None) -> tuple[float, f
     )
 
 
-def check_period(period: float, step: float | None = None) -> None:
-    """Raises OctarmError for a control period [s] that is not positive, or too long to be one.
-
-    With a physics step [s] given, too many of them are too long, too.
-    """
-    most = _LONGEST_PERIOD if step is None else min(_LONGEST_PERIOD, _MOST_STEPS * step)
-    if not 0.0 < period <= most * (1.0 + 1e-9):
+def check_period(period: float, step: float) -> None:
+    """Raises OctarmError for a control period [s] of too many physics steps [s], or too long."""
+    most = min(_LONGEST_PERIOD, _MOST_STEPS * step)
+    if period > most * (1.0 + 1e-9):
         raise OctarmError(
-            f"control period is {period:g} s; it must be above 0 and at most {most:g} s: an arm "
-            "that is left alone for longer than it swings is not controlled"
+            f"control period is {period:g} s; it must be at most {most:g} s: an arm that is left "
+            "alone for longer than it swings is not controlled"
         )
 
 

@@ -283,7 +283,7 @@ class MarginRuns:
     threads: int = 1
     progress: Callable[[float], object] = lambda seconds: None
 
-    def rehearsed(self, seeds: int = 1) -> MarginRuns:
+    def rehearse(self, seeds: int = 1) -> MarginRuns:
         """The same runs, for which a physics step `auto` has become a number.
 
         The step is one that suits both ends of the range, for so many seeds.

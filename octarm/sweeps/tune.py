@@ -138,7 +138,7 @@ class Budget:
         if not generation <= seconds <= _LARGEST:
             raise OctarmError(
                 f"budget is {seconds:g} s; it must be at least {generation:g} s, one generation, "
-                f"and at most {_LARGEST:g} s, which take months"
+                f"and finite, at most {_LARGEST:g} s"
             )
         return cls(generations=int(seconds // generation))
 
