@@ -203,34 +203,21 @@ class Law:
     ) -> np.ndarray:
         """The rate of what a law integrates, 0 where integrating on would be windup.
 
-        Conditional integration: the loop turns Q into tau = F_coeff(q)^-1 Q and cuts off what is
-        beyond the input range, so that the arm lacks F_coeff(q) (tau - tau within the range). A
-        coordinate that lacks force in the direction in which -s pushes gets no more of it by
-        integrating further in that direction. Where nothing is cut off, the rate is what it was.
+        Conditional integration: where inputs are cut off at their range, the arm lacks a part of
+        Q, see `NominalModel.shortfall`. A coordinate that lacks force in the direction in which -s
+        pushes gets no more of it by integrating further in that direction. Where nothing is cut
+        off, the rate is what it was.
 
         Args:
             measurement: of this instant.
             command: that the law answers, with the signal s.
             rate: of an integral that acts on Q with a minus sign, such as e or s, shape (..., 2N).
         """
-        if self._input_range is None:
+        lacking = self.nominal.shortfall(measurement.q, command.force)
+        if lacking is None:
             return rate
-        low, high = self._input_range
-        tau = self.nominal.inputs(measurement.q, command.force)
-        excess = tau - np.minimum(np.maximum(tau, low), high)
-        if not excess.any():
-            return rate
-        F = self.nominal.force_coefficients(measurement.q)
-        # Term by term, so that an arm's result does not depend on the batch that it is in.
-        lacking = sum(F[..., k] * excess[..., k, None] for k in range(self.nominal.coordinates))
         further = (lacking * command.signals["s"] < 0.0) & (lacking * rate < 0.0)
         return np.where(further, 0.0, rate)
-
-    @functools.cached_property
-    def _input_range(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """The range of the nominal model's inputs; None where it has no end."""
-        ends = self.nominal.input_range
-        return ends if any(np.any(np.isfinite(end)) for end in ends) else None
 
 
 def elapsed(before: float | None, now: float) -> float:

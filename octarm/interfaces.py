@@ -167,8 +167,12 @@ class NominalModel(Protocol):
         """F_coeff(q) of Q = F_coeff(q) tau, shape (..., 2N, 2N) [1], [m]."""
         ...
 
-    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """The input forces tau = F_coeff(q)^-1 Q that make up a force Q, shape (..., 2N) [N]."""
+    def shortfall(self, q: np.ndarray, force: np.ndarray) -> np.ndarray | None:
+        """What of a force Q is lost when its input forces are cut off at their range.
+
+        It is F_coeff(q) (tau - tau within the range) with tau = F_coeff(q)^-1 Q, shape (..., 2N)
+        [N], [N m]; None if nothing is cut off of any arm.
+        """
         ...
 
     def equilibrium(self) -> np.ndarray:

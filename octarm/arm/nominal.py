@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 
 from octarm.arm import lagrange, model_error
-from octarm.arm.actuation import GroundedActuation
+from octarm.arm.input_range import InputRange
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import coordinate_names, coordinate_units
 
@@ -53,7 +54,11 @@ class LagrangeModel:
     @property
     def input_range(self) -> tuple[np.ndarray, np.ndarray]:
         """The lowest and the highest input forces, each of shape (..., 2N) [N]."""
-        return self.parameters.input_bounds(self.parameters.input_range.shape[:-2])
+        return self._range.low, self._range.high
+
+    @functools.cached_property
+    def _range(self) -> InputRange:
+        return InputRange(self.parameters)
 
     def inverse_dynamics(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, v_r: np.ndarray | None = None
@@ -77,9 +82,9 @@ class LagrangeModel:
         """F_coeff(q), eq (2), shape (..., 2N, 2N) [1], [m]."""
         return lagrange.force_coefficients(self.parameters, q)
 
-    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """tau = F_coeff(q)^-1 Q, shape (..., 2N) [N]."""
-        return GroundedActuation(self.parameters.width).inputs(q, force)
+    def shortfall(self, q: np.ndarray, force: np.ndarray) -> np.ndarray | None:
+        """What of Q is beyond the input range, shape (..., 2N) [N], [N m]; None if nothing is."""
+        return self._range.shortfall(q, force)
 
     def equilibrium(self) -> np.ndarray:
         """The coordinates at which the arm hangs still, shape (..., 2N) [m], [rad]."""

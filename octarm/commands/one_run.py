@@ -45,7 +45,8 @@ def run(
         mismatch: error of the controller's model: mass, inertia and damping times 1 + X,
             stiffness times 1 + X/2
         nominal: a further factor on a parameter of the controller's model, e.g. mass:0.7
-        parameter: a parameter of the true arm and of the model, e.g. mass:0.3,0.25,0.2 [kg]
+        parameter: a parameter of the true arm and of the model, e.g. mass:0.3,0.25,0.2 [kg], or
+            input_range:-12,12 for the lowest and highest force of the columns [N]
         gains: those to start from: tuned (for a control period of 0.0005 s), recommended (set by
             hand, lower), or a file NAME.toml of octarm tune; tuned ones when not given
         gain: one gain, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
