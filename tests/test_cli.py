@@ -360,3 +360,19 @@ def test_a_second_interrupt_within_a_moment_changes_nothing():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (0, "held\nclosing\n", "")
+
+
+def test_an_interrupt_while_an_object_is_deleted_is_not_lost():
+    code = (
+        "import os, signal, time\n"
+        "from octarm.interrupts import raise_interrupts\n"
+        "raise_interrupts()\n"
+        "class Late:\n"
+        "    def __del__(self): os.kill(os.getpid(), signal.SIGTERM); time.sleep(0.1)\n"
+        "try:\n"
+        "    Late(); time.sleep(60); print('lost')\n"
+        "except KeyboardInterrupt:\n"
+        "    print('came')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "came\n", "")
