@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from octarm.arrays import read_only
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Motion, Reference
 
 
@@ -239,7 +239,7 @@ def named_reference(name: str, rest: np.ndarray) -> Motion:
         OctarmError: for an unknown name; it lists the known ones.
     """
     if name not in REFERENCES:
-        raise OctarmError(f"unknown reference {name!r}{closest(name, REFERENCES)}")
+        raise OctarmError(f"unknown reference {quoted(name)}{closest(name, REFERENCES)}")
     return REFERENCES[name](rest)
 
 

@@ -21,7 +21,7 @@ from cyclopts.exceptions import (
 from octarm.commands import checks, kinds, many_runs, one_run
 from octarm.commands.kinds import SHELLS, Work
 from octarm.commands.pages import arguments_of, commands, is_operand, overview, page, spelling
-from octarm.errors import ExitCode, OctarmError, closest
+from octarm.errors import ExitCode, OctarmError, closest, quoted
 
 APP = App(
     name="octarm",
@@ -50,7 +50,7 @@ def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
         for known in SHELLS:
             if shell == known:
                 return _show(APP.generate_completion(shell=known) + _AFTER.get(shell, ""))
-        raise OctarmError(f"unknown shell {shell!r}{closest(shell, SHELLS)}")
+        raise OctarmError(f"unknown shell {quoted(shell)}{closest(shell, SHELLS)}")
 
     return work
 
@@ -98,11 +98,11 @@ def _sentence(error: CycloptsError, command: str) -> str:
     """What is wrong with a command line, as a sentence."""
     match error:
         case UnknownCommandError():
-            return f"unknown command {command!r}{closest(command, commands(APP))}"
+            return f"unknown command {quoted(command)}{closest(command, commands(APP))}"
         case UnknownOptionError():
             return _no_such_option(command, (error.token.keyword or error.token.value))
         case UnusedCliTokensError(unused_tokens=[word, *_]):
-            return f"octarm {command} has no use for {word!r}"
+            return f"octarm {command} has no use for {quoted(word)}"
         case RepeatArgumentError():
             return f"{error.token.keyword} is given twice"
         case MissingArgumentError(argument=Argument() as argument) if is_operand(argument):
@@ -112,7 +112,7 @@ def _sentence(error: CycloptsError, command: str) -> str:
         case CoercionError(msg=str() as sentence):
             return sentence
         case CoercionError(token=token) if token is not None:
-            return f"{token.keyword} is {token.value!r}; it is a flag and takes no value"
+            return f"{token.keyword} is {quoted(token.value)}; it is a flag and takes no value"
         case _:
             return " ".join(str(error).split())
 
@@ -127,4 +127,4 @@ def _no_such_option(command: str, word: str) -> str:
     if owners:
         return f"octarm {command} has no option {word}; it belongs to octarm {', '.join(owners)}"
     known = [spelling(a) for a in arguments_of(APP, command) if not is_operand(a)]
-    return f"octarm {command} has no option {word!r}{closest(word, known)}"
+    return f"octarm {command} has no option {quoted(word)}{closest(word, known)}"

@@ -21,7 +21,7 @@ from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters, template_model
 from octarm.arm.parameters import ArmParameters
 from octarm.commands.summary import Swing, summary
-from octarm.errors import ExitCode, OctarmError, closest
+from octarm.errors import ExitCode, OctarmError, closest, quoted
 from octarm.recordings.recording import run_recording
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
@@ -74,7 +74,7 @@ def true_arm(changes: Sequence[str]) -> ArmParameters:
     known = [field.name for field in dataclasses.fields(ArmParameters)]
     for name in values:
         if name not in known:
-            raise OctarmError(f"unknown parameter {name!r}{closest(name, known)}")
+            raise OctarmError(f"unknown parameter {quoted(name)}{closest(name, known)}")
     nominal = nominal_parameters()
     try:
         return dataclasses.replace(nominal, **values)
@@ -97,7 +97,9 @@ def gain_values(items: Sequence[str]) -> dict[str, npt.ArrayLike]:
     gains = named_values("--gain", items)
     for item, value in zip(items, gains.values(), strict=True):
         if np.ndim(value) > 1:
-            raise OctarmError(f"--gain is {item!r}; a gain is one number, or one a coordinate")
+            raise OctarmError(
+                f"--gain is {quoted(item)}; a gain is one number, or one a coordinate"
+            )
     return gains
 
 
@@ -118,7 +120,7 @@ def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
             table = np.array([[float(x) for x in row.split(",")] for row in text.split(";")])
         except ValueError:
             raise OctarmError(
-                f"{option} is {item!r}; it must read NAME:NUMBER, NAME:A,B,C or NAME:A,B;C,D"
+                f"{option} is {quoted(item)}; it must read NAME:NUMBER, NAME:A,B,C or NAME:A,B;C,D"
             ) from None
         row = table[0] if len(table) == 1 else table
         values[name] = row[0] if row.shape == (1,) else row

@@ -29,7 +29,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.delivered import Measured
 from octarm.disturbances.fields import Amount, Quantity, field_defaults, field_kinds
 from octarm.disturbances.streams import HeldNoise, stream
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Motion
 
 # The input amplitude is measured on this grid, whatever the physics step.
@@ -110,7 +110,7 @@ class Episode:
         wanted = known if names == "all" else names.split("+")
         for name in wanted:
             if name not in known:
-                raise OctarmError(f"unknown coordinate {name!r}{closest(name, known)}")
+                raise OctarmError(f"unknown coordinate {quoted(name)}{closest(name, known)}")
         return np.array([name in wanted for name in known])
 
     def again(self, occurrence: int) -> Episode:

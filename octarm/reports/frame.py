@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from octarm.disturbances.episode import field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError, closest, quoted
 from octarm.metrics.metric import SETTLED_AFTER, Metric
 from octarm.metrics.table import METRICS
 from octarm.references import REFERENCES, named_reference
@@ -231,7 +231,7 @@ def _measures(name: str, columns: Sequence[Measure], spec: Mapping[str, Any]) ->
     of_metric = [column for column in columns if column.metric == name]
     single = [column for column in columns if column.name == name]
     if name not in METRICS and not single:
-        raise OctarmError(f"unknown metric {name!r}{closest(name, METRICS)}")
+        raise OctarmError(f"unknown metric {quoted(name)}{closest(name, METRICS)}")
     if not of_metric:  # a column, or a metric that is younger than the sweep
         return single
     if METRICS[name].of == "input":

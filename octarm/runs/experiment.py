@@ -17,14 +17,15 @@ from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.ledger import Ledger, asked
 from octarm.disturbances.spelling import from_entry
-from octarm.errors import OctarmError, closest
-from octarm.formats import Array, Document, Model
+from octarm.errors import OctarmError, closest, quoted
+from octarm.formats import Document
 from octarm.interfaces import Controller, ControllerFactory, Rows
 from octarm.interrupts import ignored_interrupts
 from octarm.metrics.table import Metrics, as_json
 from octarm.references import REFERENCES
 from octarm.runs import folder as runs
-from octarm.runs.archive import Archive, mapped
+from octarm.runs.archive import Archive
+from octarm.runs.description import Inputs
 from octarm.runs.place import new_folder
 from octarm.runs.versions import host, versions
 from octarm.simulation.environment import TrackingTask, load, whole_periods
@@ -141,12 +142,12 @@ class Experiment:
         Raises:
             OctarmError: if something is missing or not allowed, or the reference is a custom one.
         """
-        inputs = Document(runs.DESCRIPTION, description).read(_Inputs)
+        inputs = Document(runs.DESCRIPTION, description).read(Inputs)
         reference = inputs.reference.name
         if reference not in REFERENCES:
             raise OctarmError(
-                f"the run followed a custom reference, {reference!r}, which its folder does not "
-                f"hold{closest(reference, REFERENCES)}"
+                f"the run followed a custom reference, {quoted(reference)}, which its folder does "
+                f"not hold{closest(reference, REFERENCES)}"
             )
         numbers = inputs.model_dump(include=_AS_THEY_ARE)
         gains = inputs.controller.gains
@@ -159,38 +160,6 @@ class Experiment:
             disturbances=tuple(from_entry(entry.model_dump()) for entry in inputs.disturbances),
             **numbers,
         )
-
-
-class _Table(Model, extra="ignore"):
-    """A table of `run.json` of which more is there than is read."""
-
-
-class _Named(_Table):
-    name: str
-
-
-class _Controller(_Named):
-    gains: dict[str, Any]
-
-
-class _Disturbance(_Named):
-    asked: dict[str, Any]
-
-
-class _Inputs(_Table):
-    """What says what was run; see `Experiment`."""
-
-    controller: _Controller
-    parameters: dict[str, Any]
-    nominal: dict[str, Any]
-    reference: _Named
-    disturbances: Array[_Disturbance]
-    seed: int
-    spawn_key: Array[int] = ()
-    duration: float
-    timestep: float
-    control_period: float
-    actuation: str
 
 
 def perform(
@@ -273,7 +242,7 @@ def run_into(
                 recorder.finish(description)
             archive.save(folder / runs.ARRAYS, ending)
         runs.write_description(folder, description)
-    return mapped(out / runs.ARRAYS), description
+    return Trajectory.load(out / runs.ARRAYS, mapped=True), description
 
 
 def _perform(

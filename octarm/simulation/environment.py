@@ -19,7 +19,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arrays import split
 from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Disturbance, Episode
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Motion, Reference
 from octarm.references import named_reference
 from octarm.simulation.batch import BatchPhysics
@@ -77,7 +77,7 @@ def load(
             arm that does not hang within its limits.
     """
     if actuation not in ACTUATIONS:
-        raise OctarmError(f"unknown actuation {actuation!r}{closest(actuation, ACTUATIONS)}")
+        raise OctarmError(f"unknown actuation {quoted(actuation)}{closest(actuation, ACTUATIONS)}")
     true = nominal_parameters() if parameters is None else parameters
     if true.batch_shape not in ((), () if batch is None else (batch,)):
         raise OctarmError(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection
 
 import numpy as np
 
-from octarm.errors import OctarmError
+from octarm.errors import OctarmError, quoted
 from octarm.interfaces import Instant, Rows
 from octarm.interrupts import held_interrupts
 from octarm.simulation.trajectory import Ending
@@ -109,7 +109,9 @@ class Recorder:
             OctarmError: if the record has one of this name.
         """
         if name in row or name in Ending._fields:
-            raise OctarmError(f"a signal cannot be called {name!r}: the record has that field")
+            raise OctarmError(
+                f"a signal cannot be called {quoted(name)}: the record has that field"
+            )
         row[name] = value
 
 

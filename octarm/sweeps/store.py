@@ -20,7 +20,7 @@ import filelock
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from octarm.errors import FileError, OctarmError, closest
+from octarm.errors import FileError, OctarmError, closest, quoted
 from octarm.files import whole_file, write_text
 from octarm.formats import FORMAT, check_format, read_json, spelt, to_json
 from octarm.runs.versions import host, versions
@@ -254,7 +254,7 @@ def _shards(
             known = stored.schema_arrow.names
             for name in columns or ():
                 if name not in known:
-                    raise OctarmError(f"{file} has no column {name!r}{closest(name, known)}")
+                    raise OctarmError(f"{file} has no column {quoted(name)}{closest(name, known)}")
             # Without threads: one that ends after the interpreter aborts the process when it frees
             # a buffer that is Python's.
             names = None if columns is None else [*columns]
