@@ -14,15 +14,16 @@ import io
 import json
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import filelock
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import Field, FiniteFloat
 
 from octarm.errors import FileError, OctarmError, closest, quoted
 from octarm.files import whole_file, write_text
-from octarm.formats import FORMAT, check_format, read_json, spelt, to_json
+from octarm.formats import FORMAT, Model, check_format, read_json, spelt, to_json
 from octarm.runs.versions import host, versions
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spec_file import parse_spec
@@ -33,6 +34,40 @@ EPISODES = "episodes"
 RECORDED = "recorded"  # run folders of selected episodes
 PROGRESS = ".progress"  # how far the shards at work are; only while a sweep runs
 _LOCK = ".lock"
+
+_Count = Annotated[int, Field(ge=0, lt=2**53)]
+
+
+class _Shard(Model):
+    file: Annotated[str, Field(pattern=rf"^{EPISODES}/\d{{5,}}\.parquet$")]
+    first: _Count
+    episodes: _Count
+    sha256: str
+
+
+class _Start(Model):
+    time: str
+    versions: dict[str, str]
+    host: dict[str, str | int | None]
+
+
+class _Spec(Model, extra="allow"):
+    """The content of a spec by dotted key, as far as all sweeps have the same keys."""
+
+    duration: Annotated[FiniteFloat, Field(gt=0.0)]
+    controllers: Annotated[list[str], Field(alias="grid.controller", min_length=1)]
+
+
+class _Manifest(Model):
+    """All that `manifest.json` holds."""
+
+    format: int
+    spec: _Spec
+    spec_hash: str
+    episodes: _Count
+    gains: dict[str, dict[str, Any]]
+    starts: Annotated[list[_Start], Field(min_length=1)]
+    shards: list[_Shard]
 
 
 def read_sweep(folder: str | Path, columns: Sequence[str] | None = None) -> pa.Table:
@@ -78,19 +113,15 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """What `manifest.json` says.
 
     Raises:
-        OctarmError: if the folder holds no sweep, or one of another format.
+        OctarmError: if the folder holds no sweep, one of another format, or a value is not allowed.
     """
     file = folder / MANIFEST
     if not file.is_file():
         raise OctarmError(f"{folder} is not a sweep: it has no {MANIFEST}")
     document = read_json(file)
     check_format(document)
-    manifest = dict(document.content)
-    if missing := {"spec", "spec_hash", "gains", "starts", "shards"} - set(manifest):
-        raise OctarmError(
-            f"{file} does not describe a sweep: it lacks {', '.join(sorted(missing))}"
-        )
-    return manifest
+    document.read(_Manifest)
+    return dict(document.content)
 
 
 def shard_bytes(table: pa.Table) -> bytes:
@@ -250,6 +281,16 @@ def _shards(
                 "--resume runs it again"
             )
         empty = False
+        yield first, _table(file, content, columns)
+    if empty and episode is None:
+        raise OctarmError(f"{folder} has no finished episode yet")
+    if empty:
+        raise OctarmError(f"episode {episode} of {folder} is not finished; --resume runs it")
+
+
+def _table(file: Path, content: bytes, columns: Sequence[str] | None) -> pa.Table:
+    """Columns of a shard, all if None; raises OctarmError if the bytes are no table with them."""
+    try:
         with pq.ParquetFile(pa.BufferReader(content)) as stored:
             known = stored.schema_arrow.names
             for name in columns or ():
@@ -258,11 +299,11 @@ def _shards(
             # Without threads: one that ends after the interpreter aborts the process when it frees
             # a buffer that is Python's.
             names = None if columns is None else [*columns]
-            yield first, stored.read(columns=names, use_threads=False)
-    if empty and episode is None:
-        raise OctarmError(f"{folder} has no finished episode yet")
-    if empty:
-        raise OctarmError(f"episode {episode} of {folder} is not finished; --resume runs it")
+            return stored.read(columns=names, use_threads=False)
+    except (pa.ArrowException, OSError) as error:  # of Arrow, which has them from no system call
+        if isinstance(error, OctarmError | MemoryError):
+            raise
+        raise OctarmError(f"{file} is damaged: {error}") from None
 
 
 def _content(file: Path) -> bytes | None:
