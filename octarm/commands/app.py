@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib.metadata
+import os
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -65,6 +66,9 @@ for title, functions in {
     for function in functions:
         APP.command(function, group=group)
 
+# [GB] that rerun reserves, although it uses little of them; other commands need less.
+_ADDRESS_SPACE = {"run": 3.5, "record": 3.5, "replay": 3.5}
+
 # What makes the script work at the end of ~/.zshrc; the function is named by cyclopts.
 _AFTER = {"zsh": "autoload -U +X compinit && compinit\ncompdef _cyclopts_octarm octarm"}
 
@@ -85,8 +89,24 @@ def parse(words: Sequence[str]) -> Work:
         name = next(iter(bound.arguments["tokens"]), None)
         return functools.partial(_show, overview(APP) if name is None else page(APP, name))
     if command.__module__.startswith("octarm."):
+        _check_address_space(words[0])
         return command(*bound.args, **bound.kwargs)
     return functools.partial(command, *bound.args, **bound.kwargs)  # the version, words for a shell
+
+
+def _check_address_space(command: str) -> None:
+    """Raises OctarmError if the libraries that a command loads would abort for lack of memory."""
+    try:
+        import resource
+    except ImportError:  # not on POSIX
+        return
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    needed = _ADDRESS_SPACE.get(command, 1.5) + 0.11 * (os.cpu_count() or 1)  # threads have stacks
+    if limit != resource.RLIM_INFINITY and limit < 1e9 * needed:
+        raise OctarmError(
+            f"the memory of this process is limited to {1e-9 * limit:.3g} GB of addresses (ulimit "
+            f"-v); octarm {command} needs {needed:.3g} GB on this machine"
+        )
 
 
 def _show(text: str) -> int:

@@ -6,7 +6,16 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 
-from octarm.errors import ExitCode, FileError, OctarmError, sentence_of
+from octarm.errors import ExitCode, FileError, OctarmError, printable, sentence_of
+
+# How MuJoCo, the system's loader, Python's threads and rerun say it, each by errors of its own.
+_NO_MEMORY = (
+    "ould not allocate memory",
+    "annot allocate memory",
+    "failed to map segment",
+    "can't start new thread",
+    "failed to spawn background thread",
+)
 
 
 def main(arguments: Sequence[str] | None = None, *, begin: Callable[[], None] | None = None) -> int:
@@ -31,7 +40,7 @@ def main(arguments: Sequence[str] | None = None, *, begin: Callable[[], None] | 
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ExitCode.FINE
     except KeyboardInterrupt as error:
-        print("; ".join(["octarm: interrupted", *error.args]), file=sys.stderr)
+        print(printable("; ".join(["octarm: interrupted", *error.args])), file=sys.stderr)
         return ExitCode.INTERRUPTED
     except Exception as error:
         sentence = " ".join(str(_mendable(error)).split())
@@ -45,12 +54,12 @@ def _mendable(error: Exception) -> OctarmError:
     Beside `OctarmError` this is what the machine refuses: space, permission, memory, a package.
     """
     match error:
+        case _ if isinstance(error, MemoryError) or any(w in str(error) for w in _NO_MEMORY):
+            return OctarmError(f"there is not enough memory{f': {error}' if str(error) else ''}")
         case OctarmError():
             return error
         case OSError() if error.strerror:
             return FileError(sentence_of(error))
-        case MemoryError():
-            return OctarmError(f"there is not enough memory: {error}")
         case ModuleNotFoundError():
             return OctarmError(f"{error}; octarm doctor says what to install")
         case _:

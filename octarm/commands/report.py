@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from octarm.errors import ExitCode, OctarmError
+from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import whole_file, write_text
 from octarm.reports.charts import pictures
 from octarm.reports.comparisons import TABLES, Comparisons, compare, tables
@@ -38,7 +38,7 @@ def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Pat
     )
     _write(folder, page(numbers, remarked, drawn, source), files, drawn)
     _print_summary(numbers, remarked)
-    print(f"wrote {folder / PAGE}")
+    print(f"wrote {printable(str(folder / PAGE))}")
     return ExitCode.FINE
 
 

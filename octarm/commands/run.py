@@ -21,7 +21,7 @@ from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters, template_model
 from octarm.arm.parameters import ArmParameters
 from octarm.commands.summary import Swing, summary
-from octarm.errors import ExitCode, OctarmError, closest, quoted
+from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
 from octarm.recordings.recording import run_recording
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
@@ -49,7 +49,7 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
         )
     elapsed = time.perf_counter() - started
     print(summary(len(trajectory), swing.amplitude(), description, elapsed))
-    print(f"wrote {out}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
+    print(f"wrote {printable(str(out))}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt(f"{out} holds the run up to t = {trajectory.t[-1]:.6g} s")
     if trajectory.status == "diverged":
@@ -60,7 +60,7 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
     if view:
         _view(out)
     else:
-        print(f"see it: octarm replay {shlex.quote(str(out))}")
+        print(f"see it: octarm replay {printable(shlex.quote(str(out)))}")
     return ExitCode.FINE
 
 
@@ -146,7 +146,8 @@ def _view(folder: Path) -> None:
         viewer.open_viewer([folder / runs.RECORDING])
     except OctarmError as error:
         print(f"the viewer did not open: {error}")
-        print(f"a picture: octarm replay {shlex.quote(str(folder))} --screenshot picture.png")
+        name = printable(shlex.quote(str(folder)))
+        print(f"a picture: octarm replay {name} --screenshot picture.png")
 
 
 def _dated_folder(controller: str) -> Path:
