@@ -209,6 +209,11 @@ class AdaptiveLaw(SlidingLaw):
         table[...] = value
         return table
 
+    def near(self, centre: Gain, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Tables of centre - reach and of centre + reach, shapes (..., 2N, M)."""
+        low, high = centre - reach[..., None], centre + reach[..., None]
+        return self.rule_table(low, ()), self.rule_table(high, ())
+
     def compensated(
         self,
         measurement: Measurement,
@@ -264,8 +269,13 @@ class AdaptiveConsequents(AdaptiveLaw):
         dt = elapsed(before, measurement.t)
         theta = theta + (dt * self.eta2 * s)[..., None] * phi
         if self.safeguards:
-            _keep_near(0.0, theta, self.theta_max)
+            _keep_between(self._bounds, theta)
         return command, ConsequentState(measurement.t, theta, self.grown(E, s, dt, self.E_max))
+
+    @functools.cached_property
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lowest and highest theta."""
+        return self.near(0.0, self.theta_max)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -322,26 +332,26 @@ class AdaptiveFuzzy(AdaptiveLaw):
         alpha = alpha + (dt * self.eta3 * s)[..., None] * B_theta[..., 0, :]
         sigma = sigma + (dt * self.eta4 * s)[..., None] * C_theta[..., 0, :]
         if self.safeguards:
-            _keep_near(0.0, theta, self.theta_max)
-            _keep_near(self.alpha0, alpha, self.alpha_max)
-            _keep_between(self._sigma_low, sigma, self.sigma_max[..., None])
+            for table, bounds in zip((theta, alpha, sigma), self._bounds, strict=True):
+                _keep_between(bounds, table)
         return command, FuzzyState(
             measurement.t, theta, alpha, sigma, self.grown(E, s, dt, self.E_max)
         )
 
     @functools.cached_property
-    def _sigma_low(self) -> np.ndarray:
-        """The lower bound on sigma, shape (..., 2N, 1); none where sigma_min is 0."""
+    def _bounds(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The lowest and highest theta, alpha and sigma."""
         # A sigma projected onto 0 would stay there, as sigma' ~ sigma. One that passes 0 does not
         # matter: exp(-(sigma ..)^2) is even.
-        return np.where(np.equal(self.sigma_min, 0.0), -np.inf, self.sigma_min)[..., None]
+        least = np.where(np.equal(self.sigma_min, 0.0), -np.inf, self.sigma_min)
+        return [
+            self.near(0.0, self.theta_max),
+            self.near(self.alpha0, self.alpha_max),
+            (self.rule_table(least[..., None], ()), self.rule_table(self.sigma_max[..., None], ())),
+        ]
 
 
-def _keep_near(centre: Gain, x: np.ndarray, reach: np.ndarray) -> None:
-    """Projects x, shape (..., 2N, M), onto |x - centre| <= reach."""
-    _keep_between(centre - reach[..., None], x, centre + reach[..., None])
-
-
-def _keep_between(low: np.ndarray, x: np.ndarray, high: np.ndarray) -> None:
-    np.maximum(x, low, out=x)
-    np.minimum(x, high, out=x)
+def _keep_between(bounds: tuple[np.ndarray, np.ndarray], x: np.ndarray) -> None:
+    """Projects x, shape (..., 2N, M), onto what lies between a lowest and a highest table."""
+    np.maximum(x, bounds[0], out=x)
+    np.minimum(x, bounds[1], out=x)

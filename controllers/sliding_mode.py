@@ -46,7 +46,8 @@ class Surface(NamedTuple):
 
 def saturation(s: np.ndarray, phi: Gain) -> np.ndarray:
     """sat(s / phi), eq (53), shape (..., 2N) [1]; where phi is 0 it is sgn(s), eq (22)."""
-    return np.clip(s / np.maximum(phi, 1e-150), -1.0, 1.0)  # a smaller s than that is no motion
+    share = s / np.maximum(phi, 1e-150)  # a smaller s than that is no motion
+    return np.minimum(np.maximum(share, -1.0), 1.0)  # np.clip takes twice as long for one arm
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,9 +59,10 @@ class SlidingLaw(Law):
     def surface(self, measurement: Measurement, reference: Reference) -> Surface:
         """Eqs (17) and (18)."""
         e, e_dot = self.errors(measurement, reference)
+        decay = self.lambda_ * e
         return Surface(
-            s=e_dot + self.lambda_ * e,
-            v_r=reference.v - self.lambda_ * e,
+            s=e_dot + decay,
+            v_r=reference.v - decay,
             a_r=reference.a - self.lambda_ * e_dot,
         )
 

@@ -67,14 +67,16 @@ class Sine(_Fields):
 
     def __call__(self, t: float) -> Reference:
         """Desired motion at time t [s]."""
-        omega = 2.0 * np.pi * self.frequency
+        omega, speed, stiffness = self._factors
         angle = omega * t + self.phase
         sine = self.amplitude * np.sin(angle)
-        return Reference(
-            self.center + sine,
-            self.amplitude * omega * np.cos(angle),
-            -omega * omega * sine,
-        )
+        return Reference(self.center + sine, speed * np.cos(angle), stiffness * sine)
+
+    @functools.cached_property
+    def _factors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """omega, amplitude omega and -omega^2."""
+        omega = 2.0 * np.pi * np.asarray(self.frequency)
+        return omega, self.amplitude * omega, np.asarray(-omega * omega)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

@@ -20,6 +20,7 @@ SECTIONS = {  # module below `benchmarks` and function
     "controller-step": "controller_step.controller_step",
     "closed-loop": "closed_loop.closed_loop",
     "one-by-one": "closed_loop.one_by_one",
+    "one-arm": "one_arm.one_arm",
     "workers": "whole_sweeps.workers",
     "memory": "whole_sweeps.memory",
     "overhead": "whole_sweeps.overhead",

@@ -135,6 +135,7 @@ def test_an_episode_is_a_run_of_one_arm(sweep):
     assert environment.physics.timestep() == other.physics.timestep() == 0.001
     assert environment.control_timestep() == other.control_timestep() == 0.002
     first, second = (octarm.rollout(e, controller, 0.05) for e in (environment, other))
+    other.task.next_episode = 0
     assert first.digest == second.digest == octarm.rollout(other, same, 0.05).digest
     assert what.spawn_key == (1,)
 

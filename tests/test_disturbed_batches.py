@@ -83,7 +83,9 @@ def test_any_combination_gives_an_arm_what_its_row_of_a_batch_gets(listed, perio
 def test_any_combination_is_finite_or_marked_and_repeats_itself(listed, name: str):
     controller = make_controller(name, P)
     environment = load(disturbances=built(listed, 0), seed=2)
-    first, again = (rollout(environment, controller, 0.01) for _ in range(2))
+    first = rollout(environment, controller, 0.01)
+    environment.task.next_episode = 0
+    again = rollout(environment, controller, 0.01)
     assert first.digest == again.digest
     assert first.status in ("ok", "diverged") and bool(first.message) == (first.status != "ok")
     for array_name, array in first.arrays():

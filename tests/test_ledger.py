@@ -156,11 +156,13 @@ def test_every_episode_is_told_from_its_beginning():
     environment.physics.watch = watching.step
     told = []
     for duration in (0.1, 0.03, 0.1):
+        environment.task.next_episode = 0
         rollout(environment, hand_set("pd", P), duration)
         told.append(watching.rows())
     assert told[0] == told[2] != told[1]
     late = Ledger(disturbances, environment.physics)  # the arm still holds its load
     environment.physics.watch = late.step
+    environment.task.next_episode = 0
     rollout(environment, hand_set("pd", P), 0.1)
     assert late.rows() == told[0]
 

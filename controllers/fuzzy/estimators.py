@@ -80,9 +80,7 @@ def second_type(
 
 def _differences(alpha: np.ndarray, x: np.ndarray) -> np.ndarray:
     """The array alpha - x, shape (..., I, M), its axes in reverse order in memory."""
-    shape = np.broadcast_shapes(alpha.shape, (*x.shape, 1))
-    out = np.empty_like(x, shape=shape[::-1], dtype=np.result_type(alpha, x)).T
-    return np.subtract(alpha, x[..., None], out=out)
+    return np.subtract(alpha, x[..., None], order="F")
 
 
 def _strengths(scaled: np.ndarray, normalised: bool) -> np.ndarray:

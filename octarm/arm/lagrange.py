@@ -249,13 +249,14 @@ def potential_hessian(p: ArmParameters, q: np.ndarray) -> np.ndarray:
 
 
 def _modules(p: ArmParameters, **arrays: np.ndarray) -> int:
+    n = p.modules
     for name, array in arrays.items():
-        if array.shape[-1:] != (2 * p.modules,):
+        if array.shape[-1:] != (2 * n,):
             raise OctarmError(
                 f"{name} has shape {array.shape}; its last axis must hold "
-                f"{2 * p.modules} coordinates for {p.modules} modules"
+                f"{2 * n} coordinates for {n} modules"
             )
-    return p.modules
+    return n
 
 
 def _column_forces(

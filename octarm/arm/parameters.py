@@ -111,12 +111,12 @@ class ArmParameters:
     def _fields(self) -> dict[str, np.ndarray]:
         return {name: getattr(self, name) for name in _RULES}
 
-    @property
+    @functools.cached_property
     def modules(self) -> int:
         """Number of modules N."""
         return self.mass.shape[-1]
 
-    @property
+    @functools.cached_property
     def coordinates(self) -> int:
         """Number of generalised coordinates 2N."""
         return 2 * self.modules

@@ -28,7 +28,7 @@ from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.delivered import Measured
 from octarm.disturbances.fields import Amount, Quantity, field_defaults, field_kinds
-from octarm.disturbances.streams import HeldNoise, stream
+from octarm.disturbances.streams import HeldNoise, episode_seed, stream
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Motion
 
@@ -71,8 +71,9 @@ class Episode:
         parameters: the undisturbed true arm.
         timestep: physics step [s].
         reference: the desired motion.
-        seeds: one for each arm; a single one for a single arm.
+        seeds: of this episode, one for each arm; a single one for a single arm.
         batch_shape: () for one arm, (n,) for a batch.
+        index: which one of the environment's episodes it is, from 0.
         occurrence: 1, or which one of several disturbances of the same class is started.
     """
 
@@ -81,6 +82,7 @@ class Episode:
     reference: Motion
     seeds: np.random.SeedSequence | Sequence[np.random.SeedSequence]
     batch_shape: tuple[int, ...] = ()
+    index: int = 0
     occurrence: int = 1
 
     def __post_init__(self) -> None:
@@ -115,8 +117,16 @@ class Episode:
 
     def again(self, occurrence: int) -> Episode:
         """The same episode for a further disturbance of the same class."""
+        return self._with(occurrence=occurrence)
+
+    def later(self, index: int) -> Episode:
+        """The episode of this number, given episode 0: all that is random is drawn anew."""
+        return self._with(index=index, seeds=[episode_seed(seed, index) for seed in self._seeds])
+
+    def _with(self, **fields: Any) -> Episode:
         other = copy.copy(self)  # with the input amplitude, if it is known already
-        object.__setattr__(other, "occurrence", occurrence)
+        for name, value in fields.items():
+            object.__setattr__(other, name, value)
         return other
 
     def streams(self, name: str) -> list[np.random.Generator]:

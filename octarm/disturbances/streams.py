@@ -2,6 +2,7 @@
 
 One `SeedSequence` belongs to one arm and one episode. Every stream is derived from it and from its
 own name, so that what one stream draws depends neither on the other streams nor on their order.
+An environment has one `SeedSequence` for each arm, from which those of its episodes are derived.
 """
 
 from __future__ import annotations
@@ -21,11 +22,20 @@ NEVER = 2**62  # a step that no episode reaches
 
 def stream(seed: np.random.SeedSequence, name: str) -> np.random.Generator:
     """The generator of this name for an arm in an episode: the same in every process."""
+    return np.random.Generator(np.random.PCG64(_derived(seed, name)))
+
+
+def episode_seed(seed: np.random.SeedSequence, index: int) -> np.random.SeedSequence:
+    """The seed of an arm's episode of this number; that of episode 0 is the arm's seed itself."""
+    return _derived(seed, "episode", index) if index else seed
+
+
+def _derived(seed: np.random.SeedSequence, name: str, *numbers: int) -> np.random.SeedSequence:
+    """A seed that no other name, number or arm has."""
     digest = hashlib.sha256(name.encode()).digest()
     words = (int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4))
-    key = (*seed.spawn_key, *words)
-    derived = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
-    return np.random.Generator(np.random.PCG64(derived))
+    key = (*seed.spawn_key, *words, *numbers)
+    return np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
 
 
 def in_steps(time: np.ndarray | float, timestep: float) -> np.ndarray:

@@ -64,12 +64,13 @@ def write_figures(
     written: list[Path] = []
     with cast(Any, matplotlib).rc_context(_STYLE):
         for name, figure in _Drawing(run, description).figures():
-            for kind in ("png", "svg"):
+            for kind in ("svg", "png"):
                 path = folder / f"{name}.{kind}"
                 with whole_file(path) as part:
                     # Without a date equal runs give equal files.
                     metadata = {"Date": None} if kind == "svg" else None
                     figure.savefig(part, format=kind, dpi=200, metadata=metadata)
+                figure.set_layout_engine("none")  # that of the first holds for the second
                 written.append(path)
     return written
 

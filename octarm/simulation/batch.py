@@ -67,15 +67,16 @@ class BatchPhysics(AnyPhysics):
 
     def step(self, n_sub_steps: int = 1) -> None:
         """Advances by physics steps; see `AnyPhysics.step`."""
-        with np.errstate(all="ignore"):  # a frozen arm may hold anything
+        with self.exclusive, np.errstate(all="ignore"):  # a frozen arm may hold anything
             super().step(n_sub_steps)
-        if self.batch.warning.any():  # MuJoCo refused a state or an input of some arms
-            self.freeze(np.any(self.batch.warning, axis=(1, 2)))
+            if self.batch.warning.any():  # MuJoCo refused a state or an input of some arms
+                self.freeze(np.any(self.batch.warning, axis=(1, 2)))
 
     def reset(self) -> None:
         """All arms to the undisturbed model's defaults, with no input."""
-        self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
-        self._forget()
+        with self.exclusive.anew():
+            self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+            self._forget()
 
     def after_reset(self) -> None:
         """Nothing is derived from the state."""

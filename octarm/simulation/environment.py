@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import collections
 import math
+import operator
 from collections.abc import Sequence
 
 import numpy as np
@@ -49,8 +50,9 @@ def load(
     force F_coeff(q) tau and are held for one control period. For a batch, the action and all
     observations have a first axis of n, and so does the reward.
 
-    The environment is one episode: every reset starts the same one again, with the same
-    realisation of what is random in it. Another seed gives another one.
+    Every reset starts the next episode, with a new realisation of all that is random: episode 0 at
+    the first reset, then 1 and so on. The same seed gives the same episodes. To have an episode
+    once more, write its number to `environment.task.next_episode` before the reset.
 
     Args:
         reference: a name of `octarm.references.REFERENCES`, or a function of time that gives
@@ -64,8 +66,9 @@ def load(
         duration: when an episode ends [s], rounded up to whole control periods; never when not
             given.
         actuation: `f-coeff`, or `internal` for forces between neighbouring modules.
-        seed: of all that is random in the episode. Arm i of a batch has the seed
-            `SeedSequence(seed, spawn_key=(i,))`, unless one is given for each arm.
+        seed: of all that is random. Arm i of a batch has the seed
+            `SeedSequence(seed, spawn_key=(i,))`, unless one is given for each arm. The seeds of
+            its episodes are derived from it, see `octarm.disturbances.streams.episode_seed`.
         threads: that step a batch; results do not depend on it.
 
     Returns:
@@ -166,7 +169,9 @@ class TrackingTask(control.Task):
     Attributes:
         reference: the desired motion.
         disturbances: what acts on the arm that the controller does not know.
-        random: what wrappers draw from; the same at the start of every episode.
+        random: what wrappers draw from; a stream of the present episode.
+        episode: number of the present episode, from 0.
+        next_episode: number of the episode that the next reset starts; it may be written to.
     """
 
     def __init__(
@@ -178,14 +183,15 @@ class TrackingTask(control.Task):
         period: float,
         episode_periods: int | None = None,
     ) -> None:
-        """A task for an episode of whole control periods [s].
+        """A task for episodes of whole control periods [s], of which the first one is given.
 
         The margin is the error of each coordinate [m], [rad] that earns a tenth of the reward.
         """
         self.reference = episode.reference
         self.disturbances = tuple(disturbances)
         self.random = episode.streams("wrappers")[0]
-        self._episode = episode
+        self.episode = self.next_episode = 0
+        self._first = episode
         ActiveDisturbances(self.disturbances, episode)  # raises when one does not suit the arm
         self._margin = np.array(margin)
         self._period = period
@@ -199,12 +205,25 @@ class TrackingTask(control.Task):
         return self._periods * self._period
 
     def initialize_episode(self, physics: AnyPhysics) -> None:
-        """The arm hangs still, as it does undisturbed; what changes it acts from here on."""
+        """The arm hangs still, as it does undisturbed; what changes it acts from here on.
+
+        Raises:
+            OctarmError: if the number of the episode is not a whole one, at least 0.
+        """
+        try:
+            index = operator.index(self.next_episode)
+        except TypeError:
+            index = -1
+        if index < 0:
+            given = self.next_episode
+            raise OctarmError(f"next_episode is {quoted(given)}; it must be a whole number, at least 0")
+        episode = self._first.later(index)
         self._start_at(0)
-        self.random = self._episode.streams("wrappers")[0]
+        self.random = episode.streams("wrappers")[0]
         rest = physics.hanging()
         physics.set_motion(rest, np.zeros_like(rest))
-        physics.begin(ActiveDisturbances(self.disturbances, self._episode))
+        physics.begin(ActiveDisturbances(self.disturbances, episode))
+        self.episode, self.next_episode = episode.index, episode.index + 1
 
     def before_step(self, action: np.ndarray, physics: AnyPhysics) -> None:
         """Holds the action, tau, shape (2N,) [N]."""
@@ -248,7 +267,8 @@ class TrackingTask(control.Task):
         """
         error = (physics.q() - self._desired.q) / self._margin
         mean = sum(split(error * error)) / error.shape[-1]
-        return np.where(physics.intact(), np.exp(math.log(0.1) * mean), 0.0)[()]
+        reward = np.exp(math.log(0.1) * mean)
+        return reward if physics.all_intact() else np.where(physics.intact(), reward, 0.0)[()]
 
     def get_termination(self, physics: AnyPhysics) -> float | None:
         """Discount 0 when every arm has left its limits, 1 when the time is up, else None."""

@@ -27,6 +27,7 @@ with warnings.catch_warnings():  # without a display, glfw complains although no
 # dm_control logs each warning of MuJoCo, which also ends the run or freezes the arm of a batch.
 logging.getLogger("absl").addFilter(lambda record: record.funcName != "_warning_callback")
 
+_INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION.value
 _EPISODE = ("actuation", "active", "limits", "_undisturbed", "_tau", "_received", "_disturbance",
             "_steps", "_intact", "_diverged_at", "_all_intact")  # fmt: skip
 
@@ -54,6 +55,7 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
             ArmParameters.from_model(model),
         )
         tip = model.sensor("tip_position").adr[0]
+        self._state_size = mujoco.mj_stateSize(model, _INTEGRATION)
         self._tip = data.ptr.sensordata[tip : tip + 3]
         self.actuation = GroundedActuation(self._undisturbed.width)
 
@@ -81,8 +83,9 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
 
     def reset(self, keyframe_id: int | None = None) -> None:
         """Back to the undisturbed model's defaults or a keyframe, with no input."""
-        super().reset(keyframe_id)
-        self._forget()
+        with self.exclusive.anew():
+            super().reset(keyframe_id)
+            self._forget()
 
     def step(self, nstep: int = 1) -> None:
         """Advances by `nstep` physics steps; see `AnyPhysics.step`.
@@ -90,14 +93,13 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
         Raises:
             PhysicsError: when MuJoCo reports a bad state; the state is never reset.
         """
-        try:
-            with self.check_invalid_state():
-                super().step(nstep)
-                if self._all_intact:
-                    mujoco.mj_step1(self.model.ptr, self.data.ptr)  # sensors of the new state
-        except control.PhysicsError as error:
-            self.freeze(True)
-            raise control.PhysicsError(f"{self._wildest()} most, {error}") from None
+        with self.exclusive:
+            intact = self._all_intact
+            super().step(nstep)
+            if self._all_intact:
+                mujoco.mj_step1(self.model.ptr, self.data.ptr)  # sensors of the new state
+            if intact and any(self._warnings.tolist()):
+                self._refuse_state()
 
     def _advance(self) -> None:
         mujoco.mj_step(self.model.ptr, self.data.ptr)
@@ -126,7 +128,20 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
 
     def integration_state(self) -> np.ndarray:
         """All that the next step depends on (mjSTATE_INTEGRATION), shape (k,)."""
-        return self.get_state(mujoco.mjtState.mjSTATE_INTEGRATION.value)
+        state = np.empty(self._state_size)
+        mujoco.mj_getState(self.model.ptr, self.data.ptr, state, _INTEGRATION)
+        return state
+
+    def _refuse_state(self) -> None:
+        """Raises PhysicsError because MuJoCo has counted warnings since the start."""
+        counts = self._warnings.copy()
+        self._warnings[:] = 0
+        try:
+            with self.check_invalid_state():
+                self._warnings[:] = counts
+        except control.PhysicsError as error:
+            self.freeze(True)
+            raise control.PhysicsError(f"{self._wildest()} most, {error}") from None
 
     def _wildest(self) -> str:
         """The coordinate that accelerates most; NaN counts as most."""

@@ -48,7 +48,7 @@ class Recorder:
         """
         self._hand_on, self._rows, self._fields, self._stride = hand_on, rows, fields, stride
         self._columns: dict[str, np.ndarray] = {}
-        self._instants = self._used = self.count = 0
+        self._instants = self._used = self._size = self.count = 0
         self.layer: np.ndarray | None = None
 
     def __call__(self, instant: Instant) -> None:
@@ -59,14 +59,15 @@ class Recorder:
             return
         row = self.row(instant)
         if not self._columns:
-            size = self._rows or max(1, NUMBERS_A_BLOCK // instant.q.size)
+            self._size = size = self._rows or max(1, NUMBERS_A_BLOCK // instant.q.size)
             self._columns = {name: _stacked(np.asarray(x), size) for name, x in row.items()}
             layer = instant.command.layer
             self.layer = None if layer is None else np.broadcast_to(layer, instant.q.shape)
+        place = self._used
         for name, column in self._columns.items():
-            column[self._used] = row[name]
-        self._used, self.count = self._used + 1, self.count + 1
-        if self._used == len(next(iter(self._columns.values()))):
+            column[place] = row[name]
+        self._used, self.count = place + 1, self.count + 1
+        if self._used == self._size:
             self.flush()
 
     def flush(self) -> None:
@@ -96,9 +97,11 @@ class Recorder:
             "force": instant.command.force,
             "disturbance": instant.disturbance,
         }
-        for name, signal in instant.command.signals.items():
-            self.add_field(row, name, signal)
-        fields = self._fields
+        signals, fields = instant.command.signals, self._fields
+        if not (signals.keys().isdisjoint(row) and signals.keys().isdisjoint(Ending._fields)):
+            for name, signal in signals.items():
+                self.add_field(row, name, signal)  # which refuses one of them
+        row.update(signals)
         return row if fields is None else {k: x for k, x in row.items() if k in fields}
 
     @staticmethod

@@ -7,8 +7,9 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from dm_control.rl import control
@@ -33,7 +34,7 @@ def simulate(
     duration: float,
     *observers: Observer,
 ) -> str:
-    """The simulation loop: one episode from the start, for one arm or a batch.
+    """The simulation loop: the environment's next episode, for one arm or a batch.
 
     The loop turns the controller's generalised force into the action with what it may know:
     tau = F(q measured)^-1 Q. It ends early when no arm is within its limits.
@@ -49,18 +50,33 @@ def simulate(
         `AnyPhysics.intact` and `AnyPhysics.diverged_at`.
 
     Raises:
-        OctarmError: if the duration is not positive, or the controller's force has a wrong shape.
+        OctarmError: if the duration is not positive, the controller's force has a wrong shape, or
+            something else moves the arms of this environment before the episode has ended.
     """
+    periods = whole_periods(duration, environment.control_timestep())
+    with environment.physics.exclusive.loop() as turn:
+        return _episode(environment, turn, controller, periods, observers)
+
+
+def _episode(
+    environment: control.Environment,
+    turn: contextlib.AbstractContextManager[None],
+    controller: Controller,
+    periods: int,
+    observers: Sequence[Observer],
+) -> str:
+    """See `simulate`; the arms can be moved within `with turn:` alone."""
     physics: AnyPhysics = environment.physics
     task: TrackingTask = environment.task
-    periods = whole_periods(duration, environment.control_timestep())
-    timestep = environment.reset()
+    with turn:
+        timestep = environment.reset()
     state = controller.initial_state(physics.batch_shape)
     message = ""
     for _ in range(periods):
-        seen = {name: _read_only(array) for name, array in timestep.observation.items()}
-        measurement = Measurement(task.time, seen["q"], seen["v"])
-        reference = Reference(seen["q_d"], seen["v_d"], seen["a_d"])
+        seen = timestep.observation
+        measurement = Measurement(task.time, _read_only(seen["q"]), _read_only(seen["v"]))
+        q_d, v_d, a_d = seen["q_d"], seen["v_d"], seen["a_d"]
+        reference = Reference(_read_only(q_d), _read_only(v_d), _read_only(a_d))
         with np.errstate(all="ignore"):  # what diverges is reported, not warned of
             command, state = controller(state, measurement, reference)
             message = _refusal(physics, command.force, measurement)
@@ -70,7 +86,8 @@ def simulate(
             disturbance = np.zeros_like(q)
         else:
             try:
-                timestep = environment.step(tau)
+                with turn:
+                    timestep = environment.step(tau)
             except control.PhysicsError as error:
                 message = physics.divergence() or f"diverged at t = {physics.time():.6g} s: {error}"
             tau = physics.tau()  # what a wrapper made of it
@@ -90,7 +107,7 @@ def rollout(
     *,
     progress: Callable[[], object] | None = None,
 ) -> Trajectory:
-    """Runs one episode of one arm from the start, and records it.
+    """Runs the next episode of one arm, and records it.
 
     Args:
         environment: what `octarm.load` returns, possibly wrapped.
@@ -103,15 +120,15 @@ def rollout(
         finite. Such a run ends there.
 
     Raises:
-        OctarmError: if the duration is not positive, the controller's force has a wrong shape, or
-            the environment holds a batch of arms.
+        OctarmError: if the duration is not positive, the controller's force has a wrong shape, the
+            environment holds a batch of arms, or something else moves the arm meanwhile.
     """
     blocks: list[Rows] = []
     recorder = ArmRecorder(environment, lambda rows: blocks.append(copied(rows)))
     ending = recorder.run(controller, duration, progress)
     if ending.status == "interrupted":
         raise KeyboardInterrupt
-    return joined(blocks, ending)
+    return dataclasses.replace(joined(blocks, ending), episode=environment.task.episode)
 
 
 class ArmRecorder(Recorder):
@@ -163,7 +180,7 @@ class ArmRecorder(Recorder):
         duration: float,
         progress: Callable[[], object] | None = None,
     ) -> Ending:
-        """Runs one episode from the start, as `rollout` does; to be called once.
+        """Runs the next episode, as `rollout` does; to be called once.
 
         An interrupt ends the run.
 
@@ -209,7 +226,7 @@ def _refusal(physics: AnyPhysics, force: np.ndarray, measurement: Measurement) -
             f"{measurement.q.shape}"
         )
     usable: np.ndarray = np.abs(force) <= _LARGEST_FORCE
-    if usable.all():
+    if np.count_nonzero(usable) == usable.size:
         return ""
     physics.freeze(~np.all(usable, axis=-1))
     if physics.batch_shape:

@@ -4,12 +4,14 @@ There are two classes because a physics step of a batch of one arm takes three t
 of an arm alone, which dm_control can draw besides.
 """
 # pyright: reportAttributeAccessIssue=false, reportIncompatibleMethodOverride=false
+# pyright: reportUnknownMemberType=false
 # (mujoco ships no type stubs, dm_control few annotations)
 
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Generator
 
 import mujoco
 import numpy as np
@@ -22,6 +24,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Coordinates, planar_coordinates
 from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Plant
+from octarm.simulation.exclusive import Exclusive
 
 
 class AnyPhysics(control.Physics):
@@ -38,6 +41,7 @@ class AnyPhysics(control.Physics):
         limits: beyond which an arm has diverged.
         active: the disturbances of this episode; None before the first one.
         watch: called when an episode begins, and after every physics step.
+        exclusive: by which `reset`, `set_control` and `step` refuse a second user.
     """
 
     batch_shape: tuple[int, ...] = ()
@@ -46,6 +50,7 @@ class AnyPhysics(control.Physics):
     limits: Limits
     active: ActiveDisturbances | None = None
     watch: Callable[[AnyPhysics], object] | None = None
+    exclusive: Exclusive
 
     def _attach(
         self,
@@ -76,6 +81,7 @@ class AnyPhysics(control.Physics):
         self._rest = self._alike(rest_of(model))
         self._zero = np.zeros_like(self._rest)
         self._zero.setflags(write=False)
+        self.exclusive = Exclusive()
         self._forget()
 
     @abc.abstractmethod
@@ -130,6 +136,10 @@ class AnyPhysics(control.Physics):
         """Which arms are still within their limits, shape (...) of bool."""
         return self._intact.copy()
 
+    def all_intact(self) -> bool:
+        """Whether every arm is still within its limits."""
+        return self._all_intact
+
     def all_lost(self) -> bool:
         """Whether no arm is within its limits any more."""
         return not (self._all_intact or self._intact.any())
@@ -157,7 +167,14 @@ class AnyPhysics(control.Physics):
 
     def set_control(self, control: np.ndarray) -> None:
         """Holds the input forces tau, shape (..., 2N) [N], until the next call."""
-        self._tau = np.array(control, dtype=np.float64)
+        with self.exclusive:
+            self._tau = np.array(control, dtype=np.float64)
+
+    @contextlib.contextmanager
+    def reset_context(self) -> Generator[AnyPhysics]:
+        """Around the start of an episode; see dm_control's Physics."""
+        with self.exclusive.anew(), super().reset_context():
+            yield self
 
     def begin(self, active: ActiveDisturbances) -> None:
         """Starts an episode under these disturbances, the arms standing where they were placed."""

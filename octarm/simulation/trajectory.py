@@ -64,6 +64,8 @@ class Trajectory:
         status: `ok`, or `diverged` or `interrupted` when the run ended before its time.
         message: one sentence on how such a run ended; empty otherwise.
         digest: SHA-256 over MuJoCo's integration state at every control instant.
+        episode: which one of the environment's episodes it was, from 0, see `octarm.load`; None
+            when it was read from a file.
 
     Raises:
         OctarmError: if lengths or shapes differ, or a signal has the name of another field.
@@ -82,6 +84,7 @@ class Trajectory:
     status: Status = "ok"
     message: str = ""
     digest: str = ""
+    episode: int | None = None
 
     def __post_init__(self) -> None:
         for name in self.signals:

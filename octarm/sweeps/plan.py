@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import qmc
 
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.fields import Amount, Quantity, field_kinds
@@ -148,8 +147,12 @@ class Plan:
         """
         spec = self.spec
         sobol = [axis for axis in spec.random if axis.method == "sobol"]
-        points = qmc.Sobol(max(1, len(sobol)), scramble=False)
-        spread = points.random_base2((spec.episodes - 1).bit_length())
+        spread = np.empty(0)
+        if sobol:
+            from scipy.stats import qmc  # takes half a second to import
+
+            points = qmc.Sobol(len(sobol), scramble=False)
+            spread = points.random_base2((spec.episodes - 1).bit_length())
         drawn: dict[str, np.ndarray] = {}
         for axis in spec.random:
             draw = stream(np.random.SeedSequence(spec.seed), f"axis {axis.name}")
