@@ -81,9 +81,9 @@ def sentence_of(error: OSError) -> str:
     return f"{error.filename or 'standard output'}: {error.strerror}"
 
 
-def closest(word: str, known: Iterable[str]) -> str:
+def closest(word: object, known: Iterable[str]) -> str:
     """The end of an error sentence: what a misspelt word may have meant, and all known ones."""
-    known = list(known)
-    match = difflib.get_close_matches(word, known, n=1) if len(word) < _LONGEST_GUESS else []
+    known, text = list(known), str(word)[:_LONGEST_GUESS]
+    match = difflib.get_close_matches(text, known, n=1)
     meant = f", did you mean {quoted(match[0])}?" if match else ";"
     return f"{meant} known are {', '.join(known)}"

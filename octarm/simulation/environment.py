@@ -21,8 +21,9 @@ from octarm.arrays import split
 from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Disturbance, Episode
 from octarm.errors import OctarmError, closest, quoted
-from octarm.interfaces import Motion, Reference
-from octarm.references import named_reference
+from octarm.interfaces import Motion
+from octarm.references import named_reference, wanted
+from octarm.simulation.arguments import check_load, whole_number
 from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.physics import ArmPhysics
 from octarm.simulation.stepping import AnyPhysics
@@ -79,7 +80,11 @@ def load(
         OctarmError: for an unknown name, a period that is not a whole multiple of the step, or an
             arm that does not hang within its limits.
     """
-    if actuation not in ACTUATIONS:
+    times = {"timestep": timestep, "control_period": control_period, "duration": duration}
+    check_load(reference, disturbances, parameters, seed, **times)
+    batch = None if batch is None else whole_number("batch", batch, 1)
+    threads = whole_number("threads", threads, 1)
+    if actuation not in [*ACTUATIONS]:
         raise OctarmError(f"unknown actuation {quoted(actuation)}{closest(actuation, ACTUATIONS)}")
     true = nominal_parameters() if parameters is None else parameters
     if true.batch_shape not in ((), () if batch is None else (batch,)):
@@ -101,6 +106,7 @@ def load(
     if isinstance(motion, str):  # one for all arms that hang alike
         rest = physics.hanging()
         motion = named_reference(motion, rest if true.batch_shape else rest[*[0] * (rest.ndim - 1)])
+    wanted(motion, 0.0, physics.q().shape)  # before it is used
     limit = None if duration is None else whole_periods(duration, steps_a_period * step)
     episode = Episode(
         parameters=true,
@@ -197,7 +203,8 @@ class TrackingTask(control.Task):
         self._period = period
         self._episode_periods = episode_periods
         self._periods = 0
-        self._desired = self.reference(0.0)
+        self._shape = (*episode.batch_shape, episode.coordinates)
+        self._desired = wanted(self.reference, 0.0, self._shape)
 
     @property
     def time(self) -> float:
@@ -216,7 +223,9 @@ class TrackingTask(control.Task):
             index = -1
         if index < 0:
             given = self.next_episode
-            raise OctarmError(f"next_episode is {quoted(given)}; it must be a whole number, at least 0")
+            raise OctarmError(
+                f"next_episode is {quoted(given)}; it must be a whole number, at least 0"
+            )
         episode = self._first.later(index)
         self._start_at(0)
         self.random = episode.streams("wrappers")[0]
@@ -278,7 +287,7 @@ class TrackingTask(control.Task):
 
     def _start_at(self, periods: int) -> None:
         self._periods = periods
-        self._desired: Reference = self.reference(self.time)
+        self._desired = wanted(self.reference, self.time, self._shape)
 
 
 def _whole_steps(period: float, step: float) -> int:

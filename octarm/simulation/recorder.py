@@ -64,8 +64,16 @@ class Recorder:
             layer = instant.command.layer
             self.layer = None if layer is None else np.broadcast_to(layer, instant.q.shape)
         place = self._used
-        for name, column in self._columns.items():
-            column[place] = row[name]
+        name = ""
+        try:
+            for name, column in self._columns.items():
+                column[place] = row[name]
+        except (KeyError, TypeError, ValueError):
+            kind = quoted(row.get(name, "absent"))
+            raise OctarmError(
+                f"the controller's signal {quoted(name)} is {kind} at t = {instant.measurement.t:g}"
+                " s; it must be there at every instant and keep its shape"
+            ) from None
         self._used, self.count = place + 1, self.count + 1
         if self._used == self._size:
             self.flush()
