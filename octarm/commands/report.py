@@ -9,6 +9,7 @@ from pathlib import Path
 
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import whole_file, write_text
+from octarm.formats import read_toml
 from octarm.reports.charts import pictures
 from octarm.reports.comparisons import TABLES, Comparisons, compare, tables
 from octarm.reports.consistency import Remark, remarks
@@ -32,7 +33,7 @@ def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Pat
     files = tables(numbers)
     source = Source(
         name=sweep.resolve().name,
-        spec=(sweep / SPEC).read_text(encoding="utf-8"),
+        spec=read_toml(sweep / SPEC).text,
         commands=_commands(sweep, baseline, metrics, out),
         files=list(files),
     )
