@@ -1,7 +1,7 @@
 """The report on a sweep: its numbers, its doubts, its page."""
 
 import csv
-import hashlib
+import dataclasses
 import html.parser
 import json
 import re
@@ -22,7 +22,6 @@ from controllers import make_controller
 from octarm.arrays import coordinate_names, coordinate_units
 from octarm.commands.cli import main
 from octarm.errors import ExitCode
-from octarm.formats import FORMAT
 from octarm.metrics.table import METRICS
 from octarm.metrics.table import columns as metric_columns
 from octarm.reports.charts import pictures
@@ -31,13 +30,15 @@ from octarm.reports.consistency import remarks
 from octarm.reports.figures import COLORS, inline_svg
 from octarm.reports.frame import read_episodes
 from octarm.reports.page import number
+from octarm.sweeps.plan import Plan
+from octarm.sweeps.spec import Axis, SweepSpec
 from octarm.sweeps.spec_file import parse_spec
-from octarm.sweeps.store import shard_bytes
+from octarm.sweeps.store import SweepFolder, read_manifest
 
 HOSTILE = '<script>alert("&")</script>'
 NOISES, MISMATCHES, SEEDS = (0.0, 0.2, 0.4), (-0.3, 0.3), 6
 FACTOR = {"plain": 2.0, "better": 1.0, HOSTILE: 3.0}
-PIECE = 40  # rows of a shard
+PIECE = 18  # rows of a shard
 
 
 def columns(controllers=tuple(FACTOR), seeds=SEEDS) -> dict[str, np.ndarray]:
@@ -80,37 +81,31 @@ def columns(controllers=tuple(FACTOR), seeds=SEEDS) -> dict[str, np.ndarray]:
     }
 
 
-def write_sweep(folder: Path, table: dict[str, np.ndarray], **changes) -> Path:
-    """A folder as `octarm sweep` leaves it."""
-    (folder / "episodes").mkdir(parents=True)
-    names = list(dict.fromkeys(table["controller"].tolist()))
-    spec = {
-        "seed": 0,
-        "episodes": int(table["seed"].max()) + 1,
-        "duration": 4.0,
-        "grid.controller": names,
-        "grid.reference": ["sine"],
-        "grid.mismatch": list(MISMATCHES),
-        "grid.noise": list(NOISES),
+def spec_of(
+    table: dict[str, np.ndarray], duration: float = 4.0, random: tuple[Axis, ...] = ()
+) -> SweepSpec:
+    """The spec of a table like that of `columns`."""
+    values = {
+        name: tuple(dict.fromkeys(table[name].tolist()))
+        for name in ("controller", "reference", "mismatch", "noise")
     }
-    n = len(table["episode"])
-    shards = [
-        {"file": f"episodes/{i:05d}.parquet", "first": i, "episodes": min(PIECE, n - i)}
-        for i in range(0, n, PIECE)
-    ]
-    start = {"time": "2026-01-01", "versions": {"numpy": "2"}, "host": {"cpu": "x", "cores": 2}}
-    manifest = {
-        "format": FORMAT,
-        "spec": spec,
-        "spec_hash": "abc",
-        "episodes": n,
-        "gains": {name: {"K": 1.0} for name in names},
-        "starts": [start],
-        "shards": shards,
-    }
-    for key, value in changes.items():
-        (spec if key in spec or "." in key else manifest)[key] = value
-    (folder / "spec.toml").write_text(f"# {HOSTILE}\nseed = 0\n")
+    axes = [Axis(name=name, values=values[name]) for name in ("controller", "reference")]
+    axes += [Axis(name="mismatch", values=values["mismatch"])]
+    axes += [Axis(name="noise", values=values["noise"], disturbance="noise", field="ratio")]
+    spec = SweepSpec(
+        axes=tuple(axes),
+        random=random,
+        episodes=int(table["seed"].max()) + 1,
+        duration=duration,
+        batch=PIECE,
+    )
+    return dataclasses.replace(spec, text=f"# {HOSTILE}\n{spec.to_toml()}")
+
+
+def write_sweep(folder: Path, table: dict[str, np.ndarray], **settings) -> Path:
+    """A folder as `octarm sweep` leaves it; settings are those of `spec_of`."""
+    plan = Plan(spec_of(table, **settings))
+    table = {**table, "episode": np.arange(plan.episodes)}
     known = metric_columns(coordinate_names(3), coordinate_units(3))
     metadata = {column.name: column.metadata for column in known}
     fields = []
@@ -119,12 +114,15 @@ def write_sweep(folder: Path, table: dict[str, np.ndarray], **changes) -> Path:
         missing = np.isnan(column) if column.dtype.kind == "f" else None
         arrays.append(pa.array(column, mask=missing))
         fields.append(pa.field(name, arrays[-1].type, metadata=metadata.get(name)))
-    whole = pa.table(arrays, pa.schema(fields))
-    for shard in shards:
-        rows = whole.slice(shard["first"], shard["episodes"])
-        content = shard_bytes(rows)
-        (folder / shard["file"]).write_bytes(content)
-        shard["sha256"] = hashlib.sha256(content).hexdigest()
+    whole = pa.table(arrays, pa.schema(fields, {"gains": json.dumps({"K": 1.0})}))
+    sweep = SweepFolder(folder, plan)
+    with sweep.locked():
+        sweep.begin({name: {"K": 1.0} for name in plan.spec.controllers})
+        for i, episodes in enumerate(plan.shards):
+            sweep.write(i, whole.slice(episodes.start, len(episodes)))
+    manifest = read_manifest(folder)
+    host = {"cpu": "x", "cores": 2}
+    manifest["starts"] = [{"time": "2026-01-01", "versions": {"numpy": "2"}, "host": host}]
     (folder / "manifest.json").write_text(json.dumps(manifest))
     return folder
 
@@ -244,9 +242,12 @@ def test_signed_measures_are_compared_by_size(known):
 
 def test_a_drawn_axis_is_cut_into_ranges(tmp_path):
     table = columns(seeds=12)
-    drawn = np.random.default_rng(1).uniform(0.0, 0.5, 12)
+    axis = Axis(
+        name="payload", values=(0.0, 0.5), method="uniform", disturbance="payload", field="mass"
+    )
+    drawn = Plan(spec_of(table, random=(axis,))).values(np.arange(12))["payload"]
     table["payload"] = drawn[table["seed"]]
-    folder = write_sweep(tmp_path / "s", table, **{"random.payload": [0.0, 0.5, "uniform"]})
+    folder = write_sweep(tmp_path / "s", table, random=(axis,))
     (payload,) = (axis for axis in read_episodes(folder).factors if axis.name == "payload")
     assert payload.unit == "kg" and len(payload.labels) == 3
     order = np.argsort(drawn)
@@ -319,14 +320,14 @@ def test_an_unfinished_sweep_of_mixed_versions_is_told(tmp_path):
     manifest = json.loads((folder / "manifest.json").read_text())
     manifest["starts"].append({**manifest["starts"][0], "versions": {"numpy": "3"}})
     (folder / "manifest.json").write_text(json.dumps(manifest))
-    for shard in manifest["shards"][1:]:
+    for shard in manifest["shards"][3:]:
         (folder / shard["file"]).unlink()
     text = told(folder)
-    assert f"1 The sweep is not finished: {PIECE} of 108 episodes are there" in text
+    assert "1 The sweep is not finished: 54 of 108 episodes are there" in text
     assert f"1 No episode of {HOSTILE} is finished" in text
     assert "1 Parts of the sweep ran with different numpy: 2 and 3" in text
     entry = compare(read_episodes(folder), "plain").of(None)[1]
-    assert entry.difference is not None and entry.difference.pairs == PIECE - 36
+    assert entry.difference is not None and entry.difference.pairs == 18
     other = compare(read_episodes(folder), HOSTILE).of(None)[0].difference
     assert other is not None and (other.pairs, other.unpaired) == (0, 36)
 
@@ -335,6 +336,32 @@ def test_a_controller_that_always_diverges_is_told(tmp_path):
     table = columns()
     diverge(table, table["controller"] == "better")
     assert "1 All episodes diverged of better." in told(write_sweep(tmp_path / "s", table))
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_none_finished_is_not_all_diverged(tmp_path, capsys, lost):
+    """Of better half of the episodes are finished, of the last controller none."""
+    table = columns()
+    diverge(table, (table["controller"] == "better") & lost)
+    folder = write_sweep(tmp_path / "s", table)
+    for i in (3, 4, 5):
+        (folder / f"episodes/0000{i}.parquet").unlink()
+    text = told(folder)
+    assert f"No episode of {HOSTILE} is finished." in text
+    assert "54 of 108 episodes are there" in text
+    assert ("All finished episodes diverged of better: 18 of 36 planned." in text) == lost
+    assert "All episodes diverged" not in text
+    status = " that did not diverge" if lost else ""
+    assert f"No finished episode{status} has a value of chattering, overshoot_theta2" in text
+    assert main(["report", str(folder)]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"^<script>.* 0 +0 +none finished$", out, re.MULTILINE)
+    body = "".join(ET.fromstring((folder / "report/report.html").read_text()).itertext())
+    assert "54 of 108 episodes of 4 s" in body
+    assert body.count("none finished") >= 2
+    assert "Median over all finished episodes" in body
+    assert "Empty where no finished episode" in body
+    assert "nan" not in out
 
 
 # --- the page --------------------------------------------------------------------------------
@@ -406,7 +433,7 @@ def test_figures_have_room_for_many_controllers_and_show_failures(tmp_path):
     table = columns(names, seeds=2)
     table = {name: column[table["mismatch"] > 0.0] for name, column in table.items()}
     diverge(table, table["seed"] == 1)
-    folder = write_sweep(tmp_path / "s", table, **{"grid.mismatch": [0.3]})
+    folder = write_sweep(tmp_path / "s", table)
     found = {p.name: p for p in pictures(compare(read_episodes(folder, ["tip_rms_error"])))}
     assert list(found) == ["degradation-noise", "distributions", "failures"]
     assert f"{names[3]}, 3 diverged" in found["distributions"].svg

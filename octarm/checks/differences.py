@@ -5,12 +5,13 @@ from __future__ import annotations
 import abc
 import dataclasses
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, cast
 
 from octarm.errors import printable, quoted
 
 _LISTED = 12  # differences that are printed
+ABSENT = "absent"  # instead of a value that is missing
 _HARMLESS = ("name", "cores")  # of a machine; no result depends on them
 
 
@@ -22,34 +23,47 @@ class Difference(NamedTuple):
     now: Any
 
 
-def compare(was: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[Difference]:
-    """Entries of `was` that `now` lacks or has with another value, down to single numbers.
+def compare(
+    was: Mapping[str, Any], now: Mapping[str, Any], may_differ: Collection[str] = ()
+) -> Iterator[Difference]:
+    """Entries that only one of them has, or that have another value, down to single numbers.
 
-    What only `now` has is no difference: later versions write more down. Numbers are the same when
-    all their bits are.
+    Numbers are the same when all their bits are. What is missing on one side is `absent` there.
 
     Args:
         was: content of a JSON file.
         now: the same, or what would become of it in JSON.
+        may_differ: keys below which numbers and words may differ; what there is may not.
     """
-    return _compare("", dict(was), json.loads(json.dumps(now)))
+    yield from _compare_tables("", was, json.loads(json.dumps(now)), may_differ)
 
 
-def _compare(key: str, was: Any, now: Any) -> Iterator[Difference]:
+def _compare_tables(
+    key: str, was: Mapping[str, Any], now: Mapping[str, Any], may_differ: Collection[str]
+) -> Iterator[Difference]:
+    for name in dict.fromkeys((*was, *now)):
+        place = f"{key}.{name}".lstrip(".")
+        if name in was and name in now:
+            yield from _compare(place, was[name], now[name], name in may_differ)
+        else:
+            yield Difference(place, was.get(name, ABSENT), now.get(name, ABSENT))
+
+
+def _compare(key: str, was: Any, now: Any, free: bool) -> Iterator[Difference]:
     kinds: set[object] = {type(was), type(now)}
     if kinds == {dict}:
-        for name, value in was.items():
-            yield from _compare(f"{key}.{name}".lstrip("."), value, now.get(name, "absent"))
+        yield from _compare_tables(key, was, now, was if free else ())
     elif kinds == {list} and len(was) == len(now):
         for i, pair in enumerate(zip(was, now, strict=True)):
-            yield from _compare(f"{key}[{i}]", *pair)
-    elif repr(was) != repr(now):  # tells 0.0 from -0.0
+            yield from _compare(f"{key}[{i}]", *pair, free)
+    elif kinds & {dict, list} or not (free or repr(was) == repr(now)):  # tells 0.0 from -0.0
         yield Difference(key, was, now)
 
 
 def origin(description: Mapping[str, Any]) -> dict[str, str]:
     """Versions and properties of the machine by name, from the tables `versions` and `host`."""
-    tables: list[Mapping[str, Any]] = [description.get(key) or {} for key in ("versions", "host")]
+    given = (description.get(key) for key in ("versions", "host"))
+    tables = [cast(dict[str, Any], table) for table in given if isinstance(table, dict)]
     return {key: str(value) for table in tables for key, value in table.items()}
 
 

@@ -3,61 +3,55 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from octarm.checks.differences import Comparison, Difference, compare, listed, origin
+from octarm.checks.run_files import (
+    Deviation,
+    checksum_differences,
+    deviations,
+    form_differences,
+    recording_differences,
+    saved_arrays,
+    stored_arrays,
+)
 from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, perform
-from octarm.simulation.trajectory import Trajectory
+from octarm.simulation.trajectory import Ending
 
-_INPUTS = ("controller", "parameters", "nominal", "reference", "timestep", "control_period")
-_RESULTS = ("disturbances", "metrics", "status", "message")
+_RESULTS = ("disturbances", "metrics", "status", "message", "digest")
 
-
-class Deviation(NamedTuple):
-    """Where an array of `run.npz` and that of the re-run first have other bits.
-
-    Attributes:
-        array: name.
-        row: number of the control instant.
-        t: its time [s].
-        place: which number of the row.
-        was: the number in `run.npz`.
-        now: that of the re-run.
-        largest: largest difference of all their numbers.
-    """
-
-    array: str
-    row: int
-    t: float
-    place: str
-    was: float
-    now: float
-    largest: float
+# All that may differ: versions and machine, which are named instead; the command, which the
+# SHA-256 of run.json covers; and what depends on where within a period a run was interrupted.
+_MAY_DIFFER = (*runs.NAMED, "command")
+_OF_INTERRUPTED = ("disturbances", "message")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunCheck(Comparison):
     """A run folder beside a re-run of what its `run.json` says.
 
-    Differences are those of `run.json`, and of names and lengths of arrays; those of results only
-    when no array deviates.
+    Differences are those of `run.json`, of the form of arrays, of checksums and of files; those of
+    results only when no array deviates, and those of the recording when nothing else differs.
 
     Attributes:
         rows: number of control instants in `run.npz`.
         arrays: number of arrays there.
+        recorded: whether there is a recording.
         deviations: of its arrays, the earliest first.
         digests: those that `run.json` and `run.npz` state, and that of the re-run.
     """
 
     rows: int
     arrays: int
+    recorded: bool
     deviations: tuple[Deviation, ...]
     digests: tuple[str, str, str]
 
@@ -67,9 +61,14 @@ class RunCheck(Comparison):
 
     def lines(self) -> list[str]:  # noqa: D102
         if self.identical:
-            same = f"{self.rows} control instants, {self.arrays} arrays and the digest"
+            recording = ", the recording" if self.recorded else ""
+            same = f"{self.rows} control instants, {self.arrays} arrays{recording} and run.json"
             return [f"identical: {same}, bit for bit", *self.harmless_changes()]
         lines = [f"different, although q and v are the same at all {self.rows} control instants"]
+        if {"rows", *(f"{x} of {a}" for x in ("type", "shape") for a in "qv")} & {
+            d.key for d in self.differences
+        }:
+            lines = ["different"]
         for d in [d for d in self.deviations if d.array in ("q", "v")][:1]:
             begin = f"different from t = {d.t:.9g} s on, control instant {d.row} of {self.rows}"
             lines = [f"{begin}: {d.array} of {d.place} was {d.was!r} and is {d.now!r}"]
@@ -89,7 +88,7 @@ class RunCheck(Comparison):
             return "the re-run has the digest that run.json states: run.npz was changed"
         if now == stated:
             return (
-                "the motion came out again: run.json was changed, or this version measures "
+                "the motion came out again: the files were changed, or this version writes "
                 "something else"
             )
         if now == kept and not self.deviations:
@@ -104,7 +103,7 @@ class RunCheck(Comparison):
 def check_run(
     folder: Path, factory: ControllerFactory, progress: Callable[[], object] | None = None
 ) -> RunCheck:
-    """Runs again what `run.json` of a run folder says, and compares.
+    """Runs again what `run.json` of a run folder says, and compares all that the folder holds.
 
     A run that diverged or was interrupted is repeated up to where it ended.
 
@@ -115,80 +114,74 @@ def check_run(
 
     Raises:
         OctarmError: if the folder holds no complete run, or one that cannot be made again.
+        KeyboardInterrupt: if interrupted.
     """
     description = runs.read_description(folder)
-    stored = _stored(folder, description)
-    interrupted = stored.status == "interrupted"
+    was = _stored(folder, description)
+    interrupted = "status" in was and str(was["status"]) == "interrupted"
     try:
         experiment = Experiment.from_description(description)
-        if interrupted:
-            length = len(stored) * float(description["control_period"])
-            experiment = dataclasses.replace(experiment, duration=length)
         environment, controller = experiment.begin(factory)
     except ValueError as error:
         raise OctarmError(f"{folder} cannot be run again: {error}") from None
     announced = experiment.announcement(environment, controller)
+    if interrupted:
+        progress = _interrupting(len(was["t"]), progress)
     again, described = perform(environment, controller, announced, progress=progress)
-    names = environment.physics.coordinates.names
-    deviations = tuple(sorted(_deviations(stored, again, names), key=lambda d: d.row))
-    keys = [*_INPUTS]
-    if not deviations:  # what was measured of another motion is another one anyway
-        keys += ["metrics"] if interrupted else _RESULTS
-    known = {key: description[key] for key in keys if key in description}
+    if again.status == "interrupted" and not (interrupted and len(again) == len(was["t"])):
+        raise KeyboardInterrupt
+    now, written = saved_arrays(again), runs.written(described)
+    form = [*form_differences(was, now)]
+    found = deviations(was, now, environment.physics.coordinates.names)
+    stated = {key: value for key, value in description.items() if key != runs.SUMS}
+    if found:  # what was measured of another motion is another one anyway
+        form = [d for d in form if d.key != f"digest in {runs.ARRAYS}"]
+        stated |= {key: written[key] for key in _RESULTS if key in stated}
+    may_differ = (*_MAY_DIFFER, *(_OF_INTERRUPTED if interrupted else ()))
+    entries = [*compare(stated, written, may_differ)]
+    sums = _unexplained(checksum_differences(folder, description), entries, [*form, *found])
+    recording = folder / runs.RECORDING
+    if recording.is_file() and not (entries or form or found or sums):
+        as_then = written | {key: description[key] for key in may_differ}
+        sums = [*recording_differences(recording, again, as_then)]
     return RunCheck(
-        rows=len(stored),
-        arrays=len(list(stored.arrays())),
-        deviations=deviations,
-        differences=(*_form(stored, again), *compare(known, described)),
-        digests=(str(description.get("digest")), stored.digest, again.digest),
+        rows=len(was["t"]),
+        arrays=len(was.keys() - Ending._fields),
+        recorded=recording.is_file(),
+        deviations=tuple(found),
+        differences=(*form, *entries, *sums),
+        digests=(str(description.get("digest")), str(was.get("digest")), again.digest),
         then=origin(description),
         now=origin(described),
     )
 
 
-def _stored(folder: Path, description: Mapping[str, Any]) -> Trajectory:
+def _stored(folder: Path, description: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """The arrays of a run; an OctarmError if there are none."""
     file = folder / runs.ARRAYS
     if not file.is_file():
         killed = description.get("status") == runs.RUNNING
         why = "it is still going on or was killed" if killed else "it is incomplete"
         raise OctarmError(f"{folder} has no {runs.ARRAYS} to compare with: {why}")
-    stored = Trajectory.load(file)
-    if not len(stored):
-        raise OctarmError(f"{file} holds no rows")
-    return stored
+    return stored_arrays(file)
 
 
-def _deviations(stored: Trajectory, again: Trajectory, names: Sequence[str]) -> Iterator[Deviation]:
-    """Of all arrays that both have in the same form, as far as both reach."""
-    others, rows = dict(again.arrays()), min(len(stored), len(again))
-    for name, array in stored.arrays():
-        other = others.get(name)
-        if other is None or other.shape[1:] != array.shape[1:]:
-            continue
-        was, now = (np.ascontiguousarray(x[:rows]) for x in (array, other))
-        differs = was.view(np.uint64) != now.view(np.uint64)
-        if not differs.any():
-            continue
-        row, *place = here = tuple(int(i) for i in np.argwhere(differs)[0])
-        words = ", ".join(map(str, place)) or "-"
-        if array.shape[1:] == (len(names),):
-            words = f"tau{place[0] + 1}" if name == "tau" else names[place[0]]
-        with np.errstate(all="ignore"):
-            largest = float(np.max(np.abs(was - now)[differs]))
-        numbers = float(was[here]), float(now[here])
-        yield Deviation(name, row, float(again.t[row]), words, *numbers, largest)
+def _interrupting(rows: int, progress: Callable[[], object] | None) -> Callable[[], object]:
+    """A `progress` that interrupts the run after so many rows."""
+    count = itertools.count(1)
+
+    def step() -> None:
+        if progress is not None:
+            progress()
+        if next(count) == rows:
+            raise KeyboardInterrupt
+
+    return step
 
 
-def _form(stored: Trajectory, again: Trajectory) -> Iterator[Difference]:
-    """Names, shapes and lengths of the arrays that are not the same, and the boundary layer."""
-    if len(stored) != len(again):
-        yield Difference("rows", len(stored), len(again))
-    was, now = ({name: a.shape[1:] for name, a in run.arrays()} for run in (stored, again))
-    for name in dict.fromkeys((*was, *now)):
-        if was.get(name) != now.get(name):
-            shapes = (shape.get(name, "absent") for shape in (was, now))
-            yield Difference(f"shape of {name}", *shapes)
-    layers = [None if run.layer is None else run.layer.tolist() for run in (stored, again)]
-    if layers[0] != layers[1]:
-        yield Difference("layer", *layers)
+def _unexplained(
+    sums: Sequence[Difference], entries: Sequence[object], arrays: Sequence[object]
+) -> list[Difference]:
+    """The differing checksums but those of files of which it is known already what differs."""
+    known = {runs.DESCRIPTION: entries or arrays, runs.ARRAYS: arrays}
+    return [d for d in sums if not known.get(d.key.removeprefix(f"{runs.SUMS}."))]

@@ -41,7 +41,7 @@ class EpisodeCheck(Comparison):
 
     @property
     def identical(self) -> bool:  # noqa: D102
-        return self.between is None and not self.differences
+        return self.between is None and not self.differences and not self.gains
 
     def lines(self) -> list[str]:  # noqa: D102
         head = f"episode {self.episode} ({self.label})"
@@ -75,14 +75,13 @@ def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory
     arms = sweep.plan.episode(episode)
     (again,) = run_arms(sweep.plan, arms, factory).to_pylist()
     was, now = (values.pop("checkpoints") for values in (stored, again))
-    del stored["wall_time"]
     controller = sweep.plan.spec.controller(arms.controller, nominal_parameters(), factory)
     gains = runs.gains_of(controller)
     return EpisodeCheck(
         episode=episode,
         label=_label(sweep.plan, episode),
         between=first_difference(was, now, sweep.plan.spec.duration),
-        differences=tuple(compare(stored, again)),
+        differences=tuple(compare(stored, again, ["wall_time"])),
         gains=tuple(compare(sweep.gains.get(arms.controller, {}), gains)),
         recorded=next(iter((sweep.path / RECORDED).glob(f"{episode}-*")), None),
         then=origin(origin_of(row)),

@@ -52,9 +52,10 @@ def verify(
 ) -> Work:
     """Run again what a folder says was run, and compare every bit.
 
-    Of a run folder, all arrays at all control instants and the digest of the states; of a sweep,
-    episodes run alone, their digests and measures. Reports where they first differ, and versions
-    and machine of both sides. Exit code 1 if they do.
+    Of a run folder, run.json, all arrays at all control instants, and the recording; of a sweep,
+    its files, and episodes run alone, their digests and measures. Reports what is missing, what is
+    there in addition, where numbers first differ, and versions and machine of both sides, which
+    alone may differ. Exit code 1 if anything else does.
 
     Args:
         runs: run folders, or sweep folders

@@ -18,6 +18,8 @@ def record(run: Path, out: Path | None) -> int:
     trajectory, description = rows_of(run)
     target = out or run / runs.RECORDING
     write_recording(target, trajectory, description)
+    if target.resolve() == (run / runs.RECORDING).resolve():
+        runs.note_recording(run)
     print(f"wrote {printable(str(target))}")
     return ExitCode.FINE
 

@@ -10,6 +10,8 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import make_controller
+from octarm.checks.differences import listed
+from octarm.checks.sweep_files import sweep_differences
 from octarm.checks.verify import check_run
 from octarm.checks.verify_episode import check_episode
 from octarm.errors import ExitCode, OctarmError, printable
@@ -45,12 +47,15 @@ def _run(folder: Path) -> bool:
 
 
 def _sweep(folder: Path, named: Sequence[int], sample: int | None) -> bool:
-    """Whether episodes of a sweep come out again alone; says so, one by one."""
+    """Whether a sweep's files are as written, and episodes come out again alone; says so."""
     sweep = FinishedSweep(folder)
     episodes = _selected(sweep, named, sample)
     for episode in episodes:
         sweep.row(episode)  # raises before the work rather than after
-    identical = True
+    changed = sweep_differences(sweep, make_controller)
+    if changed:
+        _print_lines(folder, ["the files are not those of this sweep", *listed(changed, "entry")])
+    identical = not changed
     with tqdm(episodes, unit=" episodes", disable=None, leave=False) as bar:
         for episode in bar:
             check = check_episode(sweep, episode, make_controller)

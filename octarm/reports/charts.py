@@ -15,8 +15,8 @@ from octarm.reports.frame import Episodes, Factor
 
 _MOST_MAPS = 6
 _BOXES = (
-    "All episodes of each controller: the box holds the middle half, the line in it is the median, "
-    "whiskers reach to the 5th and the 95th percentile, points are the extremes."
+    "the box holds the middle half, the line in it is the median, whiskers reach to the 5th and "
+    "the 95th percentile, points are the extremes."
 )
 
 
@@ -50,21 +50,28 @@ def pictures(comparisons: Comparisons) -> Iterator[Picture]:
     """All charts of a report."""
     episodes = comparisons.episodes
     diverged = bool(episodes.diverged.any())
+    unfinished = len(episodes.seed) < episodes.planned
+    which = "all finished episodes" if unfinished else "all episodes"
     with figures.figure_style():
         for factor in episodes.factors:
-            caption = f"Median over all episodes at each {factor.name}, with its 95 % interval."
+            caption = f"Median over {which} at each {factor.name}, with its 95 % interval."
             if diverged:
                 caption += " A curve ends where half of the episodes diverge."
+            if unfinished:
+                caption += " It has a gap where no episode is finished."
             name = f"degradation-{factor.name}"
             yield figures.save_figure(name, caption, _degradation(comparisons, factor))
         more = " Episodes that diverged lie beyond the end of the axis." if diverged else ""
-        yield figures.save_figure("distributions", _BOXES + more, _boxes(comparisons))
+        caption = f"{which.capitalize()} of each controller: {_BOXES}{more}"
+        yield figures.save_figure("distributions", caption, _boxes(comparisons))
         for cells in comparisons.cells[:_MOST_MAPS]:
             title = scales_of(episodes)[0].title
             caption = (
                 f"Median {title} over {cells.first.name} and {cells.second.name}; "
                 "∞ where half of the episodes diverge."
             )
+            if np.isnan(cells.medians[:, 0]).any():
+                caption += f" Empty where no {episodes.with_values} has a value."
             name = f"map-{cells.first.name}-{cells.second.name}"
             yield figures.save_figure(name, caption, _map(comparisons, cells))
         if diverged:
@@ -131,10 +138,10 @@ def _boxes(comparisons: Comparisons) -> Figure:
     """A panel for each measure, a box for each controller."""
     episodes = comparisons.episodes
     n = len(episodes.controllers)
-    labels = [
-        f"{group.controller}, {group.failed} diverged" if group.failed else group.controller
-        for group in comparisons.of(None)
-    ]
+    labels: list[str] = []
+    for group in comparisons.of(None):
+        diverged = f", {group.failed} diverged" if group.failed else ""
+        labels.append(group.controller + (diverged if group.episodes else ", none finished"))
     margin = max(0.0, figures.LETTER * max(map(len, labels)) - 1.0)
     figure, panels = figures.panels_of(len(episodes.measures), 0.28 * n + 0.75, margin, sharey=True)
     for j, scale in enumerate(scales_of(episodes)):

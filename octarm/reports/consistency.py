@@ -45,7 +45,7 @@ def _unfinished(episodes: Episodes) -> Iterator[Remark]:
             yield Remark(True, f"No episode of {name} is finished.")
     if episodes.absent:
         names = ", ".join(episodes.absent)
-        yield Remark(False, f"No episode has a value of {names}: left out.")
+        yield Remark(False, f"No {episodes.with_values} has a value of {names}: left out.")
 
 
 def _versions(episodes: Episodes) -> Iterator[Remark]:
@@ -83,10 +83,16 @@ def _implausible(episodes: Episodes) -> Iterator[Remark]:
         )
     if exact := _counts(episodes, episodes.exact):
         yield Remark(True, f"Episodes have an error of exactly zero ({exact}).")
-    names = episodes.controllers
-    all_diverged = [n for n in names if np.all(episodes.diverged[episodes.of_controller(n)])]
-    if all_diverged:
-        yield Remark(True, f"All episodes diverged of {', '.join(all_diverged)}.")
+    planned = episodes.planned // len(episodes.controllers)
+    counts = {name: len(episodes.of_controller(name)) for name in episodes.controllers}
+    lost = [
+        n for n, k in counts.items() if k and episodes.diverged[episodes.of_controller(n)].all()
+    ]
+    if whole := [name for name in lost if counts[name] == planned]:
+        yield Remark(True, f"All episodes diverged of {', '.join(whole)}.")
+    for name in (name for name in lost if counts[name] < planned):
+        text = f"All finished episodes diverged of {name}: {counts[name]} of {planned} planned."
+        yield Remark(True, text)
 
 
 def _counts(episodes: Episodes, which: np.ndarray) -> str:
@@ -125,9 +131,11 @@ def _is_idle(episodes: Episodes, factor: Factor, rows: np.ndarray) -> bool:
 
 def _seeds(episodes: Episodes) -> Iterator[Remark]:
     """Seeds that are few, or all the same."""
-    count = len(np.unique(episodes.seed))
+    count, planned = len(np.unique(episodes.seed)), episodes.manifest["spec"]["episodes"]
     if count < _FEW:
         seeds = "one seed" if count == 1 else f"{count} seeds"
+        if count < planned:
+            seeds = f"finished episodes of {count} of its {planned} seeds"
         what = "there are no intervals" if count == 1 else "intervals are rough"
         yield Remark(False, f"The sweep has {seeds} a cell: {what}.")
     cell = episodes.cell() * len(episodes.controllers) + episodes.controller

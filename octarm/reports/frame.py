@@ -137,7 +137,13 @@ class Episodes:
     @property
     def planned(self) -> int:
         """Number of episodes, with those that are not finished."""
-        return sum(shard["episodes"] for shard in self.manifest["shards"])
+        return self.manifest["episodes"]
+
+    @property
+    def with_values(self) -> str:
+        """In words, an episode that may have values: finished, and not diverged."""
+        finished = "" if len(self.seed) == self.planned else "finished "
+        return f"{finished}episode{' that did not diverge' if self.diverged.any() else ''}"
 
     def cell(self) -> np.ndarray:
         """A number for each place of the grid, shape (n,); what was drawn goes with the seed."""
@@ -194,9 +200,13 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
             raise OctarmError(
                 f"all finished episodes of {folder} diverged; there is nothing to report of them"
             )
+        why = (
+            f"they last {spec['duration']:g} s, and most metrics count from {SETTLED_AFTER:g} s on"
+        )
+        if spec["duration"] > SETTLED_AFTER:
+            why = "its controllers do not have it, or all episodes diverged of those that have it"
         raise OctarmError(
-            f"{folder} has no value of {', '.join(absent)} in any episode; they last "
-            f"{spec['duration']:g} s, and most metrics count from {SETTLED_AFTER:g} s on"
+            f"{folder} has no value of {', '.join(absent)} in any finished episode; {why}"
         )
     lost, exact = _suspects(held, errors, spec["duration"])
     return Episodes(

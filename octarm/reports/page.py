@@ -141,7 +141,9 @@ class Tables:
         for group in groups:
             _, low, high = (100.0 * x for x in group.failures)
             failed = Cell(str(group.failed), [f"{low:.1f} .. {high:.1f} %"])
-            counts = [Cell(str(group.episodes)), failed if group.episodes else Cell("-")]
+            counts = [Cell(str(group.episodes)), failed]
+            if not group.episodes:
+                counts = [Cell("0", ["none finished"]), Cell("-")]
             best = self._best([g for g in groups if g.level == group.level])
             row = [*self._where(group), *counts]
             for j, scale in enumerate(self._scales):

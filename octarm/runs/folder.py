@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -25,6 +27,8 @@ DESCRIPTION = "run.json"
 PARTIAL = RECORDING + ".part"  # what a killed run leaves of its recording
 BLOCKS = ARRAYS + ".blocks"  # and of its arrays
 RUNNING = "running"  # status of a run that is still going on, or was killed
+SUMS = "sha256"  # key of run.json, whose table `checksums` gives
+NAMED = ("versions", "host")  # keys whose values may differ between a run and its repetition
 
 
 def gains_of(controller: Controller) -> dict[str, Any]:
@@ -53,12 +57,65 @@ def write_run(folder: Path, rows: Trajectory, description: Mapping[str, Any]) ->
 
 
 def write_description(folder: Path, description: Mapping[str, Any]) -> None:
-    """Writes `run.json`, the version of its format included.
+    """Writes `run.json`, with the version of its format and the `checksums` of what is there.
 
     Raises:
         FileError: if it cannot be written.
     """
-    write_text(folder / DESCRIPTION, formats.to_json({"format": formats.FORMAT, **description}))
+    content = written(description)
+    _write(folder, content, checksums(folder, content))
+
+
+def written(description: Mapping[str, Any]) -> dict[str, Any]:
+    """What `run.json` holds of a description, as it is read back; its checksums are missing."""
+    content = {"format": formats.FORMAT, **description}
+    content.pop(SUMS, None)
+    return json.loads(formats.to_json(content))
+
+
+def checksums(folder: Path, content: Mapping[str, Any]) -> dict[str, str]:
+    """The SHA-256 of each file of a run that is there, and that of the content of `run.json`.
+
+    The latter covers what no repetition of the run can tell, such as its command; versions and
+    machine are left out, and so is this table.
+
+    Args:
+        folder: of the run.
+        content: of `run.json`.
+    """
+    files = [folder / name for name in (ARRAYS, RECORDING)]
+    covered = {key: value for key, value in content.items() if key not in (*NAMED, SUMS)}
+    text = json.dumps(covered, sort_keys=True)
+    sums = {file.name: _checksum(file) for file in files if file.is_file()}
+    return {**sums, DESCRIPTION: hashlib.sha256(text.encode()).hexdigest()}
+
+
+def note_recording(folder: Path) -> None:
+    """Enters a recording that was made again into `run.json`, which stays as it is otherwise.
+
+    Raises:
+        OctarmError: if the folder holds no run.
+        FileError: if it cannot be written.
+    """
+    content = read_description(folder)
+    stated = content.get(SUMS)
+    table = cast(dict[str, Any], stated) if isinstance(stated, dict) else {}
+    _write(folder, content, {**table, RECORDING: _checksum(folder / RECORDING)})
+
+
+def _write(folder: Path, content: Mapping[str, Any], sums: Mapping[str, Any]) -> None:
+    """Writes `run.json`, whose checksums end the line of the command.
+
+    Two runs of the same experiment then differ in this line alone.
+    """
+    others = {key: value for key, value in content.items() if key != SUMS}
+    text = formats.to_json(others).removesuffix("\n}\n")
+    write_text(folder / DESCRIPTION, f"{text}, {json.dumps({SUMS: sums})[1:]}\n")
+
+
+def _checksum(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_description(folder: Path) -> dict[str, Any]:

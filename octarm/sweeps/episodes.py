@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from dm_control.rl import control
 
 from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import OctarmError
@@ -19,9 +20,8 @@ from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
 from octarm.simulation.trajectory import Trajectory
-from octarm.sweeps.plan import Plan
-from octarm.sweeps.spec_file import read_spec
-from octarm.sweeps.store import RECORDED, SPEC, read_manifest, read_row
+from octarm.sweeps.manifest import open_sweep
+from octarm.sweeps.store import RECORDED, read_row
 
 METRIC = "tip_rms_error"  # one number an arm: by it episodes are the worst or the median ones
 COLUMNS = ("episode", "controller", "status", "diverged_at", METRIC)
@@ -33,25 +33,22 @@ class FinishedSweep:
     Attributes:
         path: the folder.
         plan: of its episodes.
+        manifest: content of `manifest.json`.
         gains: of each controller for the nominal arm when the sweep was begun.
     """
 
     def __init__(self, path: Path) -> None:
-        """Reads what was run; raises OctarmError for no sweep, or one whose spec was changed."""
+        """Reads what was run; raises what `open_sweep` does."""
         self.path = path
-        manifest = read_manifest(path)
-        self.plan = Plan(read_spec(path / SPEC))
-        self.gains: Mapping[str, Any] = manifest["gains"]
-        self._shards = manifest["shards"]
-        if self.plan.spec.hash() != manifest["spec_hash"]:
-            raise OctarmError(f"{path / SPEC} was changed: it is not what the sweep was run with")
+        self.plan, self.manifest = open_sweep(path)
+        self.gains: Mapping[str, Any] = self.manifest["gains"]
 
     def finished(self) -> np.ndarray:
         """The numbers of the episodes that are there, shape (n,)."""
         ranges: list[np.ndarray] = [
             np.arange(shard["first"], shard["first"] + shard["episodes"])
-            for shard in self._shards
-            if (self.path / shard["file"]).is_file()
+            for shard in self.manifest["shards"]
+            if shard["sha256"] and (self.path / shard["file"]).is_file()
         ]
         return np.concatenate([np.empty(0, dtype=np.int64), *ranges])
 
@@ -79,6 +76,27 @@ class FinishedSweep:
             control_period=spec.control_period,
             actuation=spec.actuation,
         )
+
+    def begin(
+        self, episode: int, factory: ControllerFactory
+    ) -> tuple[control.Environment, Controller, dict[str, Any]]:
+        """Environment and controller of an episode that is run alone, and its announcement.
+
+        Args:
+            episode: number.
+            factory: of the controllers, the one that the sweep had.
+
+        Raises:
+            OctarmError: if the episode is not there or cannot be made.
+        """
+
+        def make(name: str, nominal: Any, gains: Mapping[str, Any]) -> Controller:
+            del gains  # those of the spec
+            return self.plan.spec.controller(name, nominal, factory)
+
+        experiment = self.experiment(episode)
+        environment, controller = experiment.begin(make)
+        return environment, controller, experiment.announcement(environment, controller)
 
 
 def first_difference(
@@ -182,19 +200,13 @@ def record_episodes(
     """
     from octarm.recordings.recording import run_recording  # the import takes half a second
 
-    def make(name: str, nominal: Any, gains: Mapping[str, Any]) -> Controller:
-        del gains  # those of the spec
-        return sweep.plan.spec.controller(name, nominal, factory)
-
     different: dict[int, str] = {}
     for episode, words in reasons.items():
         folder = sweep.path / RECORDED / f"{episode}-{'-'.join(words)}"
         if _is_there(folder, episode):
             continue
-        experiment = sweep.experiment(episode)
-        environment, controller = experiment.begin(make)
-        announced = experiment.announcement(environment, controller)
-        periods = whole_periods(experiment.duration, environment.control_timestep())
+        environment, controller, announced = sweep.begin(episode, factory)
+        periods = whole_periods(announced["duration"], environment.control_timestep())
         begin(periods, f"recording episode {episode} ({', '.join(words)})")
         trajectory, _ = run_into(
             folder, environment, controller, announced, recording=run_recording, progress=progress,
@@ -208,14 +220,15 @@ def record_episodes(
 def _is_there(folder: Path, episode: int) -> bool:
     """Whether an episode is recorded; its folder gets the name of the present reason.
 
-    What a killed process has left is removed.
+    What a killed process has left is removed, and so is what was changed.
     """
     for other in sorted(folder.parent.glob(f"{episode}-*")):
         try:
-            status = runs.read_description(other)["status"]
-        except (KeyError, OctarmError):
-            status = ""
-        if status in ("ok", "diverged") and (other / runs.RECORDING).is_file():
+            description = runs.read_description(other)
+            whole = description.get(runs.SUMS) == runs.checksums(other, description)
+        except OctarmError:
+            description, whole = {}, False
+        if whole and description["status"] in ("ok", "diverged"):
             if other != folder:
                 os.replace(other, folder)
             return True

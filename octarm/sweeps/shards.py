@@ -16,6 +16,7 @@ from octarm.arm.nominal import LagrangeModel
 from octarm.interfaces import Controller, ControllerFactory, Instant
 from octarm.metrics.table import METRICS, Column, Metrics, columns
 from octarm.runs.digest import CHECKPOINTS, StateDigest
+from octarm.runs.folder import gains_of
 from octarm.runs.versions import host, versions
 from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.environment import AnyPhysics, load, whole_periods
@@ -34,11 +35,14 @@ def run_shard(
 ) -> pa.Table:
     """The rows of a shard; they depend on nothing else.
 
-    The metadata of the table's schema say where they were made: `host` and `versions`.
+    The metadata of the table's schema say where they were made, `host` and `versions`, and with
+    which `gains` for the nominal arm.
     """
     plan = Plan(spec)
-    table = run_arms(plan, plan.arms(plan.shards[shard]), factory, *observers)
-    origin = {"host": host(), "versions": versions()}
+    arms = plan.arms(plan.shards[shard])
+    table = run_arms(plan, arms, factory, *observers)
+    controller = spec.controller(arms.controller, nominal_parameters(), factory)
+    origin = {"host": host(), "versions": versions(), "gains": gains_of(controller)}
     return table.replace_schema_metadata({k: json.dumps(v) for k, v in origin.items()})
 
 

@@ -135,7 +135,7 @@ class SweepSpec:
 
     def hash(self) -> str:
         """SHA-256 of `content`: files that ask for the same rows have the same."""
-        return hashlib.sha256(json.dumps(self.content(), sort_keys=True).encode()).hexdigest()
+        return hash_of(self.content())
 
     def to_toml(self) -> str:
         """A file that `octarm.sweeps.spec_file.parse_spec` makes this spec of."""
@@ -153,6 +153,11 @@ class SweepSpec:
         content |= {"gain_set": self.gain_sets, "gains": self.gains}
         content |= {"record": {"episodes": self.record}}
         return to_toml({key: value for key, value in content.items() if value != {}})
+
+
+def hash_of(content: Any) -> str:
+    """SHA-256 of what `SweepSpec.content` gives, or of what was read back of it."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _put(table: dict[str, Any], axis: Axis, value: Any) -> None:

@@ -14,60 +14,24 @@ import io
 import json
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import filelock
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pydantic import Field, FiniteFloat
 
 from octarm.errors import FileError, OctarmError, closest, quoted
 from octarm.files import whole_file, write_text
-from octarm.formats import FORMAT, Model, check_format, read_json, spelt, to_json
+from octarm.formats import spelt, to_json
 from octarm.runs.versions import host, versions
+from octarm.sweeps.manifest import EPISODES, MANIFEST, SPEC, new_manifest, open_sweep
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spec_file import parse_spec
 
-SPEC = "spec.toml"
-MANIFEST = "manifest.json"
-EPISODES = "episodes"
 RECORDED = "recorded"  # run folders of selected episodes
 PROGRESS = ".progress"  # how far the shards at work are; only while a sweep runs
-_LOCK = ".lock"
-
-_Count = Annotated[int, Field(ge=0, lt=2**53)]
-
-
-class _Shard(Model):
-    file: Annotated[str, Field(pattern=rf"^{EPISODES}/\d{{5,}}\.parquet$")]
-    first: _Count
-    episodes: _Count
-    sha256: str
-
-
-class _Start(Model):
-    time: str
-    versions: dict[str, str]
-    host: dict[str, str | int | None]
-
-
-class _Spec(Model, extra="allow"):
-    """The content of a spec by dotted key, as far as all sweeps have the same keys."""
-
-    duration: Annotated[FiniteFloat, Field(gt=0.0)]
-    controllers: Annotated[list[str], Field(alias="grid.controller", min_length=1)]
-
-
-class _Manifest(Model):
-    """All that `manifest.json` holds."""
-
-    format: int
-    spec: _Spec
-    spec_hash: str
-    episodes: _Count
-    gains: dict[str, dict[str, Any]]
-    starts: Annotated[list[_Start], Field(min_length=1)]
-    shards: list[_Shard]
+LOCK = ".lock"
 
 
 def read_sweep(folder: str | Path, columns: Sequence[str] | None = None) -> pa.Table:
@@ -81,12 +45,12 @@ def read_sweep(folder: str | Path, columns: Sequence[str] | None = None) -> pa.T
         OctarmError: if the folder holds no sweep, no finished shard or a damaged one.
     """
     shards = _shards(Path(folder), columns=columns)
-    return pa.concat_tables([table.replace_schema_metadata(None) for _, table in shards])
+    return pa.concat_tables([table.replace_schema_metadata(None) for table in shards])
 
 
 def read_schema(folder: str | Path) -> pa.Schema:
     """The columns of a sweep's table; see `read_sweep`."""
-    return next(_shards(Path(folder)))[1].schema
+    return next(_shards(Path(folder))).schema
 
 
 def read_row(folder: str | Path, episode: int) -> pa.Table:
@@ -95,8 +59,13 @@ def read_row(folder: str | Path, episode: int) -> pa.Table:
     Raises:
         OctarmError: if the folder holds no sweep, or the episode is not finished or damaged.
     """
-    first, table = next(_shards(Path(folder), episode=episode))
-    return table.slice(episode - first, 1)
+    plan, manifest = open_sweep(Path(folder))
+    for i, episodes in enumerate(plan.shards):
+        if episode in episodes:
+            table = read_shard(Path(folder), plan, manifest, i)
+            if table is not None:
+                return table.slice(episode - episodes.start, 1)
+    raise OctarmError(f"episode {episode} of {folder} is not finished; --resume runs it")
 
 
 def origin_of(table: pa.Table) -> dict[str, Any]:
@@ -110,18 +79,8 @@ def metadata_of(thing: pa.Schema | pa.Field) -> dict[bytes, bytes]:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """What `manifest.json` says.
-
-    Raises:
-        OctarmError: if the folder holds no sweep, one of another format, or a value is not allowed.
-    """
-    file = folder / MANIFEST
-    if not file.is_file():
-        raise OctarmError(f"{folder} is not a sweep: it has no {MANIFEST}")
-    document = read_json(file)
-    check_format(document)
-    document.read(_Manifest)
-    return dict(document.content)
+    """What `manifest.json` says; see `open_sweep`, whose errors it raises."""
+    return open_sweep(folder)[1]
 
 
 def shard_bytes(table: pa.Table) -> bytes:
@@ -157,7 +116,7 @@ class SweepFolder:
         entries = self.path.iterdir() if self.path.exists() else ()
         names = {entry.name for entry in entries}
         if MANIFEST not in names:
-            if names - {_LOCK, PROGRESS, SPEC, EPISODES}:
+            if names - {LOCK, PROGRESS, SPEC, EPISODES}:
                 raise OctarmError(f"{self.path} exists and is not a sweep; choose another --out")
             return
         if not resume:
@@ -179,7 +138,7 @@ class SweepFolder:
     @contextlib.contextmanager
     def locked(self) -> Generator[None]:
         """Makes the folder, and keeps other processes from writing there."""
-        lock = filelock.FileLock(self.path / _LOCK, timeout=0)
+        lock = filelock.FileLock(self.path / LOCK, timeout=0)
         try:
             (self.path / EPISODES).mkdir(parents=True, exist_ok=True)
             lock.acquire()
@@ -214,26 +173,11 @@ class SweepFolder:
                         "recommends others"
                     )
         else:
-            spec, plan = self._plan.spec, self._plan
-            self._manifest = {
-                "format": FORMAT,
-                "spec": spec.content(),
-                "spec_hash": spec.hash(),
-                "episodes": plan.episodes,
-                "gains": gains,
-                "starts": [],
-                "shards": [
-                    {
-                        "file": f"{EPISODES}/{i:05d}.parquet",
-                        "first": episodes.start,
-                        "episodes": len(episodes),
-                        "sha256": "",  # of a shard that is not finished
-                    }
-                    for i, episodes in enumerate(plan.shards)
-                ],
-            }
+            spec = self._plan.spec
             whole = spec.text and parse_spec(spec.text) == spec
-            write_text(self.path / SPEC, spec.text if whole else spec.to_toml())
+            text = spec.text if whole else spec.to_toml()
+            self._manifest = new_manifest(self._plan, gains, text.encode())
+            write_text(self.path / SPEC, text)
         self._manifest["starts"].append(start)
         self._write_manifest()
         before = self._manifest["starts"][0]["versions"]
@@ -245,11 +189,13 @@ class SweepFolder:
 
     def finished(self) -> list[int]:
         """The shards that are there and undamaged; a damaged one is run again."""
-        return [
-            i
-            for i, shard in enumerate(self._manifest["shards"])
-            if _is_whole(_content(self.path / shard["file"]), shard)
-        ]
+        return [i for i in range(len(self._plan.shards)) if self._is_whole(i)]
+
+    def _is_whole(self, shard: int) -> bool:
+        try:
+            return read_shard(self.path, self._plan, self._manifest, shard, ()) is not None
+        except OctarmError:
+            return False
 
     def write(self, shard: int, table: pa.Table) -> None:
         """Writes a shard, and what the manifest says of it."""
@@ -263,47 +209,82 @@ class SweepFolder:
         write_text(self.path / MANIFEST, to_json(self._manifest))
 
 
-def _shards(
-    folder: Path, *, episode: int | None = None, columns: Sequence[str] | None = None
-) -> Iterator[tuple[int, pa.Table]]:
-    """The finished shards, or that of an episode: the first episode and the rows of each."""
-    empty = True
-    for shard in read_manifest(folder)["shards"]:
-        file, first = folder / shard["file"], shard["first"]
-        if episode is not None and not first <= episode < first + shard["episodes"]:
-            continue
-        content = _content(file)
-        if content is None or not shard["sha256"]:
-            continue
-        if not _is_whole(content, shard):
+def read_shard(
+    folder: Path,
+    plan: Plan,
+    manifest: Mapping[str, Any],
+    shard: int,
+    columns: Sequence[str] | None = None,
+) -> pa.Table | None:
+    """The rows of a shard, which are those that were written; None if it is not finished.
+
+    Args:
+        folder: of the sweep.
+        plan: see `open_sweep`.
+        manifest: likewise.
+        shard: its number.
+        columns: names of those to read; all if None.
+
+    Raises:
+        OctarmError: if it is damaged, has no such column, or holds other rows than those of the
+            plan.
+    """
+    entry = manifest["shards"][shard]
+    file = folder / entry["file"]
+    content = _content(file)
+    if content is None or not entry["sha256"]:
+        return None
+    if hashlib.sha256(content).hexdigest() != entry["sha256"]:
+        raise OctarmError(
+            f"{file} is damaged: it does not have the SHA-256 that {MANIFEST} states; "
+            "--resume runs it again"
+        )
+    rows = _identity(plan, shard)
+    needed = dict.fromkeys((*rows, *(columns or ())))
+    table = _table(file, content, [*needed], whole=columns is None)
+    for name, values in rows.items():
+        if not np.array_equal(table[name].to_numpy(), values):
             raise OctarmError(
-                f"{file} is damaged: it does not have the SHA-256 that {MANIFEST} states; "
-                "--resume runs it again"
+                f"{file} does not hold the episodes that are planned there: {name} is another one"
             )
-        empty = False
-        yield first, _table(file, content, columns)
-    if empty and episode is None:
-        raise OctarmError(f"{folder} has no finished episode yet")
-    if empty:
-        raise OctarmError(f"episode {episode} of {folder} is not finished; --resume runs it")
+    controller = rows["controller"][0]
+    if origin_of(table).get("gains") != manifest["gains"][controller]:
+        raise OctarmError(f"{file} was run with other gains of {controller} than {MANIFEST} states")
+    return table if columns is None else table.select([*columns])
 
 
-def _table(file: Path, content: bytes, columns: Sequence[str] | None) -> pa.Table:
-    """Columns of a shard, all if None; raises OctarmError if the bytes are no table with them."""
+def _table(file: Path, content: bytes, needed: Sequence[str], *, whole: bool) -> pa.Table:
+    """The columns that are needed, or all, of the bytes of a Parquet file."""
     try:
         with pq.ParquetFile(pa.BufferReader(content)) as stored:
             known = stored.schema_arrow.names
-            for name in columns or ():
+            for name in needed:
                 if name not in known:
                     raise OctarmError(f"{file} has no column {quoted(name)}{closest(name, known)}")
             # Without threads: one that ends after the interpreter aborts the process when it frees
             # a buffer that is Python's.
-            names = None if columns is None else [*columns]
-            return stored.read(columns=names, use_threads=False)
-    except (pa.ArrowException, OSError) as error:  # of Arrow, which has them from no system call
-        if isinstance(error, OctarmError | MemoryError):
-            raise
-        raise OctarmError(f"{file} is damaged: {error}") from None
+            return stored.read(columns=None if whole else [*needed], use_threads=False)
+    except (OSError, pa.ArrowException) as error:
+        raise OctarmError(f"{file} is not a table ({error})") from None
+
+
+def _identity(plan: Plan, shard: int) -> dict[str, np.ndarray]:
+    """What says which episodes the rows of a shard are, by column, each of shape (n,)."""
+    episodes = np.asarray(plan.shards[shard])
+    return {"episode": episodes, "seed": plan.seeds(episodes), **plan.values(episodes)}
+
+
+def _shards(folder: Path, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+    """The rows of the finished shards, of which there is at least one."""
+    plan, manifest = open_sweep(folder)
+    empty = True
+    for i in range(len(plan.shards)):
+        table = read_shard(folder, plan, manifest, i, columns)
+        if table is not None:
+            empty = False
+            yield table
+    if empty:
+        raise OctarmError(f"{folder} has no finished episode yet")
 
 
 def _content(file: Path) -> bytes | None:
@@ -314,7 +295,3 @@ def _content(file: Path) -> bytes | None:
         return None
     except OSError as error:
         raise FileError(f"{file} cannot be read: {error.strerror}") from None
-
-
-def _is_whole(content: bytes | None, shard: Mapping[str, Any]) -> bool:
-    return content is not None and hashlib.sha256(content).hexdigest() == shard["sha256"]

@@ -1,0 +1,217 @@
+"""The files of a run folder beside those that a repetition of the run writes."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from octarm.checks.differences import ABSENT, Difference, compare
+from octarm.errors import OctarmError
+from octarm.recordings.contents import contents
+from octarm.recordings.recording import write_recording
+from octarm.runs import folder as runs
+from octarm.simulation.trajectory import Ending, Trajectory
+
+_FILES = (runs.DESCRIPTION, runs.ARRAYS, runs.RECORDING)
+_ENDING = Ending._fields  # arrays that have no row for each instant
+
+
+class Deviation(NamedTuple):
+    """Where an array of `run.npz` and that of the re-run first have other bits.
+
+    Attributes:
+        array: name.
+        row: number of the control instant.
+        t: its time [s].
+        place: which number of the row.
+        was: the number in `run.npz`.
+        now: that of the re-run.
+        largest: largest difference of all their numbers.
+    """
+
+    array: str
+    row: int
+    t: float
+    place: str
+    was: float
+    now: float
+    largest: float
+
+
+def stored_arrays(path: Path) -> dict[str, np.ndarray]:
+    """What a `.npz` file holds by name, as it is stored: rows of shape (T, ...), and the ending.
+
+    Raises:
+        OctarmError: if it cannot be read, or has no rows.
+    """
+    try:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
+            arrays = {name: np.asarray(array) for name, array in file.items()}
+    except Exception as error:  # damaged bytes raise errors of any kind
+        raise OctarmError(f"{path} is not a trajectory file ({error})") from None
+    t = arrays.get("t")
+    if t is None or t.ndim != 1 or not len(t):
+        raise OctarmError(f"{path} holds no rows")
+    return arrays
+
+
+def saved_arrays(run: Trajectory) -> dict[str, np.ndarray]:
+    """All that `Trajectory.save` writes of a run: rows of shape (T, ...), and the ending."""
+    ending = Ending(run.layer, run.status, run.message, run.digest)
+    return {**dict(run.arrays()), **ending.arrays()}
+
+
+def form_differences(
+    was: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray]
+) -> Iterator[Difference]:
+    """Arrays that only one side has, numbers of rows, kinds and shapes, and what has no rows.
+
+    Args:
+        was: rows of shape (T, ...), and the ending; see `stored_arrays`.
+        now: the same of the re-run; see `saved_arrays`.
+    """
+    if len(was["t"]) != len(now["t"]):
+        yield Difference("rows", len(was["t"]), len(now["t"]))
+    for name in dict.fromkeys((*was, *now)):
+        one, other = was.get(name), now.get(name)
+        if one is None or other is None:
+            shapes = (ABSENT if x is None else _row_shape(name, x) for x in (one, other))
+            yield Difference(f"shape of {name}", *shapes)
+        elif name in _ENDING and repr(one.tolist()) != repr(other.tolist()):
+            key = f"{name} in {runs.ARRAYS}"
+            yield from compare({key: one.tolist()}, {key: other.tolist()})
+        elif one.dtype.str != other.dtype.str:
+            yield Difference(f"type of {name}", one.dtype.str, other.dtype.str)
+        elif _row_shape(name, one) != _row_shape(name, other):
+            yield Difference(f"shape of {name}", _row_shape(name, one), _row_shape(name, other))
+        elif name not in _ENDING and len(one) != len(was["t"]):
+            yield Difference(f"rows of {name}", len(one), len(other))
+
+
+def _row_shape(name: str, array: np.ndarray) -> tuple[int, ...]:
+    return array.shape if name in _ENDING or not array.ndim else array.shape[1:]
+
+
+def deviations(
+    was: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray], coordinates: Sequence[str]
+) -> list[Deviation]:
+    """Where arrays that both sides have in the same form differ, the earliest first.
+
+    Args:
+        was: rows of shape (T, ...), and the ending; see `stored_arrays`.
+        now: the same of the re-run; see `saved_arrays`.
+        coordinates: their names.
+    """
+    found = (
+        _deviation(name, was[name], now[name], now["t"], coordinates)
+        for name in now
+        if name not in _ENDING
+        and name in was
+        and was[name].dtype.str == now[name].dtype.str
+        and was[name].ndim == now[name].ndim
+        and was[name].shape[1:] == now[name].shape[1:]
+    )
+    return sorted((d for d in found if d is not None), key=lambda d: d.row)
+
+
+def _deviation(
+    name: str, was: np.ndarray, now: np.ndarray, t: np.ndarray, coordinates: Sequence[str]
+) -> Deviation | None:
+    rows = min(len(was), len(now))
+    one, other = (np.ascontiguousarray(x[:rows]) for x in (was, now))
+    differs = one.view(np.uint64) != other.view(np.uint64)
+    if not differs.any():
+        return None
+    row, *place = here = tuple(int(i) for i in np.argwhere(differs)[0])
+    words = ", ".join(map(str, place)) or "-"
+    if now.shape[1:] == (len(coordinates),):
+        words = f"tau{place[0] + 1}" if name == "tau" else coordinates[place[0]]
+    with np.errstate(all="ignore"):
+        largest = float(np.max(np.abs(one - other)[differs]))
+    return Deviation(name, row, float(t[row]), words, float(one[here]), float(other[here]), largest)
+
+
+def checksum_differences(folder: Path, description: Mapping[str, Any]) -> list[Difference]:
+    """Files whose SHA-256 is not the one that `run.json` states, and files that belong to no run.
+
+    Args:
+        folder: of the run.
+        description: content of its `run.json`.
+    """
+    stated = {key: description[key] for key in (runs.SUMS,) if key in description}
+    found = [*compare(stated, {runs.SUMS: runs.checksums(folder, description)})]
+    extra = sorted(path.name for path in folder.iterdir() if path.name not in _FILES)
+    return [*found, *(Difference(f"file {name}", "there", ABSENT) for name in extra)]
+
+
+def recording_differences(
+    file: Path, run: Trajectory, description: Mapping[str, Any]
+) -> Iterator[Difference]:
+    """What a recording holds, beside what one that is made of the run holds.
+
+    Args:
+        file: the recording.
+        run: the trajectory.
+        description: what `run.json` holds.
+    """
+    with tempfile.TemporaryDirectory() as scratch:
+        again = Path(scratch) / runs.RECORDING
+        write_recording(again, run, description)
+        now = contents(again)
+    try:
+        was = contents(file)
+    except OctarmError as error:
+        yield Difference(runs.RECORDING, str(error), "a recording")
+        return
+    for key in dict.fromkeys((*was, *now)):
+        one, other = was.get(key), now.get(key)
+        place = f"{runs.RECORDING} {key}"
+        if one is None or other is None:
+            yield Difference(place, *(ABSENT if x is None else "there" for x in (one, other)))
+        elif not _same(one, other):
+            if one.type != other.type or len(one) != len(other):
+                yield Difference(place, *(f"{len(x)} rows of {x.type}" for x in (one, other)))
+                continue
+            row = _first_difference(one, other)
+            values = ({f"{place}, row {row}": x[row].as_py()} for x in (one, other))
+            yield from compare(*values)
+
+
+def _first_difference(was: pa.Array, now: pa.Array) -> int:
+    """The first row in which two arrays of one type and length differ."""
+    low, high = 0, len(was)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if _same(was.slice(low, middle - low), now.slice(low, middle - low)):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def _same(was: pa.Array, now: pa.Array) -> bool:
+    """Whether two arrays have the same type and the same bits."""
+    pairs = zip(_leaves(was), _leaves(now), strict=False)
+    return was.type == now.type and len(was) == len(now) and all(a.equals(b) for a, b in pairs)
+
+
+def _leaves(array: pa.Array) -> Iterator[pa.Array]:
+    """The arrays of plain values within nested ones, and the lengths of lists; floats as bits."""
+    kind = array.type
+    if pa.types.is_struct(kind):
+        for field in array.flatten():
+            yield from _leaves(field)
+    elif pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind):
+        yield array.is_valid()
+        if pa.types.is_list(kind):
+            yield array.value_lengths()
+        yield from _leaves(array.flatten())
+    elif pa.types.is_floating(kind):
+        yield array.view({16: pa.uint16(), 32: pa.uint32(), 64: pa.uint64()}[kind.bit_width])
+    else:
+        yield array
