@@ -236,6 +236,8 @@ def _text(path: Path) -> str:
         raise FileError(f"{path} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise FileError(f"{path} is not a text file in UTF-8") from None
+    except ValueError:  # a zero byte
+        raise FileError(f"{path} cannot be the name of a file") from None
 
 
 def _finite(word: str) -> float:
