@@ -30,7 +30,7 @@ from controllers.sliding_mode import SlidingMode as SlidingMode
 from controllers.super_twisting import SuperTwisting as SuperTwisting
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import NominalModel, Tunable
 
 CONTROLLERS: dict[str, type] = {
@@ -70,7 +70,7 @@ def make_controller(
         OctarmError: for an unknown name or gain set, or a gain that is unknown or invalid.
     """
     if name not in CONTROLLERS:
-        raise OctarmError(f"unknown controller {name!r}{closest(name, CONTROLLERS)}")
+        raise OctarmError(f"unknown controller {quoted(name)}{closest(name, CONTROLLERS)}")
     law = CONTROLLERS[name]
     model = LagrangeModel(nominal) if isinstance(nominal, ArmParameters) else nominal
     given, declared = dict(gains or {}), gain_fields(law)
@@ -87,6 +87,6 @@ def make_controller(
     values: dict[str, Any] = {}
     for gain, value in {**starting, **given}.items():
         if gain not in fields:
-            raise OctarmError(f"{name} has no gain {gain!r}{closest(gain, fields)}")
+            raise OctarmError(f"{name} has no gain {quoted(gain)}{closest(gain, fields)}")
         values[fields[gain]] = value
     return law(nominal=model, **values)

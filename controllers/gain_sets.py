@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pydantic
 
-from octarm.errors import OctarmError
+from octarm.errors import OctarmError, quoted
 from octarm.formats import Model, read_toml, to_toml
 
 SHIPPED = Path(__file__).resolve().parent / "gains"
@@ -82,7 +82,7 @@ def starting_gains(controller: str, modules: int, choice: str | Path | None) -> 
         source, tuned = str(choice), read_gain_set(choice)
     else:
         raise OctarmError(
-            f"unknown gains {str(choice)!r}; they are tuned, recommended, or a file NAME.toml"
+            f"unknown gains {quoted(str(choice))}; they are tuned, recommended, or a file NAME.toml"
         )
     if choice is None and (tuned is None or tuned.modules != modules):
         return {}

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octarm.arrays import read_only
-from octarm.errors import OctarmError
+from octarm.errors import OctarmError, quoted
 from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
 
 Gain = np.ndarray | float
@@ -103,7 +103,7 @@ class Switch(GainField):
     def checked(self, name: str, value: Any, nominal: NominalModel) -> bool:
         """Whether it is on."""
         if np.ndim(value) > 0 or value not in (0, 1):
-            raise OctarmError(f"{name} is {value!r}; it must be True or False, or 1 or 0")
+            raise OctarmError(f"{name} is {quoted(value)}; it must be True or False, or 1 or 0")
         return bool(value)
 
 

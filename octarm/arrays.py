@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from octarm.errors import OctarmError
+from octarm.errors import OctarmError, quoted
 
 Entry = np.ndarray | float
 
@@ -109,7 +109,7 @@ def read_only(
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise OctarmError(f"{name} is {value!r}; it must be made of numbers") from None
+        raise OctarmError(f"{name} is {quoted(value)}; it must be made of numbers") from None
     good = np.isfinite(array) | (unbounded & np.isposinf(array))
     good |= unbounded_below & np.isneginf(array)
     if not np.all(good):

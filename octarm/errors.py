@@ -1,10 +1,16 @@
-"""How errors are said, and the exit codes of the commands."""
+"""How errors are said, how values stand in sentences, and the exit codes of the commands."""
 
 from __future__ import annotations
 
 import difflib
 import enum
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import Any
+
+_LONGEST_VALUE = 80  # characters of a value in a sentence
+_LONGEST_WORD = 256  # of a sentence: a file's name, or a key
+_LONGEST_SENTENCE = 2000
+_LONGEST_GUESS = 200  # of a word for which the closest known one is looked for
 
 
 class ExitCode(enum.IntEnum):
@@ -20,12 +26,52 @@ class ExitCode(enum.IntEnum):
 class OctarmError(ValueError):
     """What a user can mend: one sentence with the value, what is allowed and the closest match.
 
-    The command line prints it and exits with 2. Any other exception is a bug in the program.
+    The command line prints it and exits with 2. Any other exception is a bug in the program. Names
+    of files and keys may stand in it as they are: the whole is made printable and not too long.
     """
+
+    def __str__(self) -> str:
+        """The sentence, printable and of limited length."""
+        words = " ".join(map(str, self.args)).split(" ")
+        return printable(" ".join(_shortened(w, _LONGEST_WORD) for w in words), _LONGEST_SENTENCE)
 
 
 class FileError(OctarmError, OSError):
     """A file or folder that cannot be read or written; the sentence names it."""
+
+
+def printable(text: str, longest: int | None = None) -> str:
+    r"""The text in characters that a terminal, a page or a plot shows as they are.
+
+    Control characters, marks of the direction of writing, line breaks and halves of surrogate pairs
+    become their escapes, such as `\x1b`. Of more than `longest` characters the middle is left out.
+    """
+    if longest is not None:
+        text = _shortened(text, longest)
+    if text.isprintable():
+        return text
+    text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return text if longest is None else _shortened(text, longest)
+
+
+def quoted(value: object, spell: Callable[[Any], str] = repr) -> str:
+    """A value as it stands in a sentence: printable, of limited length, as Python spells it.
+
+    Another `spell` may be that of a file.
+    """
+    try:
+        text = spell(_shortened(value, _LONGEST_VALUE) if isinstance(value, str) else value)
+    except (RecursionError, ValueError):  # Python spells no number of more than 4300 digits
+        text = f"a {type(value).__name__} that is too long to be spelt"
+    return printable(" ".join(text.split()), _LONGEST_VALUE)
+
+
+def _shortened(text: str, longest: int) -> str:
+    """The text without its middle if it is longer."""
+    if len(text) <= longest:
+        return text
+    end = longest // 3
+    return f"{text[: longest - end - 3]}...{text[-end:]}"
 
 
 def sentence_of(error: OSError) -> str:
@@ -35,9 +81,9 @@ def sentence_of(error: OSError) -> str:
     return f"{error.filename or 'standard output'}: {error.strerror}"
 
 
-def closest(word: str, known: Iterable[str]) -> str:
+def closest(word: object, known: Iterable[str]) -> str:
     """The end of an error sentence: what a misspelt word may have meant, and all known ones."""
-    known = list(known)
-    match = difflib.get_close_matches(word, known, n=1)
-    meant = f", did you mean {match[0]!r}?" if match else ";"
+    known, text = list(known), str(word)[:_LONGEST_GUESS]
+    match = difflib.get_close_matches(text, known, n=1)
+    meant = f", did you mean {quoted(match[0])}?" if match else ";"
     return f"{meant} known are {', '.join(known)}"

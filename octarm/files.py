@@ -11,7 +11,7 @@ import threading
 from collections.abc import Generator, Mapping
 from pathlib import Path
 
-from octarm.errors import FileError
+from octarm.errors import FileError, quoted
 from octarm.interrupts import held_interrupts
 
 _PART = ".{}.new.part"  # the name that a file has until it is whole
@@ -34,7 +34,7 @@ def whole_file(path: str | os.PathLike[str], part: Path | None = None) -> Genera
     """
     path = Path(path)
     if not path.name:
-        raise FileError(f"{os.fspath(path)!r} is not the name of a file")
+        raise FileError(f"{quoted(os.fspath(path))} is not the name of a file")
     target = path.resolve() if path.is_symlink() else path
     special = target.exists() and not target.is_file()
     lock = None

@@ -12,6 +12,7 @@ cattrs checks no ranges.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
 import json
 import math
@@ -25,9 +26,11 @@ import numpy as np
 import pydantic
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from octarm.errors import FileError, OctarmError, closest
+from octarm.errors import FileError, OctarmError, closest, quoted
 
 FORMAT = 2  # version of the formats of run.json and manifest.json
+_LARGEST = 10**300  # whole number; larger ones are no floats
+_DEEPEST = 64  # tables and lists within each other
 
 Key = tuple[str, ...]
 T = TypeVar("T")
@@ -122,7 +125,7 @@ class Document:
             case "unknown_key":
                 inside = f" in [{'.'.join(keys)}]" if keys else ""
                 keys = (*keys, context["key"])
-                message = f"unknown key {context['key']!r}{inside}{context['hint']}"
+                message = f"unknown key {quoted(context['key'])}{inside}{context['hint']}"
             case "missing":
                 message = f"{f'[{table}]' if table else 'it'} needs a value of {key}"
             case "unknown_word":
@@ -155,16 +158,17 @@ def read_toml(path: str | Path) -> Document:
 def parse_toml(text: str, file: str) -> Document:
     """The content of a TOML text; `file` is its name in error messages."""
     try:
-        return Document(file, tomllib.loads(text), text)
-    except tomllib.TOMLDecodeError as error:
+        return Document(file, _checked(tomllib.loads(text)), text)
+    except (RecursionError, ValueError) as error:
         raise OctarmError(f"{file}: {error}") from None
 
 
 def read_json(path: str | Path) -> Document:
     """The table in a JSON file; raises FileError if it cannot be read."""
+    text = _text(Path(path))
     try:
-        content: Any = json.loads(_text(Path(path)))
-    except json.JSONDecodeError as error:
+        content: Any = _checked(json.loads(text, parse_constant=_finite, parse_float=_finite))
+    except (RecursionError, ValueError) as error:
         raise OctarmError(f"{path} is not readable ({error})") from None
     if not isinstance(content, dict):
         raise OctarmError(f"{path} holds no table, but {spelt(content)}")
@@ -198,7 +202,7 @@ def to_json(content: Mapping[str, Any]) -> str:
 
 def spelt(value: Any) -> str:
     """A value as a file spells it, for error messages."""
-    return json.dumps(value, default=str, ensure_ascii=False)
+    return quoted(value, functools.partial(json.dumps, default=str, ensure_ascii=False))
 
 
 _WORDS = {
@@ -232,6 +236,37 @@ def _text(path: Path) -> str:
         raise FileError(f"{path} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise FileError(f"{path} is not a text file in UTF-8") from None
+    except ValueError:  # a zero byte
+        raise FileError(f"{path} cannot be the name of a file") from None
+
+
+def _finite(word: str) -> float:
+    """A number of a JSON text; ValueError for what JSON does not know."""
+    number = float(word)
+    if not math.isfinite(number):
+        raise ValueError(f"{word} is no number of such a file")
+    return number
+
+
+def _checked(content: Any) -> Any:
+    """What was read, as it is; ValueError for what nobody who works on with it can take."""
+    level: list[Any] = [content]
+    for _ in range(_DEEPEST):
+        if not level:
+            return content
+        below: list[Any] = []
+        for value in level:
+            if isinstance(value, dict):
+                table = cast(dict[str, Any], value)
+                below += [*table, *table.values()]
+            elif isinstance(value, list):
+                below += cast(list[Any], value)
+            elif isinstance(value, str) and not value.isascii():
+                value.encode()  # half of a surrogate pair is a ValueError
+            elif isinstance(value, int) and abs(value) > _LARGEST:
+                raise ValueError(f"{quoted(value)} is too large a number")
+        level = below
+    raise ValueError(f"it is nested more than {_DEEPEST} levels deep")
 
 
 def _json(value: Any, indent: str | None) -> str:

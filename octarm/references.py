@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from octarm.arrays import read_only
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Motion, Reference
+
+REAL = "fiu"  # NumPy's kinds of real numbers
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -234,6 +237,60 @@ REFERENCES: dict[str, Callable[[np.ndarray], Motion]] = {
 }
 
 
+def wanted(motion: Motion, t: float, shape: tuple[int, ...]) -> Reference:
+    """What a desired motion wants, which may be a function of the user's.
+
+    Args:
+        motion: the desired motion.
+        t: the time [s].
+        shape: of the coordinates, (..., 2N), to which the answer must broadcast.
+
+    Raises:
+        OctarmError: unless the answer is a Reference of three arrays of finite numbers.
+    """
+    answer: Any = motion(t)
+    if _plainly_right(answer, shape):
+        return answer
+    if type(answer) is not Reference:
+        raise OctarmError(
+            f"the reference answers {quoted(answer)} at t = {t:g} s; it must be a Reference of "
+            "arrays q, v and a"
+        )
+    for name, part in zip(("q", "v", "a"), answer, strict=True):
+        if type(part) is not np.ndarray or part.dtype.kind not in REAL:
+            wrong = f"is {quoted(part)}; it must be an array of real numbers"
+        elif part.shape != shape and not _broadcasts(part.shape, shape):
+            wrong = f"has shape {part.shape}; it must be {shape}"
+        elif not np.isfinite(part).all():
+            wrong = f"holds {part[~np.isfinite(part)].flat[0]:g}; it must be finite"
+        else:
+            continue
+        raise OctarmError(f"the reference's {name} at t = {t:g} s {wrong}")
+    return answer
+
+
+def _plainly_right(answer: Any, shape: tuple[int, ...]) -> bool:
+    """Whether an answer for one arm is right at a glance, which costs a microsecond."""
+    if type(answer) is not Reference or len(shape) != 1:
+        return False
+    total = 0.0
+    for part in answer:
+        if type(part) is not np.ndarray or part.dtype.char != "d" or part.shape != shape:
+            return False
+        total += sum(part.tolist())
+    return math.isfinite(total)
+
+
+def _broadcasts(shape: tuple[int, ...], wanted: tuple[int, ...]) -> bool:
+    """Whether arms may share coordinates of this shape; an arm has all of its coordinates."""
+    arms = zip(reversed(shape[:-1]), reversed(wanted[:-1]), strict=False)
+    return (
+        shape[-1:] == wanted[-1:]
+        and len(shape) <= len(wanted)
+        and all(n in (1, m) for n, m in arms)
+    )
+
+
 def named_reference(name: str, rest: np.ndarray) -> Motion:
     """A reference by name, about the pose `rest`, shape (..., 2N) [m], [rad].
 
@@ -241,7 +298,7 @@ def named_reference(name: str, rest: np.ndarray) -> Motion:
         OctarmError: for an unknown name; it lists the known ones.
     """
     if name not in REFERENCES:
-        raise OctarmError(f"unknown reference {name!r}{closest(name, REFERENCES)}")
+        raise OctarmError(f"unknown reference {quoted(name)}{closest(name, REFERENCES)}")
     return REFERENCES[name](rest)
 
 

@@ -17,7 +17,7 @@ from recordings import part_of, swinging
 from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
 from octarm.interfaces import Rows
-from octarm.runs.archive import Archive, mapped, read_blocks
+from octarm.runs.archive import Archive, read_blocks
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import ArmRecorder, copied, rollout
 from octarm.simulation.trajectory import Ending, Trajectory, joined
@@ -61,12 +61,12 @@ def test_the_arrays_are_the_bytes_that_a_trajectory_saves(tmp_path, rows, layer)
 def test_a_mapped_run_is_the_run(tmp_path):
     run = dataclasses.replace(swinging(rows=230, **ODD), layer=np.arange(6.0))
     run.save(tmp_path / "a.npz")
-    again = mapped(tmp_path / "a.npz")
+    again = Trajectory.load(tmp_path / "a.npz", mapped=True)
     same(run, again)
     assert (again.status, again.digest) == (run.status, run.digest)
     arrays = dict(np.load(tmp_path / "a.npz", allow_pickle=False))
     np.savez_compressed(tmp_path / "b.npz", **arrays)
-    same(run, mapped(tmp_path / "b.npz"))
+    same(run, Trajectory.load(tmp_path / "b.npz", mapped=True))
 
 
 @pytest.mark.parametrize("damage", ["nonsense", "flipped", "short", "other", "objects", "words"])
@@ -84,7 +84,7 @@ def test_a_damaged_file_is_no_trajectory(tmp_path, damage):
         arrays["s"] = np.full(230, None) if damage == "objects" else np.full(230, "word")
         np.savez(path, **arrays)
     with pytest.raises(ValueError, match=r"a\.npz is not a trajectory file"):
-        mapped(path)
+        Trajectory.load(path, mapped=True)
 
 
 def test_blocks_can_be_read_when_nobody_closed_them(tmp_path):

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import described
 
 import octarm
 from octarm.arm.parameters import ArmParameters
@@ -157,7 +158,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(arguments, message, capsys
     Path("full").mkdir()
     Path("full/notes.txt").write_text("mine")
     Path("precious").mkdir()
-    Path("precious/run.json").write_text('{"format": 2, "controller": {}}')
+    Path("precious/run.json").write_text(json.dumps({"format": 2, **described()}))
     Path("precious/notes.txt").write_text("mine")
     Path("broken").mkdir()
     Path("broken/run.json").write_text("[]")

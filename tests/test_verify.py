@@ -323,6 +323,7 @@ def test_what_cannot_be_repeated_is_said_in_a_sentence(run, capsys, tmp_path):
     assert "the run followed a custom reference, 'my-own'" in sentence(run)
     edit(run, "reference", to=lambda _: None)
     assert "run.json: reference is null; it must be a table" in sentence(run)
+    edit(run, "reference", to=lambda _: {"name": "sine"})
     description = json.loads((run / "run.json").read_text())
     del description["nominal"]
     (run / "run.json").write_text(json.dumps(description))

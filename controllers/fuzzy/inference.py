@@ -27,7 +27,7 @@ import numpy as np
 from controllers.fuzzy.membership import Membership, Triangular
 from controllers.fuzzy.rule_base import RuleBase
 from octarm.arrays import read_only
-from octarm.errors import OctarmError
+from octarm.errors import OctarmError, quoted
 
 Operator = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -83,7 +83,7 @@ class Variable:
             raise OctarmError(f"{name} has {len(labels)} labels; a uniform one needs at least 2")
         twice = [label for label in labels if labels.count(label) > 1]
         if twice:
-            raise OctarmError(f"{name} has the label {twice[0]!r} more than once")
+            raise OctarmError(f"{name} has the label {quoted(twice[0])} more than once")
         if not (math.isfinite(high - low) and low < high):
             raise OctarmError(f"{name} goes from {low:g} to {high:g}; low must be below high")
         peaks = [-math.inf, *np.linspace(low, high, len(labels)).tolist(), math.inf]
@@ -137,7 +137,7 @@ class FuzzySystem:
         for variable in self.inputs:
             if names.count(variable.name) > 1:
                 raise OctarmError(
-                    f"two inputs are called {variable.name!r}; they need different names"
+                    f"two inputs are called {quoted(variable.name)}; they need different names"
                 )
             if (hole := variable.hole()) is not None:
                 raise OctarmError(

@@ -23,7 +23,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError, closest, quoted
 
 
 class Clause(NamedTuple):
@@ -104,8 +104,8 @@ class RuleBase:
         head = re.fullmatch(r"(\S+)\s*/\s*(\S+)\s+(.+)", first)
         if not head:
             raise OctarmError(
-                f"a rule table begins with {first!r}; it needs the variables and the labels of the "
-                "columns, as in 'e / rate  N Z P'"
+                f"a rule table begins with {quoted(first)}; it needs the variables and the "
+                "labels of the columns, as in 'e / rate  N Z P'"
             )
         row_variable, column_variable, columns = head[1], head[2], head[3].split()
         rules: list[Rule] = []
@@ -132,10 +132,10 @@ class RuleBase:
         """
         for rule in self.rules:
             for variable, label in itertools.chain(*rule.cases):
-                _check_known(f"variable {variable!r}", rule, variable, inputs)
-                _check_known(f"label {label!r} of {variable}", rule, label, inputs[variable])
+                _check_known(f"variable {quoted(variable)}", rule, variable, inputs)
+                _check_known(f"label {quoted(label)} of {variable}", rule, label, inputs[variable])
             word = rule.conclusion
-            _check_known(f"conclusion {word!r}", rule, word, conclusions)
+            _check_known(f"conclusion {quoted(word)}", rule, word, conclusions)
         cases = [frozenset(case) for rule in self.rules for case in rule.cases]
         clauses = ([Clause(name, label) for label in labels] for name, labels in inputs.items())
         combinations = itertools.product(*clauses)

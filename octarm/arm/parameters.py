@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octarm.arrays import Entry, entry, plain, read_only, split
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError, closest, quoted
 
 if TYPE_CHECKING:
     import mujoco
@@ -196,7 +196,7 @@ class ArmParameters:
         changed = {}
         for name, factor in factors.items():
             if name not in _RULES:
-                raise OctarmError(f"unknown parameter {name!r}{closest(name, _RULES)}")
+                raise OctarmError(f"unknown parameter {quoted(name)}{closest(name, _RULES)}")
             by, field = read_only(f"factor of {name}", factor), getattr(self, name)
             _check_bound(f"factor of {name}", by, *_RULES[name][1:])
             try:

@@ -8,6 +8,8 @@ import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
+from octarm.errors import printable, quoted
+
 _LISTED = 12  # differences that are printed
 ABSENT = "absent"  # instead of a value that is missing
 _HARMLESS = ("name", "cores")  # of a machine; no result depends on them
@@ -114,6 +116,9 @@ def listed(differences: Sequence[Difference], heading: str) -> list[str]:
     if not differences:
         return []
     lines = [f"  {heading:<34}  was -> is"]
-    lines += [f"  {key:<34}  {was!r} -> {now!r}" for key, was, now in differences[:_LISTED]]
+    lines += [
+        f"  {printable(key, 80):<34}  {quoted(was)} -> {quoted(now)}"
+        for key, was, now in differences[:_LISTED]
+    ]
     left = len(differences) - _LISTED
     return [*lines, f"  and {left} more"] if left > 0 else lines

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib.metadata
+import os
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -21,7 +22,7 @@ from cyclopts.exceptions import (
 from octarm.commands import checks, kinds, many_runs, one_run
 from octarm.commands.kinds import SHELLS, Work
 from octarm.commands.pages import arguments_of, commands, is_operand, overview, page, spelling
-from octarm.errors import ExitCode, OctarmError, closest
+from octarm.errors import ExitCode, OctarmError, closest, quoted
 
 APP = App(
     name="octarm",
@@ -50,7 +51,7 @@ def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
         for known in SHELLS:
             if shell == known:
                 return _show(APP.generate_completion(shell=known) + _AFTER.get(shell, ""))
-        raise OctarmError(f"unknown shell {shell!r}{closest(shell, SHELLS)}")
+        raise OctarmError(f"unknown shell {quoted(shell)}{closest(shell, SHELLS)}")
 
     return work
 
@@ -64,6 +65,9 @@ for title, functions in {
     group = Group(title)
     for function in functions:
         APP.command(function, group=group)
+
+# [GB] that rerun reserves, although it uses little of them; other commands need less.
+_ADDRESS_SPACE = {"run": 3.5, "record": 3.5, "replay": 3.5}
 
 # What makes the script work at the end of ~/.zshrc; the function is named by cyclopts.
 _AFTER = {"zsh": "autoload -U +X compinit && compinit\ncompdef _cyclopts_octarm octarm"}
@@ -85,8 +89,24 @@ def parse(words: Sequence[str]) -> Work:
         name = next(iter(bound.arguments["tokens"]), None)
         return functools.partial(_show, overview(APP) if name is None else page(APP, name))
     if command.__module__.startswith("octarm."):
+        _check_address_space(words[0])
         return command(*bound.args, **bound.kwargs)
     return functools.partial(command, *bound.args, **bound.kwargs)  # the version, words for a shell
+
+
+def _check_address_space(command: str) -> None:
+    """Raises OctarmError if the libraries that a command loads would abort for lack of memory."""
+    try:
+        import resource
+    except ImportError:  # not on POSIX
+        return
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    needed = _ADDRESS_SPACE.get(command, 1.5) + 0.11 * (os.cpu_count() or 1)  # threads have stacks
+    if limit != resource.RLIM_INFINITY and limit < 1e9 * needed:
+        raise OctarmError(
+            f"the memory of this process is limited to {1e-9 * limit:.3g} GB of addresses (ulimit "
+            f"-v); octarm {command} needs {needed:.3g} GB on this machine"
+        )
 
 
 def _show(text: str) -> int:
@@ -98,11 +118,11 @@ def _sentence(error: CycloptsError, command: str) -> str:
     """What is wrong with a command line, as a sentence."""
     match error:
         case UnknownCommandError():
-            return f"unknown command {command!r}{closest(command, commands(APP))}"
+            return f"unknown command {quoted(command)}{closest(command, commands(APP))}"
         case UnknownOptionError():
             return _no_such_option(command, (error.token.keyword or error.token.value))
         case UnusedCliTokensError(unused_tokens=[word, *_]):
-            return f"octarm {command} has no use for {word!r}"
+            return f"octarm {command} has no use for {quoted(word)}"
         case RepeatArgumentError():
             return f"{error.token.keyword} is given twice"
         case MissingArgumentError(argument=Argument() as argument) if is_operand(argument):
@@ -112,7 +132,7 @@ def _sentence(error: CycloptsError, command: str) -> str:
         case CoercionError(msg=str() as sentence):
             return sentence
         case CoercionError(token=token) if token is not None:
-            return f"{token.keyword} is {token.value!r}; it is a flag and takes no value"
+            return f"{token.keyword} is {quoted(token.value)}; it is a flag and takes no value"
         case _:
             return " ".join(str(error).split())
 
@@ -127,4 +147,4 @@ def _no_such_option(command: str, word: str) -> str:
     if owners:
         return f"octarm {command} has no option {word}; it belongs to octarm {', '.join(owners)}"
     known = [spelling(a) for a in arguments_of(APP, command) if not is_operand(a)]
-    return f"octarm {command} has no option {word!r}{closest(word, known)}"
+    return f"octarm {command} has no option {quoted(word)}{closest(word, known)}"

@@ -7,7 +7,16 @@ import sys
 from collections.abc import Callable, Sequence
 
 from octarm.commands.terminal import check_open_files, silence, surviving_errors
-from octarm.errors import ExitCode, FileError, OctarmError, sentence_of
+from octarm.errors import ExitCode, FileError, OctarmError, printable, sentence_of
+
+# How MuJoCo, the system's loader, Python's threads and rerun say it, each by errors of its own.
+_NO_MEMORY = (
+    "ould not allocate memory",
+    "annot allocate memory",
+    "failed to map segment",
+    "can't start new thread",
+    "failed to spawn background thread",
+)
 
 
 def main(arguments: Sequence[str] | None = None, *, begin: Callable[[], None] | None = None) -> int:
@@ -38,7 +47,7 @@ def _code(arguments: Sequence[str] | None, begin: Callable[[], None] | None) -> 
         silence(sys.stdout)
         return ExitCode.FINE
     except KeyboardInterrupt as error:
-        print("; ".join(["octarm: interrupted", *error.args]), file=sys.stderr)
+        print(printable("; ".join(["octarm: interrupted", *error.args])), file=sys.stderr)
         return ExitCode.INTERRUPTED
     except Exception as error:
         sentence = " ".join(str(_mendable(error)).split())
@@ -56,14 +65,14 @@ def _mendable(error: Exception) -> OctarmError:
     Beside `OctarmError` this is what the machine refuses: space, permission, memory, a package.
     """
     match error:
+        case _ if isinstance(error, MemoryError) or any(w in str(error) for w in _NO_MEMORY):
+            return OctarmError(f"there is not enough memory{f': {error}' if str(error) else ''}")
         case OctarmError():
             return error
         case OSError(errno=errno.EMFILE):
             return OctarmError("too many files are open; ulimit -n allows more")
         case OSError() if error.strerror:
             return FileError(sentence_of(error))
-        case MemoryError():
-            return OctarmError(f"there is not enough memory: {error}")
         case ModuleNotFoundError():
             return OctarmError(f"{error}; octarm doctor says what to install")
         case _:

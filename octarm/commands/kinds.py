@@ -13,6 +13,8 @@ from typing import Any, Literal, get_args, get_origin
 
 from cyclopts import Group, Parameter, Token
 
+from octarm.errors import quoted
+
 Work = Callable[[], int]  # what a command does, once it begins; returns the exit code
 
 Shell = Literal["bash", "zsh", "fish"]
@@ -62,7 +64,7 @@ def _real(option: str, word: str) -> float:
     try:
         return float(word)
     except ValueError:
-        raise ValueError(f"{option} is {word!r}; it must be a number") from None
+        raise ValueError(f"{option} is {quoted(word)}; it must be a number") from None
 
 
 _LARGEST = 2**63 - 1  # that tables and recordings hold
@@ -73,11 +75,13 @@ def _whole(least: int, most: int = _LARGEST) -> Callable[[str, str], int]:
         try:
             number = int(word)
         except ValueError:
-            raise ValueError(f"{option} is {word!r}; it must be a whole number") from None
+            raise ValueError(f"{option} is {quoted(word)}; it must be a whole number") from None
         if number < least:
-            raise ValueError(f"{option.strip('-')} is {number}; it must be at least {least}")
+            name = option.strip("-")
+            raise ValueError(f"{name} is {quoted(number)}; it must be at least {least}")
         if number > most:
-            raise ValueError(f"{option.strip('-')} is {number}; it must be at most {most}")
+            name = option.strip("-")
+            raise ValueError(f"{name} is {quoted(number)}; it must be at most {most}")
         return number
 
     return convert
@@ -89,7 +93,7 @@ def file(suffix: str = "") -> Parameter:
     def convert(option: str, word: str) -> Path:
         path = Path(word)
         if suffix and path.suffix != suffix:
-            raise ValueError(f"{option} is {word!r}; its name must end in {suffix}")
+            raise ValueError(f"{option} is {quoted(word)}; its name must end in {suffix}")
         if not path.resolve().parent.is_dir():
             raise ValueError(f"{word} cannot be written: there is no folder for it")
         return path

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from octarm.errors import ExitCode
+from octarm.errors import ExitCode, printable
 from octarm.runs import folder as runs
 from octarm.simulation.trajectory import Trajectory
 
@@ -20,7 +20,7 @@ def record(run: Path, out: Path | None) -> int:
     write_recording(target, trajectory, description)
     if target.resolve() == (run / runs.RECORDING).resolve():
         runs.note_recording(run)
-    print(f"wrote {target}")
+    print(f"wrote {printable(str(target))}")
     return ExitCode.FINE
 
 
@@ -30,7 +30,7 @@ def plot(run: Path, out: Path | None) -> int:
 
     trajectory, description = rows_of(run)
     for path in write_figures(out or _sibling(run, "-figures"), trajectory, description):
-        print(f"wrote {path}")
+        print(f"wrote {printable(str(path))}")
     return ExitCode.FINE
 
 
@@ -41,7 +41,7 @@ def video(run: Path, out: Path | None, *, size: tuple[int, int], rate: float, sp
     trajectory, description = rows_of(run)
     target = out or _sibling(run, ".mp4")
     write_video(target, trajectory, description, size=size, rate=rate, speed=speed)
-    print(f"wrote {target}")
+    print(f"wrote {printable(str(target))}")
     return ExitCode.FINE
 
 

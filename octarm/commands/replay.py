@@ -9,7 +9,7 @@ from collections.abc import Generator, Sequence
 from pathlib import Path
 
 from octarm.commands.redraw import rows_of, say_partial
-from octarm.errors import ExitCode, OctarmError
+from octarm.errors import ExitCode, OctarmError, printable
 from octarm.recordings import viewer
 from octarm.recordings.comparison import write_comparison
 from octarm.runs import folder as runs
@@ -38,7 +38,7 @@ def _picture(files: Sequence[Path], screenshot: Path, time: float | None) -> Non
     if not 0.0 <= time <= end:
         raise OctarmError(f"time is {time:g} s; the run goes from 0 to {end:g} s")
     viewer.screenshot(files[0], screenshot, others=files[1:], time=time)
-    print(f"wrote {screenshot}")
+    print(f"wrote {printable(str(screenshot))}")
 
 
 @contextlib.contextmanager
@@ -87,7 +87,8 @@ def _of_run(folder: Path, scratch: Path) -> Path:
     recording, partial = folder / runs.RECORDING, folder / runs.PARTIAL
     if recording.is_file():
         if description["status"] == "interrupted":
-            print(f"octarm: the run is partial: it was {description['message']}", file=sys.stderr)
+            message = printable(description.get("message", ""), 200)
+            print(f"octarm: the run is partial: it was {message}", file=sys.stderr)
         elif description["status"] == runs.RUNNING:
             say_partial(viewer.end_of(recording))
         return recording

@@ -7,8 +7,9 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from octarm.errors import ExitCode, OctarmError
+from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_files
+from octarm.formats import read_toml
 from octarm.reports.charts import pictures
 from octarm.reports.comparisons import TABLES, Comparisons, compare, tables
 from octarm.reports.consistency import Remark, remarks
@@ -32,13 +33,13 @@ def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Pat
     files = tables(numbers)
     source = Source(
         name=sweep.resolve().name,
-        spec=(sweep / SPEC).read_text(encoding="utf-8"),
+        spec=read_toml(sweep / SPEC).text,
         commands=_commands(sweep, baseline, metrics, out),
         files=list(files),
     )
     _write(folder, page(numbers, remarked, drawn, source), files, drawn)
     _print_summary(numbers, remarked)
-    print(f"wrote {folder / PAGE}")
+    print(f"wrote {printable(str(folder / PAGE))}")
     return ExitCode.FINE
 
 

@@ -22,7 +22,7 @@ from octarm.arm.mjcf import nominal_parameters, template_model
 from octarm.arm.modes import growth_rate
 from octarm.arm.parameters import ArmParameters
 from octarm.commands.summary import Swing, summary
-from octarm.errors import ExitCode, OctarmError, closest
+from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
 from octarm.recordings.recording import run_recording
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
@@ -51,7 +51,7 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
         )
     elapsed = time.perf_counter() - started
     print(summary(len(trajectory), swing.amplitude(), description, elapsed))
-    print(f"wrote {out}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
+    print(f"wrote {printable(str(out))}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt(f"{out} holds the run up to t = {trajectory.t[-1]:.6g} s")
     if trajectory.status == "diverged":
@@ -62,7 +62,7 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
     if view:
         _view(out)
     else:
-        print(f"see it: octarm replay {shlex.quote(str(out))}")
+        print(f"see it: octarm replay {printable(shlex.quote(str(out)))}")
     return ExitCode.FINE
 
 
@@ -76,7 +76,7 @@ def true_arm(changes: Sequence[str]) -> ArmParameters:
     known = [field.name for field in dataclasses.fields(ArmParameters)]
     for name in values:
         if name not in known:
-            raise OctarmError(f"unknown parameter {name!r}{closest(name, known)}")
+            raise OctarmError(f"unknown parameter {quoted(name)}{closest(name, known)}")
     nominal = nominal_parameters()
     try:
         return dataclasses.replace(nominal, **values)
@@ -99,7 +99,9 @@ def gain_values(items: Sequence[str]) -> dict[str, npt.ArrayLike]:
     gains = named_values("--gain", items)
     for item, value in zip(items, gains.values(), strict=True):
         if np.ndim(value) > 1:
-            raise OctarmError(f"--gain is {item!r}; a gain is one number, or one a coordinate")
+            raise OctarmError(
+                f"--gain is {quoted(item)}; a gain is one number, or one a coordinate"
+            )
     return gains
 
 
@@ -120,7 +122,7 @@ def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
             table = np.array([[float(x) for x in row.split(",")] for row in text.split(";")])
         except ValueError:
             raise OctarmError(
-                f"{option} is {item!r}; it must read NAME:NUMBER, NAME:A,B,C or NAME:A,B;C,D"
+                f"{option} is {quoted(item)}; it must read NAME:NUMBER, NAME:A,B,C or NAME:A,B;C,D"
             ) from None
         row = table[0] if len(table) == 1 else table
         values[name] = row[0] if row.shape == (1,) else row
@@ -156,7 +158,8 @@ def _view(folder: Path) -> None:
         viewer.open_viewer([folder / runs.RECORDING])
     except OctarmError as error:
         print(f"the viewer did not open: {error}")
-        print(f"a picture: octarm replay {shlex.quote(str(folder))} --screenshot picture.png")
+        name = printable(shlex.quote(str(folder)))
+        print(f"a picture: octarm replay {name} --screenshot picture.png")
 
 
 def _dated_folder(controller: str) -> Path:

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
-from octarm.errors import ExitCode, OctarmError, sentence_of
+from octarm.errors import ExitCode, OctarmError, printable, sentence_of
 from octarm.formats import read_toml
 from octarm.memory import check_batch
 from octarm.simulation.engines import LAGRANGE, check_engine
@@ -62,7 +62,7 @@ def sweep(options: Options) -> int:
     alike = _record(spec, options, options.out)
     _print_summary(options.out)
     alike &= _engines_agree(spec, options.out)
-    print(f"wrote {options.out}/  (spec.toml, manifest.json, episodes/*.parquet)")
+    print(f"wrote {printable(str(options.out))}/  (spec.toml, manifest.json, episodes/*.parquet)")
     print(f"read it: octarm.read_sweep({str(options.out)!r})")
     return ExitCode.FINE if alike else ExitCode.CHECK_FAILED
 
@@ -136,7 +136,7 @@ def _record(spec: SweepSpec, options: Options, out: Path) -> bool:
     done = FinishedSweep(out)
     selection = select(read_sweep(out, COLUMNS), spec.record)
     for note in selection.notes:
-        print(f"octarm: {note}", file=sys.stderr)
+        print(f"octarm: {printable(note)}", file=sys.stderr)
     with (
         SweepFolder(out, done.plan).locked(),
         tqdm(unit=" periods", disable=None, leave=False) as bar,
@@ -153,9 +153,9 @@ def _record(spec: SweepSpec, options: Options, out: Path) -> bool:
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"all rows are there; {_resume(options)} goes on") from None
     for sentence in different.values():
-        print(f"octarm: {sentence}", file=sys.stderr)
+        print(f"octarm: {printable(sentence)}", file=sys.stderr)
     names = [f"{episode} ({', '.join(why)})" for episode, why in selection.reasons.items()]
-    print(f"recorded in {out / RECORDED}/: {', '.join(names) or 'none'}")
+    print(f"recorded in {printable(str(out / RECORDED))}/: {', '.join(names) or 'none'}")
     return not different
 
 
@@ -207,7 +207,7 @@ def _print_summary(folder: Path) -> None:
         values = np.where(diverged, np.inf, errors[names == name])
         known = values[~np.isnan(values)]  # a short episode has none
         median = f"{1e3 * np.median(known):.3g}" if known.size else "-"
-        print(f"{name:<20} {values.size:>9} {diverged.sum():>9}  {median}")
+        print(f"{printable(name, 40):<20} {values.size:>9} {diverged.sum():>9}  {median}")
 
 
 def _engines_agree(spec: SweepSpec, folder: Path) -> bool:

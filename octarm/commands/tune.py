@@ -16,7 +16,7 @@ from tqdm import tqdm
 from controllers import make_controller
 from controllers.gain_sets import GainSet, read_gain_set, shortest
 from octarm.arm.mjcf import nominal_parameters
-from octarm.errors import ExitCode, OctarmError
+from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_text
 from octarm.simulation.engines import check_engine, usual_engine
 from octarm.sweeps.tune import Budget, SearchState, Space, StateFile, Tuned, settings, versions
@@ -45,8 +45,9 @@ def tune(
     write_text(out, gain_set(controller, origin, budget, tuned).to_toml())
     state_file(out).unlink(missing_ok=True)
     _print_summary(controller, budget, tuned)
-    print(f"wrote {out}")
-    print(f"try it: octarm run --controller {controller} --gains {shlex.quote(str(out))}")
+    print(f"wrote {printable(str(out))}")
+    gains = printable(shlex.quote(str(out)))
+    print(f"try it: octarm run --controller {controller} --gains {gains}")
     return ExitCode.FINE
 
 

@@ -14,7 +14,7 @@ from octarm.checks.differences import listed
 from octarm.checks.sweep_files import sweep_differences
 from octarm.checks.verify import check_run
 from octarm.checks.verify_episode import check_episode
-from octarm.errors import ExitCode, OctarmError
+from octarm.errors import ExitCode, OctarmError, printable
 from octarm.runs import folder as runs
 from octarm.sweeps.episodes import FinishedSweep
 from octarm.sweeps.store import MANIFEST
@@ -66,7 +66,7 @@ def _sweep(folder: Path, named: Sequence[int], sample: int | None) -> bool:
 
 
 def _print_lines(folder: Path, lines: Sequence[str]) -> None:
-    print("\n".join([f"{folder}: {lines[0]}", *lines[1:]]), flush=True)
+    print("\n".join(map(printable, [f"{folder}: {lines[0]}", *lines[1:]])), flush=True)
 
 
 def _selected(sweep: FinishedSweep, named: Sequence[int], sample: int | None) -> list[int]:

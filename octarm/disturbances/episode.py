@@ -29,8 +29,9 @@ from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.delivered import Measured
 from octarm.disturbances.fields import Amount, Quantity, field_defaults, field_kinds
 from octarm.disturbances.streams import HeldNoise, episode_seed, stream
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Motion
+from octarm.references import wanted
 
 # The input amplitude is measured on this grid, whatever the physics step.
 _WINDOW = 10.0  # [s]
@@ -120,7 +121,7 @@ class Episode:
         wanted = known if names == "all" else names.split("+")
         for name in wanted:
             if name not in known:
-                raise OctarmError(f"unknown coordinate {name!r}{closest(name, known)}")
+                raise OctarmError(f"unknown coordinate {quoted(name)}{closest(name, known)}")
         return np.array([name in wanted for name in known])
 
     def again(self, occurrence: int) -> Episode:
@@ -183,10 +184,12 @@ class Episode:
         the same bits for an arm and its row of a batch.
         """
         first = total = square = np.zeros(())
+        shape = (*self.batch_shape, self.coordinates)
         size = max(1, _AT_ONCE // len(self._seeds))  # instants that are computed at once
         for k in range(0, _SAMPLES, size):
             grid = range(k, min(k + size, _SAMPLES))
-            instants = [self.reference(i * (_WINDOW / _SAMPLES)) for i in grid]
+            times = [i * (_WINDOW / _SAMPLES) for i in grid]
+            instants = [wanted(self.reference, t, shape) for t in times]
             parts = [np.stack(part) for part in zip(*instants, strict=True)]
             if self.parameters.batch_shape:  # after the axis of time
                 parts = [part[:, None] if part.ndim == 2 else part for part in parts]

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, get_type_hints
 import numpy as np
 
 from octarm.arrays import entry, read_only
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError, closest, quoted
 
 Amount = float | np.ndarray
 
@@ -84,9 +84,9 @@ class Words:
             if not (coordinate or word in self.joined):
                 known = closest(word, (*self.joined, *self.alone))
                 names = " and the names of coordinates" if self.coordinates else ""
-                raise OctarmError(f"{name} is {value!r}{known}{names}")
+                raise OctarmError(f"{name} is {quoted(value)}{known}{names}")
             if words.count(word) > 1:
-                raise OctarmError(f"{name} is {value!r}; it must name {word} once")
+                raise OctarmError(f"{name} is {quoted(value)}; it must name {word} once")
         return str(value)
 
 

@@ -23,7 +23,7 @@ from octarm.disturbances.fields import (
     field_keys,
     field_kinds,
 )
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError, closest, quoted
 
 
 def parse_disturbance(text: str) -> Disturbance:
@@ -39,15 +39,15 @@ def parse_disturbance(text: str) -> Disturbance:
     for i, item in enumerate(rest.split(",") if rest else []):
         key, equals, value = item.partition("=")
         if not equals and i > 0:
-            raise OctarmError(f"{text!r} has {item!r}; it must read {_usage(cls)}")
+            raise OctarmError(f"{quoted(text)} has {quoted(item)}; it must read {_usage(cls)}")
         key, value = (key, value) if equals else (next(iter(keys)), item)
         if key not in keys:
-            raise OctarmError(f"{name} has no key {key!r}{closest(key, keys)}")
+            raise OctarmError(f"{name} has no key {quoted(key)}{closest(key, keys)}")
         if keys[key] in values:
-            raise OctarmError(f"{text!r} gives {key} twice")
+            raise OctarmError(f"{quoted(text)} gives {key} twice")
         values[keys[key]] = _value(text, key, value, field_kinds(cls)[keys[key]])
     if not values or not field_kinds(cls).keys() <= values.keys() | field_defaults(cls).keys():
-        raise OctarmError(f"{text!r} is incomplete; it must read {_usage(cls)}")
+        raise OctarmError(f"{quoted(text)} is incomplete; it must read {_usage(cls)}")
     return cls(**values)
 
 
@@ -80,10 +80,10 @@ def from_dict(description: Mapping[str, Any]) -> Disturbance:
     known = field_kinds(cls)
     for key in fields:
         if key not in known:
-            raise OctarmError(f"{cls.name} has no field {key!r}{closest(key, known)}")
+            raise OctarmError(f"{cls.name} has no field {quoted(key)}{closest(key, known)}")
     for key in known:
         if key not in fields and key not in field_defaults(cls):
-            raise OctarmError(f"{cls.name} needs the field {key!r}")
+            raise OctarmError(f"{cls.name} needs the field {quoted(key)}")
     return cls(**fields)
 
 
@@ -111,7 +111,7 @@ def help_text() -> str:
 
 def _named(name: str) -> type[Disturbance]:
     if name not in DISTURBANCES:
-        raise OctarmError(f"unknown disturbance {name!r}{closest(name, DISTURBANCES)}")
+        raise OctarmError(f"unknown disturbance {quoted(name)}{closest(name, DISTURBANCES)}")
     return DISTURBANCES[name]
 
 
@@ -140,10 +140,10 @@ def _value(text: str, key: str, value: str, kind: Quantity | Words) -> Amount | 
         numbers = [float(part) for part in value.split("/")]
     except ValueError:
         raise OctarmError(
-            f"{text!r} gives {key} the value {value!r}; it must be a number"
+            f"{quoted(text)} gives {key} the value {quoted(value)}; it must be a number"
         ) from None
     if len(numbers) > 1 and not kind.each:
-        raise OctarmError(f"{text!r} gives {key} {len(numbers)} numbers; it takes one")
+        raise OctarmError(f"{quoted(text)} gives {key} {len(numbers)} numbers; it takes one")
     return numbers[0] if len(numbers) == 1 else np.array(numbers)
 
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
+from octarm.errors import printable
 from octarm.metrics.table import METRICS
 from octarm.recordings.channels import coordinates_of
 
@@ -24,6 +25,9 @@ parts of the force have single precision here, E 60 rows a second, and signals w
 each rule are a picture; run.npz has every bit of all of them at every instant."""
 
 
+_LONGEST = 200  # characters of a title, a message or a cell
+
+
 def title_of(description: Mapping[str, Any]) -> str:
     """A run in a few words."""
     controller = description.get("controller", {}).get("name", "")
@@ -32,16 +36,18 @@ def title_of(description: Mapping[str, Any]) -> str:
     title = f"{controller} on {reference}" if controller and reference else "a run"
     title = f"{title}, {' + '.join(names)}" if names else title
     episode = description.get("spawn_key")  # of a sweep
-    return f"{title}, seed {'-'.join(map(str, episode))}" if episode else title
+    title = f"{title}, seed {'-'.join(map(str, episode))}" if episode else title
+    return printable(title, _LONGEST)
 
 
 def notes_of(description: Mapping[str, Any]) -> dict[str, str]:
     """Pages of Markdown by name: `notes`, and `ledger` if there are disturbances."""
     parts = [f"# {title_of(description)}"]
     if description.get("status", "ok") != "ok":
-        parts.append(f"**{description['status']}** {description.get('message', '')}".strip())
+        message = printable(description.get("message", ""), _LONGEST)
+        parts.append(f"**{description['status']}** {message}".strip())
     if description.get("command"):
-        parts.append(f"```\n{description['command']}\n```")
+        parts.append(f"```\n{printable(description['command'], 10 * _LONGEST)}\n```")
     if description.get("metrics"):
         parts.append("## Metrics\n\n" + _metrics(description))
     for heading, table in (
@@ -79,7 +85,8 @@ def _metrics(description: Mapping[str, Any]) -> str:
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    cells = ([printable(cell, _LONGEST) for cell in line] for line in lines)
+    return "\n".join(f"| {' | '.join(line)} |" for line in cells)
 
 
 def _ledger(entry: Mapping[str, Any]) -> str:
@@ -91,7 +98,8 @@ def _ledger(entry: Mapping[str, Any]) -> str:
         for table in (entry["asked"], entry.get("delivered"))
     )
     delivered = "not known yet" if delivered is None else delivered or "nothing"
-    return f"**{entry['name']}**\n\n- asked: {asked}\n- delivered: {delivered}"
+    lines = (f"**{entry['name']}**", "", f"- asked: {asked}", f"- delivered: {delivered}")
+    return "\n".join(printable(line, 10 * _LONGEST) for line in lines)
 
 
 def _text(value: Any) -> str:

@@ -138,7 +138,7 @@ class _Drawing:
         panels = list(panels)
         figure = NewFigure(figsize=(6.3, height * len(panels) + 0.5), layout="constrained")
         axes = list(figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
-        axes[0].set_title(self._title, loc="left")
+        axes[0].set_title(self._title, loc="left", parse_math=False)
         axes[-1].set_xlabel("time [s]")
         axes[0].set_xlim(self._t[0], self._t[-1] if len(self._t) > 1 else None)
         for ax, panel in zip(axes, panels, strict=True):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from octarm.arm.parameters import ArmParameters
-from octarm.errors import OctarmError
+from octarm.errors import OctarmError, quoted
 from octarm.files import whole_file
 from octarm.simulation.trajectory import Trajectory
 
@@ -74,7 +74,7 @@ def write_video(
     import av
 
     if not str(path).endswith(".mp4"):
-        raise OctarmError(f"the film is {os.fspath(path)!r}; its name must end in .mp4")
+        raise OctarmError(f"the film is {quoted(os.fspath(path))}; its name must end in .mp4")
     if not (1.0 <= rate <= 240.0 and 0.0 < speed <= 1000.0):
         raise OctarmError(
             f"rate is {rate:g} and speed {speed:g}; they must be within 1 to 240 and above 0"

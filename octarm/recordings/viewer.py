@@ -13,6 +13,7 @@ import http.client
 import http.server
 import importlib.util
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 _NOWHERE = "http://127.0.0.1:9"
 _PASSED_ON = ("Content-Type", "Content-Encoding", "Cache-Control", "ETag")
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+_TARGET = re.compile(r"/[!-~]*")  # of a request: a path in characters that HTTP allows
 Name = str | os.PathLike[str]
 
 
@@ -269,7 +271,9 @@ def _free_port() -> int:
 def _guarded_page(page_port: int, data_port: int) -> Generator[int]:
     """Passes on the page that rerun serves at `page_port`; yields the port to open.
 
-    Recordings come from `data_port`, the only other place that the page may load from.
+    A request under another host name than that of this machine gets no page: it comes from a site
+    that lets its name stand for 127.0.0.1, and would read what is recorded. Recordings come from
+    `data_port`, the only other place that the page may load from.
     """
     page = "'self' 'unsafe-inline' 'unsafe-eval' blob: data:"
     data = f"http://127.0.0.1:{data_port} ws://127.0.0.1:{data_port}"
@@ -278,13 +282,29 @@ def _guarded_page(page_port: int, data_port: int) -> Generator[int]:
     class Handler(http.server.BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
 
+        def handle(self) -> None:
+            with contextlib.suppress(ConnectionError):  # the browser has gone away
+                super().handle()
+
         def do_GET(self) -> None:
+            hosts = self.headers.get_all("Host", [])
+            if not _TARGET.fullmatch(self.path) or len(hosts) != 1:
+                self.send_error(http.HTTPStatus.BAD_REQUEST)
+                return
+            if hosts[0].lower() not in (f"127.0.0.1:{port}", f"localhost:{port}"):
+                self.send_error(http.HTTPStatus.FORBIDDEN)  # another site leads the browser here
+                return
             source = http.client.HTTPConnection("127.0.0.1", page_port)
-            with contextlib.closing(source):
+            try:
                 encodings = self.headers.get("Accept-Encoding", "identity")
                 source.request("GET", self.path, headers={"Accept-Encoding": encodings})
                 answer = source.getresponse()
                 body = answer.read()
+            except (http.client.HTTPException, OSError, ValueError):
+                self.send_error(http.HTTPStatus.BAD_GATEWAY)
+                return
+            finally:
+                source.close()
             self.send_response(answer.status)
             for name in _PASSED_ON:
                 if (value := answer.getheader(name)) is not None:
@@ -292,16 +312,16 @@ def _guarded_page(page_port: int, data_port: int) -> Generator[int]:
             self.send_header("Content-Length", str(len(body)))
             self.send_header("Content-Security-Policy", policy)
             self.end_headers()
-            with contextlib.suppress(ConnectionError):  # the browser has gone away
-                self.wfile.write(body)
+            self.wfile.write(body)
 
         def log_message(self, format: str, *args: object) -> None:
             del format, args
 
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        port = server.server_address[1]
         threading.Thread(target=server.serve_forever, daemon=True).start()
         try:
-            yield server.server_address[1]
+            yield port
         finally:
             server.shutdown()
 

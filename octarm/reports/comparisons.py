@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError, closest, quoted
 from octarm.reports.frame import Episodes, Factor, Measure
 from octarm.reports.statistics import Interval, Paired, binomial, medians, paired
 
@@ -114,7 +114,9 @@ def compare(episodes: Episodes, baseline: str | None = None) -> Comparisons:
     """
     names, factors = episodes.controllers, episodes.factors
     if baseline is not None and baseline not in names:
-        raise OctarmError(f"the sweep has no controller {baseline!r}{closest(baseline, names)}")
+        raise OctarmError(
+            f"the sweep has no controller {quoted(baseline)}{closest(baseline, names)}"
+        )
     selected = baseline or (names[0] if len(names) > 1 else "")
     partner = partners(episodes, selected) if selected else None
     groups: list[Group] = []

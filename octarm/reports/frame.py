@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from octarm.disturbances.episode import field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError, closest, printable, quoted
 from octarm.metrics.metric import SETTLED_AFTER, Metric
 from octarm.metrics.table import METRICS
 from octarm.references import REFERENCES, named_reference
@@ -26,6 +26,7 @@ from octarm.sweeps.store import metadata_of, read_manifest, read_schema, read_sw
 DEFAULT = ("rms_error", "tip_rms_error", "chattering", "effort", "overshoot")
 
 _FEWEST, _MOST_RANGES = 4, 6  # values in a range of a drawn factor, and ranges
+_LONGEST = 60  # characters of a name in tables and figures
 _TOGETHER = {"rms": ", over all inputs", "max": ", of any input", "mean": ", mean of the inputs"}
 
 
@@ -215,7 +216,7 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
     lost, exact = _suspects(held, errors, spec["duration"])
     return Episodes(
         manifest=manifest,
-        controllers=controllers,
+        controllers=tuple(printable(name, _LONGEST) for name in controllers),
         factors=tuple(_factors(held, spec, names)),
         measures=tuple(values),
         absent=tuple(absent),
@@ -236,7 +237,9 @@ def _known(column: np.ndarray) -> np.ndarray:
 
 def _column(field: pa.Field) -> Measure | None:
     """A column of a metric, as the schema describes it; None for another column."""
-    said = {key.decode(): text.decode() for key, text in metadata_of(field).items()}
+    said = {
+        key.decode(): printable(text.decode(), _LONGEST) for key, text in metadata_of(field).items()
+    }
     if said.get("metric") not in METRICS:
         return None
     return Measure(field.name, said["metric"], said["of"], (field.name,), said["unit"])
@@ -251,7 +254,7 @@ def _measures(name: str, columns: Sequence[Measure], spec: Mapping[str, Any]) ->
     of_metric = [column for column in columns if column.metric == name]
     single = [column for column in columns if column.name == name]
     if name not in METRICS and not single:
-        raise OctarmError(f"unknown metric {name!r}{closest(name, METRICS)}")
+        raise OctarmError(f"unknown metric {quoted(name)}{closest(name, METRICS)}")
     if not of_metric:  # a column, or a metric that is younger than the sweep
         return single
     if METRICS[name].of == "input":
@@ -332,22 +335,24 @@ def _factors(
     """The factors that take more than one value."""
     factors: list[Factor] = []
     for name in names:
-        column, unit = held[name], _unit(name)
+        column, unit, title = held[name], _unit(name), printable(name, _LONGEST)
         if f"random.{name}" in spec:
-            factors += _drawn(name, unit, column)
+            factors += _drawn(title, unit, column)
             continue
         values = np.array(spec[f"grid.{name}"])
         if len(values) < 2:
             continue
         words = column.dtype.kind != "f"
-        labels = tuple(map(str, values.tolist()))
+        labels = tuple(printable(str(value), _LONGEST) for value in values.tolist())
         if not words:
+            if values.dtype.kind not in "if":
+                raise OctarmError(f"the manifest of the sweep has words for values of {name}")
             values = np.sort(values.astype(float))
             labels = tuple(f"{v:g}" for v in values)
         scaled = not words and bool(np.isfinite(values).all())
         places = values if scaled else np.arange(len(values))
         code = _places(column, values)
-        factors.append(Factor(name, unit, labels, places, scaled, drawn=False, code=code))
+        factors.append(Factor(title, unit, labels, places, scaled, drawn=False, code=code))
     return factors
 
 

@@ -10,7 +10,9 @@ from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
+from markupsafe import Markup
 
+from octarm.errors import printable
 from octarm.metrics.metric import SETTLED_AFTER
 from octarm.reports.charts import Scale, scales_of
 from octarm.reports.comparisons import Comparisons, Group
@@ -73,10 +75,18 @@ def templates(*folders: Path) -> jinja2.Environment:
         loader=jinja2.ChoiceLoader([*map(jinja2.FileSystemLoader, folders), package]),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
+        finalize=_shown,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+
+
+def _shown(value: Any) -> Any:
+    """What a page shows of a value: text of files line by line as it can be printed."""
+    if isinstance(value, str) and not isinstance(value, Markup):
+        return "\n".join(map(printable, value.split("\n")))
+    return value
 
 
 def page(

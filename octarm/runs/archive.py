@@ -8,13 +8,12 @@ killed.
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import shutil
 import zipfile
 from collections.abc import Generator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 from numpy.lib import format as npy
@@ -22,10 +21,10 @@ from numpy.lib import format as npy
 from octarm.errors import FileError, OctarmError
 from octarm.files import whole_file
 from octarm.interfaces import Rows
+from octarm.simulation.stored import NUMBER
 from octarm.simulation.trajectory import BLOCK as BLOCK
 from octarm.simulation.trajectory import Ending, Trajectory, joined
 
-_NUMBER = np.dtype("<f8")
 _LONGEST_HEADER = 10_000_000  # [byte]
 
 
@@ -77,7 +76,7 @@ class Archive:
             FileError: if the file cannot be written, or there is no room for all that is expected.
         """
         arrays = dict(rows) if layer is None else {**rows, "layer": layer}
-        block = np.empty((), [(name, _NUMBER, np.shape(x)) for name, x in arrays.items()])
+        block = np.empty((), [(name, NUMBER, np.shape(x)) for name, x in arrays.items()])
         for name, array in arrays.items():
             block[name] = array
         with self._failures():
@@ -88,7 +87,7 @@ class Archive:
             place = self._opened.tell() - block.nbytes
         self._blocks.append({})
         for name, array in arrays.items():
-            size = array.size * _NUMBER.itemsize
+            size = array.size * NUMBER.itemsize
             self._blocks[-1][name] = place, size, array.shape
             place += size
         self._count += len(rows["t"])
@@ -144,54 +143,19 @@ def read_blocks(path: str | os.PathLike[str]) -> Trajectory:
         OctarmError: if there is no whole block.
     """
     blocks: list[dict[str, np.ndarray]] = []
-    with open(path, "rb") as file, contextlib.suppress(ValueError):  # at the end, or amid a block
+    # At the end, or amid a block; what is no block raises errors of any kind.
+    with open(path, "rb") as file, contextlib.suppress(Exception):
         while True:
             block = npy.read_array(file, allow_pickle=False, max_header_size=_LONGEST_HEADER)
-            blocks.append({name: block[name] for name in block.dtype.names or ()})
-    if not blocks or "t" not in blocks[0]:
-        raise OctarmError(f"{path} holds no rows")
+            fields = {name: block[name] for name in block.dtype.names or ()}
+            if not all(array.dtype == NUMBER for array in fields.values()):
+                break
+            blocks.append(fields)
     layers = [block.pop("layer", None) for block in blocks]
-    end = f"killed after t = {blocks[-1]['t'][-1]:.6g} s"
-    return joined(blocks, Ending(layers[0], "interrupted", end))
-
-
-def mapped(path: str | os.PathLike[str]) -> Trajectory:
-    """What `Trajectory.save` or `Archive.save` wrote, read from disk as far as it is looked at.
-
-    Raises:
-        OctarmError: if the file is not a trajectory, or is damaged.
-    """
+    if not blocks or "t" not in blocks[0] or not blocks[0]["t"].size:
+        raise OctarmError(f"{path} holds no rows")
     try:
-        with open(path, "rb") as file, zipfile.ZipFile(file) as content:
-            members = content.infolist()
-            if content.testzip() is not None or any(i.compress_type for i in members):
-                return Trajectory.load(path)  # says what is wrong, or unpacks it
-            arrays: dict[str, np.ndarray] = {}
-            # One mapping for all of them: each one would keep a file open.
-            whole = np.asarray(np.memmap(path, np.uint8, "r"))
-            for member in members:
-                with content.open(member):  # after which the file stands where the array begins
-                    arrays[member.filename.removesuffix(".npy")] = _mapped_array(whole, file)
-        return Trajectory.from_arrays(arrays)
-    except (KeyError, RuntimeError, ValueError, zipfile.BadZipFile) as error:
-        raise OctarmError(f"{path} is not a trajectory file ({error})") from None
-
-
-def _mapped_array(whole: np.ndarray, file: IO[bytes]) -> np.ndarray:
-    """The array at the present place of a file, a part of its bytes if it holds numbers of a run.
-
-    Any other one is read, which refuses Python objects: their mapped memory would be pointers.
-
-    Raises:
-        ValueError: if it is of another format or kind.
-    """
-    start = file.tell()
-    if npy.read_magic(file) == (1, 0):
-        shape, fortran, kind = npy.read_array_header_1_0(file)
-        if kind == _NUMBER and (size := kind.itemsize * math.prod(shape)):
-            values = whole[file.tell() :][:size].view(kind)
-            return values.reshape(shape, order="F" if fortran else "C")
-    file.seek(start)
-    array: Any = npy.read_array(file, allow_pickle=False)
-    array.setflags(write=False)
-    return array
+        end = f"killed after t = {blocks[-1]['t'][-1]:.6g} s"
+        return joined(blocks, Ending(layers[0], "interrupted", end))
+    except (IndexError, KeyError, TypeError, ValueError) as error:
+        raise OctarmError(f"{path} holds other arrays than those of a run ({error})") from None

@@ -18,14 +18,15 @@ from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.ledger import Ledger, asked
 from octarm.disturbances.spelling import from_entry
-from octarm.errors import OctarmError, closest
-from octarm.formats import Array, Document, Model
+from octarm.errors import OctarmError, closest, quoted
+from octarm.formats import Document
 from octarm.interfaces import Controller, ControllerFactory, Rows
 from octarm.interrupts import ignored_interrupts
 from octarm.metrics.table import Metrics, as_json
 from octarm.references import REFERENCES
 from octarm.runs import folder as runs
-from octarm.runs.archive import Archive, mapped
+from octarm.runs.archive import Archive
+from octarm.runs.description import Inputs
 from octarm.runs.place import new_folder
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import MUJOCO
@@ -154,12 +155,12 @@ class Experiment:
         Raises:
             OctarmError: if something is missing or not allowed, or the reference is a custom one.
         """
-        inputs = Document(runs.DESCRIPTION, description).read(_Inputs)
+        inputs = Document(runs.DESCRIPTION, description).read(Inputs)
         reference = inputs.reference.name
         if reference not in REFERENCES:
             raise OctarmError(
-                f"the run followed a custom reference, {reference!r}, which its folder does not "
-                f"hold{closest(reference, REFERENCES)}"
+                f"the run followed a custom reference, {quoted(reference)}, which its folder does "
+                f"not hold{closest(reference, REFERENCES)}"
             )
         numbers = inputs.model_dump(include=_AS_THEY_ARE)
         gains = inputs.controller.gains
@@ -177,40 +178,6 @@ class Experiment:
 def _readable(word: str) -> str:
     """A word of the command line as a text file may hold it; names of files may be any bytes."""
     return os.fsencode(word).decode("utf-8", "backslashreplace")
-
-
-class _Table(Model, extra="ignore"):
-    """A table of `run.json` of which more is there than is read."""
-
-
-class _Named(_Table):
-    name: str
-
-
-class _Controller(_Named):
-    gains: dict[str, Any]
-
-
-class _Disturbance(_Named):
-    asked: dict[str, Any]
-
-
-class _Inputs(_Table):
-    """What says what was run; see `Experiment`."""
-
-    controller: _Controller
-    parameters: dict[str, Any]
-    nominal: dict[str, Any]
-    reference: _Named
-    disturbances: Array[_Disturbance]
-    seed: int
-    spawn_key: Array[int] = ()
-    duration: float
-    timestep: float
-    control_period: float
-    actuation: str
-    integrator: str
-    engine: str
 
 
 def perform(
@@ -292,7 +259,7 @@ def run_into(
                 closing.enter_context(ignored_interrupts())
                 recorder.finish(description)
             archive.save(folder / runs.ARRAYS, ending)
-        trajectory = mapped(folder / runs.ARRAYS)
+        trajectory = Trajectory.load(folder / runs.ARRAYS, mapped=True)
         runs.write_description(folder, description)
     return trajectory, description
 

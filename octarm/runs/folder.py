@@ -17,7 +17,8 @@ from octarm.arrays import plain
 from octarm.errors import OctarmError
 from octarm.files import write_text
 from octarm.interfaces import Controller
-from octarm.runs.archive import mapped, read_blocks
+from octarm.runs.archive import read_blocks
+from octarm.runs.description import Description
 from octarm.simulation.trajectory import Trajectory
 
 RECORDING = "run.rrd"
@@ -121,7 +122,7 @@ def read_description(folder: Path) -> dict[str, Any]:
     """What was run, from `run.json`.
 
     Raises:
-        OctarmError: if the folder holds no run, or one of another format.
+        OctarmError: if the folder holds no run, one of another format, or a value is not allowed.
     """
     path = folder / DESCRIPTION
     if not path.is_file():
@@ -130,6 +131,9 @@ def read_description(folder: Path) -> dict[str, Any]:
     if "controller" not in document.content:
         raise OctarmError(f"{path} does not describe a run: it has no controller")
     formats.check_format(document)
+    document.read(Description)
+    if ArmParameters.from_dict(document.content["parameters"]).batch_shape:
+        raise OctarmError(f"{path} has the parameters of several arms; a run is of one")
     return dict(document.content)
 
 
@@ -153,7 +157,7 @@ def map_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
     description = read_description(folder)
     arrays, blocks = folder / ARRAYS, folder / BLOCKS
     if arrays.is_file():
-        run = mapped(arrays)
+        run = Trajectory.load(arrays, mapped=True)
     elif blocks.is_file():
         run = read_blocks(blocks)
     else:

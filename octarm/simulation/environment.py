@@ -20,10 +20,11 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arrays import split
 from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Disturbance, Episode
-from octarm.errors import OctarmError, closest
-from octarm.interfaces import Motion, Reference
+from octarm.errors import OctarmError, closest, quoted
+from octarm.interfaces import Motion
 from octarm.memory import check_batch
-from octarm.references import named_reference
+from octarm.references import named_reference, wanted
+from octarm.simulation.arguments import check_load, whole_number
 from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.engines import LAGRANGE, MUJOCO, check_engine
 from octarm.simulation.physics import ArmPhysics
@@ -101,9 +102,15 @@ def load(
             whole multiple of the step, an arm that does not hang within its limits, a step that is
             too long for its fastest mode, or more arms than memory holds.
     """
+    times = {"control_period": control_period, "duration": duration}
+    if not isinstance(timestep, str):
+        times["timestep"] = timestep
+    check_load(reference, disturbances, parameters, seed, **times)
+    batch = None if batch is None else whole_number("batch", batch, 1)
+    threads = whole_number("threads", threads, 1)
     check_engine(engine)
-    if actuation not in ACTUATIONS:
-        raise OctarmError(f"unknown actuation {actuation!r}{closest(actuation, ACTUATIONS)}")
+    if actuation not in [*ACTUATIONS]:
+        raise OctarmError(f"unknown actuation {quoted(actuation)}{closest(actuation, ACTUATIONS)}")
     check_integrator(integrator)
     if engine == LAGRANGE and integrator != "rk4":
         raise OctarmError(f"engine {engine!r} steps by rk4 alone; integrator is {integrator!r}")
@@ -144,6 +151,7 @@ def load(
     if not true.batch_shape:  # one for all arms that hang alike
         rest = rest[*[0] * (rest.ndim - 1)]
     motion = named_reference(reference, rest) if isinstance(reference, str) else reference
+    wanted(motion, 0.0, physics.q().shape)  # before it is used
     limit = None if duration is None else whole_periods(duration, steps_a_period * step)
     episode = Episode(
         parameters=true,
@@ -239,7 +247,8 @@ class TrackingTask(control.Task):
         self._period = period
         self._episode_periods = episode_periods
         self._periods = 0
-        self._desired = self.reference(0.0)
+        self._shape = (*episode.batch_shape, episode.coordinates)
+        self._desired = wanted(self.reference, 0.0, self._shape)
 
     @property
     def time(self) -> float:
@@ -258,7 +267,9 @@ class TrackingTask(control.Task):
             index = -1
         if index < 0:
             given = self.next_episode
-            raise OctarmError(f"next_episode is {given!r}; it must be a whole number, at least 0")
+            raise OctarmError(
+                f"next_episode is {quoted(given)}; it must be a whole number, at least 0"
+            )
         episode = self._first.later(index)
         self._start_at(0)
         self.random = episode.streams("wrappers")[0]
@@ -320,7 +331,7 @@ class TrackingTask(control.Task):
 
     def _start_at(self, periods: int) -> None:
         self._periods = periods
-        self._desired: Reference = self.reference(self.time)
+        self._desired = wanted(self.reference, self.time, self._shape)
 
 
 def _whole_steps(period: float, step: float) -> int:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection
 
 import numpy as np
 
-from octarm.errors import OctarmError
+from octarm.errors import OctarmError, quoted
 from octarm.interfaces import Instant, Rows
 from octarm.interrupts import held_interrupts
 from octarm.simulation.trajectory import Ending
@@ -64,8 +64,16 @@ class Recorder:
             layer = instant.command.layer
             self.layer = None if layer is None else np.broadcast_to(layer, instant.q.shape)
         place = self._used
-        for name, column in self._columns.items():
-            column[place] = row[name]
+        name = ""
+        try:
+            for name, column in self._columns.items():
+                column[place] = row[name]
+        except (KeyError, TypeError, ValueError):
+            kind = quoted(row.get(name, "absent"))
+            raise OctarmError(
+                f"the controller's signal {quoted(name)} is {kind} at t = {instant.measurement.t:g}"
+                " s; it must be there at every instant and keep its shape"
+            ) from None
         self._used, self.count = place + 1, self.count + 1
         if self._used == self._size:
             self.flush()
@@ -112,7 +120,9 @@ class Recorder:
             OctarmError: if the record has one of this name.
         """
         if name in row or name in Ending._fields:
-            raise OctarmError(f"a signal cannot be called {name!r}: the record has that field")
+            raise OctarmError(
+                f"a signal cannot be called {quoted(name)}: the record has that field"
+            )
         row[name] = value
 
 

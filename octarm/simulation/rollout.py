@@ -16,6 +16,7 @@ from dm_control.rl import control
 
 from octarm.errors import OctarmError
 from octarm.interfaces import Controller, Instant, Measurement, Reference, Rows
+from octarm.simulation.arguments import check_simulation, commanded
 from octarm.simulation.environment import TrackingTask, whole_periods
 from octarm.simulation.physics import ArmPhysics
 from octarm.simulation.recorder import Recorder
@@ -53,6 +54,7 @@ def simulate(
         OctarmError: if the duration is not positive, the controller's force has a wrong shape, or
             something else moves the arms of this environment before the episode has ended.
     """
+    check_simulation(environment, controller, duration)
     periods = whole_periods(duration, environment.control_timestep())
     with environment.physics.exclusive.loop() as turn:
         return _episode(environment, turn, controller, periods, observers)
@@ -72,13 +74,14 @@ def _episode(
         timestep = environment.reset()
     state = controller.initial_state(physics.batch_shape)
     message = ""
-    for _ in range(periods):
+    for period in range(periods):
         seen = timestep.observation
         measurement = Measurement(task.time, _read_only(seen["q"]), _read_only(seen["v"]))
         q_d, v_d, a_d = seen["q_d"], seen["v_d"], seen["a_d"]
         reference = Reference(_read_only(q_d), _read_only(v_d), _read_only(a_d))
         with np.errstate(all="ignore"):  # what diverges is reported, not warned of
-            command, state = controller(state, measurement, reference)
+            answer = controller(state, measurement, reference)
+            command, state = commanded(answer, measurement.q.shape, first=not period)
             message = _refusal(physics, command.force, measurement)
             tau = physics.actuation.inputs(measurement.q, command.force)
         q, v = physics.q(), physics.v()
@@ -123,6 +126,7 @@ def rollout(
         OctarmError: if the duration is not positive, the controller's force has a wrong shape, the
             environment holds a batch of arms, or something else moves the arm meanwhile.
     """
+    check_simulation(environment, controller, duration)
     blocks: list[Rows] = []
     recorder = ArmRecorder(environment, lambda rows: blocks.append(copied(rows)))
     ending = recorder.run(controller, duration, progress)
@@ -220,11 +224,6 @@ def _read_only(array: np.ndarray) -> np.ndarray:
 
 def _refusal(physics: AnyPhysics, force: np.ndarray, measurement: Measurement) -> str:
     """Freezes the arms whose force cannot be applied; why a single arm was, as a sentence."""
-    if np.shape(force) != measurement.q.shape:
-        raise OctarmError(
-            f"the controller's force has shape {np.shape(force)}; the arm needs "
-            f"{measurement.q.shape}"
-        )
     usable: np.ndarray = np.abs(force) <= _LARGEST_FORCE
     if np.count_nonzero(usable) == usable.size:
         return ""

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from octarm.errors import FileError, OctarmError
+from octarm.errors import FileError, OctarmError, quoted
 from octarm.files import whole_file
 from octarm.interfaces import Rows
+from octarm.simulation.stored import read_arrays
 
 BLOCK = 5000  # rows: fewer cost space in a recording, more cost memory and what a crash loses
 _ARRAYS = ("t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance")
@@ -68,7 +68,7 @@ class Trajectory:
             when it was read from a file.
 
     Raises:
-        OctarmError: if lengths differ, or a signal has the name of another field.
+        OctarmError: if lengths or shapes differ, or a signal has the name of another field.
     """
 
     t: np.ndarray
@@ -89,16 +89,26 @@ class Trajectory:
     def __post_init__(self) -> None:
         for name in self.signals:
             if name in (*_ARRAYS, *Ending._fields):
-                raise OctarmError(f"a signal cannot be called {name!r}: the trajectory has that")
+                raise OctarmError(
+                    f"a signal cannot be called {quoted(name)}: the trajectory has that"
+                )
+        if np.ndim(self.t) != 1 or np.ndim(self.q) != 2 or self.q.shape[1] % 2:
+            shapes = f"{np.shape(self.t)} and {np.shape(self.q)}"
+            raise OctarmError(f"t and q have the shapes {shapes}; they must be (T,) and (T, 2N)")
         for name, array in self.arrays():
             if len(array) != len(self.t):
                 raise OctarmError(f"{name} has {len(array)} rows; t has {len(self.t)}")
+            if name in _ARRAYS[1:] and array.shape != self.q.shape:
+                raise OctarmError(f"{name} has the shape {array.shape}; q has {self.q.shape}")
         for name in _ARRAYS:
             object.__setattr__(self, name, _read_only(getattr(self, name)))
         signals = {name: _read_only(array) for name, array in self.signals.items()}
         object.__setattr__(self, "signals", MappingProxyType(signals))
         if self.layer is not None:
-            layer = np.broadcast_to(self.layer, self.q.shape[1:])
+            shape, needed = np.shape(self.layer), self.q.shape[1:]
+            if shape not in ((), needed):
+                raise OctarmError(f"layer has the shape {shape}; it must be {needed}")
+            layer = np.broadcast_to(self.layer, needed)
             object.__setattr__(self, "layer", _read_only(np.array(layer)))
 
     def __len__(self) -> int:
@@ -123,21 +133,23 @@ class Trajectory:
             np.savez(file, allow_pickle=False, **dict(self.arrays()), **ending.arrays())
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Trajectory:
+    def load(cls, path: str | os.PathLike[str], *, mapped: bool = False) -> Trajectory:
         """Reads what `save` wrote.
+
+        Args:
+            path: of the file.
+            mapped: whether arrays are read from disk as far as they are looked at.
 
         Raises:
             OctarmError: if the file is not a trajectory, or cannot be read.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = dict(file)
-            for array in arrays.values():
-                array.setflags(write=False)
-            return cls.from_arrays(arrays)
-        except OSError as error:
-            raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
-        except (EOFError, KeyError, RuntimeError, ValueError, zipfile.BadZipFile) as error:
+            return cls.from_arrays(read_arrays(path, mapped=mapped))
+        except MemoryError:
+            raise
+        except Exception as error:  # damaged bytes raise errors of any kind
+            if isinstance(error, OSError) and error.strerror:
+                raise FileError(f"{path} cannot be read: {error.strerror}") from None
             raise OctarmError(f"{path} is not a trajectory file ({error})") from None
 
     @classmethod
@@ -145,9 +157,19 @@ class Trajectory:
         """A trajectory of all that `save` writes, by name: rows of shape (T, ...), and the ending.
 
         Raises:
-            KeyError: if something is missing.
+            OctarmError: if something is missing, is no number or no text, or has a wrong shape.
         """
+        if missing := {*_ARRAYS, *Ending._fields[1:]} - arrays.keys():
+            raise OctarmError(f"there is no array {' and no '.join(sorted(missing))}")
+        for name, array in arrays.items():
+            if (array.dtype.kind == "U") != (name in Ending._fields[1:]):
+                raise OctarmError(f"the array {name} is of the wrong kind, {array.dtype}")
         texts: dict[str, Any] = {name: str(arrays[name]) for name in Ending._fields[1:]}
+        if texts["status"] not in get_args(Status):
+            known = ", ".join(get_args(Status))
+            raise OctarmError(f"the status is {quoted(texts['status'])}; it must be {known}")
+        if not np.all(np.diff(arrays["t"], axis=0) > 0.0):
+            raise OctarmError("the times do not rise")
         rows = {name: array for name, array in arrays.items() if name not in Ending._fields}
         return cls.from_rows(rows, Ending(arrays.get("layer"), **texts))
 

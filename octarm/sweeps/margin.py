@@ -21,7 +21,7 @@ from dm_control.rl import control
 from octarm.arm.mjcf import nominal_parameters
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_disturbance
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Controller, ControllerFactory
 from octarm.memory import check_batch
 from octarm.simulation.engines import usual_engine
@@ -167,7 +167,7 @@ def parse_bound(text: str) -> tuple[str, float]:
     try:
         limit = float(value)
     except ValueError:
-        raise OctarmError(f"bound is {text!r}; it must read METRIC:VALUE") from None
+        raise OctarmError(f"bound is {quoted(text)}; it must read METRIC:VALUE") from None
     if not 0.0 < limit < math.inf:
         raise OctarmError(f"bound of {metric} is {limit:g}; it must be positive and finite")
     return metric, limit
@@ -219,7 +219,9 @@ def parse_varied(text: str, low: float | None, high: float | None) -> Varied:
     """
     name, _, rest = text.partition(":")
     if name not in (NOMINAL, *DISTURBANCES):
-        raise OctarmError(f"unknown disturbance {name!r}{closest(name, (NOMINAL, *DISTURBANCES))}")
+        raise OctarmError(
+            f"unknown disturbance {quoted(name)}{closest(name, (NOMINAL, *DISTURBANCES))}"
+        )
     usual = usual_range(name)
     if usual is None and None in (low, high):
         raise OctarmError(f"{name} has no usual range; give --low, a value to bear, and --high")
@@ -231,7 +233,7 @@ def parse_varied(text: str, low: float | None, high: float | None) -> Varied:
         raise OctarmError(f"low is {low:g} and high {high:g}; they must be two finite numbers")
     if name == NOMINAL:
         if rest:
-            raise OctarmError(f"{NOMINAL} has no keys; {rest!r} is given")
+            raise OctarmError(f"{NOMINAL} has no keys; {quoted(rest)} is given")
         for value in (low, high):
             nominal_parameters().mismatched(value)  # raises
         return Varied(name=name, low=low, high=high)
@@ -300,7 +302,7 @@ class MarginRuns:
                 stem = re.sub(r"_(s|theta|tau)\d+$", "", metric)
                 alike = [name for name in known if name.startswith(stem)]
                 meant = closest(metric, alike or known)
-                raise OctarmError(f"there is no measure {metric!r} of such a run{meant}")
+                raise OctarmError(f"there is no measure {quoted(metric)} of such a run{meant}")
         if not isinstance(self.timestep, str):
             return self
         step, period = environment.physics.timestep(), environment.control_timestep()

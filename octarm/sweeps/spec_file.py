@@ -36,7 +36,7 @@ from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.modes import INTEGRATORS
 from octarm.disturbances.fields import Words, field_defaults, field_keys, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
-from octarm.errors import FileError, OctarmError, closest
+from octarm.errors import FileError, OctarmError, closest, quoted
 from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
 from octarm.simulation.engines import ENGINES, MUJOCO
@@ -255,7 +255,7 @@ def _fields(document: Document, *place: str) -> Iterator[tuple[Axis, tuple[str, 
     for name, value in dict[str, Any](table).items():
         if which(name)[0] not in DISTURBANCES:
             hint = closest(name, DISTURBANCES)
-            raise document.error(f"unknown disturbance {name!r}{hint}", *place, name)
+            raise document.error(f"unknown disturbance {quoted(name)}{hint}", *place, name)
         fields = field_keys(class_of(name))
         first = next(iter(fields))
         inner = cast(dict[str, Any], value) if isinstance(value, dict) else None
@@ -263,7 +263,9 @@ def _fields(document: Document, *place: str) -> Iterator[tuple[Axis, tuple[str, 
         for key in [first] if bare or inner is None else inner:
             keys = (*place, name) if bare else (*place, name, key)
             if key not in fields:
-                raise document.error(f"{name} has no key {key!r}{closest(key, fields)}", *keys)
+                raise document.error(
+                    f"{name} has no key {quoted(key)}{closest(key, fields)}", *keys
+                )
             column = name if key == first else f"{name}.{key}"
             column = f"disturbance.{column}" if column in _OWN else column
             yield Axis(name=column, disturbance=name, field=fields[key]), keys
@@ -279,7 +281,7 @@ def _gains(
     for table, names in (("gain_set", sets), ("gains", content.gains)):
         for name in [name for name in names if name not in controllers]:
             hint = closest(name, controllers)
-            message = f"gains of {name!r}, which is no controller of this sweep{hint}"
+            message = f"gains of {quoted(name)}, which is no controller of this sweep{hint}"
             raise document.error(message, table, name)
     gains: dict[str, dict[str, Any]] = {}
     for name, choice in sets.items():

@@ -21,7 +21,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from octarm.errors import FileError, OctarmError, closest
+from octarm.errors import FileError, OctarmError, closest, quoted
 from octarm.files import whole_file, write_text
 from octarm.formats import spelt, to_json
 from octarm.runs.versions import host, versions
@@ -264,7 +264,7 @@ def _table(file: Path, content: bytes, needed: Sequence[str], *, whole: bool) ->
             known = stored.schema_arrow.names
             for name in needed:
                 if name not in known:
-                    raise OctarmError(f"{file} has no column {name!r}{closest(name, known)}")
+                    raise OctarmError(f"{file} has no column {quoted(name)}{closest(name, known)}")
             # Without threads: one that ends after the interpreter aborts the process when it frees
             # a buffer that is Python's.
             return stored.read(columns=None if whole else [*needed], use_threads=False)

@@ -232,6 +232,12 @@ def tune(
         state = SearchState(0, population, cost(population))
         keep(state)
     else:
+        size = (budget.population, len(space.bounds))
+        if state.population.shape != size or state.costs.shape != size[:1] or state.generation < 0:
+            raise OctarmError(
+                f"the search to go on with has candidates of shape {state.population.shape}; they "
+                f"must be {size}, each with its cost, after at least 0 generations"
+            )
         progress((state.generation + 1) * budget.population * budget.short.seconds)
     while state.generation < budget.generations - 1:
         state = next_generation(cost, space.bounds, state, _random(seed, state.generation + 1))
@@ -326,7 +332,10 @@ class StateFile:
                     f"{self.path} belongs to a search with another {key}; go on with that one, or "
                     "delete the file"
                 )
-        population, costs = np.array(content.population), np.array(content.costs)
+        try:
+            population, costs = np.array(content.population), np.array(content.costs)
+        except ValueError:
+            raise OctarmError(f"{self.path} has candidates of different lengths") from None
         return SearchState(content.generation, population, costs)
 
 

@@ -1,0 +1,79 @@
+"""What `run.json` holds, key by key."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, FiniteFloat
+
+from octarm.formats import Array, Model
+
+Positive = Annotated[FiniteFloat, Field(gt=0.0)]
+_Numbers = float | None | Array[float | None]  # what is not finite is null
+
+
+class _Table(Model, extra="ignore"):
+    """A table of `run.json` of which more may be there than is read."""
+
+
+class _Named(_Table):
+    name: str
+
+
+class _Controller(_Named):
+    gains: dict[str, Any]
+
+
+class _Disturbance(_Named):
+    asked: dict[str, Any]
+    delivered: dict[str, Any] | None = None
+
+
+class _Coordinate(_Table):
+    name: str
+    unit: str
+
+
+class _Run(_Table):
+    """What is needed of `run.json` whatever is done with the run."""
+
+    controller: _Controller
+    parameters: dict[str, Any]
+    reference: _Named
+    spawn_key: Array[Annotated[int, Field(ge=0, lt=2**32)]] = ()
+
+
+class Description(_Run):
+    """All that is read of `run.json` to look at a run."""
+
+    status: Literal["running", "ok", "diverged", "interrupted"]
+    coordinates: Array[_Coordinate] = ()
+    nominal: dict[str, Any] = Field(default_factory=dict)
+    disturbances: Array[_Disturbance] = ()
+    seed: Annotated[int, Field(ge=0)] = 0
+    duration: Positive | None = None
+    timestep: Positive | None = None
+    control_period: Positive | None = None
+    actuation: str | None = None
+    integrator: str | None = None
+    engine: str | None = None
+    metrics: dict[str, _Numbers] = Field(default_factory=dict)
+    message: str = ""
+    versions: dict[str, str] = Field(default_factory=dict)
+    host: dict[str, str | int | None] = Field(default_factory=dict)
+    digest: str = ""
+    command: str = ""
+
+
+class Inputs(_Run):
+    """What is read of `run.json` to run it again."""
+
+    nominal: dict[str, Any]
+    disturbances: Array[_Disturbance]
+    seed: Annotated[int, Field(ge=0)]
+    duration: Positive
+    timestep: Positive
+    control_period: Positive
+    actuation: str
+    integrator: str
+    engine: str
