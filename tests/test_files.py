@@ -99,11 +99,11 @@ def test_two_that_write_the_same_file_do_not_share_a_part(tmp_path):
 
 def test_a_mapped_run_keeps_one_file_open(tmp_path):
     from octarm.commands import cli
-    from octarm.runs.archive import mapped
+    from octarm.simulation.trajectory import Trajectory
 
     assert cli.main(["run", "--duration", "0.01", "--out", str(tmp_path / "a")]) == 0
     before = len(os.listdir("/dev/fd"))
-    run = mapped(tmp_path / "a" / "run.npz")
+    run = Trajectory.load(tmp_path / "a" / "run.npz", mapped=True)
     assert len(os.listdir("/dev/fd")) <= before + 1
     assert not run.q.flags.writeable
     with np.load(tmp_path / "a" / "run.npz") as arrays:

@@ -48,7 +48,7 @@ def test_an_environment_under_constant_inputs_is_of_fourth_order(actuation, refe
     errors = []
     for timestep in (1e-3, 5e-4, 2.5e-4):
         environment = load(timestep=timestep, control_period=0.025, actuation=actuation)
-        environment.reset()
+        observed = environment.reset().observation
         for _ in range(20):
             observed = environment.step(CONSTANT).observation
         errors.append(np.max(np.abs(observed["q"] - right)))
@@ -135,7 +135,7 @@ def test_a_force_of_ones_own_that_depends_on_q_is_of_second_order(batch):
         environment = load(
             disturbances=[spring], timestep=timestep, control_period=0.025, batch=batch
         )
-        environment.reset()
+        observed = environment.reset()
         for _ in range(10):
             observed = environment.step(np.zeros(environment.physics.q().shape) + CONSTANT)
         errors.append(np.max(np.abs(observed.observation["q"] - right)))

@@ -74,7 +74,7 @@ def _grows(p: lagrange.ArmParameters, integrator: str, step: float) -> bool:
     data, order = mujoco.MjData(model), paper_order(model)[0]
     nudge = 1e-9 * np.random.default_rng(1).normal(size=p.coordinates)
     data.qpos[order] = lagrange.equilibrium(p) + nudge
-    first = 0.0
+    first = speed = 0.0
     for k in range(40):
         mujoco.mj_step(model, data, 50)
         speed = np.abs(data.qvel).max()
@@ -153,7 +153,7 @@ def test_the_stiffness_is_the_slope_of_the_potential_force_at_any_size():
             lagrange.potential_force(p, q + e) - lagrange.potential_force(p, q - e)
             for e in h * np.eye(2 * n)
         ]
-        expected = np.moveaxis(slopes, 0, -1) / (2 * h)
+        expected = np.stack(slopes, axis=-1) / (2 * h)
         size = np.abs(expected).max()
         np.testing.assert_allclose(lagrange.potential_hessian(p, q), expected, atol=1e-7 * size)
 
@@ -163,7 +163,7 @@ def test_jacobians_are_differences_of_positions():
     for n in (1, 4):
         q, v = rng.normal(size=(2, 2, 2 * n))
         by = [lagrange.positions(q + e) - lagrange.positions(q - e) for e in h * np.eye(2 * n)]
-        np.testing.assert_allclose(jacobian(q), np.moveaxis(by, 0, -1) / (2 * h), atol=1e-8)
+        np.testing.assert_allclose(jacobian(q), np.stack(by, axis=-1) / (2 * h), atol=1e-8)
         rate = (jacobian(q + h * v) - jacobian(q - h * v)) / (2 * h)
         np.testing.assert_allclose(jacobian_rate(q, v), rate, atol=1e-7)
 
