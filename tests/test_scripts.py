@@ -131,7 +131,8 @@ def test_the_shapes_on_the_circle_are_those_that_the_springs_resist_least():
 def test_the_benchmark_prints_its_figures(tmp_path):
     done = subprocess.run(
         [sys.executable, SCRIPTS / "benchmark.py", "--arms", "8", "--seconds", "0.002",
-         "--only", "controller-step", "closed-loop", "one-arm", "recording", "--json", "figures.json"],
+         "--only", "controller-step", "closed-loop", "one-arm", "recording",
+         "--json", "figures.json"],
         cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

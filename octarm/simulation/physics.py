@@ -94,12 +94,12 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
             PhysicsError: when MuJoCo reports a bad state; the state is never reset.
         """
         with self.exclusive:
-            intact = self._all_intact
+            before = self._warnings.tolist()
             super().step(nstep)
             if self._all_intact:
                 mujoco.mj_step1(self.model.ptr, self.data.ptr)  # sensors of the new state
-            if intact and any(self._warnings.tolist()):
-                self._refuse_state()
+            if self._warnings.tolist() != before:
+                self._refuse_state(before)
 
     def _advance(self) -> None:
         mujoco.mj_step(self.model.ptr, self.data.ptr)
@@ -132,10 +132,9 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
         mujoco.mj_getState(self.model.ptr, self.data.ptr, state, _INTEGRATION)
         return state
 
-    def _refuse_state(self) -> None:
-        """Raises PhysicsError because MuJoCo has counted warnings since the start."""
-        counts = self._warnings.copy()
-        self._warnings[:] = 0
+    def _refuse_state(self, before: list[int]) -> None:
+        """Raises PhysicsError because MuJoCo has counted more warnings than before."""
+        counts, self._warnings[:] = self._warnings.copy(), before
         try:
             with self.check_invalid_state():
                 self._warnings[:] = counts
