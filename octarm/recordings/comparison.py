@@ -19,6 +19,7 @@ from octarm.simulation.trajectory import Trajectory
 Run = tuple[Trajectory, Mapping[str, Any]]
 
 
+@np.errstate(all="ignore")  # a diverged arm may hold anything
 def write_comparison(path: Path, first: Run, second: Run) -> None:
     """Writes two runs as one recording, whole or not at all; they appear as A and B.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -24,6 +25,7 @@ Figure = Any
 
 COLORS = ["#d1660a", "#1f6fb5", "#2a9461", "#b8408f", "#a08a10", "#6a55c8", "#1b8f8f", "#c24a3a"]
 _MOST = 4000  # points a curve; of more only the extremes of each stretch are drawn
+_LARGEST = 1e100  # number that an axis shows
 _INSTANTS = 1500  # of a heat map at most
 _STYLE: Any = {
     "font.size": 8,
@@ -46,6 +48,7 @@ _STYLE: Any = {
 }
 
 
+@np.errstate(all="ignore")  # a diverged arm may hold anything
 def write_figures(
     folder: str | os.PathLike[str], run: Trajectory, description: Mapping[str, Any]
 ) -> list[Path]:
@@ -61,7 +64,9 @@ def write_figures(
         OSError: if a file cannot be written.
     """
     drawn: dict[Path, bytes] = {}
-    with cast(Any, matplotlib).rc_context(_STYLE):
+    with cast(Any, matplotlib).rc_context(_STYLE), warnings.catch_warnings():
+        # A letter that the font lacks is drawn as a box, a number without end as none.
+        warnings.simplefilter("ignore")
         for name, figure in _Drawing(run, description).figures():
             for kind in ("svg", "png"):
                 content = io.BytesIO()
@@ -149,17 +154,18 @@ class _Drawing:
         return figure
 
     def _draw_curves(self, ax: Axes, panel: _Panel) -> None:
-        values = panel.channel.values(self._rows)[:, panel.part]
+        values = _drawable(panel.channel.values(self._rows)[:, panel.part])
         if panel.logarithmic:
             values = np.maximum(values, 1e-12)
             ax.set_yscale("log")
-        desired = self._rows["q_d"][:, panel.part] if panel.desired else values
+        desired = _drawable(self._rows["q_d"][:, panel.part]) if panel.desired else values
         for style, y, y_d in zip(panel.styles, values.T, desired.T, strict=True):
             if panel.desired:
                 ax.plot(*_thinned(self._t, y_d), color=style["color"], linewidth=3.0, alpha=0.3)
             ax.plot(*_thinned(self._t, y), **style)
         for y in bound.lines(panel.part) if (bound := panel.channel.bound) else ():
-            ax.axhline(y, color="#555555", linewidth=0.6, linestyle=":")
+            if abs(y) < _LARGEST:
+                ax.axhline(y, color="#555555", linewidth=0.6, linestyle=":")
         if "label" in panel.styles[0]:
             ax.legend(
                 loc="upper left", bbox_to_anchor=(1.0, 1.02), handlelength=1.4, borderaxespad=0.2
@@ -187,6 +193,11 @@ class _Drawing:
         ax.grid(False)
         ax.set_ylabel(f"change of {_symbol(channel.name)}")
         figure.colorbar(image, ax=ax, label="share of largest", pad=0.01)
+
+
+def _drawable(values: np.ndarray) -> np.ndarray:
+    """The numbers, of any shape, with NaN for those beyond what an axis can show."""
+    return np.where(np.abs(values) < _LARGEST, values, np.nan)
 
 
 def _thinned(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -147,6 +147,7 @@ class RunRecording:
         self._start = self._end = self._planned = 0.0
         self._last: tuple[float, float] | None = None  # t and V
 
+    @np.errstate(all="ignore")  # a diverged arm may hold anything
     def add(self, rows: Rows, layer: np.ndarray | None = None) -> None:
         """Records further rows, which are on disk afterwards.
 
@@ -189,6 +190,7 @@ class RunRecording:
         for k in range(0, len(run), BLOCK):
             self.add({name: x[k : k + BLOCK] for name, x in arrays.items()}, run.layer)
 
+    @np.errstate(all="ignore")
     def finish(self, description: Mapping[str, Any]) -> None:
         """Records what is known when the run is over; `description` is now complete."""
         with rerun_errors(self._path):

@@ -280,7 +280,7 @@ def _guarded_page(page_port: int, data_port: int) -> Generator[int]:
     policy = f"default-src {page}; connect-src 'self' blob: data: {data}"
 
     class Handler(http.server.BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.1"
+        protocol_version = default_request_version = "HTTP/1.1"  # also of what is no request
 
         def handle(self) -> None:
             with contextlib.suppress(ConnectionError):  # the browser has gone away

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import re
-from contextlib import AbstractContextManager
+import warnings
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -59,9 +61,12 @@ class Picture(NamedTuple):
         return inline_svg(self.svg, self.name.replace(".", "-"), self.caption)
 
 
-def figure_style() -> AbstractContextManager[None]:
+@contextlib.contextmanager
+def figure_style() -> Generator[None]:
     """The style in which figures are made and saved, whatever a user's own settings are."""
-    return matplotlib.style.context(["default", str(_STYLE)])
+    with matplotlib.style.context(["default", str(_STYLE)]), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # the font lacks it, and draws a box
+        yield
 
 
 def save_figure(name: str, caption: str, figure: Figure) -> Picture:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -125,7 +126,7 @@ def read_description(folder: Path) -> dict[str, Any]:
         OctarmError: if the folder holds no run, one of another format, or a value is not allowed.
     """
     path = folder / DESCRIPTION
-    if not path.is_file():
+    if not os.path.isfile(path):  # nor is what cannot be a file's name
         raise OctarmError(f"{folder} is not a run folder: it has no {DESCRIPTION}")
     document = formats.read_json(path)
     if "controller" not in document.content:

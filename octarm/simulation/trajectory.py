@@ -162,13 +162,17 @@ class Trajectory:
         if missing := {*_ARRAYS, *Ending._fields[1:]} - arrays.keys():
             raise OctarmError(f"there is no array {' and no '.join(sorted(missing))}")
         for name, array in arrays.items():
-            if (array.dtype.kind == "U") != (name in Ending._fields[1:]):
-                raise OctarmError(f"the array {name} is of the wrong kind, {array.dtype}")
+            text = name in Ending._fields[1:]
+            if (array.dtype.kind == "U", array.ndim == 0) != (text, text):
+                raise OctarmError(
+                    f"the array {name} is of the wrong kind, {array.dtype} of shape {array.shape}"
+                )
         texts: dict[str, Any] = {name: str(arrays[name]) for name in Ending._fields[1:]}
         if texts["status"] not in get_args(Status):
             known = ", ".join(get_args(Status))
             raise OctarmError(f"the status is {quoted(texts['status'])}; it must be {known}")
-        if not np.all(np.diff(arrays["t"], axis=0) > 0.0):
+        t = arrays["t"]
+        if not (np.isfinite(t).all() and np.all(t[1:] > t[:-1])):
             raise OctarmError("the times do not rise")
         rows = {name: array for name, array in arrays.items() if name not in Ending._fields}
         return cls.from_rows(rows, Ending(arrays.get("layer"), **texts))

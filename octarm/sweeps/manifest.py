@@ -9,6 +9,7 @@ alone, which runs episodes again.
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -59,7 +60,7 @@ def open_sweep(folder: Path) -> tuple[Plan, dict[str, Any]]:
             or `manifest.json` was changed.
     """
     file = folder / MANIFEST
-    if not file.is_file():
+    if not os.path.isfile(file):  # nor is what cannot be a file's name
         raise OctarmError(f"{folder} is not a sweep: it has no {MANIFEST}")
     document = read_json(file)
     check_format(document)
