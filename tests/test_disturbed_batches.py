@@ -3,6 +3,7 @@
 Also arms that do not survive, and values that make no sense.
 """
 
+import dataclasses
 import re
 from collections.abc import Callable, Sequence
 
@@ -231,7 +232,7 @@ def test_an_arm_that_diverges_changes_no_other(period: int):
 
 def test_forces_beyond_what_mujoco_takes_end_a_run_alike_in_a_batch(each_engine: str):
     """MuJoCo drops inputs above 1e10 N, with a warning and the arm unmoved."""
-    thin = P.scaled(width=1e-3)
+    thin = dataclasses.replace(P, width=P.width * 1e-3, input_range=(-np.inf, np.inf))
     huge = "BADCTRL" if each_engine == "mujoco" else "outside"
     for force, reason in ((5e3, "moves"), (9e7, huge), (2e8, "2e.08"), (np.nan, "nan")):
         push = Listener(lambda m, r, x=force: np.full_like(m.q, [0, 0, 0, x, 0, 0]))

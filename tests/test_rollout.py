@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from arm_states import UNLIMITED
 from dm_control.suite.wrappers import action_noise
 
 from controllers import make_controller
@@ -92,10 +93,11 @@ def test_a_wrapped_environment_runs_and_the_inputs_it_received_are_recorded():
 
 @pytest.mark.parametrize("gain", ["K", "K_v", "lambda"])
 def test_a_gain_a_thousand_times_too_large_ends_the_run_at_once(gain: str):
-    p = nominal_parameters()
+    p = UNLIMITED
     recommended = make_controller("smc-boundary", p)
     value = getattr(recommended, "lambda_" if gain == "lambda" else gain)
-    run = rollout(load(), make_controller("smc-boundary", p, {gain: 1000.0 * value}), 1.0)
+    controller = make_controller("smc-boundary", p, {gain: 1000.0 * value})
+    run = rollout(load(parameters=p), controller, 1.0)
     assert run.status == "diverged"
     assert re.match(r"diverged at t = 0\.00\d+ s: (s|theta)\d (is|moves at) ", run.message)
     assert 1 <= len(run) < 20
@@ -139,7 +141,8 @@ def spoil_action(physics, action):
     ],
 )
 def test_a_state_or_input_that_mujoco_refuses_ends_the_run(spoil, message):
-    spoilt = Spoilt(load(), spoil)
+    strong = dataclasses.replace(UNLIMITED, input_range=(-1e30, 1e30))
+    spoilt = Spoilt(load(parameters=strong), spoil)
     run = rollout(spoilt, Probe(), 0.1)  # pyright: ignore[reportArgumentType]
     assert run.status == "diverged"
     assert re.match(message, run.message), run.message
