@@ -146,9 +146,10 @@ class Law:
     nominal: NominalModel
 
     def __post_init__(self) -> None:
+        optional = {field.name for field in dataclasses.fields(self) if field.default is None}
         for name, field in gain_fields(type(self)).items():
             value = getattr(self, name)
-            if value is not None:
+            if value is not None or name not in optional:
                 value = field.checked(spelled(name), value, self.nominal)
                 object.__setattr__(self, name, value)
 

@@ -63,7 +63,9 @@ def quoted(value: object, spell: Callable[[Any], str] = repr) -> str:
         text = spell(_shortened(value, _LONGEST_VALUE) if isinstance(value, str) else value)
     except (RecursionError, ValueError):  # Python spells no number of more than 4300 digits
         text = f"a {type(value).__name__} that is too long to be spelt"
-    return printable(" ".join(text.split()), _LONGEST_VALUE)
+    if not isinstance(value, str):  # an array is spelt on several lines
+        text = " ".join(text.split())
+    return printable(text, _LONGEST_VALUE)
 
 
 def _shortened(text: str, longest: int) -> str:
