@@ -104,14 +104,14 @@ def test_the_motors_of_the_model_exert_the_force_of_the_inputs_in_every_state(ki
     rng = np.random.default_rng(3)
     width, (q, tau) = random_width(rng, n, ()), random_motion(rng, n, (500,))
     p = dataclasses.replace(arm_with(n), width=width)
-    actuation, model = kind(p.width), build(p)
+    actuation, model = kind(p.widths), build(p)
     data, (positions, velocities) = mujoco.MjData(model), paper_order(model)
     found = np.empty_like(q)
     for row, q_row, ctrl in zip(found, q, actuation.ctrl(tau), strict=True):
         data.qpos[positions], data.ctrl[:] = q_row, ctrl
         mujoco.mj_forward(model, data)
         row[:] = data.qfrc_actuator[velocities]
-    assert_close(found, times(matrix(kind, p.width, q), tau))
+    assert_close(found, times(matrix(kind, p.widths, q), tau))
 
 
 def test_the_bare_file_exerts_f_coeff_tau_where_ctrl_is_tau():
@@ -125,7 +125,7 @@ def test_the_bare_file_exerts_f_coeff_tau_where_ctrl_is_tau():
     assert [kind for kind, _ in motors] == ["push"] * 6 + ["reaction"] * 4
     order = [inputs.index(column) for _, column in motors]
     assert order == [0, 1, 2, 3, 4, 5, 2, 3, 4, 5]
-    internal = InternalActuation(p.width)
+    internal = InternalActuation(p.widths)
     for q_row, tau_row in zip(q, tau, strict=True):
         for i in range(3):
             data.joint(f"s_{i + 1}").qpos = q_row[i]

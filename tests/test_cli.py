@@ -92,7 +92,7 @@ def test_options_reach_the_run():
     assert d["controller"]["gains"]["lambda_"] == 20.0
     assert d["controller"]["gains"]["K"] == [1, 1, 1, 0.4, 0.2, 0.1]
     assert d["reference"]["name"] == "smooth-step"
-    assert d["parameters"]["width"] == d["nominal"]["width"] == 0.1
+    assert d["parameters"]["width"] == d["nominal"]["width"] == [0.1]
     np.testing.assert_allclose(d["nominal"]["mass"], 0.5 * np.array(d["parameters"]["mass"]))
 
 

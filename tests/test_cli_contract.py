@@ -49,8 +49,8 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--timestep": "S",
             "--control-period": "S",
             "--actuation": "ACTUATION f-coeff",
-            "--engine": "ENGINE mujoco",
             "--integrator": "INTEGRATOR rk4",
+            "--engine": "ENGINE mujoco",
         },
         "output": {"--out": "DIR", "--view": ""},
     },
@@ -73,8 +73,8 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--resume": "",
             "--dry-run": "",
             "--cluster": "ADDRESS",
-            "--engine": "ENGINE",
             "--wait-for-workers": "S 60",
+            "--engine": "ENGINE",
         }
     },
     "report": {

@@ -424,7 +424,7 @@ def gravity_force(p: ArmParameters, q: np.ndarray, angle: float) -> np.ndarray:
 def test_the_arm_moves_as_the_analytic_model_says_under_what_was_delivered():
     """Fourth-order Runge-Kutta on eqs (1)-(5); disturbances are held over a step, not F(q) tau."""
     found = run(ALL, 200, period=2)
-    actuation = GroundedActuation(P.width)
+    actuation = GroundedActuation(P.widths)
     worst = 0.0
     for k in range(200):
         p, angle, q0 = found.plants[k], found.angle[k], found.q[k]
@@ -452,7 +452,7 @@ def test_energy_goes_where_it_is_delivered():
     changes = ["mismatch:0.2", "drift:0.5,of=stiffness+rest_length", "payload:0.2,at=0.1"]
     pushes = ["noise:0.4", "sine:0.3,frequency=3,on=tip-y", "step:-0.2,on=s2"]
     found = run([*changes, *pushes, "loss:0.3", "lag:0.01"], 800, period=4)
-    actuation = GroundedActuation(P.width)
+    actuation = GroundedActuation(P.widths)
     stored = [sum(energy(found.plants[0], found.q[0], found.v[0]))]
     supplied = damped = brought = 0.0
     for k, p in enumerate(found.plants):

@@ -57,13 +57,13 @@ def test_bits_do_not_depend_on_the_batch_nor_on_threads(arms: int, threads: int)
     each = ArmParameters(
         **{k: np.asarray(x)[np.arange(arms) % 32] for k, x in parameters.to_dict().items()}
     )
-    physics = LagrangePhysics(each, arms, ACTUATIONS["f-coeff"](each.width), threads=threads)
+    physics = LagrangePhysics(each, arms, ACTUATIONS["f-coeff"](each.widths), threads=threads)
     lively(physics)
     physics.step(20)
     q, v = physics.q(), physics.v()
     for i in {0, arms // 2, arms - 1}:
         arm = each.arm(i)
-        single = LagrangePhysics(arm, None, ACTUATIONS["f-coeff"](arm.width))
+        single = LagrangePhysics(arm, None, ACTUATIONS["f-coeff"](arm.widths))
         x = np.random.default_rng([0, i]).normal(size=(3, 6))
         single.set_motion(single.hanging() * (1.0 + 0.1 * x[0]) + 0.02 * x[0], x[1])
         single.set_control(5.0 * x[2])
@@ -77,7 +77,7 @@ def test_arms_that_share_their_parameters_have_the_bits_of_those_that_do_not():
     same = ArmParameters(**{k: np.broadcast_to(x, (n, *x.shape)) for k, x in fields(P).items()})
     motions = []
     for parameters in (P, same):
-        physics = LagrangePhysics(parameters, n, ACTUATIONS["f-coeff"](P.width))
+        physics = LagrangePhysics(parameters, n, ACTUATIONS["f-coeff"](P.widths))
         lively(physics)
         physics.step(10)
         motions.append(physics.q())
@@ -97,7 +97,7 @@ def test_a_step_is_that_of_mujoco(modules: int, actuation: str):
     of rounding.
     """
     n, arm = 20, random_arm(np.random.default_rng(modules), modules)
-    forces = ACTUATIONS[actuation](arm.width)
+    forces = ACTUATIONS[actuation](arm.widths)
     h = 1e-4 if modules > 5 else 5e-4
     engines = [
         LagrangePhysics(arm, n, forces, timestep=h),
@@ -153,7 +153,7 @@ def test_free_motion_converges_with_order_four():
     end = 10 * free_motion.DURATION / free_motion.SAMPLES
     errors = []
     for steps in (400, 800, 1600):
-        physics = LagrangePhysics(P, None, ACTUATIONS["internal"](P.width), timestep=end / steps)
+        physics = LagrangePhysics(P, None, ACTUATIONS["internal"](P.widths), timestep=end / steps)
         physics.set_motion(q, v)
         physics.step(steps)
         errors.append(np.abs(physics.q() - reference).max())
@@ -165,7 +165,7 @@ def test_free_motion_converges_with_order_four():
 def test_energy_is_kept_without_damping():
     arm = P.scaled(damping=0.0)
     q, v = free_motion.initial_motion(arm, np.random.default_rng(2))
-    physics = LagrangePhysics(arm, None, ACTUATIONS["internal"](arm.width), timestep=1e-4)
+    physics = LagrangePhysics(arm, None, ACTUATIONS["internal"](arm.widths), timestep=1e-4)
     physics.set_motion(q, v)
     before = sum(lagrange.energy(arm, q, v))
     physics.step(5000)

@@ -81,7 +81,7 @@ def test_inputs_whose_reaction_is_not_on_the_ground_miss_the_reference(reference
 def test_tendon_forces_held_over_a_step_would_be_of_first_order(reference):
     """What `validate` would see of a map from tau to column forces once a step."""
     model, errors = build_model(P), []
-    grounded, internal = (ACTUATIONS[name](P.width) for name in ("f-coeff", "internal"))
+    grounded, internal = (ACTUATIONS[name](P.widths) for name in ("f-coeff", "internal"))
     qpos, _ = paper_order(model)
     for steps in (500, 1000):
         model.opt.timestep = forced_motion.DURATION / steps
@@ -115,7 +115,7 @@ class Spring(Force):
 
 @pytest.mark.parametrize("batch", [None, 2])
 def test_a_force_of_ones_own_that_depends_on_q_is_of_second_order(batch):
-    grounded, spring = GroundedActuation(P.width), Spring()
+    grounded, spring = GroundedActuation(P.widths), Spring()
     held = spring.start(
         Episode(
             parameters=P,

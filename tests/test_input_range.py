@@ -252,7 +252,7 @@ def test_what_is_surely_within_the_range_is_within_it():
     for _ in range(300):
         q = REST + draw.normal(size=6) * np.repeat([0.05, 1.0], 3)
         force = draw.normal(size=6) * np.repeat([10.0, 0.6], 3) * draw.uniform()
-        tau = GroundedActuation(P.width).inputs(q, force)
+        tau = GroundedActuation(P.widths).inputs(q, force)
         for most in np.array([0.9, 0.999, 1.001, 3.0]) * np.max(np.abs(tau)):
             inputs = LagrangeModel(limited(-most, most))._range
             assert not (inputs._surely_within(q, force) and np.any(np.abs(tau) > most))

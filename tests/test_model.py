@@ -200,7 +200,7 @@ def test_sensors_read_joints_and_column_lengths(n):
             assert data.sensor(f"s_{i + 1}_{quantity}").data == x[i]
             assert data.sensor(f"theta_{i + 1}_{quantity}").data == x[n + i]
             for a, side in ((1, 0.5), (2, -0.5)):
-                expected = x[i] + side * p.width[i] * x[n + i]
+                expected = x[i] + side * p.widths[i] * x[n + i]
                 found = data.sensor(f"column_{a}_{i + 1}_{length}").data
                 np.testing.assert_allclose(found, expected, rtol=1e-13)
 

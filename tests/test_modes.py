@@ -189,7 +189,7 @@ def test_an_arm_of_100_modules_takes_no_python_step_for_each_pair_of_them(monkey
 def test_more_than_100_modules_are_refused():
     with pytest.raises(OctarmError, match=r"101; it must be at least 1 and at most 100"):
         arm_with(101)
-    long = {n: np.repeat(np.asarray(x)[..., :1], 101, -1) if np.ndim(x) else x
+    long = {n: np.repeat(np.asarray(x)[..., :1], 101, -1) if np.shape(x)[-1:] == (3,) else x
             for n, x in NOMINAL.to_dict().items()}  # fmt: skip
     with pytest.raises(OctarmError, match=r"has 101 modules; it must have at most 100"):
         build_model(lagrange.ArmParameters(**long))

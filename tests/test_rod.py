@@ -1,5 +1,7 @@
 """Chains of modules against the rod that they stand for."""
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
@@ -135,8 +137,9 @@ def test_mujoco_s_chain_has_the_tip_and_the_tip_s_forces_of_the_analytic_one(rod
 def test_a_compiled_chain_gives_its_parameters_back():
     p = arm_from_rod(TAPERED, 4, "centred")
     again = ArmParameters.from_model(build_model(p))
-    for name, value in p.to_dict().items():
-        np.testing.assert_allclose(getattr(again, name), value, rtol=1e-15)
+    for field in dataclasses.fields(p):
+        there, back = getattr(p, field.name), getattr(again, field.name)
+        np.testing.assert_allclose(back, np.broadcast_to(there, back.shape), rtol=1e-15)
 
 
 def test_a_chain_has_the_mass_and_the_compliance_of_its_rod():

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -30,6 +31,14 @@ class Actuation(abc.ABC):
 
     name: ClassVar[str]
     width: np.ndarray
+
+    @functools.cached_property
+    def _widths(self) -> Sequence[Entry]:
+        return split(self.width)
+
+    @functools.cached_property
+    def _levers(self) -> Sequence[Entry]:
+        return split(0.5 * self.width)
 
     @abc.abstractmethod
     def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -61,7 +70,7 @@ class InternalActuation(Actuation):
 
     def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Q = T tau."""
-        inputs, half = split(tau), split(0.5 * self.width)
+        inputs, half = split(tau), self._levers
         lefts, rights = inputs[0::2], inputs[1::2]
         out = [left + right for left, right in zip(lefts, rights, strict=True)]
         out += [x * (left - right) for x, left, right in zip(half, lefts, rights, strict=True)]
@@ -70,7 +79,7 @@ class InternalActuation(Actuation):
     def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
         """tau = T^-1 Q."""
         n, wanted, out = force.shape[-1] // 2, split(force), list[Entry]()
-        for push, couple, width in zip(wanted[:n], wanted[n:], split(self.width), strict=True):
+        for push, couple, width in zip(wanted[:n], wanted[n:], self._widths, strict=True):
             out += [0.5 * push + couple / width, 0.5 * push - couple / width]
         return self._joined(out, force, q)
 
@@ -92,7 +101,7 @@ class GroundedActuation(Actuation):
         """Q = F_coeff(q) tau."""
         n = q.shape[-1] // 2
         s, axes = split(q), plate_entries(q)
-        inputs, half = split(tau), split(0.5 * self.width)
+        inputs, half = split(tau), self._levers
         out: list[Entry] = [0.0] * (2 * n)
         fx = fy = moment = 0.0  # that module i carries
         for i in reversed(range(n)):
@@ -110,7 +119,7 @@ class GroundedActuation(Actuation):
         """tau = F_coeff(q)^-1 Q by back-substitution from the tip."""
         n: int = q.shape[-1] // 2
         s, axes = split(q), plate_entries(q)
-        wanted, width = split(force), split(self.width)
+        wanted, width = split(force), self._widths
         out: list[Entry] = [0.0] * (2 * n)
         fx = fy = carried = 0.0  # force and moment of the modules below
         for i in reversed(range(n)):

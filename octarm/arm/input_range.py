@@ -19,7 +19,7 @@ class InputRange:
     def __init__(self, parameters: ArmParameters) -> None:
         """The range of arms with these parameters."""
         self.low, self.high = parameters.input_bounds(parameters.input_range.shape[:-2])
-        self._actuation = GroundedActuation(parameters.width)
+        self._actuation = GroundedActuation(parameters.widths)
         self._least_width = float(np.min(parameters.width))
         both_ways = np.minimum(-self.low, self.high).reshape(-1, parameters.modules, 2)
         self._surely = (0.999999 * both_ways.min(axis=(0, 2))).tolist()  # a number a module

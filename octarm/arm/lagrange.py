@@ -149,7 +149,7 @@ def force_coefficients(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     batch = np.broadcast_shapes(q.shape[:-1], p.batch_shape)
     out = np.array(np.broadcast_to(np.repeat(pushes, 2, axis=-1), (*batch, 2 * n, 2 * n)))
     turns = np.triu(np.ones((n, n)))  # the couple on plate b turns every theta_k with k <= b
-    half = 0.5 * p.width[..., None, :]
+    half = 0.5 * p.widths[..., None, :]
     out[..., n:, 0::2] += half * turns
     out[..., n:, 1::2] -= half * turns
     return out
@@ -173,7 +173,7 @@ def energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, 
         p.mass * np.sum(velocity * velocity, axis=-1) + p.inertia * rate * rate, axis=-1
     )
     height = np.sum(p.mass * positions(q)[..., 0], axis=-1)
-    bend = 0.5 * p.width * q[..., n:]
+    bend = 0.5 * p.widths * q[..., n:]
     lengths = np.stack([q[..., :n] + bend, q[..., :n] - bend], axis=-2)  # L_ai
     stretch = lengths - np.asarray(p.rest_length)[..., None, :]
     springs = 0.5 * np.sum(p.stiffness * stretch * stretch, axis=(-2, -1))
@@ -292,7 +292,7 @@ def _column_forces(
 def _column_matrix(p: ArmParameters, coefficient: np.ndarray) -> np.ndarray:
     """T diag(coefficient) T^T with T the constant moments of the columns."""
     n = p.modules
-    half = 0.5 * p.width
+    half = 0.5 * p.widths
     first, second = coefficient[..., 0, :], coefficient[..., 1, :]
     out = np.zeros((*p.batch_shape, 2 * n, 2 * n))
     i = np.arange(n)

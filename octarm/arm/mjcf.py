@@ -124,7 +124,7 @@ def _arm_spec(p: ArmParameters, timestep: float | None) -> mujoco.MjSpec:
             spec.actuator(f"push_{a}_{i}").ctrlrange = [low[column], high[column]]
         alike = min(i, nominal.modules) - 1  # the module of the template that it is drawn like
         longer = float(p.rest_length[i - 1] / nominal.rest_length[alike])
-        wider = float(p.width[i - 1] / nominal.width[alike])
+        wider = float(p.widths[i - 1] / nominal.widths[alike])
         for name in (*_sleeves(i), *_rods(i)):
             geom = spec.geom(name)
             geom.fromto = np.array(geom.fromto) * np.tile([longer, wider, 1.0], 2)
@@ -216,7 +216,7 @@ class PlantFields:
         )
         columns = zip(self._tendons, self._bends, self._reactions, strict=True)
         for a, (column, bends, reactions) in enumerate(columns):
-            lever = _COLUMN_SIDES[a][1] * 0.5 * p.width
+            lever = _COLUMN_SIDES[a][1] * 0.5 * p.widths
             self._field("tendon_stiffness")[..., column] = p.stiffness[..., a, :]
             self._field("tendon_damping")[..., column] = p.damping[..., a, :]
             self._field("tendon_lengthspring")[..., column, :] = p.rest_length[..., None]

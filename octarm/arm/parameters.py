@@ -70,8 +70,8 @@ class ArmParameters:
     Attributes:
         mass: lumped mass at the end of each module, shape (..., N) [kg].
         inertia: its moment of inertia about the bending axis, shape (..., N) [kg m^2].
-        width: distance between the two columns of each module, shape (..., N) [m]; `l` in the
-            paper, whose printed text shows it as 1.
+        width: distance between the two columns of each module, shape (..., N), or (..., 1) where
+            all modules of an arm are alike [m]; `l` in the paper, whose printed text shows it as 1.
         stiffness: of each column, shape (..., 2, N) [N/m].
         damping: of each column, shape (..., 2, N) [N s/m].
         rest_length: length of each module's columns without force, shape (..., N) [m].
@@ -122,8 +122,10 @@ class ArmParameters:
             else:
                 value = read_only(name, getattr(self, name))
                 shape = (2, modules)[2 - axes :]
-                if modules and value.shape[-axes:] in ((), (1,) * axes):
-                    value = read_only(name, np.broadcast_to(value, value.shape[:-axes] + shape))
+                if name == "width" and value.shape[-1:] in ((), (1,)):
+                    shape = (1,)
+                if modules and not value.ndim:
+                    value = read_only(name, np.full(shape, value))
                 _check_shape(name, value, shape)
                 _check_bound(name, value, smallest, inclusive)
             object.__setattr__(self, name, value)
@@ -161,13 +163,18 @@ class ArmParameters:
         return Entries(
             mass=split(self.mass),
             inertia=split(self.inertia),
-            half_width=split(0.5 * self.width),
+            half_width=split(0.5 * self.widths),
             stiffness=(split(self.stiffness[..., 0, :]), split(self.stiffness[..., 1, :])),
             damping=(split(self.damping[..., 0, :]), split(self.damping[..., 1, :])),
             rest_length=split(self.rest_length),
             gravity=entry(self.gravity),
             tip_length=entry(self.tip_length),
         )
+
+    @functools.cached_property
+    def widths(self) -> np.ndarray:
+        """The width of each module, shape (..., N) [m]."""
+        return np.broadcast_to(self.width, (*self.width.shape[:-1], self.modules))
 
     def input_bounds(self, batch_shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
         """The lowest and the highest input force of each column of a batch.
@@ -255,13 +262,13 @@ class ArmParameters:
         modules = range(1, model.nq // 2 + 1)
         bodies = [model.body(f"module_{i}") for i in modules]
         columns = [[model.tendon(f"column_{a}_{i}") for i in modules] for a in (1, 2)]
-        bends = [model.tendon_adr[column.id] + 1 for column in columns[0]]
+        widths = [2.0 * model.wrap_prm[model.tendon_adr[column.id] + 1] for column in columns[0]]
         pushes = [model.actuator(f"push_{a}_{i}").ctrlrange for i in modules for a in (1, 2)]
         alike = all(np.array_equal(push, pushes[0]) for push in pushes)
         return cls(
             mass=[body.mass[0] for body in bodies],
             inertia=[body.inertia[2] for body in bodies],
-            width=[2.0 * model.wrap_prm[bend] for bend in bends],
+            width=widths[:1] if len(set(widths)) == 1 else widths,
             stiffness=[[model.tendon_stiffness[c.id] for c in row] for row in columns],
             damping=[[model.tendon_damping[c.id] for c in row] for row in columns],
             rest_length=[model.tendon_lengthspring[c.id, 0] for c in columns[0]],

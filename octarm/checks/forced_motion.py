@@ -57,8 +57,8 @@ def references(p: ArmParameters) -> np.ndarray:
     """
     tau = inputs(p)
     tau = np.concatenate([tau, np.repeat(tau[:, :1], len(DISTURBED), axis=1)], axis=1)
-    grounded, neighbours = GroundedActuation(p.width), [2, 3]
-    between = InternalActuation(p.width).force(tau[:, neighbours], tau[:, neighbours])
+    grounded, neighbours = GroundedActuation(p.widths), [2, 3]
+    between = InternalActuation(p.widths).force(tau[:, neighbours], tau[:, neighbours])
     push, on = _push(p)
     sizes, along = push * np.eye(len(DISTURBED)), float(on == "tip-x")
 
@@ -83,7 +83,7 @@ def driven(model: mujoco.MjModel, p: ArmParameters, reference: np.ndarray) -> di
     tau, still = inputs(p), np.zeros(p.coordinates)
     out: dict[str, Motion] = {}
     for i, name in enumerate(DRIVEN):
-        ctrl = _KINDS[i // 2](p.width).ctrl(tau[:, i])
+        ctrl = _KINDS[i // 2](p.widths).ctrl(tau[:, i])
         out[name] = Motion(model, p, still, reference[:, i], DURATION, ctrl)
     return out
 

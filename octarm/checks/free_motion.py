@@ -268,7 +268,7 @@ def energy_imbalance(
     their generalised force is constant, so that their work is exact; dissipation by Simpson's rule.
     """
     steps = round(DURATION / model.opt.timestep)
-    internal = InternalActuation(p.width)
+    internal = InternalActuation(p.widths)
     q_t, v_t = simulate(model, q, v, steps, ctrl=internal.ctrl(tau))
     kinetic, potential = lagrange.energy(p, q_t, v_t)
     work = (q_t[-1] - q_t[0]) @ internal.force(q, tau)

@@ -66,7 +66,7 @@ def levers(p: ArmParameters) -> np.ndarray:
 
     Angles times their lever compare with lengths, moments divided by it with forces.
     """
-    return np.concatenate([np.ones(p.modules), 0.5 * p.width])
+    return np.concatenate([np.ones(p.modules), 0.5 * p.widths])
 
 
 def relative_error(measured: np.ndarray, expected: np.ndarray) -> float:
@@ -88,7 +88,7 @@ def lagrange_mechanics(p: ArmParameters, states: States) -> dict[str, np.ndarray
     rest = np.concatenate([p.rest_length, np.zeros(p.modules)])
     springs = -(q - rest) @ lagrange.stiffness_matrix(p)
     potential_force = lagrange.potential_force(p, q)
-    moments = InternalActuation(p.width).force(q[0], np.eye(p.coordinates)).T
+    moments = InternalActuation(p.widths).force(q[0], np.eye(p.coordinates)).T
     coriolis = np.einsum("nij,nj->ni", lagrange.coriolis_matrix(p, q, v), v)
     kinetic, potential = lagrange.energy(p, q, v)
     return {
@@ -118,8 +118,8 @@ def mujoco_mechanics(
     model = copy.copy(model)
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     data = mujoco.MjData(model)
-    states = states._replace(tau=GroundedActuation(p.width).ctrl(states.tau))
-    half_width = 0.5 * p.width
+    states = states._replace(tau=GroundedActuation(p.widths).ctrl(states.tau))
+    half_width = 0.5 * p.widths
     rows = [_at_state(model, data, half_width, *state) for state in zip(*states, strict=True)]
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 

@@ -67,7 +67,7 @@ def _static_balance(
 
 
 def frequencies(p: ArmParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Bending and axial frequencies of the straight chain without weight, each (N,) [Hz].
+    """Bending and axial frequencies of the straight chain without weight, of shape (N,) each [Hz].
 
     Raises:
         OctarmError: if the columns of a module differ, so that bending and stretching couple.

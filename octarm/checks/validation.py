@@ -66,7 +66,7 @@ def arm_with(modules: int) -> ArmParameters:
         p,
         mass=tapered(p.mass),
         inertia=tapered(p.inertia),
-        width=tapered(p.width),
+        width=p.width if p.width.size == 1 else tapered(p.width),
         stiffness=[tapered(column) for column in p.stiffness],
         damping=[tapered(column) for column in p.damping],
         rest_length=tapered(p.rest_length),

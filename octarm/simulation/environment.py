@@ -131,7 +131,7 @@ def load(
         axes = () if batch is None else (batch,)
         steps = steps_of(true, disturbances, seeds, axes, integrator)
         timestep, control_period = fitting_step(float(np.min(steps)), control_period)
-    forces = ACTUATIONS[actuation](true.width)
+    forces = ACTUATIONS[actuation](true.widths)
     if engine == LAGRANGE:
         from octarm.simulation.analytic import LagrangePhysics  # only where numba is installed
 

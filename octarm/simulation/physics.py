@@ -57,7 +57,7 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
         tip = model.sensor("tip_position").adr[0]
         self._state_size = mujoco.mj_stateSize(model, _INTEGRATION)
         self._tip = data.ptr.sensordata[tip : tip + 3]
-        self.actuation = GroundedActuation(self._undisturbed.width)
+        self.actuation = GroundedActuation(self._undisturbed.widths)
 
     def __getstate__(self) -> tuple[Any, dict[str, Any]]:
         return cast("Any", super().__getstate__()), self._episode()
