@@ -20,7 +20,7 @@ from octarm.sweeps import cluster
 from octarm.sweeps.cluster import dask_cluster
 
 pytestmark = pytest.mark.slow
-KILLS = int(os.environ.get("OCTARM_KILLS", "4"))
+KILLS = int(os.environ.get("OCTARM_KILLS", "3"))
 ROOT = Path(__file__).parent.parent
 LONGER = SPEC.replace("0.02", "0.2")
 
@@ -172,6 +172,17 @@ def test_a_sweep_whose_scheduler_is_killed_goes_on_with_another_one(tmp_path):
     assert lost
     print(f"{KILLS} kills, {lost} sweeps lost their scheduler")
     assert run(folder, LONGER, resume=True).equals(expected)
+
+
+def test_the_command_says_one_sentence_of_a_scheduler_that_is_killed(tmp_path):
+    with dask_process(1) as (address, scheduler):
+        process = sweep_command(tmp_path / "my.toml", "--cluster", address)
+        while not finished(tmp_path / "s") and process.poll() is None:
+            time.sleep(0.02)
+        scheduler.kill()
+        out, error = process.communicate(timeout=120)
+    assert (process.returncode, out) == (ExitCode.BAD_INPUT, "")
+    assert "does not answer any more; shards left to do:" in error and error.count("\n") == 1
 
 
 def finished(folder: Path) -> dict[str, int]:

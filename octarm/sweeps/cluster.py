@@ -185,7 +185,7 @@ def _minor(version: str) -> str:
 
 @contextlib.contextmanager
 def _quiet() -> Generator[None]:
-    """Lets dask say nothing of what is as usual, and nothing at all while it is closed.
+    """Lets dask say errors alone: its warnings are of what it mends by itself.
 
     What its client has to say of a scheduler that is gone, `_Watch` says in one sentence.
     """

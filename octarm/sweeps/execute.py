@@ -203,7 +203,8 @@ class _Run:
         except (BrokenExecutor, CancelledError) as error:
             self._tries[shard] += 1
             if self._tries[shard] < _TRIES:
-                self.say(f"a worker died; shard {shard} is run again")
+                if isinstance(error, BrokenExecutor):  # or a cluster is lost, as it says itself
+                    self.say(f"a worker died; shard {shard} is run again")
                 self.pending.append(shard)
             else:
                 self._failed[shard] = error
