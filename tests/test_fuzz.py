@@ -221,7 +221,7 @@ def command_lines(draw):
     return words
 
 
-@fuzzed(70)
+@fuzzed(60)
 @given(words=command_lines())
 def test_command_lines(made, place, words):
     restore(made)
@@ -339,7 +339,8 @@ def change_arrays(draw, file):
         name, array = arrays[at]
         how = draw(st.sampled_from(["other"] * 6 + ["gone", "twice", "renamed", "new"]))
         if how == "other" and array.dtype.kind == "f" and array.ndim:
-            arrays[at] = name, ARRAYS[draw(st.sampled_from([*ARRAYS]))](array)
+            with np.errstate(all="ignore"):
+                arrays[at] = name, ARRAYS[draw(st.sampled_from([*ARRAYS]))](array)
         elif how == "other":
             arrays[at] = name, np.asarray(draw(st.sampled_from([1.0, "x", "x" * 5000, "\x1b", ""])))
         elif how == "gone" and len(arrays) > 1:
@@ -360,7 +361,7 @@ def change_arrays(draw, file):
                 np.lib.format.write_array(member, np.asanyarray(array))
 
 
-@fuzzed(30)
+@fuzzed(25)
 @given(data=st.data())
 @pytest.mark.filterwarnings("ignore:Duplicate name:UserWarning")
 def test_arrays_of_runs(made, place, data):
@@ -411,7 +412,7 @@ TOML = st.sampled_from(
 )  # fmt: skip
 
 
-@fuzzed(50)
+@fuzzed(40)
 @given(data=st.data())
 def test_specs(made, place, data):
     restore(made)

@@ -81,6 +81,8 @@ def parse(words: Sequence[str]) -> Work:
     """
     if not words:
         raise OctarmError("no command is given; octarm --help lists them")
+    if any("\0" in word for word in words):  # no process gets such words, but a caller may
+        raise OctarmError("a word holds a zero byte, which no name and no value has")
     try:
         command, bound, _ = APP.parse_args(words, print_error=False, exit_on_error=False)
     except CycloptsError as error:
