@@ -107,7 +107,7 @@ def load(
         times["timestep"] = timestep
     check_load(reference, disturbances, parameters, seed, **times)
     batch = None if batch is None else whole_number("batch", batch, 1)
-    threads = whole_number("threads", threads, 1)
+    threads = whole_number("threads", threads, 1, _MOST_THREADS)
     check_engine(engine)
     if actuation not in [*ACTUATIONS]:
         raise OctarmError(f"unknown actuation {quoted(actuation)}{closest(actuation, ACTUATIONS)}")
@@ -122,8 +122,6 @@ def load(
         )
     if batch is not None:
         check_batch(batch, true.modules)
-    if not 1 <= threads <= _MOST_THREADS:
-        raise OctarmError(f"threads is {threads}; it must be at least 1 and at most 1024")
     seeds = _seeds(seed, batch)
     if isinstance(timestep, str):
         if timestep != AUTO:
