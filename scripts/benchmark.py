@@ -63,13 +63,19 @@ def main() -> None:
     for title in options.only:
         print(title, flush=True)
         loads[title] = psutil.cpu_percent(0.5)
-        if loads[title] > _QUIET:
-            print(f"  not a quiet machine: others use {loads[title]:.0f} % of its processors")
+        print(load_note(loads[title]), end="", flush=True)
         measured[title] = rows_of(title, settings)
         for row in measured[title]:
             print(line(row), flush=True)
     if options.json is not None:
         options.json.write_text(as_json(measured, loads), encoding="utf-8")
+
+
+def load_note(share: float) -> str:
+    """A line if other programs use so much of all processors [%] that figures suffer."""
+    if share <= _QUIET:
+        return ""
+    return f"  not a quiet machine: others use {share:.0f} % of its processors\n"
 
 
 def rows_of(title: str, settings: Settings) -> list[Row]:

@@ -130,6 +130,18 @@ def test_the_shapes_on_the_circle_are_those_that_the_springs_resist_least():
         names["shapes"](P, tips + 1.0)
 
 
+@pytest.mark.slow
+def test_the_benchmark_prints_what_whole_sweeps_take(tmp_path):
+    done = subprocess.run(
+        [sys.executable, SCRIPTS / "benchmark.py", "--arms", "8", "--seconds", "0.002",
+         "--episodes", "50", "--only", "one-by-one", "workers", "memory", "overhead"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert sum(line[:4] == ["by", "these", "two,", "a"] for line in lines) == 1
+
+
 def test_the_benchmark_prints_its_figures(tmp_path):
     done = subprocess.run(
         [sys.executable, SCRIPTS / "benchmark.py", "--arms", "8", "--seconds", "0.002",
@@ -149,6 +161,11 @@ def test_the_benchmark_prints_its_figures(tmp_path):
     assert len(lines) == 1 + len(sections) + len(rows)
 
 
+def test_the_benchmark_says_when_the_machine_is_not_quiet():
+    note = names_in("benchmark.py")["load_note"]
+    assert note(4.0) == "" and "63 %" in note(63.2)
+
+
 @pytest.mark.parametrize(
     ("missing", "title"), [("numba", "plants"), ("numba", "tuning"), ("elastica", "peers")]
 )
@@ -166,7 +183,7 @@ def test_a_section_without_its_extra_says_what_to_install(
 
 
 def test_the_peer_is_the_same_rod():
-    """It has the mass, the stiffness and the rotary inertia of the default rod, and hardly shears."""
+    """It has the mass, the stiffness and the inertia of the default rod, and hardly shears."""
     pytest.importorskip("elastica")
     rod = Rod()
     body = names_in("benchmarks/peers.py")["cosserat_rod"](rod, 20, 100.0)

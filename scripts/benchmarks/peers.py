@@ -1,11 +1,11 @@
 """Others' programs on the same arm: PyElastica's Cosserat rod beside chains of as many modules.
 
 Every program takes the longest step at which it is stable on the default rod, so that the time that
-it simulates in a second compares them. PyElastica's rod moves in space and shears, which lets its
-section rotate less; with a hundred times the shear stiffness it is the rod of octarm's chains,
-which do not shear. Its damping is uniform and sets the step no limit; the dampers along the springs
-of the chains are what limits the step of the finer ones. PyElastica steps one rod; octarm steps one
-arm alone, or an arm of a batch, on one core.
+it simulates in a second compares them. PyElastica's rod moves in space and shears; with a hundred
+times the shear stiffness it is the rod of octarm's chains, which do not shear. Its damping is
+uniform and sets the step no limit; the dampers along the springs of the chains are what limits the
+step of the finer ones. PyElastica steps one rod; octarm steps one arm alone, or an arm of a batch,
+on one core.
 """
 
 from __future__ import annotations
