@@ -2,8 +2,14 @@
 
 Run it: python scripts/benchmark.py [--only SECTION ..] [--json FILE]
 
-It takes six to ten minutes. Other programs disturb it, the ratios least. To add figures, write a
-function that returns rows in `scripts/benchmarks/`, and its line in `SECTIONS`.
+Three limits are what the figures compare with: the bare physics (a batch of the slim model in
+MuJoCo, `closed-loop`), the operations that have to be computed (`controller-step`, `engines`,
+`plants`), and others' programs (`peers`: PyElastica on the same rod; `one-by-one`: a plain loop of
+dm_control).
+
+It takes 10 to 15 minutes. Other programs disturb it, the ratios least, those of workers most: it
+says how busy the processors are before each section if that is more than a tenth. To add figures,
+write a function that returns rows in `scripts/benchmarks/`, and its line in `SECTIONS`.
 """
 
 import argparse
@@ -14,11 +20,16 @@ import platform
 from importlib.metadata import version
 from pathlib import Path
 
-from benchmarks.figures import Row, Section, Settings
+import psutil
+from benchmarks.figures import LeftOut, Row, Section, Settings
 
 SECTIONS = {  # module below `benchmarks` and function
     "controller-step": "controller_step.controller_step",
+    "plants": "engines.plants",
     "closed-loop": "closed_loop.closed_loop",
+    "engines": "engines.engines",
+    "tuning": "engines.tuning",
+    "peers": "peers.peers",
     "one-by-one": "closed_loop.one_by_one",
     "one-arm": "one_arm.one_arm",
     "workers": "whole_sweeps.workers",
@@ -26,6 +37,7 @@ SECTIONS = {  # module below `benchmarks` and function
     "overhead": "whole_sweeps.overhead",
     "recording": "recordings.recording",
 }
+_QUIET = 10.0  # [%] of all processors, that other programs may use
 _MET = {None: "", True: "met", False: "NOT met"}
 
 
@@ -46,14 +58,33 @@ def main() -> None:
         parser.error(f"seconds is {options.seconds:g}; it must be above 0 and at most 600")
     settings = Settings(options.arms, options.seconds, options.episodes)
     measured: dict[str, list[Row]] = {}
+    loads: dict[str, float] = {}
     print(f"{'':<52}{'value':>11}{'':<5}{'target':<16}")
     for title in options.only:
         print(title, flush=True)
-        measured[title] = section(title)(settings)
+        loads[title] = psutil.cpu_percent(0.5)
+        print(load_note(loads[title]), end="", flush=True)
+        measured[title] = rows_of(title, settings)
         for row in measured[title]:
             print(line(row), flush=True)
     if options.json is not None:
-        options.json.write_text(as_json(measured), encoding="utf-8")
+        options.json.write_text(as_json(measured, loads), encoding="utf-8")
+
+
+def load_note(share: float) -> str:
+    """A line if other programs use so much of all processors [%] that figures suffer."""
+    if share <= _QUIET:
+        return ""
+    return f"  not a quiet machine: others use {share:.0f} % of its processors\n"
+
+
+def rows_of(title: str, settings: Settings) -> list[Row]:
+    """The rows of a section; none, and a line that says why, if an extra is missing."""
+    try:
+        return section(title)(settings)
+    except LeftOut as reason:
+        print(f"  {reason}", flush=True)
+        return []
 
 
 def section(title: str) -> Section:
@@ -68,8 +99,8 @@ def line(row: Row) -> str:
     return f"  {row.name:<50}{row.value:11.3f} {unit:<4}{row.target:<16}{_MET[row.met]}".rstrip()
 
 
-def as_json(measured: dict[str, list[Row]]) -> str:
-    """The machine, and the rows by section."""
+def as_json(measured: dict[str, list[Row]], loads: dict[str, float]) -> str:
+    """The machine, its load before each section [%], and the rows by section."""
     figures = {
         title: [
             {**row._asdict(), "value": row.value if math.isfinite(row.value) else None}
@@ -80,7 +111,7 @@ def as_json(measured: dict[str, list[Row]]) -> str:
     }
     packages = {name: version(name) for name in ("numpy", "mujoco", "rerun-sdk")}
     machine = {"platform": platform.platform(), "python": platform.python_version(), **packages}
-    return json.dumps({"machine": machine, **figures}, indent=2) + "\n"
+    return json.dumps({"machine": machine, "load": loads, **figures}, indent=2) + "\n"
 
 
 class _Plain(argparse.RawDescriptionHelpFormatter):

@@ -1,5 +1,6 @@
 """The worked experiments run as they are, and do what they say."""
 
+import importlib.util
 import json
 import runpy
 import subprocess
@@ -15,6 +16,7 @@ from arm_states import REST, P, energy_rate, random_instant
 from octarm.arm.kinematics import jacobian, positions
 from octarm.arm.lagrange import damping_matrix, stiffness_matrix
 from octarm.arm.nominal import LagrangeModel
+from octarm.arm.rod import Rod
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 Script = Callable[..., list[list[str]]]
@@ -128,21 +130,70 @@ def test_the_shapes_on_the_circle_are_those_that_the_springs_resist_least():
         names["shapes"](P, tips + 1.0)
 
 
+@pytest.mark.slow
+def test_the_benchmark_prints_what_whole_sweeps_take(tmp_path):
+    done = subprocess.run(
+        [sys.executable, SCRIPTS / "benchmark.py", "--arms", "8", "--seconds", "0.002",
+         "--episodes", "50", "--only", "one-by-one", "workers", "memory", "overhead"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert sum(line[:4] == ["by", "these", "two,", "a"] for line in lines) == 1
+
+
 def test_the_benchmark_prints_its_figures(tmp_path):
     done = subprocess.run(
         [sys.executable, SCRIPTS / "benchmark.py", "--arms", "8", "--seconds", "0.002",
          "--only", "controller-step", "closed-loop", "one-arm", "recording",
+         "plants", "engines", "tuning", "peers",
          "--json", "figures.json"],
         cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    machine, *sections = json.loads((tmp_path / "figures.json").read_text("utf-8")).values()
-    assert "mujoco" in machine
+    machine, load, *sections = json.loads((tmp_path / "figures.json").read_text("utf-8")).values()
+    assert "mujoco" in machine and all(0.0 <= share <= 100.0 for share in load.values())
     rows = [row for section in sections for row in section]
     assert all(row["value"] > 0.0 for row in rows)
     # Eight arms are too few to meet what is asked of a thousand, and a short run is dear to record.
     assert {row["met"] for row in rows} == {True, False, None}
-    assert len(done.stdout.splitlines()) == 1 + len(sections) + len(rows)
+    lines = [x for x in done.stdout.splitlines() if "quiet" not in x and "left out" not in x]
+    assert len(lines) == 1 + len(sections) + len(rows)
+
+
+def test_the_benchmark_says_when_the_machine_is_not_quiet():
+    note = names_in("benchmark.py")["load_note"]
+    assert note(4.0) == "" and "63 %" in note(63.2)
+
+
+@pytest.mark.parametrize(
+    ("missing", "title"), [("numba", "plants"), ("numba", "tuning"), ("elastica", "peers")]
+)
+def test_a_section_without_its_extra_says_what_to_install(
+    missing: str, title: str, monkeypatch, capsys
+):
+    present = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: None if name == missing else present(name)
+    )
+    names, settings = names_in("benchmark.py"), names_in("benchmarks/figures.py")["Settings"]
+    assert names["rows_of"](title, settings(arms=1, seconds=1e-3, episodes=1)) == []
+    extra = {"numba": "fast", "elastica": "peers"}[missing]
+    assert capsys.readouterr().out.rstrip().endswith(f"needs pip install 'octarm[{extra}]'")
+
+
+def test_the_peer_is_the_same_rod():
+    """It has the mass, the stiffness and the inertia of the default rod, and hardly shears."""
+    pytest.importorskip("elastica")
+    rod = Rod()
+    body = names_in("benchmarks/peers.py")["cosserat_rod"](rod, 20, 100.0)
+    thin = body.shear_matrix[0, 0] / body.shear_matrix[2, 2]
+    assert np.all(thin > 10.0)  # shear stiffness over axial stiffness
+    np.testing.assert_allclose(np.sum(body.mass) / rod.length, rod.density)
+    np.testing.assert_allclose(body.shear_matrix[2, 2], rod.EA)
+    np.testing.assert_allclose(body.bend_matrix[0, 0], rod.EI)
+    inertia = body.mass_second_moment_of_inertia[0, 0] * 20 / rod.length
+    np.testing.assert_allclose(inertia, rod.rotary_inertia)
 
 
 def test_a_figure_says_whether_it_is_what_was_asked():

@@ -21,8 +21,10 @@ from dm_control.rl import control
 import octarm
 from benchmarks.figures import Row, Settings, clocks
 from controllers import make_controller
+from octarm.arm.mjcf import build_slim_model
 from octarm.interfaces import Instant, Measurement, Reference
 from octarm.metrics.table import SETTLED_AFTER, Metrics
+from octarm.simulation.engines import MUJOCO
 from octarm.simulation.rollout import simulate
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.shards import Observer, begin, run_arms
@@ -105,19 +107,22 @@ def one_by_one(settings: Settings) -> list[Row]:
     return rows
 
 
-def compare(pool: WorkerProcesses, name: str, settings: Settings, rival: Rival) -> Turns:
+def compare(
+    pool: WorkerProcesses, name: str, settings: Settings, rival: Rival, engine: str = MUJOCO
+) -> Turns:
     """The turns of all processes."""
-    seconds = _SECONDS * settings.seconds
-    calls = [pool.submit(take_turns, name, settings.arms, seconds, rival) for _ in range(PROCESSES)]
+    arguments = (name, settings.arms, _SECONDS * settings.seconds, rival, engine)
+    calls = [pool.submit(take_turns, *arguments) for _ in range(PROCESSES)]
     found = [call.result() for call in calls]
     return Turns(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
-def take_turns(name: str, arms: int, seconds: float, rival: Rival) -> Turns:
-    """A shard of this controller and a rival in turns, for so long [s]."""
-    text = f'controller = "{name}"\nepisodes = {arms}\nbatch = {arms}\nduration = {DURATION}'
-    plan = Plan(parse_spec(text))
+def take_turns(name: str, arms: int, seconds: float, rival: Rival, engine: str) -> Turns:
+    """A shard of this controller on this engine and a rival in turns, for so long [s]."""
+    text = f'controller = "{name}"\nepisodes = {arms}\nbatch = {arms}\nduration = {DURATION}\n'
+    plan = Plan(parse_spec(f'{text}engine = "{engine}"\n'))
     shard = plan.arms(plan.shards[0])
+    run_arms(plan, shard, make_controller, duration=_step())  # an engine may have to be compiled
     started = clocks()
     run_arms(plan, shard, make_controller, duration=_step())
     once = (clocks() - started) * _step() / (DURATION * arms)
@@ -156,16 +161,15 @@ class _TimeIsUp(Exception):
 
 
 def open_loop(name: str, environment: control.Environment) -> Callable[[], int]:
-    """Steps of the same slim model, as many arms, under inputs that do not change."""
+    """Steps of the slim model, as many arms, under inputs that do not change."""
     del name
-    batch = environment.physics.batch
-    return _stepping(batch.get_model(0), batch.nsim)
+    return _stepping(build_slim_model(), *environment.physics.batch_shape)
 
 
 def whole_loop(name: str, environment: control.Environment) -> Callable[[], int]:
     """The same with the model that runs of one arm have, which can be drawn."""
     del name
-    return _stepping(octarm.build_model(), environment.physics.batch.nsim)
+    return _stepping(octarm.build_model(), *environment.physics.batch_shape)
 
 
 def _stepping(model: mujoco.MjModel, arms: int) -> Callable[[], int]:
