@@ -244,6 +244,12 @@ def test_each_library_s_word_for_no_memory_is_understood(error, monkeypatch, cap
     assert capsys.readouterr().err.startswith("octarm: there is not enough memory")
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device without end, as on Linux")
+def test_a_file_without_end_is_a_sentence(capsys):
+    assert cli.main(["sweep", "/dev/full", "--dry-run"]) == 2
+    assert "/dev/full has more than" in capsys.readouterr().err
+
+
 DAMAGE = {
     "401 digits": (("duration",), 10**400, "is too large a number"),
     "host": (("host",), "x", 'host is "x"; it must be'),
