@@ -71,7 +71,7 @@ def fuzzed(count):
         derandomize="OCTARM_FUZZ" not in os.environ,
         deadline=None,
         database=None,
-        suppress_health_check=[*HealthCheck],
+        suppress_health_check=list[HealthCheck](HealthCheck),
     )
 
 
@@ -416,7 +416,7 @@ TOML = st.sampled_from(
 @given(data=st.data())
 def test_specs(made, place, data):
     restore(made)
-    lines = SPEC.splitlines()
+    lines: list[str] = [*SPEC.splitlines()]
     for _ in range(data.draw(st.integers(1, 3))):
         at = data.draw(st.integers(0, len(lines)))
         how = data.draw(st.sampled_from(["new", "new", "other", "other", "gone", "damaged"]))
