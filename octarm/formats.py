@@ -31,6 +31,7 @@ from octarm.errors import FileError, OctarmError, closest, quoted
 FORMAT = 2  # version of the formats of run.json and manifest.json
 _LARGEST = 10**300  # whole number; larger ones are no floats
 _DEEPEST = 64  # tables and lists within each other
+_LONGEST = 10**8  # characters of a file
 
 Key = tuple[str, ...]
 T = TypeVar("T")
@@ -231,8 +232,14 @@ def _allowed(error: ErrorDetails) -> str:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        with open(path, encoding="utf-8") as file:
+            text = file.read(_LONGEST + 1)  # a device may have no end
+        if len(text) > _LONGEST:
+            raise FileError(f"{path} has more than {_LONGEST} characters")
+        return text
     except OSError as error:
+        if isinstance(error, FileError):
+            raise
         raise FileError(f"{path} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise FileError(f"{path} is not a text file in UTF-8") from None

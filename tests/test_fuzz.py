@@ -71,7 +71,7 @@ def fuzzed(count):
         derandomize="OCTARM_FUZZ" not in os.environ,
         deadline=None,
         database=None,
-        suppress_health_check=tuple(HealthCheck),  # pyright: ignore
+        suppress_health_check=list[HealthCheck](HealthCheck),
     )
 
 

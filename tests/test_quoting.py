@@ -106,7 +106,9 @@ def test_the_name_of_a_folder_is_escaped_where_it_is_printed(capsys):
 def test_figures_titles_and_pages_of_text_have_no_name_raw():
     """The figures are drawn: a dollar sign begins no formula, XML has no control characters."""
     names = {"controller": {"name": f"$x_{{{HOSTILE}", "gains": {"$^": HOSTILE}}}
-    description = described(**names, reference={"name": "日本" + "y" * 5000}, message=HOSTILE)
+    description = (
+        described() | names | dict(reference={"name": "日本" + "y" * 5000}, message=HOSTILE)
+    )
     description |= {"status": "diverged", "command": HOSTILE * 1000}
     assert title_of(description).isprintable() and len(title_of(description)) <= 200
     for page in notes_of(description).values():
@@ -210,7 +212,7 @@ def test_too_little_memory_is_a_sentence(command, limit):
     before = sorted(map(str, Path().rglob("*")))
     done = subprocess.run(
         [sys.executable, "-m", "octarm", *command.split()],
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (int(limit),) * 2),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (int(limit), int(limit))),
         env={"PYTHONPATH": str(Path(octarm.__file__).parent.parent), "PATH": ""},
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
@@ -242,6 +244,12 @@ def test_each_library_s_word_for_no_memory_is_understood(error, monkeypatch, cap
     monkeypatch.setattr("octarm.commands.app.parse", lambda _: fail)
     assert cli.main(["run"]) == 2
     assert capsys.readouterr().err.startswith("octarm: there is not enough memory")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device without end, as on Linux")
+def test_a_file_without_end_is_a_sentence(capsys):
+    assert cli.main(["sweep", "/dev/full", "--dry-run"]) == 2
+    assert "/dev/full has more than" in capsys.readouterr().err
 
 
 DAMAGE = {
@@ -279,7 +287,14 @@ def test_a_damaged_description_is_a_sentence(damage, capsys):
 
 @pytest.mark.parametrize(
     "array",
-    [1.0, np.float32([1.0]), np.array(["x"]), np.array([1j]), np.ones(2, ">f8"), np.array([None])],
+    [
+        1.0,
+        np.ones(1, np.float32),
+        np.array(["x"]),
+        np.array([1j]),
+        np.ones(2, ">f8"),
+        np.array([None]),
+    ],
     ids=["number", "single", "word", "complex", "big-endian", "object"],
 )
 @pytest.mark.parametrize("name", ["q", "t", "layer", "status", "s", "new"])
