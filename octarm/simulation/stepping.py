@@ -203,7 +203,7 @@ class AnyPhysics(control.Physics):
     def freeze(self, arms: np.ndarray | bool) -> None:
         """Marks arms, shape (...) of bool, as diverged: they stay as they are."""
         lost = self._intact & arms
-        if np.any(lost):
+        if np.count_nonzero(lost):
             self._diverged_at[lost] = self.time()
             self._intact[lost] = False
             self._all_intact = False
