@@ -37,7 +37,7 @@ def join(entries: Sequence[Entry], like: np.ndarray, *shapes: tuple[int, ...]) -
         like: for a batch, the result has the memory order of this array, and its batch axes.
         shapes: shapes of other arrays whose batch axes the result has as well.
     """
-    if like.ndim == 1 and max(map(len, shapes), default=1) == 1:
+    if like.ndim == 1 and sum(map(len, shapes)) == len(shapes):  # none has a batch axis
         return np.array(entries)
     shape = np.broadcast_shapes(like.shape, *(other for other in shapes if other != like.shape))
     out = np.empty_like(like, shape=shape, dtype=np.result_type(like, 1.0))

@@ -121,15 +121,16 @@ class GroundedActuation(Actuation):
         s, axes = split(q), plate_entries(q)
         wanted, width = split(force), self._widths
         out: list[Entry] = [0.0] * (2 * n)
-        fx = fy = carried = 0.0  # force and moment of the modules below
+        fx = fy = along = carried = 0.0  # force and moment of the modules below
         for i in reversed(range(n)):
-            if i + 1 < n:
-                carried = _carried(wanted[n + i + 1], s[i + 1], axes[i + 1], fx, fy)
-            cos, sin = axes[i]
-            push = wanted[i] - (cos * fx + sin * fy)
+            push = wanted[i] - along
             couple = (wanted[n + i] - carried) / width[i]
-            fx, fy = fx + push * cos, fy + push * sin
             out[2 * i], out[2 * i + 1] = 0.5 * push + couple, 0.5 * push - couple
+            if i > 0:
+                (cos, sin), (cos_above, sin_above) = axes[i], axes[i - 1]
+                fx, fy = fx + push * cos, fy + push * sin
+                along = cos_above * fx + sin_above * fy
+                carried = _carried(wanted[n + i], s[i], axes[i], fx, fy)
         return self._joined(out, q, force)
 
     def ctrl(self, tau: np.ndarray) -> np.ndarray:

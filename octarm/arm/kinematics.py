@@ -76,7 +76,7 @@ def tip_force(q: np.ndarray, fx: Entry, fy: Entry, tip_length: Entry = 0.0) -> n
     x, axes = split(q), plate_entries(q)
     pushes: list[Entry] = []
     couples: list[Entry] = []
-    moment = _tip_moment(q, fx, fy, tip_length) if np.any(tip_length) else 0.0
+    moment = _tip_moment(q, fx, fy, tip_length) if np.count_nonzero(tip_length) else 0.0
     for i in reversed(range(n)):
         cos, sin = axes[i]
         pushes.append(fx * cos + fy * sin)
@@ -120,7 +120,7 @@ def plate_entries(q: np.ndarray) -> list[tuple[Entry, Entry]]:
 def tip_position(q: np.ndarray, tip_length: Entry = 0.0) -> np.ndarray:
     """The tip in the world frame, shape (..., 3) [m], entry by entry along the batch."""
     x, y = tip(q)
-    if np.any(tip_length):
+    if np.count_nonzero(tip_length):
         cos, sin = last_axis(q)
         x, y = x + tip_length * cos, y + tip_length * sin
     out = np.zeros_like(q, shape=(*q.shape[:-1], 3))

@@ -56,13 +56,14 @@ def inverse_dynamics(
     # Inwards: force and moment that each module carries, projected on its own axes.
     fx = fy = moment = 0.0
     for i in reversed(range(n)):
-        if i + 1 < n:
-            cos, sin = axes[i + 1]
-            moment = moment + x[i + 1] * (fy * cos - fx * sin)
         cos, sin = axes[i]
         fx, fy, moment = fx + forces[i][0], fy + forces[i][1], moment + forces[i][2]
-        pushes[i] = fx * cos + fy * sin + pushes[i]
         couples[i] = moment + couples[i]
+        if i == 0:  # it stands on the ground, along x
+            pushes[i] = fx + pushes[i]
+            break
+        pushes[i] = fx * cos + fy * sin + pushes[i]
+        moment = moment + x[i] * (fy * cos - fx * sin)
     return join(pushes + couples, q, v.shape, a.shape, v_r.shape, (*p.batch_shape, 2 * n))
 
 
@@ -80,21 +81,21 @@ def inertial_forces(
     and couple on its end [N], [N], [N m].
     """
     n, mass, inertia = p.modules, p.entries.mass, p.entries.inertia
-    phi = w = w_r = alpha = 0.0
-    ax, ay = -p.entries.gravity, 0.0  # the ground accelerates against gravity
+    # The first module stands on the ground, which accelerates against gravity and does not turn.
+    phi, w, w_r, alpha = 0.0, v[n], v_r[n], a[n]
+    ax, ay = a[0] - p.entries.gravity, 0.0
     axes: list[tuple[Entry, Entry]] = [(1.0, 0.0)]
-    forces: list[tuple[Entry, Entry, Entry]] = []
-    for i in range(n):
-        cos, sin = axes[i]
+    forces: list[tuple[Entry, Entry, Entry]] = [(mass[0] * ax, ay, inertia[0] * alpha)]
+    for i in range(1, n):
+        phi = phi + x[n + i - 1]
+        cos, sin = cos_sin(phi)
+        axes.append((cos, sin))
         along = a[i] - x[i] * (w * w_r)
         across = x[i] * alpha + (v[i] * w_r + v_r[i] * w)
         ax = ax + (along * cos - across * sin)
         ay = ay + (along * sin + across * cos)
         w, w_r, alpha = w + v[n + i], w_r + v_r[n + i], alpha + a[n + i]
         forces.append((mass[i] * ax, mass[i] * ay, inertia[i] * alpha))
-        if i + 1 < n:
-            phi = phi + x[n + i]
-            axes.append(cos_sin(phi))
     return axes, forces
 
 
@@ -185,17 +186,16 @@ def kinetic_energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray
     n = _modules(p, q=q, v=v)
     x, rate = split(q), split(v)
     mass, inertia = p.entries.mass, p.entries.inertia
-    cos, sin = 1.0, 0.0
-    phi = w = vx = vy = twice = 0.0
-    for i in range(n):
+    phi, w, vx, vy = 0.0, rate[n], rate[0], 0.0
+    twice = mass[0] * (vx * vx) + inertia[0] * (w * w)
+    for i in range(1, n):
+        phi = phi + x[n + i - 1]
+        cos, sin = cos_sin(phi)
         across = x[i] * w
         vx = vx + (rate[i] * cos - across * sin)
         vy = vy + (rate[i] * sin + across * cos)
         w = w + rate[n + i]
         twice = twice + (mass[i] * (vx * vx + vy * vy) + inertia[i] * (w * w))
-        if i + 1 < n:
-            phi = phi + x[n + i]
-            cos, sin = cos_sin(phi)
     return np.asarray(0.5 * twice)
 
 

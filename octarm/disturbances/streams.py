@@ -110,7 +110,7 @@ class HeldNoise:
         if step < self._step:
             raise OctarmError(f"noise was asked for at step {step} after step {self._step}")
         hold = periods_begun(step, self._timestep, self._correlation_time)
-        if np.any(hold != self._hold):
+        if np.count_nonzero(hold != self._hold):
             self._hold, self._held = hold, self._take(hold)
         ends = (hold + 1) * self._correlation_time / self._timestep
         first = ends if isinstance(ends, float) else float(np.min(ends))
@@ -120,7 +120,7 @@ class HeldNoise:
     def _take(self, hold: np.ndarray | int) -> np.ndarray:
         """The numbers of this hold, or of one for each arm, shape (..., k)."""
         block, place = hold // _BLOCK, hold % _BLOCK
-        if np.any(block != self._block):
+        if np.count_nonzero(block != self._block):
             ahead = np.broadcast_to(np.asarray(block) - self._block, len(self._generators)).tolist()
             for i, (generator, blocks) in enumerate(zip(self._generators, ahead, strict=True)):
                 for _ in range(blocks):  # more than one when some were skipped

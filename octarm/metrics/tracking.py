@@ -79,7 +79,7 @@ class Settling(Accumulator):
     def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
         squares = rows["squared_error"]
         outside = squares > self._limit
-        if np.any(outside):
+        if np.count_nonzero(outside):
             last = float(self._rows + len(squares) - 1)
             if len(squares) == 1:
                 self._last_outside = np.where(outside[0], last, self._last_outside)

@@ -136,7 +136,7 @@ class LagrangePhysics(AnyPhysics):
             last,
         )  # fmt: skip
 
-    def _check_limits(self, q: np.ndarray, v: np.ndarray) -> None:
+    def _check_limits(self) -> None:
         if self._lost:
             self.freeze(self._outside.reshape(self.batch_shape))
 

@@ -80,8 +80,8 @@ class BatchPhysics(AnyPhysics):
     def _advance(self) -> None:
         self.batch.step(None if self._all_intact else np.flatnonzero(self._intact))
 
-    def _check_limits(self, q: np.ndarray, v: np.ndarray) -> None:
-        self.freeze(~self.limits.holding(q, v))
+    def _check_limits(self) -> None:
+        self.freeze(~self.limits.holding(self.q(), self.v()))
 
     def _follow_inertias(self) -> None:
         self.batch.set_const()

@@ -104,8 +104,8 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
     def _advance(self) -> None:
         mujoco.mj_step(self.model.ptr, self.data.ptr)
 
-    def _check_limits(self, q: np.ndarray, v: np.ndarray) -> None:
-        if not self.limits.hold(q, v):
+    def _check_limits(self) -> None:
+        if not self.limits.hold(self.q(), self.v()):
             self.freeze(True)
 
     def _follow_inertias(self) -> None:

@@ -99,8 +99,8 @@ class AnyPhysics(control.Physics):
         """One physics step of all arms within their limits."""
 
     @abc.abstractmethod
-    def _check_limits(self, q: np.ndarray, v: np.ndarray) -> None:
-        """Freezes arms whose state, q and v of shape (..., 2N), is outside their limits."""
+    def _check_limits(self) -> None:
+        """Freezes arms whose state is outside their limits."""
 
     @abc.abstractmethod
     def _follow_inertias(self) -> None:
@@ -203,7 +203,7 @@ class AnyPhysics(control.Physics):
     def freeze(self, arms: np.ndarray | bool) -> None:
         """Marks arms, shape (...) of bool, as diverged: they stay as they are."""
         lost = self._intact & arms
-        if np.any(lost):
+        if np.count_nonzero(lost):
             self._diverged_at[lost] = self.time()
             self._intact[lost] = False
             self._all_intact = False
@@ -214,22 +214,20 @@ class AnyPhysics(control.Physics):
         An arm stops at its first state outside the limits. It ends early when no arm is left.
         """
         self._disturbance = self._zero
-        q, v = self.q(), self.v()
         for _ in range(n_sub_steps):
-            self._receive(q, v, n_sub_steps)
+            self._receive(n_sub_steps)
             self._advance()
             self._steps += 1
-            q, v = self.q(), self.v()
-            if self.active is not None:
-                self.active.record(self._steps, q, v)
+            if self.active is not None and self.active.sensors:
+                self.active.record(self._steps, self.q(), self.v())
             if self.watch is not None:
                 self.watch(self)
-            self._check_limits(q, v)
+            self._check_limits()
             if self.all_lost():
                 return
 
-    def _receive(self, q: np.ndarray, v: np.ndarray, nstep: int) -> None:
-        """What acts during the next physics step; q and v are those at its start."""
+    def _receive(self, nstep: int) -> None:
+        """What acts during the next physics step."""
         received, active = self._possible, self.active
         if active is not None:
             self._change(active)
@@ -238,7 +236,8 @@ class AnyPhysics(control.Physics):
             if active.forces:
                 # It is held over the step. Taken at the start, it would be late by half a step:
                 # of first order, and a spring would feed the arm energy. So it is of second order.
-                force = active.force(self._steps, q + (0.5 * self._timestep) * v)
+                middle = self.q() + (0.5 * self._timestep) * self.v()
+                force = active.force(self._steps, middle)
                 self._added[self._qvel_index] = force.T
                 mean = force / nstep
                 if not self._all_intact:
