@@ -23,7 +23,8 @@ not known to a controller: the signal V is the first term with D^, all that can 
 The law as printed drifts. E never falls. A rule with alpha > 0 sees s > 0 alone, so theta only
 moves outwards, and the centres gather about s = 0: f^ becomes an ever steeper gain that no sampled
 loop can hold. The safeguards stop E while |s| is small and project all that adapts onto bounds,
-theta about 0, each centre about its first place, so that no two of them meet.
+theta about 0, each centre about its first place, so that no two of them meet. Nor does anything
+adapt where it would only ask for more force than the actuators have, see `Law.without_windup`.
 
 A state is not overwritten: what adapts is written to new memory, and the signals theta, alpha,
 sigma and E of an instant are the arrays of the state that was passed in.
@@ -187,7 +188,8 @@ class AdaptiveLaw(SlidingLaw):
         np.ndarray, RuleField("their inverse widths at the start", "1", 2.0)
     ]
     safeguards: Annotated[
-        bool, Switch("whether bounds and dead zone act; else the law is as printed", "1")
+        bool,
+        Switch("whether bounds, dead zone and anti-windup act; else the law is as printed", "1"),
     ] = True
     normalised: Annotated[
         bool, Switch("whether the strengths of a joint's rules are divided by their sum", "1")
@@ -266,6 +268,8 @@ class AdaptiveConsequents(AdaptiveLaw):
         f_hat = first_type(theta, phi)
         command = self.compensated(measurement, surface, f_hat, E, theta=theta)
 
+        if self.safeguards:
+            s = self.without_windup(measurement, command, s)
         dt = elapsed(before, measurement.t)
         theta = theta + (dt * self.eta2 * s)[..., None] * phi
         if self.safeguards:
@@ -327,6 +331,8 @@ class AdaptiveFuzzy(AdaptiveLaw):
         rules = {"theta": theta, "alpha": alpha, "sigma": sigma}
         command = self.compensated(measurement, surface, f_hat, E, **rules)
 
+        if self.safeguards:
+            s = self.without_windup(measurement, command, s)
         dt = elapsed(before, measurement.t)
         theta = theta + (dt * self.eta2 * s)[..., None] * phi
         alpha = alpha + (dt * self.eta3 * s)[..., None] * B_theta[..., 0, :]

@@ -39,8 +39,8 @@ class IntegralSlidingMode(SwitchingLaw):
 
     The integral starts where s = 0, so that there is no reaching phase: the initial error decays
     with the double pole from the start, and leaves no integral behind that an overshoot has to
-    undo. It gives way where |s| would exceed s_max, for instance while an actuator is at its
-    limit: |s| is then s_max, and nothing winds up.
+    undo. It gives way where |s| would exceed s_max, and stops where it would only ask for more
+    force than the actuators have, see `Law.without_windup`.
 
     Here lambda is a double pole. The signals hold the `integral` as well.
     """
@@ -73,4 +73,5 @@ class IntegralSlidingMode(SwitchingLaw):
         a_r = reference.a - 2.0 * self.lambda_ * e_dot - lambda_squared * e
         surface, switch = Surface(s, measurement.v - s, a_r), saturation(s, self.phi)
         command = self.switched(measurement, surface, switch, layer=self.phi, integral=integral)
+        e = self.without_windup(measurement, command, e)
         return command, IntegralState(measurement.t, integral + e * dt)

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from octarm.arrays import read_only
 from octarm.errors import OctarmError, quoted
-from octarm.interfaces import Knob, Measurement, NominalModel, Reference
+from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
 
 Gain = np.ndarray | float
 
@@ -198,6 +198,27 @@ class Law:
         except ValueError:
             listed = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
             raise OctarmError(f"the batch axes of one instant do not fit: {listed}") from None
+
+    def without_windup(
+        self, measurement: Measurement, command: Command, rate: np.ndarray
+    ) -> np.ndarray:
+        """The rate of what a law integrates, 0 where integrating on would be windup.
+
+        Conditional integration: where inputs are cut off at their range, the arm lacks a part of
+        Q, see `NominalModel.shortfall`. A coordinate that lacks force in the direction in which -s
+        pushes gets no more of it by integrating further in that direction. Where nothing is cut
+        off, the rate is what it was.
+
+        Args:
+            measurement: of this instant.
+            command: that the law answers, with the signal s.
+            rate: of an integral that acts on Q with a minus sign, such as e or s, shape (..., 2N).
+        """
+        lacking = self.nominal.shortfall(measurement.q, command.force)
+        if lacking is None:
+            return rate
+        further = (lacking * command.signals["s"] < 0.0) & (lacking * rate < 0.0)
+        return np.where(further, 0.0, rate)
 
 
 def elapsed(before: float | None, now: float) -> float:

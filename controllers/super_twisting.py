@@ -52,9 +52,10 @@ def root_gain(nominal: NominalModel) -> np.ndarray:
 class SuperTwisting(SlidingLaw):
     """Q = D^ q_r'' + (C^ + B^) q_r' + G^ - k_1 sqrt|s| sgn(s) - K_v s + w, w' = -k_2 sgn(s).
 
-    w is kept within K: as the other switching gains it need not exceed the model error, and does
-    not wind up while an actuator is at its limit. It is part of the signal `switching`, and a
-    signal of its own. V is that of the other sliding modes, although the proof needs another one.
+    w is kept within K: as the other switching gains it need not exceed the model error. It stops
+    where it would only ask for more force than the actuators have, see `Law.without_windup`. It is
+    part of the signal `switching`, and a signal of its own. V is that of the other sliding modes,
+    although the proof needs another one.
     """
 
     K: Annotated[Gain, dataclasses.replace(SWITCHING_GAIN, meaning="largest |w|")]
@@ -83,6 +84,7 @@ class SuperTwisting(SlidingLaw):
             state = SuperTwistingState(measurement.t, np.zeros_like(s))
         w, dt = state.w, elapsed(state.t, measurement.t)
         switching = -self.k_1 * np.sqrt(np.abs(s)) * sign - self.K_v * s + w
-        advanced = np.clip(w - self.k_2 * sign * dt, -self.K, self.K)
         command = self.command(measurement, surface, switching, w=w)
+        sign = self.without_windup(measurement, command, sign)
+        advanced = np.clip(w - self.k_2 * sign * dt, -self.K, self.K)
         return command, SuperTwistingState(measurement.t, advanced)

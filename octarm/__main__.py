@@ -11,7 +11,9 @@ def command_line() -> int:
     """Runs the words that the process was started with; returns the exit code."""
     end_at_once()  # the imports take a moment
     from octarm.commands.cli import main
+    from octarm.commands.terminal import repair_streams
 
+    repair_streams()
     return main(begin=raise_interrupts)
 
 

@@ -92,13 +92,16 @@ def planar_coordinates(modules: int) -> Coordinates:
     )
 
 
-def read_only(name: str, value: npt.ArrayLike, *, unbounded: bool = False) -> np.ndarray:
+def read_only(
+    name: str, value: npt.ArrayLike, *, unbounded: bool = False, unbounded_below: bool = False
+) -> np.ndarray:
     """A read-only float64 copy, of the shape of the value.
 
     Args:
         name: of the value, for errors.
         value: a number, or an array of any shape.
         unbounded: whether +infinity is allowed.
+        unbounded_below: whether -infinity is allowed.
 
     Raises:
         OctarmError: if the value is not made of finite numbers.
@@ -108,6 +111,7 @@ def read_only(name: str, value: npt.ArrayLike, *, unbounded: bool = False) -> np
     except (TypeError, ValueError):
         raise OctarmError(f"{name} is {quoted(value)}; it must be made of numbers") from None
     good = np.isfinite(array) | (unbounded & np.isposinf(array))
+    good |= unbounded_below & np.isneginf(array)
     if not np.all(good):
         raise OctarmError(f"{name} holds {array[~good].flat[0]:g}; it must be finite")
     array.setflags(write=False)

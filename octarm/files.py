@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, one or several together."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from pathlib import Path
 
 from octarm.errors import FileError, quoted
+from octarm.interrupts import held_interrupts
+
+_PART = ".{}.new.part"  # the name that a file has until it is whole
 
 
 @contextlib.contextmanager
@@ -34,9 +37,10 @@ def whole_file(path: str | os.PathLike[str], part: Path | None = None) -> Genera
         raise FileError(f"{quoted(os.fspath(path))} is not the name of a file")
     target = path.resolve() if path.is_symlink() else path
     special = target.exists() and not target.is_file()
+    lock = None
     try:
         if part is None:
-            part = _temporary(None if special else target.parent, path.name)
+            part, lock = _temporary(None if special else target.parent, path.name)
         part.touch()  # fails before the work rather than after
         yield part
         if special:
@@ -45,8 +49,7 @@ def whole_file(path: str | os.PathLike[str], part: Path | None = None) -> Genera
             with open(part, "rb") as source, open(target, "wb") as sink:
                 shutil.copyfileobj(source, sink)
             return
-        with open(part, "rb") as file:
-            os.fsync(file.fileno())
+        _settle(part)
         os.replace(part, target)
     except OSError as error:
         if isinstance(error, FileError):
@@ -56,16 +59,102 @@ def whole_file(path: str | os.PathLike[str], part: Path | None = None) -> Genera
         if part is not None:
             with contextlib.suppress(OSError):
                 part.unlink()
+        if lock is not None:
+            os.close(lock)
 
 
-def _temporary(folder: Path | None, name: str) -> Path:
-    """A new file with a name of its own and the permissions that a new file has."""
+def _settle(part: Path) -> None:
+    """Waits until a file is on disk; raises OSError if it has no room there."""
+    with open(part, "rb") as file:
+        os.fsync(file.fileno())
+
+
+def _temporary(folder: Path | None, name: str) -> tuple[Path, int | None]:
+    """A new file to write to, and a lock on it.
+
+    What a killed process has left has the same name, and is used again; where another process has
+    the lock, or there are none, the name is one that nobody else has.
+    """
+    if folder is not None:
+        part = folder / _PART.format(name)
+        lock = _locked(part)
+        if lock is not None:
+            os.truncate(part, 0)
+            return part, lock
+    return _unique(folder, name), None
+
+
+def _unique(folder: Path | None, name: str) -> Path:
+    """A new file with a name that nobody else has and the permissions that a new file has."""
     handle, path = tempfile.mkstemp(".part", f".{name}.", folder)
     os.close(handle)
     mask = os.umask(0)
     os.umask(mask)
     os.chmod(path, 0o666 & ~mask)
     return Path(path)
+
+
+def _locked(path: Path) -> int | None:
+    """A descriptor of a file that holds a lock on it; None if another process has one."""
+    try:
+        import fcntl
+    except ImportError:  # not on POSIX
+        return None
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    except OSError:  # somebody else's
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.path.samestat(os.fstat(handle), os.stat(path)):  # another one may just have moved it
+            return handle
+    except OSError:  # locked, moved, or a file system without locks
+        pass
+    os.close(handle)
+    return None
+
+
+def write_files(contents: Mapping[Path, bytes]) -> None:
+    """Writes several files: all of them, or none if one has no room.
+
+    Folders that are missing are made, and removed if nothing is written.
+
+    Raises:
+        FileError: if one cannot be written.
+    """
+    made: list[Path] = []
+    parts: dict[Path, Path] = {}
+    lock, path = None, Path()
+    try:
+        for path, content in contents.items():
+            missing = [p for p in (path.parent, *path.parent.parents) if not p.exists()]
+            path.parent.mkdir(parents=True, exist_ok=True)
+            made = [*missing, *made]
+            if path.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            target = path.resolve()
+            if not parts:  # the lock on the first one holds for all of them
+                parts[target], lock = _temporary(target.parent, target.name)
+            elif lock is not None:
+                parts[target] = target.with_name(_PART.format(target.name))
+            else:
+                parts[target] = _unique(target.parent, target.name)
+            parts[target].write_bytes(content)
+            _settle(parts[target])
+        with held_interrupts():
+            for target, part in parts.items():
+                os.replace(part, target)
+        made = []
+    except OSError as error:
+        raise FileError(f"{path} cannot be written: {error.strerror or error}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            for part in parts.values():
+                part.unlink(missing_ok=True)
+            for folder in made:  # as long as nobody else has put something there
+                folder.rmdir()
+        if lock is not None:
+            os.close(lock)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

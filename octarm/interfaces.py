@@ -7,6 +7,8 @@ the controller:
 
 `command.force` is a generalised force Q. The loop turns it into the actuators' input forces with
 what a controller may know, tau = F_coeff(q measured)^-1 Q, and holds tau until the next period.
+What of tau is beyond the arm's input range is cut off; a controller may know this too, see
+`NominalModel.input_range`.
 
 A controller is a frozen dataclass of gains, complete once constructed. It keeps nothing between
 calls: what it has to remember is the `state` it returns, and that state is handed back at the next
@@ -139,8 +141,8 @@ class NominalModel(Protocol):
         ...
 
     @property
-    def input_limit(self) -> np.ndarray:
-        """Bound on the absolute input forces tau, shape (2N,) [N]."""
+    def input_range(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lowest and the highest input forces tau, each of shape (..., 2N) [N]."""
         ...
 
     def inverse_dynamics(
@@ -163,6 +165,14 @@ class NominalModel(Protocol):
 
     def force_coefficients(self, q: np.ndarray) -> np.ndarray:
         """F_coeff(q) of Q = F_coeff(q) tau, shape (..., 2N, 2N) [1], [m]."""
+        ...
+
+    def shortfall(self, q: np.ndarray, force: np.ndarray) -> np.ndarray | None:
+        """What of a force Q is lost when its input forces are cut off at their range.
+
+        It is F_coeff(q) (tau - tau within the range) with tau = F_coeff(q)^-1 Q, shape (..., 2N)
+        [N], [N m]; None if nothing is cut off of any arm.
+        """
         ...
 
     def equilibrium(self) -> np.ndarray:

@@ -12,6 +12,7 @@ import contextlib
 import math
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Generator, Mapping
@@ -20,6 +21,7 @@ from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)  # what ends a run early
 _MOMENT = 3.0  # [s]
+_LATER = 0.01  # [s]
 _INTERRUPTED = 130  # `octarm.errors.ExitCode.INTERRUPTED`, which is not imported yet
 
 
@@ -37,9 +39,10 @@ def end_at_once() -> None:
 def raise_interrupts() -> None:
     """Lets an interrupt raise `KeyboardInterrupt`.
 
-    A second one within a moment changes nothing: a run that was interrupted is being closed.
+    A second one within a moment changes nothing: a run that was interrupted is being closed. One
+    that comes while an object is deleted, where Python ignores exceptions, comes once more.
     """
-    before = -math.inf
+    before, usual = -math.inf, sys.unraisablehook
 
     def interrupt(*_: object) -> None:
         nonlocal before
@@ -48,6 +51,15 @@ def raise_interrupts() -> None:
             before = now
             raise KeyboardInterrupt
 
+    def repeat(ignored: sys.UnraisableHookArgs) -> None:
+        nonlocal before
+        if not isinstance(ignored.exc_value, KeyboardInterrupt):
+            usual(ignored)
+            return
+        before = -math.inf
+        threading.Timer(_LATER, os.kill, (os.getpid(), signal.SIGINT)).start()
+
+    sys.unraisablehook = repeat
     for number in SIGNALS:
         signal.signal(number, interrupt)
 

@@ -17,7 +17,9 @@ from paper.runs import costs
 from paper.studies import FULL, QUICK
 from paper.variants import all_variants
 
+from octarm.commands.terminal import repair_streams, surviving_output
 from octarm.errors import ExitCode, OctarmError
+from octarm.interrupts import raise_interrupts
 
 ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = ROOT / "controllers" / "gains"
@@ -33,6 +35,7 @@ def main() -> int:
     parser.add_argument("--gains", type=Path, help="folder of gain sets instead of those shipped")
     parser.add_argument("--publish", action="store_true", help="renew what the repository shows")
     options = parser.parse_args()
+    raise_interrupts()
     try:
         reproduce(options)
     except (OctarmError, OSError) as error:
@@ -66,4 +69,5 @@ def reproduce(options: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":  # the worker processes import this file, too
-    sys.exit(main())
+    repair_streams()
+    sys.exit(surviving_output(main)())

@@ -1,5 +1,6 @@
 """Random instants, nominal models and closed loops, for the tests of the controllers."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -11,6 +12,8 @@ from octarm.arm.parameters import ArmParameters
 from octarm.interfaces import Controller, Measurement, Motion, Reference
 
 P = nominal_parameters()
+# Random instants ask for more force than the arm has, where laws that integrate stop doing so.
+UNLIMITED = dataclasses.replace(P, input_range=(-np.inf, np.inf))
 REST = equilibrium(P)
 UNCERTAIN = ("mass", "inertia", "stiffness", "damping")
 U = 0.3  # uncertainty of the nominal models

@@ -2,5 +2,17 @@
 
 import os
 
+import pytest
+
 # Nothing here draws with MuJoCo's renderer; without this, dm_control looks for a display.
 os.environ.setdefault("MUJOCO_GL", "disabled")
+
+from octarm.simulation.engines import ENGINES
+from octarm.simulation.environment import load
+
+
+@pytest.fixture(params=ENGINES)
+def each_engine(request, monkeypatch) -> str:
+    """Lets `load` take each of the engines where a test does not say which."""
+    monkeypatch.setitem(load.__kwdefaults__, "engine", request.param)
+    return request.param

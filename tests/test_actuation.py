@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+
+import mujoco
 import numpy as np
 import pytest
 
 from octarm import ArmParameters
 from octarm.arm import lagrange
 from octarm.arm.actuation import ACTUATIONS, Actuation, GroundedActuation, InternalActuation
+from octarm.arm.mjcf import (
+    build_model,
+    build_slim_model,
+    model_path,
+    nominal_parameters,
+    paper_order,
+)
+from octarm.checks.validation import arm_with
 
 MODULES = pytest.mark.parametrize("n", [1, 2, 3, 5])
 KINDS = pytest.mark.parametrize("kind", ACTUATIONS.values(), ids=ACTUATIONS.keys())
@@ -25,17 +36,17 @@ def random_motion(
     return np.concatenate([slide, bend], axis=-1), rng.uniform(-20, 20, (*batch, 2 * n))
 
 
-def random_width(rng: np.random.Generator, batch: tuple[int, ...]) -> np.ndarray:
-    return np.asarray(rng.uniform(0.05, 0.12, batch))
+def random_width(rng: np.random.Generator, n: int, batch: tuple[int, ...]) -> np.ndarray:
+    return rng.uniform(0.05, 0.12, (*batch, n))
 
 
 def column_moments(width: np.ndarray, n: int) -> np.ndarray:
     """T: column (a, i) has 1 in row i and +-l/2 in row n + i."""
-    out = np.zeros((*width.shape, 2 * n, 2 * n))
+    out = np.zeros((*width.shape[:-1], 2 * n, 2 * n))
     for i in range(n):
         out[..., i, 2 * i : 2 * i + 2] = 1.0
-        out[..., n + i, 2 * i] = 0.5 * width
-        out[..., n + i, 2 * i + 1] = -0.5 * width
+        out[..., n + i, 2 * i] = 0.5 * width[..., i]
+        out[..., n + i, 2 * i + 1] = -0.5 * width[..., i]
     return out
 
 
@@ -71,7 +82,7 @@ def assert_close(actual: np.ndarray, expected: np.ndarray) -> None:
 @BATCHES
 def test_force_is_the_matrix_times_the_inputs(kind, n, widths, states):
     rng = np.random.default_rng(1)
-    width, (q, tau) = random_width(rng, widths), random_motion(rng, n, states)
+    width, (q, tau) = random_width(rng, n, widths), random_motion(rng, n, states)
     assert_close(kind(width).force(q, tau), times(matrix(kind, width, q), tau))
 
 
@@ -80,7 +91,7 @@ def test_force_is_the_matrix_times_the_inputs(kind, n, widths, states):
 @BATCHES
 def test_inputs_and_force_invert_each_other(kind, n, widths, states):
     rng = np.random.default_rng(2)
-    actuation = kind(random_width(rng, widths))
+    actuation = kind(random_width(rng, n, widths))
     q, tau = random_motion(rng, n, states)
     assert_close(actuation.inputs(q, actuation.force(q, tau)), tau)
     assert_close(actuation.force(q, actuation.inputs(q, tau)), tau)
@@ -88,28 +99,61 @@ def test_inputs_and_force_invert_each_other(kind, n, widths, states):
 
 @KINDS
 @MODULES
-@BATCHES
-def test_tendon_forces_have_the_moments_of_the_inputs(kind, n, widths, states):
+@pytest.mark.parametrize("build", [build_model, build_slim_model])
+def test_the_motors_of_the_model_exert_the_force_of_the_inputs_in_every_state(kind, n, build):
     rng = np.random.default_rng(3)
-    width, (q, tau) = random_width(rng, widths), random_motion(rng, n, states)
-    actuation = kind(width)
-    moments = times(column_moments(width, n), actuation.tendon_forces(q, tau))
-    assert_close(moments, actuation.force(q, tau))
+    width, (q, tau) = random_width(rng, n, ()), random_motion(rng, n, (500,))
+    p = dataclasses.replace(arm_with(n), width=width)
+    actuation, model = kind(p.widths), build(p)
+    data, (positions, velocities) = mujoco.MjData(model), paper_order(model)
+    found = np.empty_like(q)
+    for row, q_row, ctrl in zip(found, q, actuation.ctrl(tau), strict=True):
+        data.qpos[positions], data.ctrl[:] = q_row, ctrl
+        mujoco.mj_forward(model, data)
+        row[:] = data.qfrc_actuator[velocities]
+    assert_close(found, times(matrix(kind, p.widths, q), tau))
+
+
+def test_the_bare_file_exerts_f_coeff_tau_where_ctrl_is_tau():
+    """With MuJoCo alone: tau, and tau once more for the motors whose names begin with reaction."""
+    model = mujoco.MjModel.from_xml_path(str(model_path()))
+    data = mujoco.MjData(model)
+    q, tau = random_motion(np.random.default_rng(8), 3, (500,))
+    p = nominal_parameters()
+    inputs = [f"{a}_{i}" for i in (1, 2, 3) for a in (1, 2)]
+    motors = [model.actuator(k).name.partition("_")[::2] for k in range(model.nu)]
+    assert [kind for kind, _ in motors] == ["push"] * 6 + ["reaction"] * 4
+    order = [inputs.index(column) for _, column in motors]
+    assert order == [0, 1, 2, 3, 4, 5, 2, 3, 4, 5]
+    internal = InternalActuation(p.widths)
+    for q_row, tau_row in zip(q, tau, strict=True):
+        for i in range(3):
+            data.joint(f"s_{i + 1}").qpos = q_row[i]
+            data.joint(f"theta_{i + 1}").qpos = q_row[3 + i]
+        data.ctrl[:] = tau_row[order]
+        forces = []
+        for disabled in (0, 1 << 1):  # group 1 holds the reactions
+            model.opt.disableactuator = disabled
+            mujoco.mj_forward(model, data)
+            names = [f"{kind}_{i}" for kind in ("s", "theta") for i in (1, 2, 3)]
+            forces.append(np.array([data.joint(name).qfrc_actuator[0] for name in names]))
+        assert_close(forces[0], lagrange.force_coefficients(p, q_row) @ tau_row)
+        assert_close(forces[1], internal.force(q_row, tau_row))
 
 
 @KINDS
 @MODULES
 def test_determinant_is_the_same_power_of_the_width_in_every_state(kind, n):
     rng = np.random.default_rng(4)
-    width, (q, _) = random_width(rng, ()), random_motion(rng, n, (50,))
+    width, (q, _) = random_width(rng, n, ()), random_motion(rng, n, (50,))
     sign = (-1) ** (n * (n + 1) // 2)  # +1 for three modules
     determinants = np.linalg.det(matrix(kind, width, q))
-    np.testing.assert_allclose(determinants, sign * width**n, rtol=1e-12)
+    np.testing.assert_allclose(determinants, sign * np.prod(width), rtol=1e-12)
 
 
 def test_internal_forces_ignore_the_state_and_act_on_their_own_module_only():
     q, _ = random_motion(np.random.default_rng(5), 3, ())
-    actuation = InternalActuation(np.asarray(0.08))
+    actuation = InternalActuation(np.full(3, 0.08))
     for i in range(3):
         tau = np.zeros(6)
         tau[2 * i] = 1.0
@@ -120,7 +164,7 @@ def test_internal_forces_ignore_the_state_and_act_on_their_own_module_only():
 
 def test_grounded_forces_of_the_last_module_push_every_module_of_a_straight_arm():
     q = np.array([0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
-    actuation = GroundedActuation(np.asarray(0.08))
+    actuation = GroundedActuation(np.full(3, 0.08))
     force = actuation.force(q, np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0]))
     np.testing.assert_array_equal(force, [2.0, 2.0, 2.0, 0.0, 0.0, 0.0])
 
@@ -132,12 +176,12 @@ def test_grounded_forces_of_the_last_module_push_every_module_of_a_straight_arm(
 @pytest.mark.parametrize("many_widths", [False, True])
 def test_a_batch_row_equals_the_single_call_bit_for_bit(kind, n, batch, order, many_widths):
     rng = np.random.default_rng(6)
-    width = random_width(rng, (batch,) if many_widths else ())
+    width = random_width(rng, n, (batch,) if many_widths else ())
     q, tau = (np.asarray(x, order=order) for x in random_motion(rng, n, (batch,)))
 
     def results(actuation: Actuation, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        maps = (actuation.force, actuation.inputs, actuation.tendon_forces)
-        return np.stack([f(q, tau) for f in maps], axis=-2)
+        maps = (actuation.force(q, tau), actuation.inputs(q, tau), actuation.ctrl(tau))
+        return np.concatenate(maps, axis=-1)
 
     together = results(kind(width), q, tau)
     for i in range(batch):
@@ -151,16 +195,17 @@ def test_inputs_are_not_modified(kind):
     before = q.copy(), tau.copy()
     q.setflags(write=False)
     tau.setflags(write=False)
-    actuation = kind(np.asarray(0.08))
-    for f in (actuation.force, actuation.inputs, actuation.tendon_forces):
+    actuation = kind(np.full(3, 0.08))
+    for f in (actuation.force, actuation.inputs):
         f(q, tau)
+    actuation.ctrl(tau)[...] = 0.0
     np.testing.assert_array_equal(q, before[0])
     np.testing.assert_array_equal(tau, before[1])
 
 
 @KINDS
 def test_integers_are_taken_as_numbers_not_truncated(kind):
-    actuation = kind(np.asarray(0.08))
+    actuation = kind(np.full(3, 0.08))
     q, tau = np.array([1, 1, 1, 0, 1, 0]), np.array([1, 0, 2, 0, 3, 1])
-    for f in (actuation.force, actuation.inputs, actuation.tendon_forces):
+    for f in (actuation.force, actuation.inputs):
         np.testing.assert_array_equal(f(q, tau), f(1.0 * q, 1.0 * tau))

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 import pytest
-from arm_states import REST, P, hand_set, random_instant
+from arm_states import REST, UNLIMITED, P, hand_set, random_instant
 from scipy import stats
 
 from controllers.adaptive_fuzzy import premise_rate
@@ -28,7 +28,7 @@ from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout
 from octarm.simulation.trajectory import Trajectory
 
-WRONG = P.mismatched(-0.3)
+WRONG = UNLIMITED.mismatched(-0.3)
 ADAPTIVE = ("afsmc", "afsmc-consequent")
 both_kinds = pytest.mark.parametrize("normalised", [False, True])
 M = 5

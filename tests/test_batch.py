@@ -16,6 +16,8 @@ from octarm.interfaces import Command, Controller, Instant
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout, simulate
 
+pytestmark = pytest.mark.usefixtures("each_engine")
+
 P = nominal_parameters()
 DURATION = 0.03
 
@@ -62,7 +64,7 @@ def test_size_order_and_threads_of_a_batch_do_not_matter(arms: int, threads: int
 
 def test_arms_may_have_their_own_parameters_and_nominal_models():
     factor = np.array([0.8, 1.0, 1.3])
-    arms = P.scaled(mass=factor[:, None], width=factor, rest_length=factor[:, None])
+    arms = P.scaled(mass=factor[:, None], width=factor[:, None], rest_length=factor[:, None])
     believed = arms.scaled(stiffness=np.array([0.9, 1.0, 1.1])[:, None, None])
     together, _ = states_of_batch(
         make_controller("smc-boundary", believed), 3, parameters=arms, reference="set-point"
@@ -127,7 +129,7 @@ def test_arrays_are_contiguous_along_the_arms():
     environment = load(batch=5)
     environment.reset()
     physics = environment.physics
-    for array in (physics.q(), physics.v(), physics.hanging(), physics.input_limit()):
+    for array in (physics.q(), physics.v(), physics.hanging(), *physics.input_range()):
         assert array.shape == (5, 6)
         assert array.T.flags.c_contiguous
 

@@ -92,7 +92,7 @@ def test_options_reach_the_run():
     assert d["controller"]["gains"]["lambda_"] == 20.0
     assert d["controller"]["gains"]["K"] == [1, 1, 1, 0.4, 0.2, 0.1]
     assert d["reference"]["name"] == "smooth-step"
-    assert d["parameters"]["width"] == d["nominal"]["width"] == 0.1
+    assert d["parameters"]["width"] == d["nominal"]["width"] == [0.1]
     np.testing.assert_allclose(d["nominal"]["mass"], 0.5 * np.array(d["parameters"]["mass"]))
 
 
@@ -173,7 +173,8 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(arguments, message, capsys
 
 
 def test_a_diverging_run_is_kept_and_marked(capsys):
-    assert short_run("--gain", "K:1600,1000,800,400,250,30") == 3
+    strong = ["--parameter", "input_range:-inf,inf"]
+    assert short_run("--gain", "K:1600,1000,800,400,250,30", *strong) == 3
     out, err = capsys.readouterr()
     assert re.fullmatch(
         r"octarm: the run diverged at t = 0\.00\d+ s: theta1 moves at .* rad/s, faster than "
@@ -361,3 +362,19 @@ def test_a_second_interrupt_within_a_moment_changes_nothing():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (0, "held\nclosing\n", "")
+
+
+def test_an_interrupt_while_an_object_is_deleted_is_not_lost():
+    code = (
+        "import os, signal, time\n"
+        "from octarm.interrupts import raise_interrupts\n"
+        "raise_interrupts()\n"
+        "class Late:\n"
+        "    def __del__(self): os.kill(os.getpid(), signal.SIGTERM); time.sleep(0.1)\n"
+        "try:\n"
+        "    Late(); time.sleep(60); print('lost')\n"
+        "except KeyboardInterrupt:\n"
+        "    print('came')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "came\n", "")

@@ -49,6 +49,8 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--timestep": "S",
             "--control-period": "S",
             "--actuation": "ACTUATION f-coeff",
+            "--integrator": "INTEGRATOR rk4",
+            "--engine": "ENGINE mujoco",
         },
         "output": {"--out": "DIR", "--view": ""},
     },
@@ -71,6 +73,8 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--resume": "",
             "--dry-run": "",
             "--cluster": "ADDRESS",
+            "--wait-for-workers": "S 60",
+            "--engine": "ENGINE",
         }
     },
     "report": {
@@ -93,15 +97,23 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--control-period": "S",
             "--gains": "GAINS",
             "--seed": "N 0",
+            "--engine": "ENGINE",
         },
         "output": {"--csv": "FILE", "--json": "FILE"},
     },
     "tune": {
-        "options": {"--out": "FILE.toml", "--budget": "S 8000", "--seed": "N 0", "--resume": ""}
+        "options": {
+            "--out": "FILE.toml",
+            "--budget": "S 8000",
+            "--seed": "N 0",
+            "--resume": "",
+            "--engine": "ENGINE",
+        }
     },
     "validate": {
         "options": {
             "--controllers": "",
+            "--engines": "",
             "--modules": "N 3",
             "--random-parameters": "N 0",
             "--states": "N",

@@ -361,6 +361,7 @@ def test_a_copy_goes_on_alike_and_on_its_own(duplicate, arms: int | None):
 share = st.floats(0.0, 0.9)
 small = st.floats(-0.9, 0.9)
 positive = st.floats(0.001, 0.05)
+factor = st.floats(0.2, 2.0)
 time = st.sampled_from([0.0, 0.0007, 0.004, 0.0101, 0.05])
 limit = st.sampled_from([0.1, 1.0, np.inf])
 FIELDS: dict[str, dict[str, Any]] = {
@@ -368,7 +369,7 @@ FIELDS: dict[str, dict[str, Any]] = {
     "sine": {"amplitude": small, "frequency": st.floats(0.1, 400.0), "phase": small, "at": time},
     "pulse": {"amplitude": small, "at": time, "length": positive},
     "step": {"amplitude": small, "at": time},
-    "mismatch": {"mismatch": small, "inertia": positive, "rest_length": positive, "tilt": small},
+    "mismatch": {"mismatch": small, "inertia": factor, "rest_length": factor, "tilt": small},
     "random-mismatch": {"share": share, "rest_length": share, "tilt": share},
     "drift": {"rate": small, "limit": share},
     "cyclic-drift": {"share": share, "period": st.floats(0.1, 9.0), "phase": small},

@@ -23,7 +23,7 @@ from numpy.random import SeedSequence
 from test_disturbances import SPELLINGS
 
 from controllers import CONTROLLERS, make_controller
-from octarm.arm.actuation import GroundedActuation, InternalActuation
+from octarm.arm.actuation import GroundedActuation
 from octarm.arm.lagrange import damping_matrix, energy, equilibrium, forward_dynamics, positions
 from octarm.arm.mjcf import nominal_parameters, paper_order
 from octarm.arm.parameters import ArmParameters
@@ -80,7 +80,7 @@ class Run(NamedTuple):
         q: true coordinates before the steps and after the last one, shape (K + 1, 2N).
         v: true velocities, likewise.
         added: qfrc_applied during the steps, shape (K, 2N).
-        received: input forces that the columns' forces amount to, shape (K, 2N).
+        received: input forces that the motors exerted, shape (K, 2N).
         asked: input forces that were asked for, shape (K, 2N).
         plants: parameters in the model during the steps.
         angle: of gravity in the model during the steps, shape (K,).
@@ -124,7 +124,6 @@ def run(
     physics = environment.physics
     listener = Listener(law)
     dof = paper_order(physics.model.ptr)[1]
-    internal, grounded = InternalActuation(P.width), GroundedActuation(P.width)
     rows: list[tuple] = []
     states: list[np.ndarray] = []
 
@@ -133,13 +132,12 @@ def run(
         if len(states) == 1:
             return  # the episode begins
         data, model = physics.data.ptr, physics.model.ptr
-        before = states[-2][0]
-        received = grounded.inputs(before, internal.force(before, data.ctrl.copy()))
+        np.testing.assert_array_equal(data.ctrl[6:], data.ctrl[2:6])
         gravity = model.opt.gravity
         rows.append(
             (
                 data.qfrc_applied[dof].copy(),
-                received,
+                data.ctrl[:6].copy(),
                 physics.tau(),
                 ArmParameters.from_model(model) if changing or len(states) == 2 else rows[-1][3],
                 np.arctan2(gravity[0], -gravity[2]),
@@ -252,7 +250,8 @@ def test_a_step_on_the_tip_is_what_mujoco_makes_of_a_force_there(on: str, direct
     environment.reset()
     np.testing.assert_array_equal(found.added[:20], 0.0)
     for k in range(20, 300, 7):
-        physics.set_motion(found.q[k], found.v[k])
+        middle = found.q[k] + 0.5 * DT * found.v[k]  # where the step takes it
+        physics.set_motion(middle, found.v[k])
         mujoco.mj_forward(model, physics.data.ptr)
         jacobian = np.zeros((3, 6))
         mujoco.mj_jacSite(model, physics.data.ptr, jacobian, None, site)
@@ -423,20 +422,18 @@ def gravity_force(p: ArmParameters, q: np.ndarray, angle: float) -> np.ndarray:
 
 
 def test_the_arm_moves_as_the_analytic_model_says_under_what_was_delivered():
-    """Fourth-order Runge-Kutta on eqs (1)-(5), forces held over a step, as MuJoCo has it."""
+    """Fourth-order Runge-Kutta on eqs (1)-(5); disturbances are held over a step, not F(q) tau."""
     found = run(ALL, 200, period=2)
-    internal, grounded = InternalActuation(P.width), GroundedActuation(P.width)
+    actuation = GroundedActuation(P.widths)
     worst = 0.0
     for k in range(200):
         p, angle, q0 = found.plants[k], found.angle[k], found.q[k]
         # from_model takes the vertical part of gravity alone.
         p = ArmParameters(**{**p.to_dict(), "gravity": p.gravity / np.cos(angle)})
-        # Columns push neighbours with what F(q) tau needs at the start of the step.
-        columns = internal.inputs(q0, grounded.force(q0, found.received[k]))
-        held = internal.force(q0, columns) + found.added[k]
+        tau, held = found.received[k], found.added[k]
 
-        def slope(y: np.ndarray, p=p, angle=angle, held=held) -> np.ndarray:
-            force = held + gravity_force(p, y[:6], angle)
+        def slope(y: np.ndarray, p=p, angle=angle, tau=tau, held=held) -> np.ndarray:
+            force = actuation.force(y[:6], tau) + held + gravity_force(p, y[:6], angle)
             return np.concatenate([y[6:], forward_dynamics(p, y[:6], y[6:], force)])
 
         y = np.concatenate([q0, found.v[k]])
@@ -455,16 +452,19 @@ def test_energy_goes_where_it_is_delivered():
     changes = ["mismatch:0.2", "drift:0.5,of=stiffness+rest_length", "payload:0.2,at=0.1"]
     pushes = ["noise:0.4", "sine:0.3,frequency=3,on=tip-y", "step:-0.2,on=s2"]
     found = run([*changes, *pushes, "loss:0.3", "lag:0.01"], 800, period=4)
-    internal, grounded = InternalActuation(P.width), GroundedActuation(P.width)
+    actuation = GroundedActuation(P.widths)
     stored = [sum(energy(found.plants[0], found.q[0], found.v[0]))]
     supplied = damped = brought = 0.0
     for k, p in enumerate(found.plants):
         (q0, q1), (v0, v1) = found.q[k : k + 2], found.v[k : k + 2]
         brought += sum(energy(p, q0, v0)) - stored[-1]
-        columns = internal.inputs(q0, grounded.force(q0, found.received[k]))
-        held = internal.force(q0, columns) + found.added[k]
-        supplied += held @ (q1 - q0)
         B, middle = damping_matrix(p), 1.5 * (q1 - q0) / DT - 0.25 * (v0 + v1)
+        halfway = 0.5 * (q0 + q1) + DT / 8.0 * (v0 - v1)
+        power = [
+            actuation.force(q, found.received[k]) @ v
+            for q, v in ((q0, v0), (halfway, middle), (q1, v1))
+        ]
+        supplied += found.added[k] @ (q1 - q0) + DT / 6.0 * (power @ np.array([1.0, 4.0, 1.0]))
         damped += DT / 6.0 * (v0 @ B @ v0 + 4.0 * middle @ B @ middle + v1 @ B @ v1)
         stored.append(sum(energy(p, q1, v1)))
     assert min(abs(supplied), damped, abs(brought)) > 0.01  # [J]

@@ -45,7 +45,7 @@ def derived_function(matrix: Matrix) -> Callable[..., np.ndarray]:
 
     def function(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         columns = (*p.stiffness, *p.damping)
-        flat = np.hstack([p.mass, p.inertia, p.width, *columns, p.rest_length, p.gravity])
+        flat = np.hstack([p.mass, p.inertia, p.width[0], *columns, p.rest_length, p.gravity])
         return compiled(flat, q, v).squeeze()
 
     return function

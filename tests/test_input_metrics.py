@@ -18,7 +18,7 @@ def times(duration: float = 4.0, step: float = STEP) -> np.ndarray:
 def used(kind: type[Accumulator], limit: Any = np.inf, **rows: np.ndarray) -> dict[str, np.ndarray]:
     """What an accumulator makes of rows."""
     first = {name: array[0] for name, array in rows.items()}
-    use = kind(first, Settings(control_period=STEP, input_limit=limit))
+    use = kind(first, Settings(control_period=STEP, input_range=(-np.asarray(limit), limit)))
     use.update(rows, True)
     return use.result()
 
@@ -45,7 +45,7 @@ def test_the_share_of_saturated_periods_of_a_clipped_sine():
 
 
 def test_saturation_is_counted_beyond_any_number_of_rows():
-    use = InputUse({"tau": np.zeros(2)}, Settings(control_period=STEP, input_limit=1.0))
+    use = InputUse({"tau": np.zeros(2)}, Settings(control_period=STEP, input_range=(-1.0, 1.0)))
     for _ in range(7):
         use.update({"tau": np.tile([1.0, -0.5], (1000, 1))}, True)
     np.testing.assert_array_equal(use.result()["saturation_share"], [1.0, 0.0])

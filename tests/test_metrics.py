@@ -60,7 +60,9 @@ def without(rows: Rows, *names: str) -> Rows:
 
 
 def measure(*blocks: Rows, diverged: np.ndarray | bool = False, **options) -> dict:
-    whole = Metrics(**{"control_period": PERIOD, "input_limit": 1.5, "layer": LAYER} | options)
+    whole = Metrics(
+        **{"control_period": PERIOD, "input_range": (-1.5, 1.5), "layer": LAYER} | options
+    )
     for block in blocks:
         whole.update(block)
     return whole.result(diverged=diverged)
@@ -139,17 +141,19 @@ def test_arms_may_share_their_reference():
 def test_limits_may_differ_from_arm_to_arm():
     block = noisy(batch=(3,))
     draw = np.random.default_rng(5)
-    options = {k: draw.uniform(0.01, 1.5, (3, 6)) for k in ("input_limit", "layer", "band")}
+    most, layer, band = draw.uniform(0.01, 1.5, (3, 3, 6))
+    options = {"input_range": (-most, 2.0 * most), "layer": layer, "band": band}
     found = measure(block, **options)
     for i in range(3):
-        alone = measure(arm(block, i), **{name: value[i] for name, value in options.items()})
+        limits = (-most[i], 2.0 * most[i])
+        alone = measure(arm(block, i), input_range=limits, layer=layer[i], band=band[i])
         assert_same_bits(alone, {name: value[i] for name, value in found.items()})
 
 
 def test_a_loop_may_reuse_its_memory():
     block = noisy(batch=(2,))
     memory = {name: np.copy(array[:1]) for name, array in block.items()}
-    whole = Metrics(control_period=PERIOD, input_limit=1.5, layer=LAYER)
+    whole = Metrics(control_period=PERIOD, input_range=(-1.5, 1.5), layer=LAYER)
     for i in range(ROWS):
         for name, kept in memory.items():
             kept[...] = block[name][i : i + 1]
@@ -160,7 +164,7 @@ def test_a_loop_may_reuse_its_memory():
 
 
 def test_asking_for_the_result_changes_nothing():
-    block, whole = noisy(), Metrics(control_period=PERIOD, input_limit=1.5, layer=LAYER)
+    block, whole = noisy(), Metrics(control_period=PERIOD, input_range=(-1.5, 1.5), layer=LAYER)
     for i in range(0, ROWS, 60):
         whole.update(take(block, slice(i, i + 60)))
         for value in whole.result().values():
@@ -223,7 +227,8 @@ def test_the_promised_reaching_time_is_the_first():
     [
         ({"control_period": 0.0}, "control period holds 0; it must be above 0 and finite"),
         ({"control_period": np.nan}, "control period holds nan"),
-        ({"input_limit": [1.0, -2.0]}, "input limit holds -2; it must be above 0"),
+        ({"input_range": ([-1.0, 1.0], 2.0)}, r"input range is \(\[-1.0, 1.0\], 2.0\); it must ho"),
+        ({"input_range": (-1.0, np.nan)}, r"input range is \(-1.0, nan\); it must hold 0"),
         ({"layer": -1.0}, "layer holds -1; it must be at least 0 and finite"),
         ({"band": np.inf}, "band holds inf"),
         ({"corner": 0.0}, "corner holds 0"),
@@ -263,7 +268,7 @@ def smooth(period: float, duration: float = 6.0) -> Rows:
 
 def test_halving_the_control_period_changes_nothing_but_what_says_so():
     coarse, fine, true = (
-        measure(smooth(h), control_period=h, input_limit=4.0, layer=0.3)
+        measure(smooth(h), control_period=h, input_range=(-4.0, 4.0), layer=0.3)
         for h in (5e-4, 2.5e-4, 6.25e-5)
     )
     assert list(coarse) == list(METRICS)

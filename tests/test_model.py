@@ -23,6 +23,7 @@ from octarm.arm.mjcf import (
 from octarm.arrays import coordinate_names
 
 MODULES = pytest.mark.parametrize("n", [1, 2, 3, 5, 7, 12])
+REACTIONS = ["reaction_1_{i}", "reaction_2_{i}"]
 NAMED = ["body", "joint", "geom", "site", "camera", "light", "tendon", "actuator", "sensor", "key"]
 
 
@@ -97,7 +98,7 @@ def test_the_parts_have_their_names(n):
         "body": ["module_{i}"],
         "joint": ["s_{i}", "theta_{i}"],
         "tendon": ["column_1_{i}", "column_2_{i}"],
-        "actuator": ["push_1_{i}", "push_2_{i}"],
+        "actuator": ["push_1_{i}", "push_2_{i}", *REACTIONS],
         "sensor": [
             f"{part}_{quantity}"
             for part, first in (
@@ -112,6 +113,7 @@ def test_the_parts_have_their_names(n):
     others = {"body": {"world", "base"}, "sensor": {"tip_position"}}
     for kind, patterns in of_module.items():
         expected = {p.format(i=i) for p in patterns for i in range(1, n + 1)}
+        expected -= {p.format(i=1) for p in REACTIONS}  # the ground bears them anyway
         assert names(model, kind) == expected | others.get(kind, set())
     assert names(model, "key") == {"hanging"}
     assert len(names(model, "camera")) >= 2
@@ -198,7 +200,7 @@ def test_sensors_read_joints_and_column_lengths(n):
             assert data.sensor(f"s_{i + 1}_{quantity}").data == x[i]
             assert data.sensor(f"theta_{i + 1}_{quantity}").data == x[n + i]
             for a, side in ((1, 0.5), (2, -0.5)):
-                expected = x[i] + side * p.width * x[n + i]
+                expected = x[i] + side * p.widths[i] * x[n + i]
                 found = data.sensor(f"column_{a}_{i + 1}_{length}").data
                 np.testing.assert_allclose(found, expected, rtol=1e-13)
 
@@ -210,11 +212,9 @@ def test_mujoco_and_lagrange_give_the_same_accelerations(n):
     model = build_model(p)
     data = state(model, q, v)
     tau = np.random.default_rng(9).uniform(-20, 20, 2 * n)
-    data.ctrl[:] = tau
+    data.ctrl[:] = *tau, *tau[2:]
     mujoco.mj_forward(model, data)
-    left, right = tau[0::2], tau[1::2]  # act on s_i, and with the levers +-l/2 on theta_i
-    force = np.concatenate([left + right, 0.5 * p.width * (left - right)])
-    expected = lagrange.forward_dynamics(p, q, v, force)
+    expected = lagrange.forward_dynamics(p, q, v, lagrange.force_coefficients(p, q) @ tau)
     found = data.qacc[paper_order(model)[1]]
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.max(np.abs(expected)))
 
@@ -270,7 +270,7 @@ def test_the_slim_model_moves_with_the_same_bits(n: int):
         data.qpos[positions], data.qvel[velocities] = random_state(n, n)
         draw, rows = np.random.default_rng(n), []
         for _ in range(500):
-            data.ctrl[:] = draw.normal(size=2 * n)
+            data.ctrl[:] = draw.normal(size=model.nu)
             data.qfrc_applied[:] = 0.01 * draw.normal(size=2 * n)
             mujoco.mj_step(model, data)
             rows.append(np.concatenate([data.qpos, data.qvel, data.qacc, [data.time]]))
@@ -281,6 +281,7 @@ def test_the_slim_model_moves_with_the_same_bits(n: int):
 
 def test_the_slim_model_has_nothing_but_what_moves():
     model = build_slim_model()
-    empty = (model.ngeom, model.nsite, model.nsensor, model.ncam, model.nlight)
-    assert empty == (0, 0, 0, 0, 0)
-    assert (model.nq, model.nu, model.ntendon, model.nkey) == (6, 6, 6, 1)
+    empty = (model.ngeom, model.nsensor, model.ncam, model.nlight)
+    assert empty == (0, 0, 0, 0)
+    assert names(model, "site") == {"reaction_2", "reaction_3", "tip"}
+    assert (model.nq, model.nu, model.ntendon, model.nkey) == (6, 10, 6, 1)

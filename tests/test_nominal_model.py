@@ -44,7 +44,7 @@ def test_it_says_what_its_coordinates_are():
     assert MODEL.units == ("m", "m", "m", "rad", "rad", "rad")
     assert (MODEL.modules, MODEL.coordinates) == (3, 6)
     np.testing.assert_array_equal(MODEL.scale, [0.12, 0.12, 0.12, 1.0, 1.0, 1.0])
-    np.testing.assert_array_equal(MODEL.input_limit, load().physics.input_limit())
+    np.testing.assert_array_equal(MODEL.input_range, load().physics.input_range())
 
 
 def test_the_largest_inertia_is_that_of_the_straight_arm():

@@ -24,6 +24,8 @@ def fields(**changed: Any) -> dict[str, Any]:
         "damping": [[12.0, 10.0], [11.0, 9.0]],
         "rest_length": [0.12, 0.1],
         "gravity": 9.81,
+        "tip_length": 0.02,
+        "input_range": [[-20.0, -20.0, 0.0, -9.0], [20.0, 0.0, 20.0, 9.0]],
     }
     return valid | changed
 
@@ -106,7 +108,7 @@ def test_fields_must_be_named():
     [
         ({"gravity": [9.8, 9.9, 1.6]}, (3,)),
         ({"mass": np.ones((3, 2))}, (3,)),
-        ({"mass": np.ones((3, 2)), "width": np.ones((5, 1))}, (5, 3)),
+        ({"mass": np.ones((3, 2)), "width": np.ones((5, 1, 1))}, (5, 3)),
         ({"stiffness": np.ones((4, 2, 2)), "gravity": np.ones(4)}, (4,)),
     ],
 )
@@ -118,7 +120,7 @@ def test_any_field_may_carry_batch_axes(changed, batch):
 
 def test_batch_axes_that_do_not_fit_are_refused_by_name():
     with pytest.raises(ValueError, match=r"batch axes .* mass \(3,\), width \(4,\)"):
-        ArmParameters(**fields(mass=np.ones((3, 2)), width=np.ones(4)))
+        ArmParameters(**fields(mass=np.ones((3, 2)), width=np.ones((4, 1))))
 
 
 def test_scaled_multiplies_the_named_fields_and_no_other():
@@ -164,7 +166,7 @@ def test_a_mismatch_that_leaves_no_arm_is_refused(x):
         ArmParameters(**fields()).mismatched(x)
 
 
-@pytest.mark.parametrize("changed", [{}, {"mass": np.ones((3, 2)), "width": np.ones((5, 1))}])
+@pytest.mark.parametrize("changed", [{}, {"mass": np.ones((3, 2)), "width": np.ones((5, 1, 1))}])
 def test_json_gives_the_same_numbers_back(changed):
     p = ArmParameters(**fields(**changed)).scaled(mass=1.0 / 3.0)
     back = ArmParameters.from_dict(json.loads(json.dumps(p.to_dict())))

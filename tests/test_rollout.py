@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from arm_states import UNLIMITED
 from dm_control.suite.wrappers import action_noise
 
 from controllers import make_controller
@@ -54,15 +55,16 @@ def test_the_recorded_inputs_give_the_recorded_force():
 
 
 def test_the_arm_moves_as_the_analytic_model_says():
-    """One RK4 step under a held tau, against RK4 on the analytic equations with a held force."""
+    """One RK4 step under a held tau, against RK4 on the analytic equations with F_coeff(q) tau."""
     step, p = 1e-4, nominal_parameters()
     run = rollout(load(timestep=step), Probe(), 0.02)
 
     def rate(x):
+        force = force_coefficients(p, x[:6]) @ tau
         return np.concatenate([x[6:], forward_dynamics(p, x[:6], x[6:], force)])
 
     for k in range(100, 110):
-        x, force = np.concatenate([run.q[k], run.v[k]]), run.force[k]
+        x, tau = np.concatenate([run.q[k], run.v[k]]), run.tau[k]
         k1 = rate(x)
         k2 = rate(x + 0.5 * step * k1)
         k3 = rate(x + 0.5 * step * k2)
@@ -91,10 +93,11 @@ def test_a_wrapped_environment_runs_and_the_inputs_it_received_are_recorded():
 
 @pytest.mark.parametrize("gain", ["K", "K_v", "lambda"])
 def test_a_gain_a_thousand_times_too_large_ends_the_run_at_once(gain: str):
-    p = nominal_parameters()
+    p = UNLIMITED
     recommended = make_controller("smc-boundary", p)
     value = getattr(recommended, "lambda_" if gain == "lambda" else gain)
-    run = rollout(load(), make_controller("smc-boundary", p, {gain: 1000.0 * value}), 1.0)
+    controller = make_controller("smc-boundary", p, {gain: 1000.0 * value})
+    run = rollout(load(parameters=p), controller, 1.0)
     assert run.status == "diverged"
     assert re.match(r"diverged at t = 0\.00\d+ s: (s|theta)\d (is|moves at) ", run.message)
     assert 1 <= len(run) < 20
@@ -138,7 +141,8 @@ def spoil_action(physics, action):
     ],
 )
 def test_a_state_or_input_that_mujoco_refuses_ends_the_run(spoil, message):
-    spoilt = Spoilt(load(), spoil)
+    strong = dataclasses.replace(UNLIMITED, input_range=(-1e30, 1e30))
+    spoilt = Spoilt(load(parameters=strong), spoil)
     run = rollout(spoilt, Probe(), 0.1)  # pyright: ignore[reportArgumentType]
     assert run.status == "diverged"
     assert re.match(message, run.message), run.message

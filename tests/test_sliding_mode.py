@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from arm_states import (
     REST,
+    UNLIMITED,
     P,
     U,
     energy_rate,
@@ -220,7 +221,7 @@ def test_recommended_gains_exceed_the_model_error_and_its_rate_on_the_default_re
 
 def test_super_twisting_integrates_the_sign_of_s():
     """w' = -k_2 sgn(s), and w is in the force as it stands."""
-    controller = hand_set("super-twisting", P, {"K": 1e6})
+    controller = hand_set("super-twisting", UNLIMITED, {"K": 1e6})
     (measurement, reference), dt = random_instant(50), 0.05
     state = controller.initial_state((50,))
     w = np.zeros((50, 6))

@@ -18,7 +18,8 @@ from test_sweep import SPEC, run
 
 import octarm
 from octarm.errors import ExitCode
-from octarm.sweeps.workers import WorkerProcesses, dask_cluster
+from octarm.sweeps.cluster import dask_cluster
+from octarm.sweeps.workers import WorkerProcesses
 
 KILLS = 20
 pytestmark = pytest.mark.slow

@@ -13,7 +13,7 @@ import pytest
 from octarm.arm import lagrange
 from octarm.arm.mjcf import build_model, model_path, nominal_parameters
 from octarm.arm.parameters import ArmParameters
-from octarm.checks import free_motion, mechanics, validation
+from octarm.checks import forced_motion, free_motion, mechanics, validation
 from octarm.checks.validation import arm_with, random_arm, validate
 from octarm.tolerances import Check, CheckTable
 
@@ -33,6 +33,7 @@ def nominal() -> CheckTable:
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shorter free motions, where the row that must fail is another one."""
     monkeypatch.setattr(free_motion, "DURATION", 0.2)
+    monkeypatch.setattr(forced_motion, "DURATION", 0.1)
 
 
 # Right arms.
@@ -72,6 +73,7 @@ def test_progress_names_each_part_before_it_starts():
         "static equilibrium",
         "small motions",
         "free motion",
+        "forced motion",
         "energy balance",
     ]
 
@@ -255,7 +257,7 @@ def test_stepping_rk4_in_halves_is_euler_and_fails(monkeypatch: pytest.MonkeyPat
 def test_one_module_oscillates_as_two_springs_on_a_mass():
     p = arm_with(1)
     k = p.stiffness[:, 0].sum()
-    slide, hinge = np.sqrt(k / p.mass[0]), np.sqrt(k * (0.5 * p.width) ** 2 / p.inertia[0])
+    slide, hinge = np.sqrt(k / p.mass[0]), np.sqrt(k * (0.5 * p.width[0]) ** 2 / p.inertia[0])
     frequencies, _ = free_motion.undamped_modes(p)
     np.testing.assert_allclose(frequencies, sorted([slide, hinge]), rtol=1e-14)
     rates = np.linalg.eigvals(free_motion.analytic_linearisation(p))
@@ -269,7 +271,7 @@ def test_the_reference_of_one_module_is_the_closed_form():
     start = np.array([0.02, 0.3])
     motion = free_motion.reference_motion(p, still + start, np.zeros(2))
     t = np.linspace(0.0, free_motion.DURATION, free_motion.SAMPLES + 1)[:, None]
-    k = p.stiffness[:, 0].sum() * np.array([1.0, 0.25 * float(p.width) ** 2])
+    k = p.stiffness[:, 0].sum() * np.array([1.0, 0.25 * p.width[0] ** 2])
     w = np.sqrt(k / np.array([p.mass[0], p.inertia[0]]))
     np.testing.assert_allclose(motion, still + start * np.cos(w * t), rtol=0.0, atol=1e-10)
 

@@ -1,5 +1,6 @@
 """What was run comes out again bit by bit, and a difference is found where it is."""
 
+import dataclasses
 import functools
 import hashlib
 import json
@@ -139,7 +140,9 @@ def test_an_arm_of_any_length_comes_out_again(tmp_path):
 
 def test_a_run_that_diverged_comes_out_again(tmp_path):
     gains = {"K": [1600.0, 1000.0, 800.0, 400.0, 250.0, 30.0]}
-    trajectory = write(tmp_path / "run", experiment(gains=gains, duration=0.5))
+    strong = dataclasses.replace(P, input_range=(-np.inf, np.inf))
+    what = experiment(gains=gains, duration=0.5, parameters=strong)
+    trajectory = write(tmp_path / "run", what)
     assert trajectory.status == "diverged"
     metrics = json.loads((tmp_path / "run/run.json").read_text())["metrics"]
     assert metrics["effort"] == [None] * 6 and metrics["tip_rms_error"] is None

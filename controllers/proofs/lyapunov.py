@@ -20,6 +20,7 @@ Shapes: (...) for the batch, 2N coordinates, M fuzzy rules a coordinate. Energie
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -92,13 +93,16 @@ def random_instants(true: ArmParameters, states: int, rng: np.random.Generator) 
 
 
 def _random_nominal(true: ArmParameters, count: int, rng: np.random.Generator) -> ArmParameters:
-    """Models that are wrong by log-uniform factors, those of rest lengths nearer to 1."""
+    """Models that are wrong by log-uniform factors, those of rest lengths nearer to 1.
+
+    Their inputs have no limits, of which the proofs know nothing.
+    """
     n = true.modules
 
     def factor(*shape: int, low: float = 0.6, high: float = 1.6) -> np.ndarray:
         return np.exp(rng.uniform(np.log(low), np.log(high), (count, *shape)))
 
-    return true.scaled(
+    return dataclasses.replace(true, input_range=(-np.inf, np.inf)).scaled(
         mass=factor(n),
         inertia=factor(n),
         stiffness=factor(2, n),

@@ -3,20 +3,22 @@
 tau has shape (..., 2N) in the column order of eq (2): module 1 columns 1 and 2, module 2 columns
 1 and 2, and so on. Both maps here have determinant +-l^N, so both can always be inverted. They work
 by recursion along the arm, one arithmetic operation an element, so that an arm's result does not
-depend on the batch it is in.
+depend on the batch it is in. The motors of the model exert F(q) tau themselves: the maps are for
+those who want a Q and ask for its tau.
 """
 
 from __future__ import annotations
 
 import abc
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from octarm.arm.kinematics import plate_entries
-from octarm.arrays import Entry, entry, join, split
+from octarm.arrays import Entry, join, split
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,11 +26,19 @@ class Actuation(abc.ABC):
     """How input forces act on the arm. Q has shape (..., 2N) [N], [N m], tau (..., 2N) [N].
 
     Attributes:
-        width: distance l between the two columns of a module, shape (...) [m].
+        width: distance l between the two columns of each module, shape (..., N) [m].
     """
 
     name: ClassVar[str]
     width: np.ndarray
+
+    @functools.cached_property
+    def _widths(self) -> Sequence[Entry]:
+        return split(self.width)
+
+    @functools.cached_property
+    def _levers(self) -> Sequence[Entry]:
+        return split(0.5 * self.width)
 
     @abc.abstractmethod
     def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -39,11 +49,15 @@ class Actuation(abc.ABC):
         """tau = F(q)^-1 Q, with q of shape (..., 2N) [m], [rad]."""
 
     @abc.abstractmethod
-    def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """The column forces f with T f = F(q) tau, shape (..., 2N) [N]."""
+    def ctrl(self, tau: np.ndarray) -> np.ndarray:
+        """`ctrl` of the model under tau, shape (..., 4N - 2) [N].
+
+        It is tau for the motors on the columns, and then for those that put the reactions of the
+        modules from the second on the ground, which bears those of the first one anyway.
+        """
 
     def _joined(self, entries: Sequence[Entry], like: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return join(entries, like, other.shape, (*np.shape(self.width), len(entries)))
+        return join(entries, like, other.shape, (*self.width.shape[:-1], len(entries)))
 
 
 class InternalActuation(Actuation):
@@ -56,20 +70,22 @@ class InternalActuation(Actuation):
 
     def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Q = T tau."""
-        inputs, half = split(tau), 0.5 * entry(self.width)
-        pairs = list(zip(inputs[0::2], inputs[1::2], strict=True))
-        out = [left + right for left, right in pairs]
-        out += [half * (left - right) for left, right in pairs]
+        inputs, half = split(tau), self._levers
+        lefts, rights = inputs[0::2], inputs[1::2]
+        out = [left + right for left, right in zip(lefts, rights, strict=True)]
+        out += [x * (left - right) for x, left, right in zip(half, lefts, rights, strict=True)]
         return self._joined(out, tau, q)
 
     def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
         """tau = T^-1 Q."""
-        return self._joined(_column_forces(split(force), entry(self.width)), force, q)
+        n, wanted, out = force.shape[-1] // 2, split(force), list[Entry]()
+        for push, couple, width in zip(wanted[:n], wanted[n:], self._widths, strict=True):
+            out += [0.5 * push + couple / width, 0.5 * push - couple / width]
+        return self._joined(out, force, q)
 
-    def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """The inputs are the column forces."""
-        del q
-        return tau
+    def ctrl(self, tau: np.ndarray) -> np.ndarray:
+        """tau, and no force on the ground."""
+        return np.concatenate([tau, np.zeros_like(tau[..., 2:])], axis=-1)
 
 
 class GroundedActuation(Actuation):
@@ -83,34 +99,9 @@ class GroundedActuation(Actuation):
 
     def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Q = F_coeff(q) tau."""
-        return self._joined(self._forces(q, tau), q, tau)
-
-    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """tau = F_coeff(q)^-1 Q by back-substitution from the tip."""
-        n: int = q.shape[-1] // 2
-        s, axes = split(q), plate_entries(q)
-        wanted, width = split(force), entry(self.width)
-        out: list[Entry] = [0.0] * (2 * n)
-        fx = fy = carried = 0.0  # force and moment of the modules below
-        for i in reversed(range(n)):
-            if i + 1 < n:
-                carried = _carried(wanted[n + i + 1], s[i + 1], axes[i + 1], fx, fy)
-            cos, sin = axes[i]
-            push = wanted[i] - (cos * fx + sin * fy)
-            couple = (wanted[n + i] - carried) / width
-            fx, fy = fx + push * cos, fy + push * sin
-            out[2 * i], out[2 * i + 1] = 0.5 * push + couple, 0.5 * push - couple
-        return self._joined(out, q, force)
-
-    def tendon_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """f = T^-1 F_coeff(q) tau."""
-        return self._joined(_column_forces(self._forces(q, tau), entry(self.width)), q, tau)
-
-    def _forces(self, q: np.ndarray, tau: np.ndarray) -> list[Entry]:
-        """The entries of F_coeff(q) tau."""
         n = q.shape[-1] // 2
         s, axes = split(q), plate_entries(q)
-        inputs, half = split(tau), 0.5 * entry(self.width)
+        inputs, half = split(tau), self._levers
         out: list[Entry] = [0.0] * (2 * n)
         fx = fy = moment = 0.0  # that module i carries
         for i in reversed(range(n)):
@@ -120,9 +111,30 @@ class GroundedActuation(Actuation):
             left, right = inputs[2 * i], inputs[2 * i + 1]
             push = left + right
             fx, fy = fx + push * cos, fy + push * sin
-            moment = moment + half * (left - right)
+            moment = moment + half[i] * (left - right)
             out[i], out[n + i] = cos * fx + sin * fy, moment
-        return out
+        return self._joined(out, q, tau)
+
+    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """tau = F_coeff(q)^-1 Q by back-substitution from the tip."""
+        n: int = q.shape[-1] // 2
+        s, axes = split(q), plate_entries(q)
+        wanted, width = split(force), self._widths
+        out: list[Entry] = [0.0] * (2 * n)
+        fx = fy = carried = 0.0  # force and moment of the modules below
+        for i in reversed(range(n)):
+            if i + 1 < n:
+                carried = _carried(wanted[n + i + 1], s[i + 1], axes[i + 1], fx, fy)
+            cos, sin = axes[i]
+            push = wanted[i] - (cos * fx + sin * fy)
+            couple = (wanted[n + i] - carried) / width[i]
+            fx, fy = fx + push * cos, fy + push * sin
+            out[2 * i], out[2 * i + 1] = 0.5 * push + couple, 0.5 * push - couple
+        return self._joined(out, q, force)
+
+    def ctrl(self, tau: np.ndarray) -> np.ndarray:
+        """tau, and the reactions on the ground."""
+        return np.concatenate([tau, tau[..., 2:]], axis=-1)
 
 
 def _carried(
@@ -131,15 +143,6 @@ def _carried(
     """The moment [N m] at the beginning of a module, of a moment and a force at its end."""
     cos, sin = axis
     return moment + length * (cos * fy - sin * fx)
-
-
-def _column_forces(force: Sequence[Entry], width: Entry) -> list[Entry]:
-    """The entries of T^-1 Q."""
-    n = len(force) // 2
-    out: list[Entry] = []
-    for push, couple in zip(force[:n], force[n:], strict=True):
-        out += [0.5 * push + couple / width, 0.5 * push - couple / width]
-    return out
 
 
 ACTUATIONS: dict[str, type[Actuation]] = {

@@ -5,8 +5,11 @@ With u(a) = (cos a, sin a), n(a) = (-sin a, cos a) and phi_i = theta_1 + .. + th
 
     p_i = p_{i-1} + s_i u(phi_{i-1})
 
+and the tip is p_N + b u(phi_N), with b the length of a rigid piece beyond the last plate, mostly 0.
+
 Pure functions of the coordinates q, shape (..., 2N) [m], [rad], and velocities v, which know no
-parameters. Positions are in the base frame: x along the hanging arm, y across it.
+other parameter than b, shape (...) [m]. Positions are in the base frame: x along the hanging arm,
+y across it.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from octarm.arrays import Entry, cos_sin, join, split
 
 
 def positions(q: np.ndarray) -> np.ndarray:
-    """Ends of the modules in the base frame, p_1 .. p_N, shape (..., N, 2) [m]; tip last."""
+    """Ends of the modules in the base frame, p_1 .. p_N, shape (..., N, 2) [m]."""
     n = q.shape[-1] // 2
     return np.cumsum(q[..., :n, None] * plate_axes(q), axis=-2)
 
@@ -25,37 +28,46 @@ def positions(q: np.ndarray) -> np.ndarray:
 def jacobian(q: np.ndarray) -> np.ndarray:
     """J = dp_b/dq_j of the ends of the modules, shape (..., N, 2, 2N) [1], [m].
 
-    Axes are end b, direction, coordinate j; J[..., -1, :, :] is that of the tip.
+    Axes are end b, direction, coordinate j; J[..., -1, :, :] is that of the tip where no rigid
+    piece follows.
     """
-    n = q.shape[-1] // 2
     u = plate_axes(q)
-    normal = np.stack([-u[..., 1], u[..., 0]], axis=-1)
-    out = np.zeros_like(u, shape=(*q.shape[:-1], n, 2, 2 * n))
-    for b in range(n):
-        for j in range(b + 1):
-            out[..., b, :, j] = u[..., j, :]
-            lever = q[..., j, None] * normal[..., j, :]
-            out[..., b, :, n : n + j] += lever[..., None]  # segment j swings with theta_k, k < j
-    return out
+    return _along_the_arm(u, q[..., : u.shape[-2], None] * _normal(u))
 
 
 def jacobian_rate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """J' = d/dt dp_b/dq_j when q moves with v, shape (..., N, 2, 2N) [1/s], [m/s]."""
-    n = q.shape[-1] // 2
     u = plate_axes(q)
-    normal = np.stack([-u[..., 1], u[..., 0]], axis=-1)
+    n, normal = u.shape[-2], _normal(u)
     rate = _plate_angles(v)[..., None]
     turn = rate * normal  # u' = phi' n
     swing = v[..., :n, None] * normal - q[..., :n, None] * rate * u  # (s n)' = s' n - s phi' u
-    out = np.zeros_like(u, shape=(*np.broadcast_shapes(q.shape, v.shape)[:-1], n, 2, 2 * n))
-    for b in range(n):
-        for j in range(b + 1):
-            out[..., b, :, j] = turn[..., j, :]
-            out[..., b, :, n : n + j] += swing[..., j, :, None]
+    return _along_the_arm(turn, swing)
+
+
+def _normal(u: np.ndarray) -> np.ndarray:
+    """n(a) to u(a), shapes (..., 2)."""
+    return np.stack([-u[..., 1], u[..., 0]], axis=-1)
+
+
+def _along_the_arm(slides: np.ndarray, levers: np.ndarray) -> np.ndarray:
+    """What all ends get from what the segments before them contribute, shape (..., N, 2, 2N).
+
+    Segment j gives `slides`, shape (..., N, 2), to its own s_j, and its lever, of the same shape,
+    to every theta_k with k < j.
+    """
+    n = slides.shape[-2]
+    before = np.tri(n, dtype=bool)[..., None]  # j <= b
+    out = np.empty_like(slides, shape=(*slides.shape[:-2], n, 2, 2 * n))
+    out[..., :n] = np.swapaxes(np.where(before, slides[..., None, :, :], 0.0), -1, -2)
+    swings = np.where(
+        before.swapaxes(0, 1) & ~np.eye(n, dtype=bool)[..., None], levers[..., None, :, :], 0.0
+    )  # [k, j], j > k
+    out[..., n:] = np.moveaxis(np.cumsum(swings, axis=-2), -3, -1)
     return out
 
 
-def tip_force(q: np.ndarray, fx: Entry, fy: Entry) -> np.ndarray:
+def tip_force(q: np.ndarray, fx: Entry, fy: Entry, tip_length: Entry = 0.0) -> np.ndarray:
     """The generalised force J(q)^T f of a force f on the tip, shape (..., 2N) [N], [N m].
 
     By recursion from the tip; fx and fy are along the axes of the base frame, shape (...) [N].
@@ -64,7 +76,7 @@ def tip_force(q: np.ndarray, fx: Entry, fy: Entry) -> np.ndarray:
     x, axes = split(q), plate_entries(q)
     pushes: list[Entry] = []
     couples: list[Entry] = []
-    moment = 0.0
+    moment = _tip_moment(q, fx, fy, tip_length) if np.any(tip_length) else 0.0
     for i in reversed(range(n)):
         cos, sin = axes[i]
         pushes.append(fx * cos + fy * sin)
@@ -72,6 +84,20 @@ def tip_force(q: np.ndarray, fx: Entry, fy: Entry) -> np.ndarray:
         moment = moment + x[i] * (fy * cos - fx * sin)
     batch = np.broadcast_shapes(np.shape(fx), np.shape(fy))
     return join(pushes[::-1] + couples[::-1], q, (*batch, 2 * n))
+
+
+def _tip_moment(q: np.ndarray, fx: Entry, fy: Entry, tip_length: Entry) -> Entry:
+    """The moment about the last plate of a force at the end of the rigid piece, shape (...)."""
+    cos, sin = last_axis(q)
+    return tip_length * (fy * cos - fx * sin)
+
+
+def last_axis(q: np.ndarray) -> tuple[Entry, Entry]:
+    """u(phi_N), the axis of the last plate, cosine and sine of shape (...) [1]."""
+    angle: Entry = 0.0
+    for theta in split(q[..., q.shape[-1] // 2 :]):
+        angle = angle + theta
+    return cos_sin(angle)
 
 
 def plate_axes(q: np.ndarray) -> np.ndarray:
@@ -91,18 +117,19 @@ def plate_entries(q: np.ndarray) -> list[tuple[Entry, Entry]]:
     return axes
 
 
-def tip_position(q: np.ndarray) -> np.ndarray:
+def tip_position(q: np.ndarray, tip_length: Entry = 0.0) -> np.ndarray:
     """The tip in the world frame, shape (..., 3) [m], entry by entry along the batch."""
-    x = y = 0.0
-    for length, (cos, sin) in zip(split(q), plate_entries(q), strict=False):
-        x, y = x + length * cos, y + length * sin
+    x, y = tip(q)
+    if np.any(tip_length):
+        cos, sin = last_axis(q)
+        x, y = x + tip_length * cos, y + tip_length * sin
     out = np.zeros_like(q, shape=(*q.shape[:-1], 3))
     out[..., 0], out[..., 2] = y, -x
     return out
 
 
 def tip(q: np.ndarray) -> tuple[Entry, Entry]:
-    """The tip p_N of arms side by side, x and y in the base frame, shape (...) [m].
+    """The end p_N of arms side by side, x and y in the base frame, shape (...) [m].
 
     It takes one tangent of half the angle, which NumPy computes several times as fast as a sine
     and a cosine.

@@ -5,7 +5,7 @@ With the ends of the modules p_i and the angles phi_i = theta_1 + .. + theta_i o
 
     T = 1/2 sum m_i |p_i'|^2 + I_i phi_i'^2
     V = -g u(0).sum m_i p_i + 1/2 sum k_ai (L_ai - s0_i)^2      gravity along the hanging arm
-    R = 1/2 sum c_ai L_ai'^2,    L_1i, L_2i = s_i +- (l/2) theta_i
+    R = 1/2 sum c_ai L_ai'^2,    L_1i, L_2i = s_i +- (l_i/2) theta_i
 
 Pure functions that never see MuJoCo: they are what it is checked against, and what the controllers
 use as their nominal model. `inverse_dynamics` is the recursion that runs in the control loop; the
@@ -28,6 +28,8 @@ from octarm.arm.kinematics import positions as positions
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Entry, cos_sin, join, split
 from octarm.errors import OctarmError
+
+NO_EQUILIBRIUM = "no static equilibrium was found: stiffness is too low for this weight"
 
 
 def inverse_dynamics(
@@ -147,7 +149,7 @@ def force_coefficients(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     batch = np.broadcast_shapes(q.shape[:-1], p.batch_shape)
     out = np.array(np.broadcast_to(np.repeat(pushes, 2, axis=-1), (*batch, 2 * n, 2 * n)))
     turns = np.triu(np.ones((n, n)))  # the couple on plate b turns every theta_k with k <= b
-    half = 0.5 * np.asarray(p.width)[..., None, None]
+    half = 0.5 * p.widths[..., None, :]
     out[..., n:, 0::2] += half * turns
     out[..., n:, 1::2] -= half * turns
     return out
@@ -171,7 +173,7 @@ def energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, 
         p.mass * np.sum(velocity * velocity, axis=-1) + p.inertia * rate * rate, axis=-1
     )
     height = np.sum(p.mass * positions(q)[..., 0], axis=-1)
-    bend = 0.5 * np.asarray(p.width)[..., None] * q[..., n:]
+    bend = 0.5 * p.widths * q[..., n:]
     lengths = np.stack([q[..., :n] + bend, q[..., :n] - bend], axis=-2)  # L_ai
     stretch = lengths - np.asarray(p.rest_length)[..., None, :]
     springs = 0.5 * np.sum(p.stiffness * stretch * stretch, axis=(-2, -1))
@@ -228,24 +230,34 @@ def newton(
             q = q - step
             if np.all(np.abs(step) < within * np.maximum(1.0, np.abs(q))):
                 return q
-    raise OctarmError("no static equilibrium was found: stiffness is too low for this weight")
+    raise OctarmError(NO_EQUILIBRIUM)
 
 
 def potential_hessian(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     """dG/dq, the stiffness felt at q, symmetric, shape (..., 2N, 2N) [N/m] to [N m].
 
-    Gravity is linear in d2p/dq_i dq_j, and J' is that tensor contracted with a velocity.
+    Gravity has the potential -g sum_i M_i s_i cos phi_{i-1}, M_i being the mass from module i on,
+    of which only phi_{i-1} = theta_1 + .. + theta_{i-1} and s_i are variable.
     """
     n = _modules(p, q=q)
-    gravity = np.asarray(p.gravity)[..., None]
     batch = np.broadcast_shapes(q.shape[:-1], p.batch_shape)
     out = np.array(np.broadcast_to(stiffness_matrix(p), (*batch, 2 * n, 2 * n)))
-    for j in range(2 * n):
-        unit = np.zeros_like(q)
-        unit[..., j] = 1.0
-        rate = jacobian_rate(q, unit)[..., 0, :]
-        out[..., :, j] -= gravity * np.einsum("...b,...bi->...i", p.mass, rate)
+    axes = plate_axes(q)
+    weight = np.asarray(p.gravity)[..., None] * _from_the_tip(p.mass)
+    mixed = np.triu((weight * axes[..., 1])[..., None, :] * np.ones((n, n)), 1)  # [k, i], k < i
+    out[..., n:, :n] += mixed
+    out[..., :n, n:] += np.swapaxes(mixed, -1, -2)
+    hanging = weight * q[..., :n] * axes[..., 0]
+    bends = np.zeros((*batch, n + 1))
+    bends[..., :n] = _from_the_tip(hanging)  # of the segments beyond theta_k and theta_l
+    i = np.arange(n)
+    out[..., n:, n:] += bends[..., np.maximum(i[:, None], i) + 1]
     return out
+
+
+def _from_the_tip(x: np.ndarray) -> np.ndarray:
+    """Sums from each module to the last one, shape (..., N)."""
+    return np.cumsum(x[..., ::-1], axis=-1)[..., ::-1]
 
 
 def _modules(p: ArmParameters, **arrays: np.ndarray) -> int:
@@ -268,19 +280,19 @@ def _column_forces(
     pushes: list[Entry] = []
     couples: list[Entry] = []
     for i in range(n):
-        stretch, bend = q[i] - rest[i], half * q[n + i]
-        rate, bend_rate = v[i], half * v[n + i]
+        stretch, bend = q[i] - rest[i], half[i] * q[n + i]
+        rate, bend_rate = v[i], half[i] * v[n + i]
         first = k1[i] * (stretch + bend) + c1[i] * (rate + bend_rate)
         second = k2[i] * (stretch - bend) + c2[i] * (rate - bend_rate)
         pushes.append(first + second)
-        couples.append(half * (first - second))
+        couples.append(half[i] * (first - second))
     return pushes, couples
 
 
 def _column_matrix(p: ArmParameters, coefficient: np.ndarray) -> np.ndarray:
     """T diag(coefficient) T^T with T the constant moments of the columns."""
     n = p.modules
-    half = 0.5 * np.asarray(p.width)[..., None]
+    half = 0.5 * p.widths
     first, second = coefficient[..., 0, :], coefficient[..., 1, :]
     out = np.zeros((*p.batch_shape, 2 * n, 2 * n))
     i = np.arange(n)

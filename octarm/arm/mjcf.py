@@ -4,6 +4,9 @@
 y to the right, so that a point (x, y) of `octarm.lagrange` is (y, 0, -x) in MuJoCo's world frame.
 MuJoCo orders the coordinates along the arm, q = [s1, theta1, s2, ..]; outside this module they are
 always in the paper's order, q = [s1..sN, theta1..thetaN].
+
+The motors exert F_coeff(q) tau, eq (2), in every state: `ctrl` holds tau, and then tau of the
+modules from the second on once more, for the motors that put the reactions on the ground.
 """
 
 from __future__ import annotations
@@ -16,11 +19,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from octarm.arm.lagrange import newton
+from octarm.arm.lagrange import NO_EQUILIBRIUM, newton, potential_hessian
 from octarm.arm.parameters import ArmParameters
 from octarm.errors import FileError, OctarmError
 
 _COLUMN_SIDES = ((1, 1.0), (2, -1.0))  # column 1 lengthens with +theta
+MOST_MODULES = 100
+_FARTHEST = 1e9  # [m], [rad]; of springs so soft, MuJoCo's forces are nothing but rounding
 _PARTS = ("column_1", "column_2", "backbone")
 
 
@@ -48,10 +53,22 @@ def nominal_parameters() -> ArmParameters:
     return ArmParameters.from_model(template_model())
 
 
+def physics_step(timestep: float | None = None) -> float:
+    """A physics step, 1e-7 to 0.1 [s]; that of `models/octarm.xml` when it is not given.
+
+    Raises:
+        OctarmError: if it is not allowed.
+    """
+    if timestep is None:
+        return _nominal_step()
+    if not 1e-7 <= timestep <= 0.1:
+        raise OctarmError(f"timestep is {timestep:g} s; it must be between 1e-07 and 0.1 s")
+    return timestep
+
+
 @functools.cache
-def nominal_input_limit() -> float:
-    """Bound on the absolute input forces [N]: the actuators' range in `models/octarm.xml`."""
-    return float(template_model().actuator_ctrlrange[0, 1])
+def _nominal_step() -> float:
+    return float(template_model().opt.timestep)
 
 
 def build_model(
@@ -77,35 +94,42 @@ def build_slim_model(
 ) -> mujoco.MjModel:
     """The model of `build_model` without what no state depends on, so that a step takes less time.
 
-    Geoms, sites, sensors, cameras and lights are left out. A step gives the same bits.
+    Geoms, sensors, cameras and lights are left out. A step gives the same bits.
     """
     parameters = nominal_parameters() if parameters is None else parameters
     spec = _arm_spec(parameters, timestep)
-    for part in (*spec.sensors, *spec.geoms, *spec.sites, *spec.cameras, *spec.lights):
+    for part in (*spec.sensors, *spec.geoms, *spec.cameras, *spec.lights):
         spec.delete(part)
     return _compiled(spec, parameters)
 
 
 def _arm_spec(p: ArmParameters, timestep: float | None) -> mujoco.MjSpec:
     """The template with as many modules, and with all parameters that are more than numbers."""
-    spec = mujoco.MjSpec.from_file(str(model_path()))
-    if timestep is not None:
-        if not 1e-7 <= timestep <= 0.1:
-            raise OctarmError(f"timestep is {timestep:g} s; it must be between 1e-07 and 0.1 s")
-        spec.option.timestep = timestep
+    spec = mujoco.MjSpec.from_string(model_path().read_text(encoding="utf-8"))
+    spec.option.timestep = physics_step(timestep)
     if p.batch_shape:
         raise OctarmError(f"parameters have batch axes {p.batch_shape}; a model describes one arm")
+    if p.modules > MOST_MODULES:
+        raise OctarmError(
+            f"the arm has {p.modules} modules; it must have at most {MOST_MODULES}, since the time "
+            "of a physics step grows with their square"
+        )
     _set_modules(spec, p.modules)
     nominal = nominal_parameters()
-    wider = float(p.width / nominal.width)
+    low, high = p.input_bounds(())
     for i in range(1, p.modules + 1):
         body = spec.body(f"module_{i}")
         body.mass, body.inertia = p.mass[i - 1], [p.inertia[i - 1]] * 3
-        longer = float(p.rest_length[i - 1] / nominal.rest_length[min(i, nominal.modules) - 1])
+        for column, (a, _) in enumerate(_COLUMN_SIDES, start=2 * (i - 1)):
+            spec.actuator(f"push_{a}_{i}").ctrlrange = [low[column], high[column]]
+        alike = min(i, nominal.modules) - 1  # the module of the template that it is drawn like
+        longer = float(p.rest_length[i - 1] / nominal.rest_length[alike])
+        wider = float(p.widths[i - 1] / nominal.widths[alike])
         for name in (*_sleeves(i), *_rods(i)):
             geom = spec.geom(name)
             geom.fromto = np.array(geom.fromto) * np.tile([longer, wider, 1.0], 2)
             geom.size = np.array(geom.size) * wider
+    spec.site("tip").pos = [float(p.tip_length), 0.0, 0.0]
     return spec
 
 
@@ -126,20 +150,25 @@ def _compiled(spec: mujoco.MjSpec, parameters: ArmParameters) -> mujoco.MjModel:
         mujoco.mj_fwdVelocity(model, data)
         return data.qfrc_bias - data.qfrc_passive
 
-    def linearised(qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        nudges = 1e-6 * np.eye(model.nq)
-        slope = [(residual(qpos + h) - residual(qpos - h)) / 2e-6 for h in nudges]
-        return residual(qpos), np.stack(slope, axis=1)
+    order = paper_order(model)[0]
 
-    start = np.zeros(model.nq)
-    start[0::2] = parameters.rest_length
-    model.key("hanging").qpos[:] = newton(linearised, start, 1e-13)
+    def linearised(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By MuJoCo's forces; the slope, which only sets the way there, is the analytic one."""
+        qpos = np.empty_like(q)
+        qpos[order] = q
+        return residual(qpos)[order], potential_hessian(parameters, q)
+
+    straight = np.concatenate([parameters.rest_length, np.zeros(parameters.modules)])
+    rest = newton(linearised, straight, 1e-13)
+    if np.max(np.abs(rest)) > _FARTHEST:
+        raise OctarmError(NO_EQUILIBRIUM)
+    model.key("hanging").qpos[order] = rest
     return model
 
 
 def paper_order(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """Indices of the paper's coordinates in qpos and in qvel, each of shape (2N,)."""
-    modules = range(1, model.nu // 2 + 1)
+    modules = range(1, model.nq // 2 + 1)
     joints = [model.joint(f"{kind}_{i}") for kind in ("s", "theta") for i in modules]
     return np.array([j.qposadr[0] for j in joints]), np.array([j.dofadr[0] for j in joints])
 
@@ -155,10 +184,13 @@ class PlantFields:
 
     def __init__(self, model: mujoco.MjModel, field: Callable[[str], np.ndarray]) -> None:
         """Takes the arrays by name, each with the batch's axis, if any, before the model's own."""
-        modules = range(1, model.nu // 2 + 1)
+        modules = range(1, model.nq // 2 + 1)
         self._bodies = [model.body(f"module_{i}").id for i in modules]
         self._tendons = [[model.tendon(f"column_{a}_{i}").id for i in modules] for a in (1, 2)]
         self._bends = [[model.tendon_adr[t] + 1 for t in column] for column in self._tendons]
+        self._reactions = [
+            [model.actuator(f"reaction_{a}_{i}").id for i in modules[1:]] for a in (1, 2)
+        ]
         self._field = field
 
     def write(self, p: ArmParameters, gravity_angle: np.ndarray | float = 0.0) -> bool:
@@ -182,19 +214,25 @@ class PlantFields:
         self._field("opt.gravity")[...] = np.stack(
             np.broadcast_arrays(g * np.sin(angle), 0.0, -g * np.cos(angle)), axis=-1
         )
-        for a, (column, bends) in enumerate(zip(self._tendons, self._bends, strict=True)):
+        columns = zip(self._tendons, self._bends, self._reactions, strict=True)
+        for a, (column, bends, reactions) in enumerate(columns):
+            lever = _COLUMN_SIDES[a][1] * 0.5 * p.widths
             self._field("tendon_stiffness")[..., column] = p.stiffness[..., a, :]
             self._field("tendon_damping")[..., column] = p.damping[..., a, :]
             self._field("tendon_lengthspring")[..., column, :] = p.rest_length[..., None]
-            self._field("wrap_prm")[..., bends] = _COLUMN_SIDES[a][1] * 0.5 * p.width[..., None]
+            self._field("wrap_prm")[..., bends] = lever
+            self._field("actuator_gear")[..., reactions, 5] = lever[..., 1:]
         return bool(changed)
 
 
 def _set_modules(spec: mujoco.MjSpec, modules: int) -> None:
     """Cuts the template to N modules, or extends it by modules like its last one."""
-    in_template = len(spec.actuators) // 2
+    in_template = len(spec.tendons) // 2
     if modules == in_template:
         return
+    for i in range(2, in_template + 1):  # their motors come after all others
+        for part in (spec.site(f"reaction_{i}"), *map(spec.actuator, _reactions(i))):
+            spec.delete(part)
     spec.delete(spec.sensor("tip_position"))
     spec.delete(spec.site("tip"))
     if modules < in_template:
@@ -203,6 +241,8 @@ def _set_modules(spec: mujoco.MjSpec, modules: int) -> None:
         spec.delete(spec.body(f"module_{modules + 1}"))  # with all that refers to it
     for i in range(in_template + 1, modules + 1):
         _add_module(spec, i)
+    for i in range(2, modules + 1):
+        _add_reaction(spec, i)
     tip = spec.body(f"module_{modules}").add_site(name="tip", size=[0.008] * 3)
     tip.rgba = [0.84, 0.15, 0.16, 1]
     _add_sensor(spec, "tip", "position", "FRAMEPOS", "SITE")
@@ -217,6 +257,11 @@ def _sleeves(i: int) -> list[str]:
 def _rods(i: int) -> list[str]:
     """The geoms of module i on its own body."""
     return [f"plate_{i}", *(f"{part}_{i}_rod" for part in _PARTS)]
+
+
+def _reactions(i: int) -> list[str]:
+    """The motors that put the reactions of module i on the ground."""
+    return [f"reaction_{a}_{i}" for a, _ in _COLUMN_SIDES]
 
 
 def _add_module(spec: mujoco.MjSpec, i: int) -> None:
@@ -242,6 +287,15 @@ def _add_module(spec: mujoco.MjSpec, i: int) -> None:
         push.trntype, push.target = mujoco.mjtTrn.mjTRN_TENDON, tendon.name
         _add_sensor(spec, tendon.name, "length", "TENDONPOS", "TENDON")
         _add_sensor(spec, tendon.name, "velocity", "TENDONVEL", "TENDON")
+
+
+def _add_reaction(spec: mujoco.MjSpec, i: int) -> None:
+    """Adds the motors that put the reactions of module i on the ground."""
+    name = f"reaction_{i}"
+    spec.body(f"module_{i - 1}").add_site(spec.find_default("reaction"), name=name)
+    for motor_name in _reactions(i):
+        motor = spec.add_actuator(spec.find_default("column"), name=motor_name, group=1)
+        motor.trntype, motor.target = mujoco.mjtTrn.mjTRN_SITE, name
 
 
 def _add_sensor(spec: mujoco.MjSpec, target: str, quantity: str, kind: str, of: str) -> None:

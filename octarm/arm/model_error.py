@@ -98,20 +98,23 @@ def _inertial_terms(
 
 
 def _column_terms(
-    half: Entry,
+    half: Sequence[Entry],
     coefficients: tuple[Sequence[Entry], Sequence[Entry]],
     along: Sequence[Entry],
     bend: Sequence[Entry],
 ) -> _Terms:
     """What the springs or dampers of the columns contribute, eqs (4) and (5)."""
     forces = [
-        (left * (push + half * turn), right * (push - half * turn))
-        for left, right, push, turn in zip(*coefficients, along, bend, strict=True)
+        (left * (push + lever * turn), right * (push - lever * turn))
+        for left, right, push, turn, lever in zip(*coefficients, along, bend, half, strict=True)
     ]
     sizes = [abs(first) + abs(second) for first, second in forces]
     pushes = [first + second for first, second in forces]
-    couples = [half * (first - second) for first, second in forces]
-    return pushes + couples, sizes + [half * size for size in sizes]
+    couples = [
+        lever * (first - second) for lever, (first, second) in zip(half, forces, strict=True)
+    ]
+    levers = [lever * size for lever, size in zip(half, sizes, strict=True)]
+    return pushes + couples, sizes + levers
 
 
 def straight_inertia(p: ArmParameters, q: np.ndarray) -> np.ndarray:

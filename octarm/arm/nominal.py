@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 
 from octarm.arm import lagrange, model_error
+from octarm.arm.input_range import InputRange
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import coordinate_names, coordinate_units
 
@@ -50,11 +52,13 @@ class LagrangeModel:
         return np.concatenate([lengths, np.ones_like(lengths)], axis=-1)
 
     @property
-    def input_limit(self) -> np.ndarray:
-        """The actuators' range in `models/octarm.xml`, shape (2N,) [N]."""
-        from octarm.arm.mjcf import nominal_input_limit  # controllers load no MuJoCo before
+    def input_range(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lowest and the highest input forces, each of shape (..., 2N) [N]."""
+        return self._range.low, self._range.high
 
-        return np.full(self.coordinates, nominal_input_limit())
+    @functools.cached_property
+    def _range(self) -> InputRange:
+        return InputRange(self.parameters)
 
     def inverse_dynamics(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, v_r: np.ndarray | None = None
@@ -77,6 +81,10 @@ class LagrangeModel:
     def force_coefficients(self, q: np.ndarray) -> np.ndarray:
         """F_coeff(q), eq (2), shape (..., 2N, 2N) [1], [m]."""
         return lagrange.force_coefficients(self.parameters, q)
+
+    def shortfall(self, q: np.ndarray, force: np.ndarray) -> np.ndarray | None:
+        """What of Q is beyond the input range, shape (..., 2N) [N], [N m]; None if nothing is."""
+        return self._range.shortfall(q, force)
 
     def equilibrium(self) -> np.ndarray:
         """The coordinates at which the arm hangs still, shape (..., 2N) [m], [rad]."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octarm.arrays import Entry, entry, read_only, split
+from octarm.arrays import Entry, entry, plain, read_only, split
 from octarm.errors import OctarmError, closest, quoted
 
 if TYPE_CHECKING:
@@ -20,12 +20,16 @@ if TYPE_CHECKING:
 _RULES: dict[str, tuple[int, float, bool]] = {
     "mass": (1, 0.0, False),
     "inertia": (1, 0.0, False),
-    "width": (0, 0.0, False),
+    "width": (1, 0.0, False),
     "stiffness": (2, 0.0, False),
     "damping": (2, 0.0, True),
     "rest_length": (1, 0.0, False),
     "gravity": (0, -np.inf, True),
+    "tip_length": (0, 0.0, True),
+    "input_range": (2, -np.inf, True),
 }
+
+_UNLIMITED: Any = (-np.inf, np.inf)
 
 
 class Entries(NamedTuple):
@@ -36,42 +40,52 @@ class Entries(NamedTuple):
     Attributes:
         mass: N entries.
         inertia: N entries.
-        half_width: half the distance between the columns, one entry.
+        half_width: half the distance between the columns, N entries.
         stiffness: for columns 1 and 2, N entries each.
         damping: for columns 1 and 2, N entries each.
         rest_length: N entries.
         gravity: one entry.
+        tip_length: one entry.
     """
 
     mass: Sequence[Entry]
     inertia: Sequence[Entry]
-    half_width: Entry
+    half_width: Sequence[Entry]
     stiffness: tuple[Sequence[Entry], Sequence[Entry]]
     damping: tuple[Sequence[Entry], Sequence[Entry]]
     rest_length: Sequence[Entry]
     gravity: Entry
+    tip_length: Entry
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class ArmParameters:
     """Parameters of N serially stacked modules, each a slide followed by a hinge.
 
-    Every field may carry batch axes before the axes named here. Arrays are copied and read-only.
+    Every field may carry batch axes before the axes named here, and one number stands for all
+    modules and columns. Arrays are copied and read-only.
     Row 0 of the two-row fields is column 1 of each module, the one that lengthens with a positive
     bending angle.
 
     Attributes:
         mass: lumped mass at the end of each module, shape (..., N) [kg].
         inertia: its moment of inertia about the bending axis, shape (..., N) [kg m^2].
-        width: distance between the two columns of a module, shape (...) [m]; `l` in the paper,
-            whose printed text shows it as 1.
+        width: distance between the two columns of each module, shape (..., N), or (..., 1) where
+            all modules of an arm are alike [m]; `l` in the paper, whose printed text shows it as 1.
         stiffness: of each column, shape (..., 2, N) [N/m].
         damping: of each column, shape (..., 2, N) [N s/m].
         rest_length: length of each module's columns without force, shape (..., N) [m].
         gravity: acceleration along the hanging arm, shape (...) [m/s^2].
+        tip_length: length of a rigid, massless piece from the last plate to the tip, shape (...)
+            [m].
+        input_range: lowest and highest input force of each column, in the order of tau, shape
+            (..., 2, 2N), or (..., 2, 1) where all columns of an arm are alike [N]. A pair (low,
+            high) stands for all columns of all arms. The lowest is 0 for columns that only push,
+            the highest for those that only pull; without a range, inputs are not limited.
 
     Raises:
-        OctarmError: if a field has the wrong shape, sign, or a value that is not finite.
+        OctarmError: if a field has the wrong shape, sign, or a value that is not finite, or if
+            the input range does not hold 0, the input before an episode begins.
     """
 
     mass: np.ndarray
@@ -81,6 +95,8 @@ class ArmParameters:
     damping: np.ndarray
     rest_length: np.ndarray
     gravity: np.ndarray
+    tip_length: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(()))
+    input_range: np.ndarray = _UNLIMITED
 
     if TYPE_CHECKING:  # the constructor takes anything array-like
 
@@ -94,14 +110,24 @@ class ArmParameters:
             damping: npt.ArrayLike,
             rest_length: npt.ArrayLike,
             gravity: npt.ArrayLike,
+            tip_length: npt.ArrayLike = 0.0,
+            input_range: npt.ArrayLike = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        modules = (read_only("mass", self.mass).shape or (0,))[-1]
+        *arms, modules = read_only("mass", self.mass).shape or (0,)
         for name, (axes, smallest, inclusive) in _RULES.items():
-            value = read_only(name, getattr(self, name))
-            _check_shape(name, value, (2, modules)[2 - axes :])
-            _check_bound(name, value, smallest, inclusive)
+            if name == "input_range":
+                value = _checked_range(self.input_range, arms, 2 * modules)
+            else:
+                value = read_only(name, getattr(self, name))
+                shape = (2, modules)[2 - axes :]
+                if name == "width" and value.shape[-1:] in ((), (1,)):
+                    shape = (1,)
+                if modules and not value.ndim:
+                    value = read_only(name, np.full(shape, value))
+                _check_shape(name, value, shape)
+                _check_bound(name, value, smallest, inclusive)
             object.__setattr__(self, name, value)
         _ = self.batch_shape  # raises when the batch axes do not fit together
 
@@ -137,12 +163,28 @@ class ArmParameters:
         return Entries(
             mass=split(self.mass),
             inertia=split(self.inertia),
-            half_width=0.5 * entry(self.width),
+            half_width=split(0.5 * self.widths),
             stiffness=(split(self.stiffness[..., 0, :]), split(self.stiffness[..., 1, :])),
             damping=(split(self.damping[..., 0, :]), split(self.damping[..., 1, :])),
             rest_length=split(self.rest_length),
             gravity=entry(self.gravity),
+            tip_length=entry(self.tip_length),
         )
+
+    @functools.cached_property
+    def widths(self) -> np.ndarray:
+        """The width of each module, shape (..., N) [m]."""
+        return np.broadcast_to(self.width, (*self.width.shape[:-1], self.modules))
+
+    def input_bounds(self, batch_shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """The lowest and the highest input force of each column of a batch.
+
+        Each has the shape (*batch_shape, 2N) [N], contiguous along the arms, and is read-only.
+        """
+        shape = (*batch_shape, 2, self.coordinates)
+        low_high = np.array(np.broadcast_to(self.input_range, shape).T, order="C").T
+        low_high.setflags(write=False)
+        return low_high[..., 0, :], low_high[..., 1, :]
 
     def arm(self, i: int) -> ArmParameters:
         """The parameters of arm i of a batch with one batch axis."""
@@ -194,7 +236,7 @@ class ArmParameters:
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as numbers and nested lists, ready for JSON."""
-        return {name: value.tolist() for name, value in self._fields().items()}
+        return {name: plain(value) for name, value in self._fields().items()}
 
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any]) -> ArmParameters:
@@ -203,7 +245,7 @@ class ArmParameters:
         Raises:
             OctarmError: if a field is missing, unknown or invalid.
         """
-        wrong = set(fields) ^ set(_RULES)
+        wrong = (set(fields) ^ set(_RULES)) - {"tip_length"}  # which has a default
         if wrong:
             raise OctarmError(
                 f"parameters need exactly the fields {', '.join(_RULES)}; "
@@ -217,18 +259,22 @@ class ArmParameters:
 
         The arm hangs along the negative z axis of the world.
         """
-        modules = range(1, model.nu // 2 + 1)
+        modules = range(1, model.nq // 2 + 1)
         bodies = [model.body(f"module_{i}") for i in modules]
         columns = [[model.tendon(f"column_{a}_{i}") for i in modules] for a in (1, 2)]
-        theta_of_column_1 = model.tendon_adr[model.tendon("column_1_1").id] + 1
+        widths = [2.0 * model.wrap_prm[model.tendon_adr[column.id] + 1] for column in columns[0]]
+        pushes = [model.actuator(f"push_{a}_{i}").ctrlrange for i in modules for a in (1, 2)]
+        alike = all(np.array_equal(push, pushes[0]) for push in pushes)
         return cls(
             mass=[body.mass[0] for body in bodies],
             inertia=[body.inertia[2] for body in bodies],
-            width=2.0 * model.wrap_prm[theta_of_column_1],
+            width=widths[:1] if len(set(widths)) == 1 else widths,
             stiffness=[[model.tendon_stiffness[c.id] for c in row] for row in columns],
             damping=[[model.tendon_damping[c.id] for c in row] for row in columns],
             rest_length=[model.tendon_lengthspring[c.id, 0] for c in columns[0]],
             gravity=-model.opt.gravity[2],
+            tip_length=model.site("tip").pos[0],
+            input_range=np.transpose(pushes[:1] if alike else pushes),
         )
 
 
@@ -241,6 +287,27 @@ def _check_shape(name: str, value: np.ndarray, expected: tuple[int, ...]) -> Non
             f"{name} has shape {value.shape}; it must be {wanted} for the {expected[-1]} modules "
             "that mass has"
         )
+
+
+def _checked_range(value: npt.ArrayLike, arms: Sequence[int], columns: int) -> np.ndarray:
+    """An input range as a read-only array, of shape (..., 2, columns) or (..., 2, 1) [N]."""
+    bounds = read_only("input_range", value, unbounded=True, unbounded_below=True)
+    if bounds.shape == (2,):
+        bounds = np.tile(bounds[:, None], (*arms, 1, 1))
+        bounds.setflags(write=False)
+    if bounds.shape[-2:] not in ((2, 1), (2, columns)):
+        raise OctarmError(
+            f"input_range has shape {bounds.shape}; it must be a pair (low, high), or "
+            f"(..., 2, {columns}) with the low and the high bound of each of {columns} columns"
+        )
+    low, high = bounds[..., 0, :], bounds[..., 1, :]
+    wrong = ~((low <= 0.0) & (high >= 0.0) & (low < high))
+    if np.any(wrong):
+        raise OctarmError(
+            f"input_range goes from {low[wrong].flat[0]:g} to {high[wrong].flat[0]:g}; it must go "
+            "from at most 0 to at least 0, and not be empty"
+        )
+    return bounds
 
 
 def _check_bound(name: str, value: np.ndarray, smallest: float, inclusive: bool) -> None:

@@ -61,6 +61,10 @@ class Finding(NamedTuple):
     remedy: str = ""
 
 
+# Extras that are told of, and what needs them.
+_EXTRAS = {"cluster": "--cluster", "fast": "--engine lagrange"}
+
+
 def versions() -> Iterator[Finding]:
     """Python, octarm, and what octarm needs, each against what octarm asks for."""
     try:
@@ -74,14 +78,16 @@ def versions() -> Iterator[Finding]:
     yield Finding("octarm", State.FINE, f"{octarm['Version']}, in {Path(__file__).parents[1]}")
     for requirement in map(Requirement, requirements):
         name, asked, marker = requirement.name, requirement.specifier, requirement.marker
-        extra = "" if marker is None or marker.evaluate({"extra": ""}) else "cluster"
-        if extra and not (marker and marker.evaluate({"extra": extra})):
+        extra = ""
+        if marker is not None and not marker.evaluate({"extra": ""}):
+            extra = next((e for e in _EXTRAS if marker.evaluate({"extra": e})), None)
+        if extra is None:
             continue  # what tests and other extras need
         remedy = f"pip install 'octarm[{extra}]'" if extra else f"pip install '{name}{asked}'"
         try:
             yield version(name, metadata.version(name), asked, remedy)
         except metadata.PackageNotFoundError:
-            text = f"not installed; {asked} is needed" + (" by --cluster" if extra else "")
+            text = f"not installed; {asked} is needed" + (f" by {_EXTRAS[extra]}" if extra else "")
             yield Finding(name, State.MISSING, text, remedy)
 
 

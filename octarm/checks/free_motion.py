@@ -7,6 +7,9 @@ Time is a count of steps, so that every run ends at the same instant whatever it
 from __future__ import annotations
 
 import copy
+import functools
+import itertools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import mujoco
@@ -17,6 +20,7 @@ from scipy.linalg import eigh
 from octarm.arm import lagrange
 from octarm.arm.actuation import InternalActuation
 from octarm.arm.mjcf import paper_order
+from octarm.arm.modes import state_matrix
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.mechanics import levers
 
@@ -39,105 +43,146 @@ def simulate(
     v: np.ndarray,
     samples: int,
     stride: int = 1,
-    tendon_forces: np.ndarray | float = 0.0,
+    ctrl: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Steps MuJoCo from q, v, shape (2N,), under constant tendon forces, shape (2N,) [N].
+    """Steps MuJoCo from q, v, shape (2N,).
+
+    `ctrl` is that of the model, constant or held from one sample to the next, shape (4N - 2,) or
+    (samples, 4N - 2) [N].
 
     Returns:
         q and v at the start and after every `stride` steps, each of shape (samples + 1, 2N).
     """
     qpos, dof = paper_order(model)
     data = mujoco.MjData(model)
-    data.qpos[qpos], data.qvel[dof], data.ctrl[:] = q, v, tendon_forces
+    data.qpos[qpos], data.qvel[dof] = q, v
+    held = np.broadcast_to(ctrl, (samples, model.nu))
     motion = np.empty((2, samples + 1, q.size))
     motion[:, 0] = q, v
     for k in range(1, samples + 1):
+        data.ctrl[:] = held[k - 1]
         mujoco.mj_step(model, data, stride)
         motion[:, k] = data.qpos[qpos], data.qvel[dof]
     return motion[0], motion[1]
 
 
-def reference_motion(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Coordinates of the analytic arm let go from q, v, shape (SAMPLES + 1, 2N) [m], [rad].
+# The generalised force, shape (..., 2N) [N], [N m], of the number of the sample before, of the time
+# [s] and of q, shape (..., 2N) [m], [rad].
+ForceOf = Callable[[int, float, np.ndarray], np.ndarray]
+
+
+def no_force(sample: int, t: float, q: np.ndarray) -> np.ndarray:
+    """The force on an arm let go, shape (..., 2N) [N], [N m]: zero."""
+    del sample, t
+    return np.zeros_like(q)
+
+
+def reference_motion(
+    p: ArmParameters,
+    q: np.ndarray,
+    v: np.ndarray,
+    force: ForceOf = no_force,
+    times: np.ndarray | None = None,
+) -> np.ndarray:
+    """Coordinates of analytic arms from q, v on, shape (samples + 1, ..., 2N) [m], [rad].
 
     DOP853 at a relative tolerance of 1e-12, restarted at every sample: its interpolant is of lower
-    order than its steps. Samples after a divergence are NaN.
-    """
-    n = q.size
-    out = np.full((SAMPLES + 1, 2 * n), np.nan)
-    out[0] = state = np.concatenate([q, v])
-    rest = np.zeros(n)
+    order than its steps, and forces may jump there. Samples after a divergence are NaN.
 
-    def slope(_: float, y: np.ndarray) -> np.ndarray:
+    Args:
+        p: parameters of the arms, with batch axes (...) or without.
+        q: initial coordinates, shape (..., 2N) [m], [rad].
+        v: initial velocities, shape (..., 2N) [m/s], [rad/s].
+        force: on the arms.
+        times: of the samples, the start being the first, shape (samples + 1,) [s]; SAMPLES of
+            DURATION when not given.
+    """
+    times = np.linspace(0.0, DURATION, SAMPLES + 1) if times is None else times
+    out = np.full((times.size, 2, *q.shape), np.nan)
+    out[0] = q, v
+
+    def slope(t: float, y: np.ndarray, sample: int) -> np.ndarray:
         if not np.max(np.abs(y)) < 1e3:
             raise FloatingPointError("the motion diverges")
-        return np.concatenate([y[n:], lagrange.forward_dynamics(p, y[:n], y[n:], rest)])
+        q_t, v_t = y.reshape(2, *q.shape)
+        acceleration = lagrange.forward_dynamics(p, q_t, v_t, force(sample, t, q_t))
+        return np.concatenate([v_t, acceleration], axis=None)
 
     try:
-        for k in range(1, SAMPLES + 1):
-            span = (0.0, DURATION / SAMPLES)
-            solution = solve_ivp(slope, span, state, method="DOP853", rtol=1e-12, atol=1e-13)
+        for k, span in enumerate(itertools.pairwise(times)):
+            solution = solve_ivp(
+                functools.partial(slope, sample=k),
+                span,
+                out[k].ravel(),
+                method="DOP853",
+                rtol=1e-12,
+                atol=1e-13,
+            )
             if not solution.success:
                 break
-            out[k] = state = solution.y[:, -1]
+            out[k + 1] = solution.y[:, -1].reshape(2, *q.shape)
     except FloatingPointError:
         pass
-    return out[:, :n]
+    return out[:, 0]
 
 
-class FreeMotion(NamedTuple):
-    """An arm let go, and how it moves by the analytic equations.
+class Motion(NamedTuple):
+    """An arm in motion, and how it moves by the analytic equations.
 
     Attributes:
         model: the arm in MuJoCo.
         parameters: its parameters.
         v: initial velocities, shape (2N,) [m/s], [rad/s].
-        reference: the motion, from the initial coordinates on, shape (SAMPLES + 1, 2N).
+        reference: the motion, from the initial coordinates on, shape (samples + 1, 2N).
+        duration: of the motion [s].
+        ctrl: of the model, constant or held between samples, shape () or (samples, 4N - 2) [N].
     """
 
     model: mujoco.MjModel
     parameters: ArmParameters
     v: np.ndarray
     reference: np.ndarray
+    duration: float
+    ctrl: np.ndarray | float = 0.0
 
     def error(self, integrator: mujoco.mjtIntegrator, steps: int) -> float:
         """Largest error of one of MuJoCo's integrators, angles at the lever l/2 [m].
 
-        `steps` is the number of steps of the whole motion, a multiple of SAMPLES.
+        `steps` is the number of steps of the whole motion, a multiple of that of the samples.
         """
+        samples = len(self.reference) - 1
         model = copy.copy(self.model)
         model.opt.integrator = int(integrator)
-        model.opt.timestep = DURATION / steps
-        q, _ = simulate(model, self.reference[0], self.v, SAMPLES, steps // SAMPLES)
+        model.opt.timestep = self.duration / steps
+        q, _ = simulate(model, self.reference[0], self.v, samples, steps // samples, self.ctrl)
         return float(np.max(np.abs(q - self.reference) * levers(self.parameters)))
 
     def observed_order(self, integrator: mujoco.mjtIntegrator) -> float:
         """Order of convergence of an integrator [1].
 
-        The least-squares slope of error against timestep, both in logarithms, over four timesteps,
-        each half the one before. The first is a tenth of the arm's shortest time constant, which
-        lets the leading term dominate; it is longer where that is so short, by much damping, that
-        the motion which matters is followed to rounding.
+        By the errors at two timesteps, one half the other. The longer one is a tenth of the arm's
+        shortest time constant, which lets the leading term dominate; it is longer where that is so
+        short, by much damping, that the motion which matters is followed to rounding.
         """
-        rates = np.linalg.eigvals(analytic_linearisation(self.parameters))
-        fastest = float(np.max(np.abs(rates)))  # [1/s]
-        steps = 8 * SAMPLES * int(np.ceil(DURATION * fastest / 0.1 / (8 * SAMPLES)))
+        fastest, whole = fastest_rate(self.parameters), 8 * (len(self.reference) - 1)
+        steps = whole * int(np.ceil(self.duration * fastest / 0.1 / whole))
+        error = self.error(integrator, steps)
         for _ in range(3):
-            if not self.error(integrator, steps) < 1e-9:
+            if not error < 1e-9:
                 break
             steps //= 2
-        counts = [steps * 2**k for k in range(4)]
-        finer = np.log(counts) - np.mean(np.log(counts))
-        errors = np.array([self.error(integrator, count) for count in counts])
-        return float(-(finer @ np.log(errors)) / (finer @ finer))
+            error = self.error(integrator, steps)
+        return float(np.log2(error / self.error(integrator, 2 * steps)))
+
+
+def fastest_rate(p: ArmParameters) -> float:
+    """The largest absolute eigenvalue of the arm's motion about its equilibrium [1/s]."""
+    return float(np.max(np.abs(np.linalg.eigvals(analytic_linearisation(p)))))
 
 
 def analytic_linearisation(p: ArmParameters) -> np.ndarray:
     """d(v, v')/d(q, v) at the equilibrium by D, B and the Hessian of V, shape (4N, 4N)."""
-    q = lagrange.equilibrium(p)
-    inertia = lagrange.mass_matrix(p, q)
-    slopes = np.hstack([lagrange.potential_hessian(p, q), lagrange.damping_matrix(p)])
-    return _state_matrix(-np.linalg.solve(inertia, slopes))
+    return state_matrix(p, lagrange.equilibrium(p))
 
 
 def mujoco_linearisation(model: mujoco.MjModel, q: np.ndarray) -> np.ndarray:
@@ -215,17 +260,18 @@ def energy_drift(model: mujoco.MjModel, p: ArmParameters, q: np.ndarray, v: np.n
 
 
 def energy_imbalance(
-    model: mujoco.MjModel, p: ArmParameters, q: np.ndarray, v: np.ndarray, tendon_forces: np.ndarray
+    model: mujoco.MjModel, p: ArmParameters, q: np.ndarray, v: np.ndarray, tau: np.ndarray
 ) -> float:
     """T + V - (T + V)_0 - work + dissipated energy after DURATION, relative to the largest T [1].
 
-    From q, v, shape (2N,), under constant tendon forces, shape (2N,) [N], whose generalised force
-    is constant, so that their work is exact; dissipation by Simpson's rule.
+    From q, v, shape (2N,), under constant inputs, shape (2N,) [N], between neighbouring modules:
+    their generalised force is constant, so that their work is exact; dissipation by Simpson's rule.
     """
     steps = round(DURATION / model.opt.timestep)
-    q_t, v_t = simulate(model, q, v, steps, tendon_forces=tendon_forces)
+    internal = InternalActuation(p.widths)
+    q_t, v_t = simulate(model, q, v, steps, ctrl=internal.ctrl(tau))
     kinetic, potential = lagrange.energy(p, q_t, v_t)
-    work = (q_t[-1] - q_t[0]) @ InternalActuation(p.width).force(q, tendon_forces)
+    work = (q_t[-1] - q_t[0]) @ internal.force(q, tau)
     power = np.sum(v_t * (v_t @ lagrange.damping_matrix(p)), axis=-1)
     dissipated = simpson(power, dx=model.opt.timestep)
     change = (kinetic + potential)[-1] - (kinetic + potential)[0]

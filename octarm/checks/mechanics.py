@@ -1,8 +1,7 @@
 """What MuJoCo and the analytic model say about the arm at given states, in one form for both.
 
 `mujoco_mechanics` reads MuJoCo, state by state; `lagrange_mechanics` computes the same quantities
-from eqs (1)-(5), all states at once. Neither borrows a number from the other, the map from tau to
-tendon forces excepted, which belongs to the plant.
+from eqs (1)-(5), all states at once. Neither borrows a number from the other.
 
 At n states, in the paper's order of the coordinates, a model answers with these arrays:
 
@@ -67,7 +66,7 @@ def levers(p: ArmParameters) -> np.ndarray:
 
     Angles times their lever compare with lengths, moments divided by it with forces.
     """
-    return np.repeat([1.0, 0.5 * float(p.width)], p.modules)
+    return np.concatenate([np.ones(p.modules), 0.5 * p.widths])
 
 
 def relative_error(measured: np.ndarray, expected: np.ndarray) -> float:
@@ -89,7 +88,7 @@ def lagrange_mechanics(p: ArmParameters, states: States) -> dict[str, np.ndarray
     rest = np.concatenate([p.rest_length, np.zeros(p.modules)])
     springs = -(q - rest) @ lagrange.stiffness_matrix(p)
     potential_force = lagrange.potential_force(p, q)
-    moments = InternalActuation(p.width).force(q[0], np.eye(p.coordinates)).T
+    moments = InternalActuation(p.widths).force(q[0], np.eye(p.coordinates)).T
     coriolis = np.einsum("nij,nj->ni", lagrange.coriolis_matrix(p, q, v), v)
     kinetic, potential = lagrange.energy(p, q, v)
     return {
@@ -114,34 +113,33 @@ def mujoco_mechanics(
 ) -> dict[str, np.ndarray]:
     """What MuJoCo says; the module's docstring has the shapes (n, ...).
 
-    `p` gives the input forces their meaning; MuJoCo has its own numbers.
+    Of `p` the width alone is used, for the levers of F_coeff; MuJoCo has its own numbers.
     """
     model = copy.copy(model)
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     data = mujoco.MjData(model)
-    tendon_forces = GroundedActuation(p.width).tendon_forces(states.q, states.tau)
-    states = states._replace(tau=tendon_forces)
-    half = 0.5 * float(p.width)
-    rows = [_at_state(model, data, half, *state) for state in zip(*states, strict=True)]
+    states = states._replace(tau=GroundedActuation(p.widths).ctrl(states.tau))
+    half_width = 0.5 * p.widths
+    rows = [_at_state(model, data, half_width, *state) for state in zip(*states, strict=True)]
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 
 
 def _at_state(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    half: float,
+    half_width: np.ndarray,
     q: np.ndarray,
     v: np.ndarray,
     a: np.ndarray,
-    tendon_forces: np.ndarray,
+    ctrl: np.ndarray,
 ) -> dict[str, np.ndarray]:
     qpos, dof = paper_order(model)
-    bodies = [model.body(f"module_{i}").id for i in range(1, model.nu // 2 + 1)]
+    bodies = [model.body(f"module_{i}").id for i in range(1, model.nq // 2 + 1)]
     data.qpos[qpos], data.qvel[:] = q, 0.0
     mujoco.mj_forward(model, data)
     at_rest = data.qfrc_bias - data.qfrc_spring
 
-    data.qvel[dof], data.ctrl[:] = v, tendon_forces
+    data.qvel[dof], data.ctrl[:] = v, ctrl
     mujoco.mj_forward(model, data)
     inertia = np.empty((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
@@ -155,8 +153,8 @@ def _at_state(
     return {
         "positions": data.xpos[bodies],
         "inertia": inertia[np.ix_(dof, dof)],
-        "tendon_moments": moments[:, dof].T,
-        "coefficients": _wrenches(model, data, bodies, half)[:, dof].T,
+        "tendon_moments": moments[: model.nq, dof].T,
+        "coefficients": _wrenches(model, data, bodies, half_width)[:, dof].T,
         "bias": data.qfrc_bias[dof],
         "springs": data.qfrc_spring[dof],
         "dampers": data.qfrc_damper[dof],
@@ -170,18 +168,18 @@ def _at_state(
 
 
 def _wrenches(
-    model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], half: float
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], half_width: np.ndarray
 ) -> np.ndarray:
-    """Generalised forces of the paper's inputs, shape (nu, nv), one input a row.
+    """Generalised forces of the paper's inputs, shape (2N, nv), one input a row.
 
     A unit force on the end of a module along the axis of the plate it stands on, and a couple of
     +-l/2 about the hinge; the world takes the reaction of both.
     """
-    rows = np.zeros((model.nu, model.nv))
+    rows = np.zeros((model.nq, model.nv))
     for i, body in enumerate(bodies):
         axis = data.xmat[model.body_parentid[body]].reshape(3, 3)[:, 0]
         hinge = data.xaxis[model.joint(f"theta_{i + 1}").id]
         for row, side in ((rows[2 * i], 1.0), (rows[2 * i + 1], -1.0)):
-            couple = side * half * hinge
+            couple = side * half_width[i] * hinge
             mujoco.mj_applyFT(model, data, axis, couple, data.xpos[body], body, row)
     return rows

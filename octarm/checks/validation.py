@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator
 
 import mujoco
@@ -10,9 +11,15 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from octarm.arm import lagrange
-from octarm.arm.mjcf import build_model, nominal_parameters, paper_order, template_model
+from octarm.arm.mjcf import (
+    MOST_MODULES,
+    build_model,
+    nominal_parameters,
+    paper_order,
+    template_model,
+)
 from octarm.arm.parameters import ArmParameters
-from octarm.checks import free_motion
+from octarm.checks import forced_motion, free_motion
 from octarm.checks.mechanics import (
     lagrange_mechanics,
     levers,
@@ -21,7 +28,11 @@ from octarm.checks.mechanics import (
     relative_error,
 )
 from octarm.errors import OctarmError
+from octarm.memory import check_memory
 from octarm.tolerances import Check, CheckTable, run_checks
+
+_BYTES = 400.0  # [byte] that a state takes for each pair of modules, measured
+_RK4 = mujoco.mjtIntegrator.mjINT_RK4
 
 # What build_model writes into a model, or must find there.
 _PHYSICS = (
@@ -38,10 +49,12 @@ def arm_with(modules: int) -> ArmParameters:
     nominal one.
 
     Raises:
-        OctarmError: if `modules` is below 1.
+        OctarmError: if `modules` is below 1 or above 100.
     """
-    if modules < 1:
-        raise OctarmError(f"the number of modules is {modules}; it must be at least 1")
+    if not 1 <= modules <= MOST_MODULES:
+        raise OctarmError(
+            f"the number of modules is {modules}; it must be at least 1 and at most {MOST_MODULES}"
+        )
     p = nominal_parameters()
     last = p.modules - 1
     place = np.linspace(0, last, modules) if modules > p.modules else np.arange(modules)
@@ -53,6 +66,7 @@ def arm_with(modules: int) -> ArmParameters:
         p,
         mass=tapered(p.mass),
         inertia=tapered(p.inertia),
+        width=p.width if p.width.size == 1 else tapered(p.width),
         stiffness=[tapered(column) for column in p.stiffness],
         damping=[tapered(column) for column in p.damping],
         rest_length=tapered(p.rest_length),
@@ -72,7 +86,7 @@ def random_arm(rng: np.random.Generator, modules: int) -> ArmParameters:
     return arm_with(modules).scaled(
         mass=factor(0.6, 1.6, modules),
         inertia=factor(0.6, 1.6, modules),
-        width=factor(0.75, 1.35),
+        width=factor(0.75, 1.35, modules),
         stiffness=factor(0.6, 1.6, 2, modules),
         damping=factor(0.5, 1.6, 2, modules),
         rest_length=factor(0.75, 1.35, modules),
@@ -102,6 +116,8 @@ def validate(
     """
     if states < 1:
         raise OctarmError(f"the number of states is {states}; it must be at least 1")
+    needed = _BYTES * states * parameters.modules**2
+    check_memory(needed, f"{states} states of an arm of {parameters.modules} modules")
     model = build_model(parameters)
     at_states, in_motion = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2))
     parts = {
@@ -110,6 +126,7 @@ def validate(
         "static equilibrium": _compare_equilibrium(model, parameters),
         "small motions": _compare_small_motions(model, parameters),
         "free motion": _compare_free_motion(model, parameters, in_motion),
+        "forced motion": _compare_forced_motion(model, parameters),
         "energy balance": _compare_energy(model, parameters, in_motion),
     }
     checks = run_checks(parts, progress)
@@ -195,14 +212,35 @@ def _compare_free_motion(
     model: mujoco.MjModel, p: ArmParameters, rng: np.random.Generator
 ) -> Iterator[Check]:
     q, v = free_motion.initial_motion(p, rng)
-    motion = free_motion.FreeMotion(model, p, v, free_motion.reference_motion(p, q, v))
-    rk4 = mujoco.mjtIntegrator.mjINT_RK4
-    error = motion.error(rk4, round(free_motion.DURATION / model.opt.timestep))
+    reference = free_motion.reference_motion(p, q, v)
+    motion = free_motion.Motion(model, p, v, reference, free_motion.DURATION)
+    error = motion.error(_RK4, round(motion.duration / model.opt.timestep))
     yield Check("free motion against DOP853, RK4", error, 1e-6, unit="m")
+    yield from _compare_orders("order of convergence", motion)
+
+
+def _compare_forced_motion(model: mujoco.MjModel, p: ArmParameters) -> Iterator[Check]:
+    reference = forced_motion.references(p)
+    motions = forced_motion.driven(model, p, reference)
+    for what, motion in motions.items():
+        steps = math.ceil(forced_motion.DURATION / forced_motion.SAMPLES / model.opt.timestep)
+        error = motion.error(_RK4, steps * forced_motion.SAMPLES)
+        yield Check(f"motion under {what} inputs against DOP853, RK4", error, 1e-6, unit="m")
+    for what, motion in motions.items():
+        yield from _compare_orders(f"order under {what} inputs", motion)
+    # On an arm of one module, which ends on the base's axis, no force on the tip depends on q.
+    held = (1.7, 2.3) if p.modules > 1 else (3.7, 4.3)
+    expected = {"payload": (3.7, 4.3), "sine on the tip": (0.8, 1.2)}
+    for what, order in forced_motion.disturbed_orders(p, reference).items():
+        low, high = expected.get(what, held)
+        yield Check(f"order with a {what}, RK4", order, high, low)
+
+
+def _compare_orders(what: str, motion: free_motion.Motion) -> Iterator[Check]:
     for name, integrator in mujoco.mjtIntegrator.__members__.items():
         order = motion.observed_order(integrator)
-        low, high = (3.7, 4.3) if integrator == rk4 else (0.8, 1.2)
-        yield Check(f"order of convergence, {name.removeprefix('mjINT_')}", order, high, low)
+        low, high = (3.7, 4.5) if integrator == _RK4 else (0.8, 1.2)
+        yield Check(f"{what}, {name.removeprefix('mjINT_')}", order, high, low)
 
 
 def _compare_energy(

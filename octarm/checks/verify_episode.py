@@ -12,6 +12,7 @@ from octarm.checks.differences import Comparison, Difference, compare, listed, o
 from octarm.interfaces import ControllerFactory
 from octarm.runs import folder as runs
 from octarm.runs.versions import host, versions
+from octarm.sweeps import engine_check
 from octarm.sweeps.episodes import FinishedSweep, first_difference
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.shards import run_arms
@@ -75,6 +76,8 @@ def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory
     arms = sweep.plan.episode(episode)
     (again,) = run_arms(sweep.plan, arms, factory).to_pylist()
     was, now = (values.pop("checkpoints") for values in (stored, again))
+    for values in (stored, again):  # that an episode alone does not show again
+        values.pop(engine_check.COLUMN, None)
     controller = sweep.plan.spec.controller(arms.controller, nominal_parameters(), factory)
     gains = runs.gains_of(controller)
     return EpisodeCheck(
@@ -85,7 +88,7 @@ def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory
         gains=tuple(compare(sweep.gains.get(arms.controller, {}), gains)),
         recorded=next(iter((sweep.path / RECORDED).glob(f"{episode}-*")), None),
         then=origin(origin_of(row)),
-        now=origin({"versions": versions(), "host": host()}),
+        now=origin({"versions": versions(sweep.plan.spec.engine), "host": host()}),
     )
 
 

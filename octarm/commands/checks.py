@@ -8,26 +8,30 @@ from typing import Annotated
 
 from octarm.commands import kinds
 from octarm.commands.kinds import Work
+from octarm.commands.terminal import surviving_output
 
 
 def validate(
     *,
     controllers: bool = False,
-    modules: Annotated[int, kinds.COUNT] = 3,
-    random_parameters: Annotated[int, kinds.N] = 0,
-    states: Annotated[int | None, kinds.COUNT] = None,
+    engines: bool = False,
+    modules: Annotated[int, kinds.whole(1, 60)] = 3,
+    random_parameters: Annotated[int, kinds.whole(0, 10_000)] = 0,
+    states: Annotated[int | None, kinds.whole(1, 1_000_000)] = None,
     seed: Annotated[int, kinds.N] = 0,
     json: Annotated[Path | None, kinds.file()] = None,
 ) -> Work:
     """Check MuJoCo against the analytic model.
 
-    Or, with --controllers, the controllers against their proofs. Prints a report; exit code 1 when
-    a check failed.
+    Or, with --controllers, the controllers against their proofs; with --engines, the engines
+    against each other. Prints a report; exit code 1 when a check failed.
 
     Args:
         controllers: check instead that each controller's Lyapunov function falls as its proof
             says, and that the misprints of the paper are noticed
-        modules: number of modules of the arm
+        engines: check instead that mujoco and lagrange move the arm alike for 10 s, with every
+            controller and under every disturbance; it takes minutes
+        modules: number of modules of the arm, at most 60; the time grows with its cube
         random_parameters: check so many arms with random parameters instead of the nominal one
         states: random states that each comparison runs over; 10000, of controllers 3000, when not
             given
@@ -39,10 +43,14 @@ def validate(
       octarm validate --controllers
     """
     from octarm.commands import validate as work
+    from octarm.errors import OctarmError
 
+    if controllers and engines:
+        raise OctarmError("--controllers and --engines are given; one check at a time")
     states = (3000 if controllers else 10_000) if states is None else states
-    compare = work.ledger if controllers else work.plant
-    return partial(work.validate, compare, modules, random_parameters, states, seed, json)
+    compare = work.ledger if controllers else work.engines if engines else work.plant
+    job = partial(work.validate, compare, modules, random_parameters, states, seed, json)
+    return job if json is None else surviving_output(job)
 
 
 def verify(

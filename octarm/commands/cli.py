@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import os
+import errno
 import sys
 from collections.abc import Callable, Sequence
 
+from octarm.commands.terminal import check_open_files, silence, surviving_errors
 from octarm.errors import ExitCode, FileError, OctarmError, printable, sentence_of
 
 # How MuJoCo, the system's loader, Python's threads and rerun say it, each by errors of its own.
@@ -27,7 +28,13 @@ def main(arguments: Sequence[str] | None = None, *, begin: Callable[[], None] | 
         arguments: the words after `octarm`; those of this process when not given.
         begin: called when all is understood and imported, before the work.
     """
+    with surviving_errors():
+        return _code(arguments, begin)
+
+
+def _code(arguments: Sequence[str] | None, begin: Callable[[], None] | None) -> int:
     try:
+        check_open_files()
         from octarm.commands.app import parse
 
         work = parse(sys.argv[1:] if arguments is None else arguments)
@@ -37,7 +44,7 @@ def main(arguments: Sequence[str] | None = None, *, begin: Callable[[], None] | 
         sys.stdout.flush()
         return code or ExitCode.FINE
     except BrokenPipeError:  # whoever read the output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        silence(sys.stdout)
         return ExitCode.FINE
     except KeyboardInterrupt as error:
         print(printable("; ".join(["octarm: interrupted", *error.args])), file=sys.stderr)
@@ -45,6 +52,10 @@ def main(arguments: Sequence[str] | None = None, *, begin: Callable[[], None] | 
     except Exception as error:
         sentence = " ".join(str(_mendable(error)).split())
         print(f"octarm: {sentence}", file=sys.stderr)
+        try:
+            sys.stdout.flush()
+        except OSError:
+            silence(sys.stdout)  # it would fail once more at the very end
         return ExitCode.BAD_INPUT
 
 
@@ -58,6 +69,8 @@ def _mendable(error: Exception) -> OctarmError:
             return OctarmError(f"there is not enough memory{f': {error}' if str(error) else ''}")
         case OctarmError():
             return error
+        case OSError(errno=errno.EMFILE):
+            return OctarmError("too many files are open; ulimit -n allows more")
         case OSError() if error.strerror:
             return FileError(sentence_of(error))
         case ModuleNotFoundError():

@@ -27,6 +27,8 @@ _WORDS = {
     "REFERENCE": "octarm.references:REFERENCES",
     "DISTURBANCE": "octarm.disturbances.catalogue:DISTURBANCES",
     "ACTUATION": "octarm.arm.actuation:ACTUATIONS",
+    "INTEGRATOR": "octarm.arm.modes:INTEGRATORS",
+    "ENGINE": "octarm.simulation.engines:ENGINES",
     "SHELL": "octarm.commands.kinds:SHELLS",
 }
 
@@ -65,7 +67,10 @@ def _real(option: str, word: str) -> float:
         raise ValueError(f"{option} is {quoted(word)}; it must be a number") from None
 
 
-def _whole(least: int) -> Callable[[str, str], int]:
+_LARGEST = 2**63 - 1  # that tables and recordings hold
+
+
+def _whole(least: int, most: int = _LARGEST) -> Callable[[str, str], int]:
     def convert(option: str, word: str) -> int:
         try:
             number = int(word)
@@ -74,6 +79,9 @@ def _whole(least: int) -> Callable[[str, str], int]:
         if number < least:
             name = option.strip("-")
             raise ValueError(f"{name} is {quoted(number)}; it must be at least {least}")
+        if number > most:
+            name = option.strip("-")
+            raise ValueError(f"{name} is {quoted(number)}; it must be at most {most}")
         return number
 
     return convert
@@ -93,11 +101,24 @@ def file(suffix: str = "") -> Parameter:
     return _converted(f"FILE{suffix}", convert)
 
 
+def whole(least: int, most: int) -> Parameter:
+    """A whole number of what takes a whole machine, or hours, beyond the largest one."""
+    return _converted("N", _whole(least, most))
+
+
 N, COUNT = _converted("N", _whole(0)), _converted("N", _whole(1))
+
+
+def _step(option: str, word: str) -> float | str:
+    return word if word == "auto" else _real(option, word)
+
+
+STEP = _converted("S", _step)
 X, S, HZ = (_converted(metavar, _real) for metavar in ("X", "S", "HZ"))
 RUN, DIR = text("RUN"), text("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE = map(_word, ("CONTROLLER", "REFERENCE", "DISTURBANCE"))
-ACTUATION, GAINS, SHELL = map(_word, ("ACTUATION", "GAINS", "SHELL"))
+ACTUATION, INTEGRATOR, ENGINE = map(_word, ("ACTUATION", "INTEGRATOR", "ENGINE"))
+GAINS, SHELL = map(_word, ("GAINS", "SHELL"))
 
 
 def heading(name: str) -> Parameter:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from octarm.commands import kinds
 from octarm.commands.kinds import Work
+from octarm.commands.terminal import surviving_output
 
 
 def sweep(
@@ -15,10 +16,12 @@ def sweep(
     /,
     *,
     out: Annotated[Path | None, kinds.DIR] = None,
-    workers: Annotated[int | None, kinds.COUNT] = None,
+    workers: Annotated[int | None, kinds.whole(1, 4096)] = None,
     resume: bool = False,
     dry_run: bool = False,
     cluster: Annotated[str | None, kinds.text("ADDRESS")] = None,
+    wait_for_workers: Annotated[float, kinds.S] = 60.0,
+    engine: Annotated[str | None, kinds.ENGINE] = None,
 ) -> Work:
     """Run thousands of episodes as a spec has it.
 
@@ -38,6 +41,9 @@ def sweep(
         dry_run: print the number of episodes, and the time and disk they take; run nothing
         cluster: run on the dask cluster with the scheduler of this address, or on `local`, one of
             this machine
+        wait_for_workers: how long the cluster may have no worker, at the beginning or later [s]
+        engine: what steps the arms, mujoco or lagrange, which is many times as fast; it takes the
+            place of the spec's
 
     Examples:
       octarm sweep scripts/disturbance_sweep.toml --dry-run
@@ -46,8 +52,10 @@ def sweep(
     """
     from octarm.commands import sweep as work
 
-    options = work.Options(spec, out, workers, resume, cluster)
-    return partial(work.dry_run if dry_run else work.sweep, options)
+    options = work.Options(spec, out, workers, resume, cluster, wait_for_workers, engine)
+    if dry_run:
+        return partial(work.dry_run, options)
+    return surviving_output(partial(work.sweep, options))
 
 
 def report(
@@ -77,7 +85,7 @@ def report(
     """
     from octarm.commands import report as work
 
-    return partial(work.report, sweep, baseline, metric, out)
+    return surviving_output(partial(work.report, sweep, baseline, metric, out))
 
 
 def margin(
@@ -91,10 +99,11 @@ def margin(
     mismatch: Annotated[float, kinds.X, kinds.RUNS] = 0.0,
     reference: Annotated[str, kinds.REFERENCE, kinds.RUNS] = "sine",
     duration: Annotated[float, kinds.S, kinds.RUNS] = 6.0,
-    timestep: Annotated[float | None, kinds.S, kinds.RUNS] = None,
+    timestep: Annotated[float | str | None, kinds.STEP, kinds.RUNS] = None,
     control_period: Annotated[float | None, kinds.S, kinds.RUNS] = None,
     gains: Annotated[str | None, kinds.GAINS, kinds.RUNS] = None,
     seed: Annotated[int, kinds.N, kinds.RUNS] = 0,
+    engine: Annotated[str | None, kinds.ENGINE, kinds.RUNS] = None,
     csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
     json: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
 ) -> Work:
@@ -117,10 +126,12 @@ def margin(
         mismatch: error of the nominal model
         reference: the desired motion
         duration: length of each run [s]
-        timestep: physics step [s]
+        timestep: physics step [s], or auto for one that suits the fastest mode of all arms
         control_period: time between control actions [s]
         gains: gains to start from
         seed: seed of all that is random
+        engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
+            given
         csv: also write the table to this file
         json: also write everything: the margins of each seed, and the coarse grid
 
@@ -131,6 +142,7 @@ def margin(
         --bound rms_error_theta1:0.02
     """
     from octarm.commands import margin as work
+    from octarm.simulation.engines import usual_engine
 
     settings = work.Settings(
         disturbance=disturbance,
@@ -144,8 +156,10 @@ def margin(
         control_period=control_period,
         gains=gains,
         seed=seed,
+        engine=usual_engine() if engine is None else engine,
     )
-    return partial(work.margin, controllers, settings, low, high, csv, json)
+    job = partial(work.margin, controllers, settings, low, high, csv, json)
+    return job if csv is None and json is None else surviving_output(job)
 
 
 def tune(
@@ -156,6 +170,7 @@ def tune(
     budget: Annotated[float, kinds.S] = 8000.0,
     seed: Annotated[int, kinds.N] = 0,
     resume: bool = False,
+    engine: Annotated[str | None, kinds.ENGINE] = None,
 ) -> Work:
     """Find gains for one controller.
 
@@ -169,6 +184,8 @@ def tune(
         budget: what the search may simulate, all arms counted [s]; 8000 s take minutes
         seed: seed of the search
         resume: go on with the search that was interrupted
+        engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
+            given
 
     Examples:
       octarm tune smc-boundary --out my-gains.toml
@@ -176,4 +193,5 @@ def tune(
     """
     from octarm.commands import tune as work
 
-    return partial(work.tune, controller, out or Path(f"{controller}.toml"), budget, seed, resume)
+    out = out or Path(f"{controller}.toml")
+    return surviving_output(partial(work.tune, controller, out, budget, seed, resume, engine))

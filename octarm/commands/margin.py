@@ -20,6 +20,7 @@ from octarm.files import write_text
 from octarm.formats import to_json
 from octarm.interfaces import Controller
 from octarm.runs.versions import host, versions
+from octarm.simulation.engines import check_engine
 from octarm.sweeps.margin import (
     NOMINAL,
     Attempt,
@@ -48,10 +49,11 @@ class Settings:
     mismatch: float
     reference: str
     duration: float
-    timestep: float | None
+    timestep: float | str | None
     control_period: float | None
     gains: str | None
     seed: int
+    engine: str
 
     @property
     def fixed(self) -> list[str]:
@@ -60,6 +62,7 @@ class Settings:
 
     def check(self) -> None:
         """Raises OctarmError for settings that cannot be meant."""
+        check_engine(self.engine)
         if not self.bound:
             raise OctarmError("no bound is given; --bound METRIC:VALUE, such as tip_rms_error:0.01")
         if not 0.0 < self.share <= 1.0:
@@ -90,6 +93,7 @@ class Settings:
             duration=self.duration,
             timestep=self.timestep,
             control_period=self.control_period,
+            engine=self.engine,
             seed=self.seed,
             threads=cores(),
         )
@@ -109,8 +113,7 @@ def margin(
     settings.check()
     varied = settings.varied(low, high)
     runs = {name: settings.runs(name, varied) for name in controllers}
-    for run in runs.values():
-        run.rehearse()
+    runs = {name: run.rehearse(settings.seeds) for name, run in runs.items()}
     rows: list[Mapping[str, Any]] = []
     for name, run in runs.items():
         rows.append(_row(name, _search(name, run, settings.seeds), settings.share, varied))
@@ -235,6 +238,6 @@ def _report(
         "varied": limits,
         "settings": dataclasses.asdict(settings),
         "controllers": list(rows),
-        "versions": versions(),
+        "versions": versions(settings.engine),
         "host": host(),
     }

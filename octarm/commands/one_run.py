@@ -8,6 +8,7 @@ from typing import Annotated
 
 from octarm.commands import kinds
 from octarm.commands.kinds import Work
+from octarm.commands.terminal import surviving_output
 
 
 def run(
@@ -22,9 +23,11 @@ def run(
     parameter: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.MODEL] = (),
     gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None,
     gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = (),
-    timestep: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
+    timestep: Annotated[float | str | None, kinds.STEP, kinds.SIMULATION] = None,
     control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
     actuation: Annotated[str, kinds.ACTUATION, kinds.SIMULATION] = "f-coeff",
+    integrator: Annotated[str, kinds.INTEGRATOR, kinds.SIMULATION] = "rk4",
+    engine: Annotated[str, kinds.ENGINE, kinds.SIMULATION] = "mujoco",
     out: Annotated[Path | None, kinds.DIR, kinds.OUTPUT] = None,
     view: Annotated[bool, kinds.OUTPUT] = False,
 ) -> Work:
@@ -42,14 +45,18 @@ def run(
         mismatch: error of the controller's model: mass, inertia and damping times 1 + X,
             stiffness times 1 + X/2
         nominal: a further factor on a parameter of the controller's model, e.g. mass:0.7
-        parameter: a parameter of the true arm and of the model, e.g. mass:0.3,0.25,0.2 [kg]
+        parameter: a parameter of the true arm and of the model, e.g. mass:0.3,0.25,0.2 [kg], or
+            input_range:-12,12 for the lowest and highest force of the columns [N]
         gains: those to start from: tuned (for a control period of 0.0005 s), recommended (set by
             hand, lower), or a file NAME.toml of octarm tune; tuned ones when not given
         gain: one gain, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
-        timestep: physics step [s]; that of models/octarm.xml, 0.0005 s, when not given
+        timestep: physics step [s]; that of models/octarm.xml, 0.0005 s, when not given; auto is the
+            longest part of the control period that suits the fastest mode of the arm
         control_period: time between control actions [s], whole physics steps; one step when not
             given
         actuation: how input forces act: f-coeff as in eq (2), internal between neighbouring modules
+        integrator: rk4, or implicitfast, which is of first order, for arms with very much damping
+        engine: what steps the arm: mujoco, or lagrange, the analytic arm, compiled (extra fast)
         out: run folder to write; runs/DATE-TIME-CONTROLLER when not given
         view: open the recording in the viewer when the run is done
 
@@ -81,8 +88,10 @@ def run(
         timestep=timestep,
         control_period=control_period,
         actuation=actuation,
+        integrator=integrator,
+        engine=engine,
     )
-    return partial(work.run, experiment, gains, out, view)
+    return surviving_output(partial(work.run, experiment, gains, out, view))
 
 
 def replay(
@@ -109,7 +118,8 @@ def replay(
     """
     from octarm.commands import replay as work
 
-    return partial(work.replay, runs, screenshot, time, web)
+    job = partial(work.replay, runs, screenshot, time, web)
+    return job if screenshot is None else surviving_output(job)
 
 
 def record(
@@ -128,7 +138,7 @@ def record(
     """
     from octarm.commands import redraw as work
 
-    return partial(work.record, run, out)
+    return surviving_output(partial(work.record, run, out))
 
 
 def plot(
@@ -145,7 +155,7 @@ def plot(
     """
     from octarm.commands import redraw as work
 
-    return partial(work.plot, run, out)
+    return surviving_output(partial(work.plot, run, out))
 
 
 def video(
@@ -178,4 +188,5 @@ def video(
     choose_renderer()  # before anything imports MuJoCo
     from octarm.commands import redraw as work
 
-    return partial(work.video, run, out, size=(width, height), rate=rate, speed=speed)
+    size = (width, height)
+    return surviving_output(partial(work.video, run, out, size=size, rate=rate, speed=speed))

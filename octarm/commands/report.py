@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from octarm.errors import ExitCode, OctarmError, printable
-from octarm.files import whole_file, write_text
+from octarm.files import write_files
 from octarm.formats import read_toml
 from octarm.reports.charts import pictures
 from octarm.reports.comparisons import TABLES, Comparisons, compare, tables
@@ -55,24 +55,23 @@ def _check_place(out: Path, sweep: Path) -> None:
 
 
 def _write(out: Path, text: str, files: dict[str, str], drawn: list[Picture]) -> None:
-    """Writes the report; the page, last, makes it one.
+    """Writes the report, whole or not at all; the page, last, makes it one.
 
     Raises:
         FileError: if it cannot be written.
     """
-    (out / FIGURES).mkdir(parents=True, exist_ok=True)
+    contents = {out / name: content.encode() for name, content in files.items()}
+    for picture in drawn:
+        contents[out / FIGURES / f"{picture.name}.svg"] = picture.svg.encode()
+        contents[out / FIGURES / f"{picture.name}.png"] = picture.png
+    page_bytes = text.encode(errors="backslashreplace")  # names of files may be any bytes
+    write_files({**contents, out / PAGE: page_bytes})
     earlier = [out / name for name in TABLES]
     for start in ("degradation-", "distributions", "map-", "failures"):
         earlier += (out / FIGURES).glob(f"{start}*")
     for file in earlier:
-        file.unlink(missing_ok=True)  # it may be of another choice of metrics
-    for name, content in files.items():
-        write_text(out / name, content)
-    for picture in drawn:
-        write_text(out / FIGURES / f"{picture.name}.svg", picture.svg)
-        with whole_file(out / FIGURES / f"{picture.name}.png") as part:
-            part.write_bytes(picture.png)
-    write_text(out / PAGE, text)
+        if file not in contents:
+            file.unlink(missing_ok=True)  # of another choice of metrics
 
 
 def _commands(

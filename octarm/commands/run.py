@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters, template_model
+from octarm.arm.modes import growth_rate
 from octarm.arm.parameters import ArmParameters
 from octarm.commands.summary import Swing, summary
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
@@ -26,6 +27,7 @@ from octarm.recordings.recording import run_recording
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
+from octarm.simulation.physics import ArmPhysics
 
 
 def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bool) -> int:
@@ -128,7 +130,17 @@ def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
 
 
 def _advice(gain_set: str | None, environment: control.Environment) -> str:
-    """What may help a run that diverged: tuned gains are high for the usual control period."""
+    """What may help a run that diverged, or what it may be due to.
+
+    Tuned gains are high for the usual control period, and some arms do not stay where they hang.
+    """
+    physics: ArmPhysics = environment.physics
+    growth = float(growth_rate(physics.plant().parameters, physics.hanging()))
+    if growth > 0.0:
+        return (
+            "; without control this arm does not stay where it hangs: a mode grows e-fold in "
+            f"{1.0 / growth:.3g} s"
+        )
     usual = float(template_model().opt.timestep)
     if gain_set in (None, "tuned") and environment.control_timestep() > 1.5 * usual:
         return (

@@ -17,6 +17,11 @@ from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import ExitCode, OctarmError, printable, sentence_of
 from octarm.formats import read_toml
+from octarm.memory import check_batch
+from octarm.simulation.engines import LAGRANGE, check_engine
+from octarm.simulation.steps import AUTO
+from octarm.sweeps import engine_check
+from octarm.sweeps.cluster import WAIT, dask_cluster
 from octarm.sweeps.episodes import COLUMNS, FinishedSweep, record_episodes, select
 from octarm.sweeps.execute import estimate
 from octarm.sweeps.execute import sweep as run_sweep
@@ -24,8 +29,9 @@ from octarm.sweeps.plan import Plan
 from octarm.sweeps.progress import ProgressBar, digits
 from octarm.sweeps.spec import SweepSpec
 from octarm.sweeps.spec_file import read_spec
+from octarm.sweeps.steps import with_step
 from octarm.sweeps.store import RECORDED, SweepFolder, read_sweep
-from octarm.sweeps.workers import WorkerProcesses, cores, dask_cluster
+from octarm.sweeps.workers import WorkerProcesses, cores
 
 _MEASURE = "tip_rms_error"  # by it episodes are worst and median ones, too
 _RECORDED = 2000  # [byte] a control period; from 1000 without signals to 4000 with rules
@@ -33,13 +39,18 @@ _RECORDED = 2000  # [byte] a control period; from 1000 without signals to 4000 w
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """What a sweep is run with: the spec's file, the folder to write, workers or a cluster."""
+    """What a sweep is run with: the spec's file, the folder to write, workers or a cluster.
+
+    `wait` is how long a cluster may have no worker [s]. The engine takes the place of the spec's.
+    """
 
     spec: Path
     out: Path | None
     workers: int | None
     resume: bool
     cluster: str | None
+    wait: float
+    engine: str | None = None
 
 
 def sweep(options: Options) -> int:
@@ -50,6 +61,7 @@ def sweep(options: Options) -> int:
     _run(spec, options, options.out)
     alike = _record(spec, options, options.out)
     _print_summary(options.out)
+    alike &= _engines_agree(spec, options.out)
     print(f"wrote {printable(str(options.out))}/  (spec.toml, manifest.json, episodes/*.parquet)")
     print(f"read it: octarm.read_sweep({str(options.out)!r})")
     return ExitCode.FINE if alike else ExitCode.CHECK_FAILED
@@ -59,6 +71,9 @@ def dry_run(options: Options) -> int:
     """`octarm sweep --dry-run`: prints what the sweep will take."""
     spec = _checked_spec(options)
     workers = options.workers or cores()
+    if spec.timestep == AUTO:
+        spec = with_step(spec, probes=True)
+        print(f"a physics step of {spec.timestep:g} s, as a few episodes need it")
     expected = estimate(spec, make_controller)
     print(f"{expected.episodes} episodes of {spec.duration:g} s in {expected.shards} shards")
     for axis in spec.axes:
@@ -78,6 +93,10 @@ def dry_run(options: Options) -> int:
         count = words * len(spec.controllers) + len(spec.record) - words
         size = _size(_RECORDED * expected.periods)
         print(f"then up to {count} recorded episodes, each about {size} and run alone")
+    try:
+        Plan(spec).check_size()
+    except OctarmError as error:
+        print(f"octarm sweep will refuse it: {error}")
     if expected.shards < workers:
         print(f"a batch below {spec.batch} would make more shards, for all {workers} workers")
     return ExitCode.FINE
@@ -86,6 +105,9 @@ def dry_run(options: Options) -> int:
 def _checked_spec(options: Options) -> SweepSpec:
     """The spec, whose controllers can be made and whose recorded episodes there are."""
     spec = read_spec(options.spec)
+    if options.engine is not None:
+        spec = dataclasses.replace(spec, engine=options.engine)
+    check_engine(spec.engine)
     plan = Plan(spec)
     for name in spec.controllers:
         keys = ("gain_set", name) if name in spec.gain_sets else ("grid", "controller")
@@ -165,10 +187,11 @@ def _pool(options: Options, plan: Plan) -> Generator[tuple[Executor, int | Calla
     """The executor that was asked for, and how many shards it should be given at a time."""
     workers = options.workers or cores()
     if options.cluster is not None:
-        with dask_cluster(options.cluster, workers) as cluster:
+        with dask_cluster(options.cluster, workers, options.wait) as cluster:
             yield cluster
         return
     workers = min(workers, len(plan.shards))
+    check_batch(len(plan.shards[0]), nominal_parameters().modules, workers)
     with WorkerProcesses(workers) as processes:
         yield processes, workers
 
@@ -187,10 +210,22 @@ def _print_summary(folder: Path) -> None:
         print(f"{printable(name, 40):<20} {values.size:>9} {diverged.sum():>9}  {median}")
 
 
+def _engines_agree(spec: SweepSpec, folder: Path) -> bool:
+    """Whether the episodes that ran on both engines came out alike; it says so."""
+    if spec.engine != LAGRANGE:
+        return True
+    (column,) = (x.to_numpy() for x in read_sweep(folder, [engine_check.COLUMN]))
+    difference = column[~np.isnan(column)]
+    print(engine_check.sentence(difference, len(column)))
+    return bool(np.all(difference <= engine_check.LIMIT))
+
+
 def _resume(options: Options) -> str:
     words = ["octarm", "sweep", str(options.spec), "--out", str(options.out)]
     words += ["--workers", str(options.workers)] if options.workers else []
     words += ["--cluster", options.cluster] if options.cluster else []
+    words += ["--wait-for-workers", f"{options.wait:g}"] if options.wait != WAIT else []
+    words += ["--engine", options.engine] if options.engine else []
     return shlex.join([*words, "--resume"])
 
 

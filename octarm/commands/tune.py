@@ -18,20 +18,30 @@ from controllers.gain_sets import GainSet, read_gain_set, shortest
 from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_text
+from octarm.simulation.engines import check_engine, usual_engine
 from octarm.sweeps.tune import Budget, SearchState, Space, StateFile, Tuned, settings, versions
 from octarm.sweeps.tune import tune as tune_gains
 from octarm.sweeps.tune_cost import FORMULA, Examination
 
 
-def tune(controller: str, out: Path, seconds: float, seed: int, resume: bool) -> int:
+def tune(
+    controller: str, out: Path, seconds: float, seed: int, resume: bool, engine: str | None
+) -> int:
     """`octarm tune`: gains for one controller, as a TOML file."""
     budget = Budget.within(seconds)
-    command = shlex.join(
-        ["octarm", "tune", controller, "--budget", f"{seconds:g}", "--seed", str(seed)]
-    )
+    words = ["octarm", "tune", controller, "--budget", f"{seconds:g}", "--seed", str(seed)]
+    command = shlex.join([*words, *(["--engine", engine] if engine is not None else [])])
+    engine = usual_engine() if engine is None else engine
+    check_engine(engine)
     more = shlex.join(["--out", str(out), "--resume"])
-    tuned = _search(controller, budget, out, seed, resume, f"{command} {more}")
-    origin = {"command": command, "date": datetime.date.today(), "seed": seed, "budget": seconds}
+    tuned = _search(controller, budget, out, seed, engine, resume, f"{command} {more}")
+    origin = {
+        "command": command,
+        "date": datetime.date.today(),
+        "seed": seed,
+        "budget": seconds,
+        "engine": engine,
+    }
     write_text(out, gain_set(controller, origin, budget, tuned).to_toml())
     state_file(out).unlink(missing_ok=True)
     _print_summary(controller, budget, tuned)
@@ -42,13 +52,13 @@ def tune(controller: str, out: Path, seconds: float, seed: int, resume: bool) ->
 
 
 def _search(
-    controller: str, budget: Budget, out: Path, seed: int, resume: bool, again: str
+    controller: str, budget: Budget, out: Path, seed: int, engine: str, resume: bool, again: str
 ) -> Tuned:
     """The search, with a bar on its progress and its state on disk; `again` goes on with it."""
     factory = functools.partial(make_controller, controller, gain_set="recommended")
     nominal = nominal_parameters()
     space = Space(factory(nominal), nominal.modules)
-    file = StateFile(state_file(out), settings(controller, space, budget, seed))
+    file = StateFile(state_file(out), settings(controller, space, budget, seed, engine))
     _check_place(out, file, controller, resume)
     state = file.read() if resume else None
     bar = tqdm(
@@ -62,7 +72,13 @@ def _search(
     try:
         with bar:
             return tune_gains(
-                factory, budget, seed=seed, state=state, keep=keep, progress=bar.update
+                factory,
+                budget,
+                seed=seed,
+                state=state,
+                keep=keep,
+                progress=bar.update,
+                engine=engine,
             )
     except KeyboardInterrupt:
         if not file.path.exists():

@@ -9,23 +9,37 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from controllers import CONTROLLERS, make_controller
 from controllers.proofs.ledger import ledger as ledger
 from octarm.arm.parameters import ArmParameters
+from octarm.checks.engines import compare_engines
 from octarm.checks.validation import arm_with, random_arm
 from octarm.checks.validation import validate as plant
 from octarm.errors import ExitCode
 from octarm.files import write_text
 from octarm.tolerances import CheckTable
 
+SWITCHING = ("smc", "super-twisting")  # laws with sgn(s)
+
 Compare = Callable[[ArmParameters, int, int, Callable[[str], None]], CheckTable]
 
-__all__ = ["ledger", "plant", "validate"]
+__all__ = ["engines", "ledger", "plant", "validate"]
+
+
+def engines(
+    arm: ArmParameters, states: int, seed: int, progress: Callable[[str], None]
+) -> CheckTable:
+    """Both engines in closed loop, with every controller."""
+    del states  # there are none to draw
+    return compare_engines(
+        arm, make_controller, [*CONTROLLERS], SWITCHING, seed=seed, progress=progress
+    )
 
 
 def validate(
     compare: Compare, modules: int, random_arms: int, states: int, seed: int, file: Path | None
 ) -> int:
-    """`octarm validate`: MuJoCo against the analytic model, or the controllers' Lyapunov ledger."""
+    """`octarm validate`: MuJoCo and the analytic model, or the controllers' Lyapunov ledger."""
     draw = np.random.default_rng(seed)
     arms = [random_arm(draw, modules) for _ in range(random_arms)] or [arm_with(modules)]
     reports: list[CheckTable] = []

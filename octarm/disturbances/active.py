@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+import math
+from collections.abc import Callable, Sequence
 from operator import is_
 from typing import Any
 
@@ -28,6 +30,7 @@ from octarm.disturbances.episode import (
 from octarm.errors import OctarmError
 
 _SIMULATED = (1e-14, 1e14)  # masses [kg] and inertias [kg m^2]; beyond, MuJoCo divides by zero
+_COMBINATIONS = 256  # of extremes; of more, the plant is checked when it changes
 
 
 class ActiveDisturbances:
@@ -46,6 +49,7 @@ class ActiveDisturbances:
         shares: each force's own share of the last `force`, by name, shape (..., 2N) [N], [N m].
         inputs: what came out of each actuator fault in the last `received`, by name, shape
             (..., 2N) [N].
+        commanded: the input forces tau that the last `received` was given, shape (..., 2N) [N].
         readings: what came out of each sensor fault in the last `sensed`, by name.
     """
 
@@ -54,6 +58,7 @@ class ActiveDisturbances:
         self.episode = episode
         self.shares: dict[str, np.ndarray] = {}
         self.inputs: dict[str, np.ndarray] = {}
+        self.commanded = np.empty(0)
         self.readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self._total = np.empty(0)
         families = (Force, PlantChange, ActuatorFault, SensorFault)
@@ -70,12 +75,19 @@ class ActiveDisturbances:
         self.plant_changes: list[tuple[str, PlantProcess]] = started[PlantChange.family]
         self.actuators: list[tuple[str, ActuatorProcess]] = started[ActuatorFault.family]
         self.sensors: list[tuple[str, SensorProcess]] = started[SensorFault.family]
+        ranges = [process.extremes for _, process in self.plant_changes]
+        self._surveyed = all(ranges) and math.prod(map(len, ranges)) <= _COMBINATIONS
+        if self._surveyed:
+            self._survey(ranges)
+        elif (plant := self._changed_plant(0)) is not None:
+            self._check(plant)
 
     def received(self, step: int, tau: np.ndarray) -> np.ndarray:
         """What the plant receives of the input forces tau at a physics step, shapes (..., 2N) [N].
 
         Each step is asked for once.
         """
+        self.commanded = tau
         for name, process in self.actuators:
             self.inputs[name] = tau = process(step, tau)
         return tau
@@ -83,7 +95,7 @@ class ActiveDisturbances:
     def force(self, step: int, q: np.ndarray) -> np.ndarray:
         """The generalised force held over a physics step, shape (..., 2N) [N], [N m]; read-only.
 
-        q has the true coordinates at its start, shape (..., 2N) [m], [rad].
+        q has the true coordinates at its middle, shape (..., 2N) [m], [rad].
         """
         if not self.forces:
             return np.zeros_like(q)
@@ -104,16 +116,37 @@ class ActiveDisturbances:
         At step 0 it is None only when nothing ever changes it.
 
         Raises:
-            OctarmError: at step 0, for an arm so light or so heavy that it cannot be simulated.
+            OctarmError: for an arm that cannot be simulated, so light or so heavy, or with modes
+                too fast for the physics step.
         """
+        plant = self._changed_plant(step)
+        if plant is None:
+            return None
+        if step == 0:
+            _check_plant(plant.parameters)
+        if not self._surveyed:
+            self._check(plant)
+        return plant
+
+    def _changed_plant(self, step: int) -> Plant | None:
         if not self.plant_changes_at(step):
             return None
         plant = Plant(self.episode.parameters)
         for _, process in self.plant_changes:
             plant = process.apply(step, plant)
-        if step == 0:
-            _check_plant(plant.parameters)
         return plant
+
+    def _survey(self, ranges: Sequence[Sequence[Callable[[Plant], Plant]]]) -> None:
+        """Checks the plant at all extremes of all changes, those of several combined."""
+        for changes in itertools.product(*ranges):
+            plant = Plant(self.episode.parameters)
+            for change in changes:
+                plant = change(plant)
+            self._check(plant)
+
+    def _check(self, plant: Plant) -> None:
+        if not any(np.any(bad) for *_, bad in _beyond(plant.parameters)):
+            self.episode.check_arm(plant.parameters)
 
     def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
         """Shows the sensors the true q and v, shapes (..., 2N), when `step` steps are done."""
@@ -129,10 +162,16 @@ class ActiveDisturbances:
 
 def _check_plant(p: ArmParameters) -> None:
     low, high = _SIMULATED
-    for name, unit, values in (("mass", "kg", p.mass), ("inertia", "kg m^2", p.inertia)):
-        good = (values >= low) & (values <= high)
-        if not np.all(good):
+    for name, unit, values, bad in _beyond(p):
+        if np.any(bad):
             raise OctarmError(
-                f"the disturbed arm has a module with {name} {values[~good].flat[0]:g} {unit}; "
+                f"the disturbed arm has a module with {name} {values[bad].flat[0]:g} {unit}; "
                 f"it must be between {low:g} and {high:g} {unit}"
             )
+
+
+def _beyond(p: ArmParameters) -> list[tuple[str, str, np.ndarray, np.ndarray]]:
+    """Masses and inertias: name, unit, values, and which of them cannot be simulated."""
+    low, high = _SIMULATED
+    parts = ("mass", "kg", p.mass), ("inertia", "kg m^2", p.inertia)
+    return [(*part, ~((part[2] >= low) & (part[2] <= high))) for part in parts]

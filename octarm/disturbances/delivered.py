@@ -166,6 +166,7 @@ class Measured(NamedTuple):
 
 
 def _numbers(parameters: ArmParameters, gravity_angle: Any) -> dict[str, np.ndarray]:
-    """Parameters by name, with the angle of gravity [rad] for its size, which nothing changes."""
+    """Parameters that may change by name, with the angle of gravity [rad] for its size."""
     numbers = parameters.to_dict() | {"gravity_angle": gravity_angle}
-    return {name: np.asarray(x) for name, x in numbers.items() if name != "gravity"}
+    fixed = ("gravity", "input_range")
+    return {name: np.asarray(x) for name, x in numbers.items() if name not in fixed}

@@ -64,6 +64,11 @@ class Event(NamedTuple):
     text: str
 
 
+def any_arm(arm: ArmParameters) -> None:
+    """Refuses no arm."""
+    del arm
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Episode:
     """All that a disturbance may know when an episode starts.
@@ -76,6 +81,8 @@ class Episode:
         batch_shape: () for one arm, (n,) for a batch.
         index: which one of the environment's episodes it is, from 0.
         occurrence: 1, or which one of several disturbances of the same class is started.
+        check_arm: raises OctarmError for an arm that cannot be simulated; it is called with every
+            arm that the plant may become.
     """
 
     parameters: ArmParameters
@@ -85,6 +92,7 @@ class Episode:
     batch_shape: tuple[int, ...] = ()
     index: int = 0
     occurrence: int = 1
+    check_arm: Callable[[ArmParameters], object] = any_arm
 
     def __post_init__(self) -> None:
         arms = int(np.prod(self.batch_shape, dtype=int))
@@ -272,10 +280,13 @@ class PlantProcess(NamedTuple):
     Attributes:
         changes_at: whether `apply` at a physics step differs from the one before it.
         apply: the plant from a physics step on, given what it would be without this process.
+        extremes: the same at the ends of the range that it goes through, whatever the duration;
+            when none are given, the plant is checked each time that it changes.
     """
 
     changes_at: Callable[[int], bool]
     apply: Callable[[int, Plant], Plant]
+    extremes: Sequence[Callable[[Plant], Plant]] = ()
 
 
 class SensorProcess(Protocol):
@@ -295,9 +306,10 @@ class SensorProcess(Protocol):
 class Force(Disturbance):
     """A disturbance that pushes the arm.
 
-    Its process is called with the number of a physics step and the true coordinates at its start,
-    shape (..., 2N) [m], [rad]. It returns the generalised force held over this step, shape
-    (..., 2N) [N], [N m].
+    Its process is called with the number of a physics step and the true coordinates at its middle,
+    as the velocities at its start predict them, shape (..., 2N) [m], [rad]. It returns the
+    generalised force held over this step, shape (..., 2N) [N], [N m]. With a force that depends on
+    q, a run is therefore of second order in the physics step.
     """
 
     family: ClassVar[str] = "forces"

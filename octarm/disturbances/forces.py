@@ -107,7 +107,7 @@ class _PushForce(Force):
 class SineForce(_PushForce):
     """A sine on joints or tip, amplitude sin(2 pi frequency (t - at) + phase).
 
-    Over a physics step it is what it is at its start.
+    Over a physics step it is what it is at its start: a run is of first order in the step.
 
     Attributes:
         amplitude: shape (...) [N], or [N m] on a bend.
@@ -201,7 +201,7 @@ class _Push:
 
     def __init__(self, size: Callable[[int], Amount], on: str, episode: Episode) -> None:
         self._size = size
-        self._tip = _TIP.get(on)
+        self._tip, self._tip_length = _TIP.get(on), episode.parameters.entries.tip_length
         self._places = None if on in _TIP else np.flatnonzero(episode.selected(on)).tolist()
         self._shape = (*episode.batch_shape, episode.coordinates)
         self._last: Amount | None = None
@@ -210,7 +210,8 @@ class _Push:
     def __call__(self, step: int, q: np.ndarray) -> np.ndarray:
         size = self._size(step)
         if self._tip is not None:
-            return tip_force(q, size * self._tip[0], size * self._tip[1])
+            x, y = self._tip
+            return tip_force(q, size * x, size * y, self._tip_length)
         if size is not self._last:
             force = np.zeros(self._shape, order="F")
             force[..., self._places] = np.asarray(size)[..., None]

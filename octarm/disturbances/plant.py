@@ -16,7 +16,7 @@ import numpy as np
 
 from octarm.disturbances.episode import Episode, Event, Plant, PlantChange, PlantProcess
 from octarm.disturbances.fields import Amount, Quantity, Words
-from octarm.disturbances.streams import first_step, periods_begun
+from octarm.disturbances.streams import NEVER, first_step, periods_begun
 
 # The parameters that have factors, and how many axes each has after the batch axes.
 SCALABLE = {"mass": 1, "inertia": 1, "stiffness": 2, "damping": 2, "rest_length": 1}
@@ -121,18 +121,23 @@ class GravityTilt(PlantChange):
 
 def _from_the_start(factors: Mapping[str, Amount], tilt: Amount) -> PlantProcess:
     """Factors on parameters, by name, and a turn of gravity, shape (...) [rad]."""
-    return PlantProcess(operator.not_, functools.partial(_changed, factors, tilt))
+    changed = functools.partial(_changed, factors, tilt)
+    return PlantProcess(operator.not_, functools.partial(_from_step_0, changed), (changed,))
 
 
-def _changed(factors: Mapping[str, Amount], tilt: Amount, step: int, plant: Plant) -> Plant:
+def _from_step_0(changed: Callable[[Plant], Plant], step: int, plant: Plant) -> Plant:
     del step
+    return changed(plant)
+
+
+def _changed(factors: Mapping[str, Amount], tilt: Amount, plant: Plant) -> Plant:
     scaled = plant.parameters.scaled(**factors) if factors else plant.parameters
     return Plant(scaled, plant.gravity_angle + tilt)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Payload(PlantChange):
-    """A point mass at the tip, from a given time on.
+    """A point mass at the last plate, from a given time on; the tip unless a rigid piece follows.
 
     It has the tip's velocity when it is picked up: there is no impact.
 
@@ -150,7 +155,9 @@ class Payload(PlantChange):
         value = episode.values(self)
         first = first_step(value["at"], episode.timestep)
         changes = frozenset([0, *np.ravel(first).tolist()])
-        return PlantProcess(changes.__contains__, functools.partial(_loaded, value["mass"], first))
+        loaded = functools.partial(_loaded, value["mass"], first)
+        ends = functools.partial(loaded, -1), functools.partial(loaded, NEVER)
+        return PlantProcess(changes.__contains__, loaded, ends)
 
     def events(self) -> Sequence[Event]:
         """When it is picked up."""
@@ -164,7 +171,7 @@ class Payload(PlantChange):
 
 
 def _loaded(mass: Amount, first: np.ndarray, step: int, plant: Plant) -> Plant:
-    """The plant with a mass [kg] at the tip, which is the last body's place, from a step on."""
+    """The plant with a mass [kg] at its last plate, from a step on."""
     p = plant.parameters
     added = np.where(step >= first, mass, 0.0)
     batch = np.broadcast_shapes(p.mass.shape[:-1], added.shape)
@@ -193,7 +200,9 @@ class Drift(PlantChange):
 
     def start(self, episode: Episode) -> PlantProcess:
         """The drift of one episode."""
-        return _drifting(functools.partial(_ramp, **episode.values(self)), self.of, episode)
+        value = episode.values(self)
+        ends = np.ones(()), 1.0 + np.sign(value["rate"]) * value["limit"]
+        return _drifting(functools.partial(_ramp, **value), self.of, episode, ends)
 
 
 def _ramp(t: float, rate: Amount, limit: Amount) -> np.ndarray:
@@ -222,7 +231,9 @@ class CyclicDrift(PlantChange):
 
     def start(self, episode: Episode) -> PlantProcess:
         """The drift of one episode."""
-        return _drifting(functools.partial(_swing, **episode.values(self)), self.of, episode)
+        value = episode.values(self)
+        ends = np.asarray(1.0 - value["share"]), np.asarray(1.0 + value["share"])
+        return _drifting(functools.partial(_swing, **value), self.of, episode, ends)
 
 
 def _swing(t: float, share: Amount, period: Amount, phase: Amount) -> np.ndarray:
@@ -230,11 +241,21 @@ def _swing(t: float, share: Amount, period: Amount, phase: Amount) -> np.ndarray
     return 1.0 + share * np.sin(2.0 * np.pi / period * t + phase)
 
 
-def _drifting(factor: Callable[[float], np.ndarray], of: str, episode: Episode) -> PlantProcess:
-    """A factor, shape (...), on some parameters that follows time [s] on a grid of its own."""
+def _drifting(
+    factor: Callable[[float], np.ndarray],
+    of: str,
+    episode: Episode,
+    ends: Sequence[np.ndarray],
+) -> PlantProcess:
+    """A factor, shape (...), on some parameters that follows time [s] on a grid of its own.
+
+    It stays between the ends.
+    """
+    names = of.split("+")
     return PlantProcess(
         functools.partial(_grid_moves, episode.timestep),
-        functools.partial(_drifted, factor, of.split("+"), episode.timestep),
+        functools.partial(_drifted, factor, names, episode.timestep),
+        [functools.partial(_scaled, names, by) for by in ends],
     )
 
 
@@ -245,7 +266,10 @@ def _grid_moves(timestep: float, step: int) -> bool:
 def _drifted(
     factor: Callable[[float], np.ndarray], of: list[str], timestep: float, step: int, plant: Plant
 ) -> Plant:
-    by = factor(_grid(timestep, step) * _GRID)
+    return _scaled(of, factor(_grid(timestep, step) * _GRID), plant)
+
+
+def _scaled(of: list[str], by: np.ndarray, plant: Plant) -> Plant:
     scaled = plant.parameters.scaled(**{name: _spread(name, by) for name in of})
     return plant._replace(parameters=scaled)
 

@@ -16,8 +16,8 @@ class InputUse(Accumulator):
     """How much of the input forces tau is asked for, over the whole run.
 
     `effort`, the root mean square, and `peak_input` = max |tau|, both [N]; `saturation_share`, the
-    share of control periods in which |tau| is at its limit [1]. Each has the shape (..., 2N), in
-    the order of the columns of eq (2).
+    share of control periods in which tau is at an end of its range or beyond [1]. Each has the
+    shape (..., 2N), in the order of the columns of eq (2).
     """
 
     metrics: ClassVar = {
@@ -27,17 +27,18 @@ class InputUse(Accumulator):
     }
 
     def __init__(self, first: Rows, settings: Settings) -> None:
-        self._limit = filled("input limit", settings.input_limit, first["tau"])
-        self._unlimited = not np.any(np.isfinite(self._limit))
+        ends = (filled("input range", end, first["tau"]) for end in settings.input_range)
+        self._low, self._high = ends
+        self._unlimited = not np.any(np.isfinite(self._low) | np.isfinite(self._high))
         self._rows = 0
         self._size, self._saturated = Size(first["tau"]), Count(first["tau"])
 
     def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
-        size = np.abs(rows["tau"])
+        tau, size = rows["tau"], np.abs(rows["tau"])
         self._rows += len(size)
         self._size.update(size * size)
         if not self._unlimited:
-            self._saturated.update(size >= self._limit)
+            self._saturated.update((tau <= self._low) | (tau >= self._high))
 
     def result(self) -> dict[str, np.ndarray]:  # noqa: D102
         return {
@@ -50,8 +51,9 @@ class InputUse(Accumulator):
 class ForceUse(Accumulator):
     """Size and work of the controller's generalised force Q, over the whole run.
 
-    `force_effort` is its root mean square [N], [N m]. While Q_j is held, it does the work
-    Q_j times the change of q_j until the next instant: exactly so, not only for short periods.
+    `force_effort` is its root mean square [N], [N m]. The work that Q_j does during a period is
+    taken to be Q_j times the change of q_j: exactly so for a Q that is held; where tau is held and
+    the arm turns, up to terms that vanish with the period.
     `work` is the sum, what the arm was given net; `energy` is the sum of the absolute values,
     the integral of |Q_j q_j'| dt as long as q_j' keeps its sign during a period [J]. Each has the
     shape (..., 2N). The period that begins at the last instant is not counted in these two, as

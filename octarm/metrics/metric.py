@@ -64,7 +64,7 @@ class Settings:
 
     Attributes:
         control_period: time between two control instants [s].
-        input_limit: bound on |tau|, broadcasts to (..., 2N) [N].
+        input_range: lowest and highest tau, each broadcasts to (..., 2N) [N].
         layer: half width phi of the boundary layer, broadcasts to (..., 2N) [m/s], [rad/s]; None
             where there is none.
         band: |q - q_d| within it counts as settled, broadcasts to (..., 2N) [m], [rad]; if None,
@@ -72,26 +72,29 @@ class Settings:
         corner: of the high-pass filter of `chattering` [Hz].
 
     Raises:
-        OctarmError: if one of them is not positive (layer: negative), or not finite (the input
-            limit excepted).
+        OctarmError: if the input range does not hold 0, or another one of them is not finite and
+            positive (layer: negative).
     """
 
     control_period: float
-    input_limit: npt.ArrayLike = math.inf
+    input_range: tuple[npt.ArrayLike, npt.ArrayLike] = (-math.inf, math.inf)
     layer: npt.ArrayLike | None = None
     band: npt.ArrayLike | None = None
     corner: float = CORNER
 
     def __post_init__(self) -> None:
+        for bound, sign in zip(self.input_range, (-1.0, 1.0), strict=True):
+            if not np.all(sign * np.asarray(bound, dtype=np.float64) >= 0.0):
+                raise OctarmError(f"input range is {self.input_range}; it must hold 0")
         for name, value in vars(self).items():
+            if name == "input_range":
+                continue
             array = np.asarray(1.0 if value is None else value, dtype=np.float64)
             least = 0.0 if name == "layer" else np.finfo(float).tiny
-            largest = math.inf if name == "input_limit" else np.finfo(float).max
-            if not np.all(good := (array >= least) & (array <= largest)):
+            if not np.all(good := (array >= least) & np.isfinite(array)):
                 allowed = "at least 0" if name == "layer" else "above 0"
-                finite = "" if math.isinf(largest) else " and finite"
                 bad = f"{name.replace('_', ' ')} holds {array[~good].flat[0]:g}"
-                raise OctarmError(f"{bad}; it must be {allowed}{finite}")
+                raise OctarmError(f"{bad}; it must be {allowed} and finite")
 
     def band_of(self, coordinates: int) -> npt.ArrayLike:
         """The settling band, broadcasts to (..., coordinates) [m], [rad]."""

@@ -69,14 +69,14 @@ class Metrics:
         self,
         *,
         control_period: float,
-        input_limit: npt.ArrayLike = np.inf,
+        input_range: tuple[npt.ArrayLike, npt.ArrayLike] = (-np.inf, np.inf),
         layer: npt.ArrayLike | None = None,
         band: npt.ArrayLike | None = None,
         corner: float = CORNER,
     ) -> None:
         """Metrics of arms of any number and batch shape; the arguments are those of `Settings`."""
         self._settings = Settings(
-            control_period=control_period, input_limit=input_limit, layer=layer, band=band,
+            control_period=control_period, input_range=input_range, layer=layer, band=band,
             corner=corner,
         )  # fmt: skip
         self._accumulators: list[Accumulator] = []

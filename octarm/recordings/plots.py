@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import warnings
@@ -13,7 +14,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure as NewFigure
 
-from octarm.files import whole_file
+from octarm.files import write_files
 from octarm.recordings.channels import Channel, channels_of, has_energy
 from octarm.recordings.notes import title_of
 from octarm.simulation.trajectory import Trajectory
@@ -51,7 +52,7 @@ _STYLE: Any = {
 def write_figures(
     folder: str | os.PathLike[str], run: Trajectory, description: Mapping[str, Any]
 ) -> list[Path]:
-    """Writes each figure as PNG and SVG; a folder that is missing is made.
+    """Writes each figure as PNG and SVG, all or none; a folder that is missing is made.
 
     There are always `tracking`, `error` and `inputs`; `sliding` if the controller has a sliding
     variable, `adaptation` if it adapts, `disturbance` if something pushed the arm.
@@ -62,22 +63,20 @@ def write_figures(
     Raises:
         OSError: if a file cannot be written.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    written: list[Path] = []
+    drawn: dict[Path, bytes] = {}
     with cast(Any, matplotlib).rc_context(_STYLE), warnings.catch_warnings():
         # A letter that the font lacks is drawn as a box, a number without end as none.
         warnings.simplefilter("ignore")
         for name, figure in _Drawing(run, description).figures():
             for kind in ("svg", "png"):
-                path = folder / f"{name}.{kind}"
-                with whole_file(path) as part:
-                    # Without a date equal runs give equal files.
-                    metadata = {"Date": None} if kind == "svg" else None
-                    figure.savefig(part, format=kind, dpi=200, metadata=metadata)
+                content = io.BytesIO()
+                # Without a date equal runs give equal files.
+                metadata = {"Date": None} if kind == "svg" else None
+                figure.savefig(content, format=kind, dpi=200, metadata=metadata)
                 figure.set_layout_engine("none")  # that of the first holds for the second
-                written.append(path)
-    return written
+                drawn[Path(folder) / f"{name}.{kind}"] = content.getvalue()
+    write_files(drawn)
+    return list(drawn)
 
 
 class _Panel(NamedTuple):

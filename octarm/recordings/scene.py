@@ -55,7 +55,7 @@ class Scene:
         The disturbances of the run say what they carry and how they turn gravity; `disturbed` says
         whether their force is drawn.
         """
-        self._modules, self._width = parameters.modules, float(parameters.width)
+        self._modules, self._width = parameters.modules, float(np.median(parameters.width))
         self._length = float(np.sum(parameters.rest_length))
         self._weight = float(np.sum(parameters.mass) * parameters.gravity)
         self._arrow = 2.0 * self._width  # length of the arrow of the arm's weight [m]

@@ -25,6 +25,8 @@ _NEEDED = (
     "drawing needs an OpenGL library: on Debian it is one of the packages libegl1 and libosmesa6"
 )
 
+_MOST_PICTURES = 1_000_000
+
 
 def choose_renderer() -> None:
     """Sets MUJOCO_GL to the library that is installed, EGL before OSMesa, unless it is set.
@@ -79,7 +81,13 @@ def write_video(
         )
     if min(size) < 16 or max(size) > 4096 or size[0] % 2 or size[1] % 2:
         raise OctarmError(f"the size is {size[0]} x {size[1]}; both must be even, 16 to 4096")
-    count = max(1, round((run.t[-1] - run.t[0]) / speed * rate) + 1)
+    pictures = (run.t[-1] - run.t[0]) / speed * rate
+    if not pictures <= _MOST_PICTURES:
+        raise OctarmError(
+            f"the film would have {pictures:.3g} pictures; it must have at most {_MOST_PICTURES}, "
+            "so choose a higher speed or a lower rate"
+        )
+    count = max(1, round(pictures) + 1)
     rows = np.searchsorted(run.t, float(run.t[0]) + np.arange(count) * speed / rate - 1e-9)
     rows = np.minimum(rows, len(run) - 1)
     rows = rows[np.isfinite(run.q[rows]).all(axis=1)]

@@ -9,6 +9,7 @@ import numpy as np
 
 from octarm.reports.comparisons import partners
 from octarm.reports.frame import Episodes, Factor
+from octarm.sweeps.engine_check import LIMIT, sentence
 
 _FEW = 8  # seeds, below which intervals are rough
 
@@ -27,7 +28,7 @@ class Remark(NamedTuple):
 
 def remarks(episodes: Episodes) -> list[Remark]:
     """All remarks on a sweep, warnings first."""
-    checks = (_unfinished, _versions, _same_states, _implausible, _idle_factors, _seeds)
+    checks = (_unfinished, _versions, _engines, _same_states, _implausible, _idle_factors, _seeds)
     made = [remark for check in checks for remark in check(episodes)]
     return sorted(made, key=lambda remark: not remark.warning)
 
@@ -55,6 +56,13 @@ def _versions(episodes: Episodes) -> Iterator[Remark]:
         if len(different) > 1:
             both = " and ".join(different)
             yield Remark(True, f"Parts of the sweep ran with different {name}: {both}.")
+
+
+def _engines(episodes: Episodes) -> Iterator[Remark]:
+    """How far the engines are apart, if some episodes were run on both."""
+    difference = episodes.engine_difference
+    if difference.size:
+        yield Remark(bool(np.any(difference > LIMIT)), sentence(difference, len(episodes.seed)))
 
 
 def _same_states(episodes: Episodes) -> Iterator[Remark]:

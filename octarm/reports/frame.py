@@ -19,6 +19,7 @@ from octarm.errors import OctarmError, closest, printable, quoted
 from octarm.metrics.metric import SETTLED_AFTER, Metric
 from octarm.metrics.table import METRICS
 from octarm.references import REFERENCES, named_reference
+from octarm.sweeps import engine_check
 from octarm.sweeps.spec import which
 from octarm.sweeps.store import metadata_of, read_manifest, read_schema, read_sweep
 
@@ -119,6 +120,8 @@ class Episodes:
         lost: whether it did not diverge, but a coordinate that moves follows its reference no
             better than an arm that hangs still, shape (n,).
         exact: whether an error is zero to the last digit, shape (n,).
+        engine_difference: how far the tip was from where MuJoCo has it, of episodes of the analytic
+            arm that were run again, shape (k,) [m].
     """
 
     manifest: Mapping[str, Any]
@@ -133,6 +136,7 @@ class Episodes:
     values: np.ndarray
     lost: np.ndarray
     exact: np.ndarray
+    engine_difference: np.ndarray
 
     @property
     def planned(self) -> int:
@@ -181,6 +185,7 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
     asked = [measure for measures in wanted.values() for measure in measures]
     errors = [column.name for column in columns if column.metric == "rms_error"]
     needed = ["controller", "seed", "status", "digest", *names, *errors]
+    needed += [name for name in (engine_check.COLUMN,) if name in schema.names]
     for measure in asked:
         needed += [*measure.columns, *(name for name in _awaited(measure) if name in schema.names)]
     table = read_sweep(folder, [*dict.fromkeys(needed)])
@@ -222,7 +227,12 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
         values=np.stack([*values.values()], axis=1),
         lost=lost,
         exact=exact,
+        engine_difference=_known(held.get(engine_check.COLUMN, np.empty(0))),
     )
+
+
+def _known(column: np.ndarray) -> np.ndarray:
+    return column[~np.isnan(column)]
 
 
 def _column(field: pa.Field) -> Measure | None:

@@ -55,6 +55,8 @@ class Description(_Run):
     timestep: Positive | None = None
     control_period: Positive | None = None
     actuation: str | None = None
+    integrator: str | None = None
+    engine: str | None = None
     metrics: dict[str, _Numbers] = Field(default_factory=dict)
     message: str = ""
     versions: dict[str, str] = Field(default_factory=dict)
@@ -73,3 +75,5 @@ class Inputs(_Run):
     timestep: Positive
     control_period: Positive
     actuation: str
+    integrator: str
+    engine: str

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import os
 import shlex
 import sys
 from collections.abc import Callable, Mapping
@@ -28,12 +29,16 @@ from octarm.runs.archive import Archive
 from octarm.runs.description import Inputs
 from octarm.runs.place import new_folder
 from octarm.runs.versions import host, versions
+from octarm.simulation.engines import MUJOCO
 from octarm.simulation.environment import TrackingTask, load, whole_periods
 from octarm.simulation.rollout import ArmRecorder, copied
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.trajectory import Ending, Trajectory, joined
 
-_AS_THEY_ARE = {"seed", "spawn_key", "duration", "timestep", "control_period", "actuation"}
+_AS_THEY_ARE = {
+    "seed", "spawn_key", "duration", "timestep", "control_period", "actuation", "integrator",
+    "engine",
+}  # fmt: skip
 
 
 class Recording(Protocol):
@@ -68,9 +73,11 @@ class Experiment:
         seed: of all that is random.
         spawn_key: of the `SeedSequence` that has this seed; empty but for episodes of sweeps.
         duration: of the run [s].
-        timestep: physics step [s]; that of models/octarm.xml when None.
+        timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
         control_period: time between control actions [s]; one physics step when None.
         actuation: see `octarm.arm.actuation`.
+        integrator: see `octarm.load`.
+        engine: that steps the arm, see `octarm.simulation.engines`.
     """
 
     controller: str
@@ -82,9 +89,11 @@ class Experiment:
     seed: int = 0
     spawn_key: tuple[int, ...] = ()
     duration: float
-    timestep: float | None = None
+    timestep: float | str | None = None
     control_period: float | None = None
     actuation: str = "f-coeff"
+    integrator: str = "rk4"
+    engine: str = MUJOCO
 
     def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
         """The environment and the controller.
@@ -103,6 +112,8 @@ class Experiment:
             control_period=self.control_period,
             actuation=self.actuation,
             seed=seed,
+            integrator=self.integrator,
+            engine=self.engine,
         )
         return environment, factory(self.controller, self.nominal, self.gains)
 
@@ -126,13 +137,15 @@ class Experiment:
             "timestep": physics.timestep(),
             "control_period": environment.control_timestep(),
             "actuation": self.actuation,
+            "integrator": self.integrator,
+            "engine": self.engine,
             "metrics": {},
             "status": runs.RUNNING,
             "message": "",
-            "versions": versions(),
+            "versions": versions(self.engine),
             "host": host(),
             "digest": "",
-            "command": shlex.join(["octarm", *sys.argv[1:]]),
+            "command": _readable(shlex.join(["octarm", *sys.argv[1:]])),
         }
 
     @classmethod
@@ -160,6 +173,11 @@ class Experiment:
             disturbances=tuple(from_entry(entry.model_dump()) for entry in inputs.disturbances),
             **numbers,
         )
+
+
+def _readable(word: str) -> str:
+    """A word of the command line as a text file may hold it; names of files may be any bytes."""
+    return os.fsencode(word).decode("utf-8", "backslashreplace")
 
 
 def perform(
@@ -241,8 +259,9 @@ def run_into(
                 closing.enter_context(ignored_interrupts())
                 recorder.finish(description)
             archive.save(folder / runs.ARRAYS, ending)
+        trajectory = Trajectory.load(folder / runs.ARRAYS, mapped=True)
         runs.write_description(folder, description)
-    return Trajectory.load(out / runs.ARRAYS, mapped=True), description
+    return trajectory, description
 
 
 def _perform(
@@ -262,9 +281,9 @@ def _perform(
     def take_up(rows: Rows) -> None:
         keep(rows, recorder.layer)
         if not measured:
-            period, limit = environment.control_timestep(), physics.input_limit()
+            period, bounds = environment.control_timestep(), physics.input_range()
             layer = recorder.layer
-            measured.append(Metrics(control_period=period, input_limit=limit, layer=layer))
+            measured.append(Metrics(control_period=period, input_range=bounds, layer=layer))
         measured[0].update(rows)
 
     recorder = ArmRecorder(environment, take_up)

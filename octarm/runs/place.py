@@ -47,8 +47,7 @@ def new_folder(folder: Path) -> Generator[Path]:
     try:
         if earlier.exists() and not folder.exists():  # a process was killed between two renames
             earlier.rename(folder)
-        made = _made(folder)
-        with _claimed(folder):
+        with _claimed(folder, _made(folder)):
             names = {path.name for path in folder.iterdir()}
             if names and not (DESCRIPTION in names and all(map(_FILE.fullmatch, names))):
                 raise OctarmError(
@@ -57,7 +56,7 @@ def new_folder(folder: Path) -> Generator[Path]:
             for stale in (spare, earlier):  # of killed processes: this one has the place to itself
                 shutil.rmtree(stale, ignore_errors=True)
             if not names:
-                with _emptied_on_failure(folder, made):
+                with _emptied_on_failure(folder), _kept_in_reserve():
                     yield folder
                 return
             if Path.cwd().is_relative_to(folder):
@@ -65,7 +64,7 @@ def new_folder(folder: Path) -> Generator[Path]:
                     f"{folder} holds an earlier run, and is the current folder; it cannot be "
                     "replaced from within"
                 )
-            with _replacing(folder, spare, earlier):
+            with _replacing(folder, spare, earlier), _kept_in_reserve():
                 yield spare
     except OSError as error:
         if isinstance(error, OctarmError):
@@ -98,8 +97,10 @@ def _taken(folder: Path) -> str:
 
 
 @contextmanager
-def _claimed(folder: Path) -> Generator[None]:
+def _claimed(folder: Path, made: list[Path]) -> Generator[None]:
     """Holds a lock on the folder, which dies with this process.
+
+    Folders that were made for it go if it cannot be opened, or the block fails.
 
     Raises:
         OctarmError: if another process, or another thread, holds it.
@@ -109,7 +110,8 @@ def _claimed(folder: Path) -> Generator[None]:
     except ImportError:  # not on POSIX
         yield
         return
-    handle = os.open(folder, os.O_RDONLY)
+    with _removed_on_failure(made):
+        handle = os.open(folder, os.O_RDONLY)
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -120,23 +122,43 @@ def _claimed(folder: Path) -> Generator[None]:
             mine = True
         if not mine:  # the folder was replaced between the two calls, or is locked
             raise OctarmError(f"another run is being written to {folder}; choose another --out")
-        yield
+        with _removed_on_failure(made):
+            yield
     finally:
         os.close(handle)
 
 
 @contextmanager
-def _emptied_on_failure(folder: Path, made: list[Path]) -> Generator[None]:
-    """Removes what was written, and the folders that were made for it, if the block fails."""
+def _removed_on_failure(made: list[Path]) -> Generator[None]:
+    """Removes folders that were made, inmost first, if the block fails."""
     try:
         yield
     except BaseException:
         with contextlib.suppress(OSError):  # a parent in which something stands stays
+            for path in made:
+                path.rmdir()
+        raise
+
+
+@contextmanager
+def _kept_in_reserve() -> Generator[None]:
+    """Keeps a few files open, so that a block that fails for want of some can be cleaned up."""
+    with contextlib.ExitStack() as reserve:
+        for _ in range(3):
+            reserve.enter_context(open(os.devnull, "rb"))
+        yield
+
+
+@contextmanager
+def _emptied_on_failure(folder: Path) -> Generator[None]:
+    """Removes what was written if the block fails."""
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(OSError):
             for path in folder.iterdir():
                 if _FILE.fullmatch(path.name):
                     path.unlink()
-            for path in made:
-                path.rmdir()
         raise
 
 

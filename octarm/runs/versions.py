@@ -9,15 +9,18 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from octarm.simulation.engines import LAGRANGE, MUJOCO
+
 _PACKAGES = ("octarm", "mujoco", "dm-control", "numpy", "rerun-sdk", "scipy", "pyarrow")
 
 
-def versions() -> dict[str, str]:
-    """Of all that a run or a sweep depends on for being repeated bit for bit."""
+def versions(engine: str = MUJOCO) -> dict[str, str]:
+    """Of all that a run or a sweep on an engine depends on for being repeated bit for bit."""
+    packages = (*_PACKAGES, *(("numba",) if engine == LAGRANGE else ()))
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
-        **{name: version(name) for name in _PACKAGES},
+        **{name: version(name) for name in packages},
     }
 
 

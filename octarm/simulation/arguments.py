@@ -24,11 +24,11 @@ _DISTURBANCES = (
 )
 
 
-def whole_number(name: str, value: Any, at_least: int) -> int:
+def whole_number(name: str, value: Any, at_least: int, at_most: int | None = None) -> int:
     """An argument that counts something; a number with a point or a truth value counts nothing.
 
     Raises:
-        OctarmError: unless it is a whole number of at least so much.
+        OctarmError: unless it is a whole number of at least and at most so much.
     """
     try:
         number = None if isinstance(value, bool | np.bool) else operator.index(value)
@@ -36,8 +36,9 @@ def whole_number(name: str, value: Any, at_least: int) -> int:
         number = None
     if number is None:
         raise OctarmError(f"{name} is {quoted(cast(object, value))}; it must be a whole number")
-    if number < at_least:
-        raise OctarmError(f"{name} is {quoted(number)}; it must be at least {at_least}")
+    if number < at_least or (at_most is not None and number > at_most):
+        most = "" if at_most is None else f" and at most {at_most}"
+        raise OctarmError(f"{name} is {quoted(number)}; it must be at least {at_least}{most}")
     return number
 
 

@@ -59,11 +59,7 @@ class BatchPhysics(AnyPhysics):
 
     def tip_position(self) -> np.ndarray:
         """Tips in the world frame, shape (n, 3) [m]."""
-        return tip_position(self.q())
-
-    def divergence(self) -> str:
-        """Empty: arms of a batch diverge one by one, see `intact`."""
-        return ""
+        return tip_position(self.q(), self._undisturbed.entries.tip_length)
 
     def step(self, n_sub_steps: int = 1) -> None:
         """Advances by physics steps; see `AnyPhysics.step`."""

@@ -22,11 +22,24 @@ from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Disturbance, Episode
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Motion
+from octarm.memory import check_batch
 from octarm.references import named_reference, wanted
 from octarm.simulation.arguments import check_load, whole_number
 from octarm.simulation.batch import BatchPhysics
+from octarm.simulation.engines import LAGRANGE, MUJOCO, check_engine
 from octarm.simulation.physics import ArmPhysics
 from octarm.simulation.stepping import AnyPhysics
+from octarm.simulation.steps import (
+    AUTO,
+    check_integrator,
+    check_period,
+    fitting_step,
+    integrator_of,
+    step_check,
+    steps_of,
+)
+
+_MOST_THREADS = 1024
 
 # A tracking error of this size, by its unit, earns a tenth of the reward.
 _MARGINS = {"m": 0.01, "rad": 0.1}
@@ -38,18 +51,20 @@ def load(
     disturbances: Sequence[Disturbance] = (),
     parameters: ArmParameters | None = None,
     batch: int | None = None,
-    timestep: float | None = None,
+    timestep: float | str | None = None,
     control_period: float | None = None,
     duration: float | None = None,
     actuation: str = "f-coeff",
     seed: int | np.random.SeedSequence | Sequence[np.random.SeedSequence] = 0,
     threads: int = 1,
+    integrator: str = "rk4",
+    engine: str = MUJOCO,
 ) -> control.Environment:
     """The arm, hanging at rest, and a motion it shall follow; or a batch of n such arms.
 
-    The action is tau, the input forces of eq (1), shape (2N,) [N]. They act as the generalised
-    force F_coeff(q) tau and are held for one control period. For a batch, the action and all
-    observations have a first axis of n, and so does the reward.
+    The action is tau, the input forces of eq (1), shape (2N,) [N]. What is within the arm's input
+    range acts as the generalised force F_coeff(q) tau and is held for one control period. For a
+    batch, the action and all observations have a first axis of n, and so does the reward.
 
     Every reset starts the next episode, with a new realisation of all that is random: episode 0 at
     the first reset, then 1 and so on. The same seed gives the same episodes. To have an episode
@@ -62,50 +77,78 @@ def load(
         parameters: the true arm; the nominal one when not given. The arms of a batch may have
             their own, with batch axis (n,).
         batch: number of arms n; one arm without the batch axis when not given.
-        timestep: physics step [s]; 0.5 ms when not given.
-        control_period: time between two actions [s]; one physics step when not given.
+        timestep: physics step [s]; 0.5 ms when not given. `auto` is the largest part of the control
+            period, 1/2, 1/5, 1/10 and so on of it, that is at most 0.5 ms and stable for the
+            fastest mode of every arm that the disturbances may make.
+        control_period: time between two actions [s], at most 10 s; when not given, one physics
+            step, or 0.5 ms with the timestep `auto`.
         duration: when an episode ends [s], rounded up to whole control periods; never when not
             given.
         actuation: `f-coeff`, or `internal` for forces between neighbouring modules.
         seed: of all that is random. Arm i of a batch has the seed
             `SeedSequence(seed, spawn_key=(i,))`, unless one is given for each arm. The seeds of
             its episodes are derived from it, see `octarm.disturbances.streams.episode_seed`.
-        threads: that step a batch; results do not depend on it.
+        threads: that step a batch, at most 1024; results do not depend on it.
+        integrator: `rk4`, or `implicitfast`, which is of first order, for arms with much damping.
+        engine: `mujoco`, or `lagrange`, the analytic arm, which is some fifty times as fast and
+            needs the extra `fast`; it steps by RK4 alone.
 
     Returns:
         An environment with the observations q, v, q_d, v_d, a_d, each of shape (2N,), and
         tip_position, shape (3,), in the world frame, where the arm seems to have it.
 
     Raises:
-        OctarmError: for an unknown name, a period that is not a whole multiple of the step, or an
-            arm that does not hang within its limits.
+        OctarmError: for an unknown name, an engine that is not installed, a period that is not a
+            whole multiple of the step, an arm that does not hang within its limits, a step that is
+            too long for its fastest mode, or more arms than memory holds.
     """
-    times = {"timestep": timestep, "control_period": control_period, "duration": duration}
+    times = {"control_period": control_period, "duration": duration}
+    if not isinstance(timestep, str):
+        times["timestep"] = timestep
     check_load(reference, disturbances, parameters, seed, **times)
     batch = None if batch is None else whole_number("batch", batch, 1)
-    threads = whole_number("threads", threads, 1)
+    threads = whole_number("threads", threads, 1, _MOST_THREADS)
+    check_engine(engine)
     if actuation not in [*ACTUATIONS]:
         raise OctarmError(f"unknown actuation {quoted(actuation)}{closest(actuation, ACTUATIONS)}")
+    check_integrator(integrator)
+    if engine == LAGRANGE and integrator != "rk4":
+        raise OctarmError(f"engine {engine!r} steps by rk4 alone; integrator is {integrator!r}")
     true = nominal_parameters() if parameters is None else parameters
     if true.batch_shape not in ((), () if batch is None else (batch,)):
         raise OctarmError(
             f"parameters have batch axes {true.batch_shape}; the environment has "
             f"{'one arm' if batch is None else f'{batch} arms'}"
         )
+    if batch is not None:
+        check_batch(batch, true.modules)
     seeds = _seeds(seed, batch)
-    forces = ACTUATIONS[actuation](true.width)
-    if batch is None:
-        physics = ArmPhysics.from_arm_model(build_model(true, timestep), forces)
+    if isinstance(timestep, str):
+        if timestep != AUTO:
+            raise OctarmError(f"timestep is {timestep!r}; it must be a number [s], or {AUTO!r}")
+        axes = () if batch is None else (batch,)
+        steps = steps_of(true, disturbances, seeds, axes, integrator)
+        timestep, control_period = fitting_step(float(np.min(steps)), control_period)
+    forces = ACTUATIONS[actuation](true.widths)
+    if engine == LAGRANGE:
+        from octarm.simulation.analytic import LagrangePhysics  # only where numba is installed
+
+        physics = LagrangePhysics(true, batch, forces, timestep=timestep, threads=threads)
+    elif batch is None:
+        model = build_model(true, timestep)
+        model.opt.integrator = integrator_of(integrator)
+        physics = ArmPhysics.from_arm_model(model, forces)
     else:
         model = build_slim_model(true.arm(0) if true.batch_shape else true, timestep)
+        model.opt.integrator = integrator_of(integrator)
         physics = BatchPhysics(model, batch, forces, parameters=true, threads=threads)
     _check_rest(physics)
     step = physics.timestep()
     steps_a_period = 1 if control_period is None else _whole_steps(control_period, step)
-    motion = reference
-    if isinstance(motion, str):  # one for all arms that hang alike
-        rest = physics.hanging()
-        motion = named_reference(motion, rest if true.batch_shape else rest[*[0] * (rest.ndim - 1)])
+    rest = physics.hanging()
+    if not true.batch_shape:  # one for all arms that hang alike
+        rest = rest[*[0] * (rest.ndim - 1)]
+    motion = named_reference(reference, rest) if isinstance(reference, str) else reference
     wanted(motion, 0.0, physics.q().shape)  # before it is used
     limit = None if duration is None else whole_periods(duration, steps_a_period * step)
     episode = Episode(
@@ -114,6 +157,7 @@ def load(
         reference=motion,
         seeds=seeds,
         batch_shape=physics.batch_shape,
+        check_arm=step_check(rest, step, integrator),
     )
     task = TrackingTask(
         episode,
@@ -131,8 +175,6 @@ def _seeds(
     """One seed sequence an arm."""
     if isinstance(seed, int) and seed < 0:
         raise OctarmError(f"seed is {seed}; it must be at least 0")
-    if arms is not None and arms < 1:
-        raise OctarmError(f"batch is {arms}; it must be at least 1")
     if isinstance(seed, Sequence):
         if len(seed) != (1 if arms is None else arms):
             raise OctarmError(f"there are {len(seed)} seeds; each of {arms or 1} arms needs one")
@@ -244,9 +286,9 @@ class TrackingTask(control.Task):
         self._start_at(self._periods + 1)
 
     def action_spec(self, physics: AnyPhysics) -> specs.BoundedArray:
-        """Input forces tau, shape (2N,) [N], within the actuators' range."""
-        limit = physics.input_limit()
-        return specs.BoundedArray(limit.shape, np.float64, -limit, limit, name="tau")
+        """Input forces tau, shape (2N,) [N], within the arm's input range."""
+        low, high = physics.input_range()
+        return specs.BoundedArray(low.shape, np.float64, low, high, name="tau")
 
     def get_observation(self, physics: AnyPhysics) -> collections.OrderedDict[str, np.ndarray]:
         """What is measured and what is wanted, in fresh arrays.
@@ -257,7 +299,7 @@ class TrackingTask(control.Task):
         q, v = physics.q(), physics.v()
         if active is not None and active.sensors:  # nothing acts before the first episode
             q, v = active.sensed(physics.steps(), q, v)
-            tip = tip_position(q)
+            tip = tip_position(q, self._first.parameters.entries.tip_length)
         else:
             tip = physics.tip_position()
         return collections.OrderedDict(
@@ -291,6 +333,7 @@ class TrackingTask(control.Task):
 
 
 def _whole_steps(period: float, step: float) -> int:
+    check_period(period, step)
     ratio = period / step
     if not (math.isfinite(ratio) and round(ratio) >= 1 and abs(ratio - round(ratio)) < 1e-6):
         raise OctarmError(

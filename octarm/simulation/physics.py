@@ -28,8 +28,8 @@ with warnings.catch_warnings():  # without a display, glfw complains although no
 logging.getLogger("absl").addFilter(lambda record: record.funcName != "_warning_callback")
 
 _INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION.value
-_EPISODE = ("actuation", "active", "limits", "_undisturbed", "_tau", "_received", "_disturbance",
-            "_steps", "_intact", "_diverged_at", "_all_intact")  # fmt: skip
+_EPISODE = ("actuation", "active", "limits", "_undisturbed", "_tau", "_possible", "_received",
+            "_disturbance", "_steps", "_intact", "_diverged_at", "_all_intact")  # fmt: skip
 
 
 class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
@@ -57,7 +57,7 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
         tip = model.sensor("tip_position").adr[0]
         self._state_size = mujoco.mj_stateSize(model, _INTEGRATION)
         self._tip = data.ptr.sensordata[tip : tip + 3]
-        self.actuation = GroundedActuation(self._undisturbed.width)
+        self.actuation = GroundedActuation(self._undisturbed.widths)
 
     def __getstate__(self) -> tuple[Any, dict[str, Any]]:
         return cast("Any", super().__getstate__()), self._episode()
@@ -120,11 +120,6 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
         gravity = self.model.ptr.opt.gravity
         angle = float(np.arctan2(gravity[0], -gravity[2]))
         return Plant(ArmParameters.from_model(self.model.ptr), angle)
-
-    def divergence(self) -> str:
-        """How the arm has left its limits and when, as a sentence; empty while it is intact."""
-        violation = self.limits.violation(self.q(), self.v())
-        return f"diverged at t = {self.time():.6g} s: {violation}" if violation else ""
 
     def integration_state(self) -> np.ndarray:
         """All that the next step depends on (mjSTATE_INTEGRATION), shape (k,)."""

@@ -73,12 +73,22 @@ class AnyPhysics(control.Physics):
         self._qpos, self._qvel = state("qpos").T, state("qvel").T
         self._ctrl, self._added = state("ctrl"), state("qfrc_applied").T
         self._fields = PlantFields(model, field)
-        self._timestep = float(model.opt.timestep)
-        self._undisturbed = undisturbed
+        self._describe(undisturbed, float(model.opt.timestep), rest_of(model))
+
+    def _describe(self, undisturbed: ArmParameters, timestep: float, rest: np.ndarray) -> None:
+        """Takes what is the same in every episode.
+
+        Args:
+            undisturbed: the arms' parameters, of one arm or with batch axis (n,).
+            timestep: physics step [s].
+            rest: the loaded equilibrium of an arm, shape (2N,) [m], [rad].
+        """
+        self._timestep, self._undisturbed = timestep, undisturbed
         self.coordinates = planar_coordinates(undisturbed.modules)
         self.limits = Limits.of(undisturbed)
-        self._input_limit = self._alike(model.actuator_ctrlrange[:, 1])
-        self._rest = self._alike(rest_of(model))
+        self._input_range = undisturbed.input_bounds(self.batch_shape)
+        self._limited = bool(np.isfinite(self._input_range).any())
+        self._rest = self._alike(rest)
         self._zero = np.zeros_like(self._rest)
         self._zero.setflags(write=False)
         self.exclusive = Exclusive()
@@ -96,9 +106,13 @@ class AnyPhysics(control.Physics):
     def _follow_inertias(self) -> None:
         """Makes MuJoCo's constants follow inertias that were written."""
 
-    @abc.abstractmethod
     def divergence(self) -> str:
-        """How an arm alone has left its limits and when, as a sentence; empty for a batch."""
+        """How an arm alone has left its limits and when, as a sentence; empty if it has not.
+
+        It is empty for a batch, whose arms diverge one by one, see `intact`.
+        """
+        violation = "" if self.batch_shape else self.limits.violation(self.q(), self.v())
+        return f"diverged at t = {self.time():.6g} s: {violation}" if violation else ""
 
     def q(self) -> np.ndarray:
         """Generalised coordinates, shape (..., 2N) [m], [rad]."""
@@ -124,9 +138,10 @@ class AnyPhysics(control.Physics):
         """Generalised force that was added, mean over the last `step`, shape (..., 2N)."""
         return self._disturbance.copy(order="K")
 
-    def input_limit(self) -> np.ndarray:
-        """Bound on the absolute input forces tau, shape (..., 2N) [N]."""
-        return self._input_limit.copy(order="K")
+    def input_range(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lowest and the highest input forces, each of shape (..., 2N) [N]."""
+        low, high = self._input_range
+        return low.copy(order="K"), high.copy(order="K")
 
     def hanging(self) -> np.ndarray:
         """The loaded equilibrium of the undisturbed arms, shape (..., 2N) [m], [rad]."""
@@ -169,6 +184,7 @@ class AnyPhysics(control.Physics):
         """Holds the input forces tau, shape (..., 2N) [N], until the next call."""
         with self.exclusive:
             self._tau = np.array(control, dtype=np.float64)
+            self._possible = self._within_range(self._tau)
 
     @contextlib.contextmanager
     def reset_context(self) -> Generator[AnyPhysics]:
@@ -193,14 +209,14 @@ class AnyPhysics(control.Physics):
             self._all_intact = False
 
     def step(self, n_sub_steps: int = 1) -> None:
-        """Advances by physics steps under Q = F(q) tau, q being the true coordinates.
+        """Advances by physics steps under Q = F(q) tau, q being the true coordinates at any time.
 
         An arm stops at its first state outside the limits. It ends early when no arm is left.
         """
         self._disturbance = self._zero
-        q = self.q()
+        q, v = self.q(), self.v()
         for _ in range(n_sub_steps):
-            self._receive(q, n_sub_steps)
+            self._receive(q, v, n_sub_steps)
             self._advance()
             self._steps += 1
             q, v = self.q(), self.v()
@@ -212,20 +228,31 @@ class AnyPhysics(control.Physics):
             if self.all_lost():
                 return
 
-    def _receive(self, q: np.ndarray, nstep: int) -> None:
-        """What acts during the next physics step, q being the coordinates at its start."""
-        self._received, active = self._tau, self.active
+    def _receive(self, q: np.ndarray, v: np.ndarray, nstep: int) -> None:
+        """What acts during the next physics step; q and v are those at its start."""
+        received, active = self._possible, self.active
         if active is not None:
             self._change(active)
-            self._received = active.received(self._steps, self._tau)
+            if active.actuators:
+                received = self._within_range(active.received(self._steps, received))
             if active.forces:
-                force = active.force(self._steps, q)
+                # It is held over the step. Taken at the start, it would be late by half a step:
+                # of first order, and a spring would feed the arm energy. So it is of second order.
+                force = active.force(self._steps, q + (0.5 * self._timestep) * v)
                 self._added[self._qvel_index] = force.T
                 mean = force / nstep
                 if not self._all_intact:
                     mean = np.where(self._intact[..., None], mean, 0.0)
                 self._disturbance = self._disturbance + mean
-        self._ctrl[...] = self.actuation.tendon_forces(q, self._received)
+        self._received = received
+        self._ctrl[...] = self.actuation.ctrl(received)
+
+    def _within_range(self, tau: np.ndarray) -> np.ndarray:
+        """What the actuators can give of the input forces tau, shape (..., 2N) [N]."""
+        if not self._limited:
+            return tau
+        low, high = self._input_range
+        return np.minimum(np.maximum(tau, low), high)
 
     def _change(self, active: ActiveDisturbances) -> None:
         """Lets the plants follow their disturbances."""
@@ -243,7 +270,7 @@ class AnyPhysics(control.Physics):
         if self.active is not None and self.active.plant_changes:
             self._write(Plant(self._undisturbed))
         self.active = None
-        self._tau = self._received = self._disturbance = self._zero
+        self._tau = self._possible = self._received = self._disturbance = self._zero
         self._steps = 0
         self._intact = np.ones(self.batch_shape, dtype=bool)
         self._diverged_at = np.full(self.batch_shape, np.nan)

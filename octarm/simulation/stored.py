@@ -28,6 +28,7 @@ def read_arrays(path: str | os.PathLike[str], *, mapped: bool = False) -> dict[s
             further kinds on damaged bytes.
     """
     arrays: dict[str, np.ndarray] = {}
+    whole: np.ndarray | None = None
     with (
         open(path, "rb") as file,
         zipfile.ZipFile(file) as content,
@@ -43,8 +44,11 @@ def read_arrays(path: str | os.PathLike[str], *, mapped: bool = False) -> dict[s
                 begin = file.tell()  # of the member, if it is not compressed
                 shape, order, kind = _header(name, stream, member.file_size)
                 if mapped and not member.compress_type and kind == NUMBER and math.prod(shape):
+                    if whole is None:  # one mapping for all: each one keeps a file open
+                        whole = np.asarray(np.memmap(path, np.uint8, "r"))
                     place = begin + stream.tell()
-                    array = np.asarray(np.memmap(path, kind, "r", place, shape, order))
+                    values = whole[place : place + kind.itemsize * math.prod(shape)].view(kind)
+                    array = values.reshape(shape, order=order)
                 else:
                     array = np.frombuffer(stream.read(), kind).reshape(shape, order=order)
             arrays[name] = array

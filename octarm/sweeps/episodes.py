@@ -75,6 +75,8 @@ class FinishedSweep:
             timestep=spec.timestep,
             control_period=spec.control_period,
             actuation=spec.actuation,
+            integrator=spec.integrator,
+            engine=spec.engine,
         )
 
     def begin(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import collections
 import contextlib
 import dataclasses
-import itertools
 import time
 from collections.abc import Callable
 from concurrent.futures import (
@@ -24,18 +23,23 @@ import pyarrow as pa
 from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory, Instant
+from octarm.memory import check_batch
 from octarm.runs import folder as runs
 from octarm.simulation.environment import whole_periods
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.progress import Note, Notes
 from octarm.sweeps.shards import begin, run_arms, run_shard
 from octarm.sweeps.spec import SweepSpec
+from octarm.sweeps.steps import with_step
 from octarm.sweeps.store import PROGRESS, SweepFolder, shard_bytes
-from octarm.sweeps.workers import WorkerProcesses, cores
+from octarm.sweeps.workers import WorkerProcesses, WorkersError, check_not_beginning, cores
 
 _TRIES = 4  # of a shard whose worker dies
 _GLANCE = 1.0  # [s]; after so long it looks how far the shards are, and at the number of workers
-_MENDABLE = (OctarmError, OSError, MemoryError, BrokenExecutor, CancelledError)  # others are bugs
+# Others are bugs.
+_MENDABLE = (
+    OctarmError, OSError, MemoryError, ModuleNotFoundError, BrokenExecutor, CancelledError,
+)  # fmt: skip
 _FAILURES = 3  # shards that may fail before no new one is begun
 _MEASURED, _WARM = 60, 10  # control periods that an estimate runs, and those of them not counted
 
@@ -64,7 +68,8 @@ def sweep(
             able to import it.
         out: folder of the sweep.
         executor: that runs the shards; processes on all cores when not given.
-        in_flight: number of shards that it is given at a time; one a core when not given.
+        in_flight: number of shards that it is given at a time, 0 when it has nobody to run them;
+            one a core when not given.
         resume: whether a sweep that was begun in the folder goes on.
         progress: called with the number of episodes that have just been finished, first with that
             of those that were already there.
@@ -82,21 +87,31 @@ def sweep(
         KeyboardInterrupt: if interrupted, when the shards at work are finished; at once if
             interrupted again. It says what is there.
     """
+    check_not_beginning()
+    Plan(spec).check_size()
+    spec = with_step(spec)
     plan = Plan(spec)
     folder = SweepFolder(Path(out), plan)
     folder.check(resume=resume)
-    gains = rehearse(plan, factory)
-    with folder.locked():
-        for change in folder.begin(gains):
-            say(change)
-        done = set(folder.finished())
-        progress(sum(len(plan.shards[i]) for i in done))
-        todo = [i for i in range(len(plan.shards)) if i not in done]
-        # Processes are started one by one, when there is a call for them.
-        pool = executor or WorkerProcesses(max(1, min(cores(), len(todo))))
-        owned = contextlib.nullcontext() if executor else pool
-        with owned, Notes(folder.path / PROGRESS) as notes:
-            run = _Run(plan, factory, folder, notes, pool, progress, partial, say, todo)
+    with contextlib.ExitStack() as workers:
+        if executor is None:
+            # Processes are started one by one, when there is a call for them.
+            pool = WorkerProcesses(max(1, min(cores(), len(plan.shards))))
+            executor = workers.enter_context(pool)
+        tried = isinstance(executor, WorkerProcesses) and not resume
+        begun = executor.submit(callable, factory) if tried else None
+        gains = rehearse(plan, factory)
+        # Known before there is a folder, which a script that was mended would find.
+        failure = begun.exception() if begun is not None else None
+        if isinstance(failure, WorkersError):
+            raise failure.with_traceback(None)
+        with folder.locked(), workers.pop_all(), Notes(folder.path / PROGRESS) as notes:
+            for change in folder.begin(gains):
+                say(change)
+            done = set(folder.finished())
+            progress(sum(len(plan.shards[i]) for i in done))
+            todo = [i for i in range(len(plan.shards)) if i not in done]
+            run = _Run(plan, factory, folder, notes, executor, progress, partial, say, todo)
             run.go(in_flight if callable(in_flight) else in_flight or cores())
     run.report()
     return folder.path
@@ -124,9 +139,13 @@ class _Run:
 
     def go(self, limit: int | Callable[[], int]) -> None:
         """Runs them, so many at a time."""
+        useful = 1
         while self._at_work or (self.pending and not self._stopping):
             try:
-                self._begin(limit() if callable(limit) else limit)
+                useful = self._useful(limit)
+                if self._interrupted and not useful:
+                    return
+                self._begin(max(1, useful))
                 for future in wait(self._at_work, _GLANCE, FIRST_COMPLETED).done:
                     self._take(self._at_work[future], future)
                     del self._at_work[future]
@@ -134,11 +153,18 @@ class _Run:
                 shards = self._at_work.values()
                 self.partial(sum(self.notes.share(i) * len(self.plan.shards[i]) for i in shards))
             except KeyboardInterrupt:
-                if self._interrupted:
+                if self._interrupted or not useful:
                     raise KeyboardInterrupt(self._left()) from None
                 self._interrupted = True
                 n = len(self._at_work)
                 self.say(f"finishing the {n} shards that are at work; Ctrl-C again stops at once")
+
+    def _useful(self, limit: int | Callable[[], int]) -> int:
+        """How many shards there is use for; says what is left if there never will be."""
+        try:
+            return limit() if callable(limit) else limit
+        except OctarmError as error:
+            raise OctarmError(f"{error}; {self._left()}") from error
 
     def report(self) -> None:
         """Raises the error that the run ended with, if it did."""
@@ -177,10 +203,13 @@ class _Run:
         except (BrokenExecutor, CancelledError) as error:
             self._tries[shard] += 1
             if self._tries[shard] < _TRIES:
-                self.say(f"a worker died; shard {shard} is run again")
+                if isinstance(error, BrokenExecutor):  # or a cluster is lost, as it says itself
+                    self.say(f"a worker died; shard {shard} is run again")
                 self.pending.append(shard)
             else:
                 self._failed[shard] = error
+        except WorkersError:
+            raise
         except Exception as error:
             self._failed[shard] = error
         else:
@@ -196,6 +225,7 @@ def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
         The gains of each controller for the nominal arm, ready for JSON.
     """
     nominal = nominal_parameters()
+    check_batch(len(plan.shards[0]), nominal.modules)  # no shard is larger by more than one arm
     gains: dict[str, object] = {
         name: runs.gains_of(plan.spec.controller(name, nominal, factory))
         for name in plan.spec.controllers
@@ -203,6 +233,7 @@ def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
     for episodes in plan.probes():
         arms = plan.arms(episodes)
         environment, _ = begin(plan.spec, arms, factory)
+        whole_periods(plan.spec.duration, environment.control_timestep())
         run_arms(plan, arms, factory, duration=environment.control_timestep())
     return gains
 
@@ -227,10 +258,12 @@ class Forecast(NamedTuple):
 
 def estimate(spec: SweepSpec, factory: ControllerFactory) -> Forecast:
     """Measures a few control periods of a shard of each controller; writes nothing."""
+    spec = with_step(spec, probes=True)
     plan = Plan(spec)
     rehearse(plan, factory)
-    by_controller = itertools.groupby(plan.shards, lambda s: plan.arms(s[:1]).controller)
-    parts = [_estimate(plan, [*shards], factory) for _, shards in by_controller]
+    controllers = len(spec.controllers)  # the slowest axis
+    each = len(plan.shards) // controllers
+    parts = [_estimate(plan, i * each, each, factory) for i in range(controllers)]
     return Forecast(
         episodes=plan.episodes,
         periods=parts[0].periods,
@@ -240,9 +273,9 @@ def estimate(spec: SweepSpec, factory: ControllerFactory) -> Forecast:
     )
 
 
-def _estimate(plan: Plan, shards: list[range], factory: ControllerFactory) -> Forecast:
-    """What the shards of one controller take, by the first control periods of the first one."""
-    arms, instants = plan.arms(shards[0]), list[float]()
+def _estimate(plan: Plan, first: int, count: int, factory: ControllerFactory) -> Forecast:
+    """What so many shards of one controller take, by the first control periods of the first."""
+    arms, instants = plan.arms(plan.shards[first]), list[float]()
     period = begin(plan.spec, arms, factory)[0].control_timestep()
     periods = whole_periods(plan.spec.duration, period)
 
@@ -256,11 +289,11 @@ def _estimate(plan: Plan, shards: list[range], factory: ControllerFactory) -> Fo
     rate = (warm[-1] - warm[0]) / max(1, len(warm) - 1)
     once = max(0.0, elapsed - len(instants) * rate)  # a shard, before and after its periods
     empty = len(shard_bytes(table.slice(0, 0)))
-    episodes = sum(map(len, shards))
+    episodes, measured = plan.episodes // len(plan.spec.controllers), len(arms.seeds)
     return Forecast(
         episodes=episodes,
         periods=periods,
-        shards=len(shards),
-        seconds=once * len(shards) + rate * periods / len(shards[0]) * episodes,
-        size=int(empty * len(shards) + table.nbytes / len(shards[0]) * episodes),
+        shards=count,
+        seconds=once * count + rate * periods / measured * episodes,
+        size=int(empty * count + table.nbytes / measured * episodes),
     )

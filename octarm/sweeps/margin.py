@@ -23,6 +23,8 @@ from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_disturbance
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Controller, ControllerFactory
+from octarm.memory import check_batch
+from octarm.simulation.engines import usual_engine
 from octarm.simulation.environment import load
 from octarm.sweeps.progress import arm_seconds
 from octarm.sweeps.shards import measure
@@ -261,8 +263,9 @@ class MarginRuns:
         mismatch: of the controller's nominal model [1].
         reference: name of the desired motion.
         duration: of a run [s].
-        timestep: physics step [s]; that of models/octarm.xml when None.
+        timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
         control_period: time between control actions [s]; one physics step when None.
+        engine: that steps the arms; `lagrange` where it is installed, when not given.
         seed: of all that is random.
         threads: that step a batch.
         progress: called with the seconds that were simulated since the last call, all arms counted.
@@ -275,15 +278,24 @@ class MarginRuns:
     mismatch: float = 0.0
     reference: str = "sine"
     duration: float = 6.0
-    timestep: float | None = None
+    timestep: float | str | None = None
     control_period: float | None = None
+    engine: str = dataclasses.field(default_factory=usual_engine)
     seed: int = 0
     threads: int = 1
     progress: Callable[[float], object] = lambda seconds: None
 
-    def rehearse(self) -> None:
-        """Tries the ends of the range for one control period; raises OctarmError if they fail."""
-        environment, controller = self._begin(np.zeros(2, dtype=int), np.array([0.0, 1.0]))
+    def rehearse(self, seeds: int = 1) -> MarginRuns:
+        """The same runs, for which a physics step `auto` has become a number.
+
+        The step is one that suits both ends of the range, for so many seeds.
+
+        Raises:
+            OctarmError: if a control period at both ends fails.
+        """
+        ends = np.array([0.0, 1.0])
+        check_batch(9 * seeds, nominal_parameters().modules)  # on the coarse grid
+        environment, controller = self._begin(np.repeat(np.arange(seeds), 2), np.tile(ends, seeds))
         known = measure(environment, controller, environment.control_timestep()).metrics
         for metric, _ in self.bounds:
             if metric not in known:
@@ -291,6 +303,10 @@ class MarginRuns:
                 alike = [name for name in known if name.startswith(stem)]
                 meant = closest(metric, alike or known)
                 raise OctarmError(f"there is no measure {quoted(metric)} of such a run{meant}")
+        if not isinstance(self.timestep, str):
+            return self
+        step, period = environment.physics.timestep(), environment.control_timestep()
+        return dataclasses.replace(self, timestep=step, control_period=period)
 
     def __call__(self, seeds: np.ndarray, shares: np.ndarray) -> Attempt:
         """The runs of these seeds at these shares of the way, both of shape (n,).
@@ -323,6 +339,7 @@ class MarginRuns:
             timestep=self.timestep,
             control_period=self.control_period,
             threads=self.threads,
+            engine=self.engine,
         )
         mismatch = values if self.varied.name == NOMINAL else self.mismatch
         return environment, self.factory(nominal_parameters().mismatched(mismatch))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-import itertools
-from typing import Any
+import math
+from collections.abc import Sequence
+from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,11 @@ from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.fields import Amount, Quantity, field_kinds
 from octarm.disturbances.streams import stream
 from octarm.errors import OctarmError
+from octarm.memory import check_memory
 from octarm.sweeps.spec import SweepSpec, class_of
+
+_MOST_EPISODES = 10**15
+_MOST_SHARDS = 100_000
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,6 +44,37 @@ class Arms:
     seeds: list[np.random.SeedSequence]
 
 
+@dataclasses.dataclass(frozen=True)
+class Shards(Sequence[range]):
+    """The episodes of each shard, computed when they are asked for.
+
+    Attributes:
+        groups: number of runs of episodes that do not share a batch.
+        episodes: in a group.
+        pieces: shards of a group, as equal as they can be.
+    """
+
+    groups: int
+    episodes: int
+    pieces: int
+
+    def __len__(self) -> int:
+        return self.groups * self.pieces
+
+    @overload
+    def __getitem__(self, index: int) -> range: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[range]: ...
+    def __getitem__(self, index: int | slice) -> range | Sequence[range]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        if not -len(self) <= index < len(self):
+            raise IndexError(index)
+        group, piece = divmod(index % len(self), self.pieces)
+        begin, end = (self.episodes * i // self.pieces for i in (piece, piece + 1))
+        return range(group * self.episodes + begin, group * self.episodes + end)
+
+
 class Plan:
     """Numbers for episodes and shards.
 
@@ -56,20 +91,28 @@ class Plan:
         """The plan of a sweep."""
         self.spec = spec
         self._shape = (*(len(axis.values) for axis in spec.axes), spec.episodes)
-        apart = int(np.prod([len(axis.values) for axis in spec.axes if axis.words], dtype=object))
+        if self.episodes > _MOST_EPISODES:
+            raise OctarmError(
+                f"the sweep has {self.episodes} episodes; it must be at most {_MOST_EPISODES}, "
+                "so that their numbers are exact"
+            )
+        apart = math.prod(len(axis.values) for axis in spec.axes if axis.words)
         together = self.episodes // apart  # axes of words come first
-        pieces = -(-together // spec.batch)
-        cuts = [together * i // pieces for i in range(pieces + 1)]
-        self.shards = [
-            range(group * together + begin, group * together + end)
-            for group in range(apart)
-            for begin, end in itertools.pairwise(cuts)
-        ]
+        self.shards: Sequence[range] = Shards(apart, together, -(-together // spec.batch))
+        self._known, self._draws = 0, dict[str, np.ndarray]()
 
     @property
     def episodes(self) -> int:
         """Number of episodes."""
-        return int(np.prod(self._shape, dtype=object))
+        return math.prod(self._shape)
+
+    def check_size(self) -> None:
+        """Raises OctarmError for a sweep of more shards than a manifest should list."""
+        if len(self.shards) > _MOST_SHARDS:
+            raise OctarmError(
+                f"the sweep has {len(self.shards)} shards; it must have at most {_MOST_SHARDS}, "
+                "which its manifest lists one by one: choose a larger batch, or several sweeps"
+            )
 
     def seeds(self, episodes: np.ndarray) -> np.ndarray:
         """Which of the seeds 0, 1, ... episodes have, shape (n,)."""
@@ -83,7 +126,8 @@ class Plan:
             for axis, place in zip(self.spec.axes, places, strict=False)
         }
         seeds = self.seeds(episodes)
-        return gridded | {name: drawn[seeds] for name, drawn in self._drawn.items()}
+        drawn = self._drawn(int(seeds.max()) + 1) if self.spec.random else {}
+        return gridded | {name: column[seeds] for name, column in drawn.items()}
 
     def arms(self, episodes: npt.ArrayLike) -> Arms:
         """Episodes of one shard, given by their numbers, shape (n,)."""
@@ -139,27 +183,33 @@ class Plan:
                 fields[axis.disturbance][axis.field] = value[:, None] if spread else value
         return tuple(class_of(name)(**given) for name, given in fields.items())
 
-    @functools.cached_property
-    def _drawn(self) -> dict[str, np.ndarray]:
-        """The values of the random axes for all seeds.
+    def _drawn(self, seeds: int) -> dict[str, np.ndarray]:
+        """The values of the random axes for at least so many seeds, the first ones.
 
         Those of a seed do not depend on the number of seeds.
         """
+        if seeds > self._known:
+            self._known = min(self.spec.episodes, 1 << (seeds - 1).bit_length())
+            self._draws = self._draw(self._known)
+        return self._draws
+
+    def _draw(self, count: int) -> dict[str, np.ndarray]:
         spec = self.spec
+        check_memory(2.0 * 8.0 * count * len(spec.random), f"{count} seeds of what is drawn")
         sobol = [axis for axis in spec.random if axis.method == "sobol"]
         spread = np.empty(0)
         if sobol:
             from scipy.stats import qmc  # takes half a second to import
 
             points = qmc.Sobol(len(sobol), scramble=False)
-            spread = points.random_base2((spec.episodes - 1).bit_length())
+            spread = points.random_base2((count - 1).bit_length())
         drawn: dict[str, np.ndarray] = {}
         for axis in spec.random:
             draw = stream(np.random.SeedSequence(spec.seed), f"axis {axis.name}")
             if axis.method == "sobol":  # turned as a whole: every seed of the sweep has its own
-                share = (spread[: spec.episodes, sobol.index(axis)] + draw.random()) % 1.0
+                share = (spread[:count, sobol.index(axis)] + draw.random()) % 1.0
             else:
-                share = draw.random(spec.episodes)
+                share = draw.random(count)
             low, high = map(float, axis.values)
             drawn[axis.name] = np.minimum(low + share * (high - low), high)
         return drawn

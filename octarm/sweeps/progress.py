@@ -79,7 +79,8 @@ def arm_seconds(
 
     In the end it reports what was not needed since all arms diverged.
     """
-    period, arms, left = environment.control_timestep(), environment.physics.arms, duration
+    period, left = environment.control_timestep(), duration
+    (arms,) = environment.physics.batch_shape
 
     def observe(_: Instant) -> None:
         nonlocal left

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import time
 from collections.abc import Callable
@@ -18,10 +19,11 @@ from octarm.metrics.table import METRICS, Column, Metrics, columns
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.folder import gains_of
 from octarm.runs.versions import host, versions
-from octarm.simulation.batch import BatchPhysics
+from octarm.simulation.engines import LAGRANGE, MUJOCO
 from octarm.simulation.environment import AnyPhysics, load, whole_periods
 from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
+from octarm.sweeps.engine_check import COLUMN, TipPaths, checked_episodes
 from octarm.sweeps.plan import Arms, Plan
 from octarm.sweeps.spec import SweepSpec
 
@@ -35,15 +37,43 @@ def run_shard(
 ) -> pa.Table:
     """The rows of a shard; they depend on nothing else.
 
-    The metadata of the table's schema say where they were made, `host` and `versions`, and with
+    Some episodes of the analytic arm are run again on MuJoCo, see `octarm.sweeps.engine_check`. The
+    metadata of the table's schema say where the rows were made, `host` and `versions`, and with
     which `gains` for the nominal arm.
     """
     plan = Plan(spec)
     arms = plan.arms(plan.shards[shard])
-    table = run_arms(plan, arms, factory, *observers)
+    again = np.intersect1d(arms.episodes, checked_episodes(plan))
+    if again.size:
+        table = _checked_rows(plan, arms, again, factory, *observers)
+    else:
+        table = run_arms(plan, arms, factory, *observers)
     controller = spec.controller(arms.controller, nominal_parameters(), factory)
-    origin = {"host": host(), "versions": versions(), "gains": gains_of(controller)}
+    origin = {
+        "host": host(),
+        "versions": versions(spec.engine),
+        "gains": gains_of(controller),
+    }
     return table.replace_schema_metadata({k: json.dumps(v) for k, v in origin.items()})
+
+
+def _checked_rows(
+    plan: Plan, arms: Arms, again: np.ndarray, factory: ControllerFactory, *observers: Observe
+) -> pa.Table:
+    """The rows of arms, some of which, shape (k,), are run on MuJoCo as well."""
+    spec = dataclasses.replace(plan.spec, engine=MUJOCO)
+    environment, controller = begin(spec, plan.arms(again), factory)
+    places = np.searchsorted(arms.episodes, again)
+    periods = whole_periods(spec.duration, environment.control_timestep())
+    paths, others = TipPaths(places, periods), TipPaths(np.arange(len(again)), periods)
+    table = run_arms(plan, arms, factory, *observers, paths)
+    simulate(environment, controller, spec.duration, others)
+    lost = table["diverged_at"].to_numpy()[places]
+    column = np.full(len(table), np.nan)
+    column[places] = paths.difference(others, lost, environment.physics.diverged_at())
+    at = table.schema.get_field_index(COLUMN)
+    field = table.schema.field(at)
+    return table.set_column(at, field, _column(column, field.type, len(table)))
 
 
 def run_arms(
@@ -100,6 +130,8 @@ def begin(
         timestep=spec.timestep,
         control_period=spec.control_period,
         actuation=spec.actuation,
+        integrator=spec.integrator,
+        engine=spec.engine,
     )
     nominal = nominal_parameters().mismatched(arms.mismatch)
     return environment, spec.controller(arms.controller, nominal, factory)
@@ -140,8 +172,8 @@ class Observer:
     def __call__(self, instant: Instant) -> None:
         """Takes a control instant."""
         if self._measured is None:
-            limit, layer = self._physics.input_limit(), instant.command.layer
-            metrics = Metrics(control_period=self._period, input_limit=limit, layer=layer)
+            bounds, layer = self._physics.input_range(), instant.command.layer
+            metrics = Metrics(control_period=self._period, input_range=bounds, layer=layer)
             # Without a cycle of references, so that the arms' memory is free when the run is over.
             self._measured = metrics, Recorder(metrics.update, fields=METRICS.fields)
         self._digest(instant)
@@ -153,7 +185,7 @@ class Observer:
         metrics, recorder = self._measured
         recorder.flush()
         physics, batch = self._physics, self._physics.batch_shape
-        if isinstance(physics, BatchPhysics):
+        if batch:
             diverged_at = physics.diverged_at()
         else:
             end = physics.steps() * physics.timestep()
@@ -207,6 +239,8 @@ def schema(spec: SweepSpec) -> pa.Schema:
             fields.append(pa.field(axis.name, word if axis.words else number))
     for column in _metric_columns():
         fields.append(pa.field(column.name, number, metadata=column.metadata))
+    if spec.engine == LAGRANGE:
+        fields.append(pa.field(COLUMN, number, metadata={"unit": "m"}))
     fields += [
         pa.field("wall_time", number, metadata={"unit": "s"}),
         pa.field("digest", pa.uint64()),

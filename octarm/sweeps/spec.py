@@ -15,6 +15,7 @@ from octarm.disturbances.fields import field_keys
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.formats import to_toml
 from octarm.interfaces import Controller, ControllerFactory
+from octarm.simulation.engines import MUJOCO
 
 Value = float | str
 
@@ -59,7 +60,10 @@ class Axis:
         return isinstance(self.values[0], str)
 
 
-SETTINGS = ("seed", "episodes", "duration", "timestep", "control_period", "actuation", "batch")
+SETTINGS = (
+    "seed", "episodes", "duration", "timestep", "control_period", "actuation", "integrator",
+    "engine", "batch",
+)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -72,10 +76,12 @@ class SweepSpec:
         seed: of all that is random.
         episodes: seeds in each cell of the grid.
         duration: of an episode [s].
-        timestep: physics step [s]; that of models/octarm.xml when None.
+        timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
         control_period: time between control actions [s]; one physics step when None.
         actuation: see `octarm.arm.actuation`.
+        engine: that steps the arms, see `octarm.simulation.engines`.
         batch: largest number of arms that are stepped together.
+        integrator: see `octarm.load`.
         fixed: fields of disturbances that are the same in all episodes, by disturbance.
         gain_sets: `tuned` or `recommended`, by controller; tuned gains where there are any, else
             recommended ones, for the others.
@@ -89,10 +95,12 @@ class SweepSpec:
     seed: int = 0
     episodes: int = 1
     duration: float = 10.0
-    timestep: float | None = None
+    timestep: float | str | None = None
     control_period: float | None = None
     actuation: str = "f-coeff"
+    engine: str = MUJOCO
     batch: int = 1024
+    integrator: str = "rk4"
     fixed: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
     gain_sets: Mapping[str, str] = dataclasses.field(default_factory=dict[str, str])
     gains: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
@@ -103,6 +111,11 @@ class SweepSpec:
     def controllers(self) -> tuple[str, ...]:
         """Names of the controllers."""
         return tuple(str(v) for a in self.axes if a.name == "controller" for v in a.values)
+
+    @property
+    def references(self) -> tuple[str, ...]:
+        """Names of the desired motions."""
+        return tuple(str(v) for a in self.axes if a.name == "reference" for v in a.values)
 
     @property
     def disturbances(self) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
 """A sweep's TOML file, checked word by word before anything happens.
 
-At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep`, `control_period`
-[s], `actuation`, `batch` and `gain_set`, and `controller`, `reference` and `mismatch` where they
-have one value. The tables are:
+At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep` (or `"auto"`),
+`control_period` [s], `actuation`, `integrator`, `engine`, `batch` and `gain_set`, and `controller`,
+`reference` and `mismatch` where they have one value. The tables are:
 
 - `[grid]`: `controller`, `reference` and `mismatch` as lists;
 - `[grid.disturbance]`: lists of values of disturbances, spelt as on the command line: `noise` for
@@ -33,11 +33,14 @@ from pydantic import AfterValidator, Field, FiniteFloat
 
 from octarm.arm.actuation import ACTUATIONS
 from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.modes import INTEGRATORS
 from octarm.disturbances.fields import Words, field_defaults, field_keys, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError, OctarmError, closest, quoted
 from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
+from octarm.simulation.engines import ENGINES, MUJOCO
+from octarm.simulation.steps import AUTO
 from octarm.sweeps.spec import SETTINGS, Axis, SweepSpec, class_of, which
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
@@ -55,10 +58,17 @@ def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
+def _step(value: float | str) -> float | str:
+    if value != AUTO and not (isinstance(value, float) and 1e-7 <= value <= 0.1):
+        raise ValueError(f"{spelt(AUTO)}, or a number from 1e-07 to 0.1")
+    return value
+
+
 Distinct = AfterValidator(_distinct)
 Reference = Annotated[str, one_of(REFERENCES)]
 Mismatch = Annotated[float, Field(gt=-1.0, le=1e6)]
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
+Step = Annotated[float | str, AfterValidator(_step)]
 Number = Annotated[float, pydantic.AllowInfNan(True)]
 Gain = float | list[float]
 
@@ -109,13 +119,15 @@ class Record(Model):
 class SpecFile(Model):
     """The whole file; fields of disturbances are read in `_fields`."""
 
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
     episodes: Annotated[int, Field(ge=1)] = 1
     duration: Positive = 10.0
-    timestep: Positive | None = None
-    control_period: Positive | None = None
+    timestep: Step | None = None
+    control_period: Annotated[FiniteFloat, Field(gt=0.0, le=10.0)] | None = None
     actuation: Annotated[str, one_of(ACTUATIONS)] = "f-coeff"
+    engine: Annotated[str, one_of(ENGINES)] = MUJOCO
     batch: Annotated[int, Field(ge=1)] = 1024
+    integrator: Annotated[str, one_of(INTEGRATORS)] = "rk4"
     controller: str | None = None
     reference: Reference | None = None
     mismatch: Mismatch | None = None

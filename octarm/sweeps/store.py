@@ -163,7 +163,11 @@ class SweepFolder:
             Which versions have changed since it was begun, a sentence each.
         """
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        start: dict[str, Any] = {"time": now, "versions": versions(), "host": host()}
+        start: dict[str, Any] = {
+            "time": now,
+            "versions": versions(self._plan.spec.engine),
+            "host": host(),
+        }
         if (self.path / MANIFEST).exists():
             self._manifest = read_manifest(self.path)
             for name, values in gains.items():

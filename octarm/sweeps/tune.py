@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,6 +32,7 @@ from octarm.runs import versions as origin
 from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, Examination, costs
 
 _PACKAGES = ("python", "octarm", "mujoco", "dm-control", "numpy", "scipy")
+_LARGEST = 1e8  # [s] of simulated time
 
 
 class Unknown(NamedTuple):
@@ -135,10 +135,10 @@ class Budget:
     def within(cls, seconds: float) -> Budget:
         """As many generations as the search may simulate in so many seconds [s], at least one."""
         generation = cls(generations=1).search_seconds
-        if not generation <= seconds < math.inf:
+        if not generation <= seconds <= _LARGEST:
             raise OctarmError(
                 f"budget is {seconds:g} s; it must be at least {generation:g} s, one generation, "
-                "and finite"
+                f"and finite, at most {_LARGEST:g} s"
             )
         return cls(generations=int(seconds // generation))
 
@@ -197,6 +197,7 @@ def tune(
     state: SearchState | None = None,
     keep: Callable[[SearchState], object] = lambda state: None,
     progress: Callable[[float], object] = lambda seconds: None,
+    engine: str | None = None,
 ) -> Tuned:
     """Searches gains; the same bits for the same arguments, wherever it went on from.
 
@@ -208,6 +209,7 @@ def tune(
         state: where an earlier search stopped; the beginning when not given.
         keep: called with the state after every generation.
         progress: called with simulated seconds as they pass, see `tune_cost.costs`.
+        engine: that steps the arms, see `tune_cost.costs`.
 
     Raises:
         OctarmError: if the controller cannot be made, or has no gain that can be tuned.
@@ -220,7 +222,7 @@ def tune(
         return factory(nominal, {**fixed, **gains})
 
     def tried(examination: Examination, candidates: np.ndarray) -> np.ndarray:
-        return costs(examination, make, space.turned(candidates), progress)
+        return costs(examination, make, space.turned(candidates), progress, engine)
 
     def cost(candidates: np.ndarray) -> np.ndarray:
         return tried(budget.short, candidates).mean(axis=1)
@@ -337,11 +339,14 @@ class StateFile:
         return SearchState(content.generation, population, costs)
 
 
-def settings(controller: str, space: Space, budget: Budget, seed: int) -> dict[str, Any]:
+def settings(
+    controller: str, space: Space, budget: Budget, seed: int, engine: str
+) -> dict[str, Any]:
     """All that a search depends on, ready for JSON."""
     return {
         "controller": controller,
         "seed": seed,
+        "engine": engine,
         "budget": dataclasses.asdict(budget),
         "gains": {name: gain.tolist() for name, gain in space.gains.items()},
         "range": [knob._asdict() for knob in space.knobs],

@@ -20,7 +20,7 @@ Why it is what it is:
   references. The true arm is the nominal one.
 - The measurement begins after 1 s, when the start from rest is over, and lasts one period of the
   sine. What drifts slowly does not show in that time: see `LONG`.
-- No controller gets more force than the actuators' range has: what it asks for beyond is cut off.
+- No controller gets more force than the arm's input range has: what it asks for beyond is cut off.
 
 The noise comes from seeds of its own, which no run and no sweep has, and every candidate meets the
 same noise.
@@ -35,19 +35,19 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from octarm.arm.lagrange import equilibrium
-from octarm.arm.mjcf import nominal_parameters, template_model
+from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import split
-from octarm.disturbances.actuators import Saturation
 from octarm.disturbances.forces import BandLimitedNoise
 from octarm.interfaces import ControllerFactory, Instant, Motion, Reference
 from octarm.metrics.chattering import Chattering
 from octarm.metrics.metric import Settings
 from octarm.metrics.tracking import TrackingError
 from octarm.references import named_reference
-from octarm.simulation.batch import BatchPhysics
+from octarm.simulation.engines import usual_engine
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import simulate
+from octarm.simulation.stepping import AnyPhysics
 from octarm.sweeps.progress import arm_seconds
 
 SLIDE_SCALE = 0.0175  # A [m]
@@ -131,6 +131,7 @@ def costs(
     factory: ControllerFactory,
     candidates: Mapping[str, np.ndarray],
     progress: Callable[[float], object] = lambda seconds: None,
+    engine: str | None = None,
 ) -> np.ndarray:
     """The cost of each candidate in each scenario, shape (n, scenarios) [1]; J is its mean.
 
@@ -143,6 +144,7 @@ def costs(
         candidates: gains with a row for each of them, shapes (n, 1) or (n, 2N).
         progress: called with the seconds that have been simulated since the last call, all arms
             counted.
+        engine: that steps the arms; `lagrange` where it is installed, when not given.
     """
     n, scenarios = len(next(iter(candidates.values()))), examination.scenarios
 
@@ -157,10 +159,10 @@ def costs(
         EachItsOwn(motions, each([names.index(s.reference) for s in scenarios])),
         disturbances=[
             BandLimitedNoise(ratio=each([s.noise for s in scenarios])[:, None]),
-            Saturation(limit=template_model().actuator_ctrlrange[:, 1]),
         ],
         batch=n * len(scenarios),
         seed=examination.seeds() * n,
+        engine=usual_engine() if engine is None else engine,
     )
     nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
     gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}
@@ -189,14 +191,14 @@ class EachItsOwn:
 
     def __call__(self, t: float) -> Reference:
         """What the arms shall do at time t [s], shapes (n, 2N)."""
-        parts = zip(*(motion(t) for motion in self.motions), strict=True)
-        return Reference(*(np.stack(rows, axis=-1).take(self.choice, -1).T for rows in parts))
+        few = np.array([motion(t) for motion in self.motions])  # motion, part, coordinate
+        return Reference(*few.transpose(1, 2, 0).take(self.choice, -1).transpose(0, 2, 1))
 
 
 class _Observer:
     """Measures the arms while they run."""
 
-    def __init__(self, examination: Examination, period: float, physics: BatchPhysics) -> None:
+    def __init__(self, examination: Examination, period: float, physics: AnyPhysics) -> None:
         self._examination, self._period, self._physics = examination, period, physics
         like = np.zeros_like(physics.q())
         first, settings = {"q": like, "force": like}, Settings(control_period=period)

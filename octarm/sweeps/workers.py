@@ -1,4 +1,4 @@
-"""Executors for shards: processes of this machine, or a dask cluster.
+"""An executor for shards: processes of this machine; for a cluster see `octarm.sweeps.cluster`.
 
 This module imports nothing heavy: it is the first thing that a new process imports.
 """
@@ -6,18 +6,29 @@ This module imports nothing heavy: it is the first thing that a new process impo
 from __future__ import annotations
 
 import contextlib
-import logging
 import multiprocessing
 import os
+import pickle
+import queue
 import signal
+import sys
 import threading
-from collections.abc import Callable, Generator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+import traceback
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
 from typing import Any
 
 from octarm.errors import OctarmError
+
+_NAME = "octarm worker"
+_MAIN = '`if __name__ == "__main__":`'
+_GUARD = (
+    "the worker processes cannot begin: each of them imports the script that starts them, whose "
+    f"work must stand below {_MAIN}"
+)
+_IMPORTED = "what worker processes call must be a function that they can import from a file"
 
 
 def cores() -> int:
@@ -27,40 +38,69 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
+class WorkersError(OctarmError):
+    """Workers that cannot begin; to try it again is of no use."""
+
+
+def check_not_beginning() -> None:
+    """Ends this process if it is a worker that has got no further than to import its script."""
+    process = multiprocessing.current_process()
+    if getattr(process, "_inheriting", False):  # as multiprocessing itself finds it out
+        raise SystemExit(1 if process.name == _NAME else _GUARD)
+
+
+def _check_script() -> None:
+    """Raises WorkersError if new processes cannot import the script of this one."""
+    script: dict[str, Any] = vars(sys.modules["__main__"])
+    file: str | None = None if script.get("__spec__") else script.get("__file__")
+    if file is not None and not os.path.exists(file):
+        raise WorkersError(
+            f"worker processes import the script that starts them, and {file} is no file: save it "
+            f"as one, with its work below {_MAIN}"
+        )
+
+
 class WorkerProcesses(ThreadPoolExecutor):
     """Processes of one thread each, and for each of them a thread that waits for its answers.
 
     When a process dies, only the call that it was at fails, with a `BrokenProcessPool`; another
-    one takes its place. When the process that made them dies, all of them end.
+    one takes its place. When the process that made them dies, all of them end. A call fails with a
+    `WorkersError` if no process can begin, or what is to be called is not known there.
     """
 
     def __init__(self, workers: int) -> None:
-        """So many processes, each started when there is a call for it."""
+        """So many processes, each started when there is a call for it.
+
+        Raises:
+            WorkersError: if they could not import the script of this process.
+        """
+        check_not_beginning()
+        _check_script()
         super().__init__(workers, initializer=_block_interrupts)
         self._processes: dict[int, _Process] = {}
         self._killed = False
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Has the next process that is free call a function."""
-        return super().submit(lambda: self._start(fn, *args, **kwargs).result())
+        return super().submit(self._call, fn, args, kwargs)
 
-    def _start(self, fn: Callable[..., Any], *args: Any, **kwargs: Any) -> Future[Any]:
+    def _call(self, *call: Any) -> Any:
         """Has the process of this thread call a function; a new one if it has none that lives."""
         thread = threading.get_ident()
-        if not self._killed:
-            with contextlib.suppress(KeyError, BrokenProcessPool):
-                return self._processes[thread].submit(fn, *args, **kwargs)
-        process = self._processes[thread] = _Process()
-        if self._killed:
-            process.lifeline.close()
+        process = self._processes.get(thread)
+        if not self._killed and (process is None or not process.lives()):
+            process = self._processes[thread] = _Process()
+        if self._killed or process is None:
+            if process is not None:
+                process.kill()
             raise BrokenProcessPool("the processes were ended")
-        return process.submit(fn, *args, **kwargs)
+        return process.call(call)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Ends the processes when they have done what they were asked for."""
         super().shutdown(wait, cancel_futures=cancel_futures)
-        for process in self._processes.values():
-            process.shutdown(wait)
+        for process in list(self._processes.values()) if wait else ():
+            process.end()
 
     def kill(self) -> None:
         """Ends the processes at once; calls that wait for one fail with a `BrokenProcessPool`."""
@@ -68,7 +108,7 @@ class WorkerProcesses(ThreadPoolExecutor):
         self._killed = True
         super().shutdown(wait=False)
         for process in list(self._processes.values()):
-            process.lifeline.close()
+            process.kill()
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None:
@@ -76,13 +116,52 @@ class WorkerProcesses(ThreadPoolExecutor):
         self.shutdown()
 
 
-class _Process(ProcessPoolExecutor):
-    """A process, which lives no longer than its lifeline is open."""
+class _Process:
+    """A process that does one call at a time, and lives no longer than its connection is open."""
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")  # threads and forks do not go together
-        end, self.lifeline = context.Pipe(duplex=False)
-        super().__init__(1, context, _prepare, (end,))
+        self._connection, end = context.Pipe()
+        self._process = context.Process(target=_serve, args=(end,), name=_NAME, daemon=True)
+        self._process.start()
+        end.close()
+        self._begun = False
+
+    def lives(self) -> bool:
+        return self._process.is_alive()
+
+    def call(self, call: tuple[Any, ...]) -> Any:
+        """What the function returns, or the exception that it raises."""
+        try:
+            content = pickle.dumps(call)
+        except Exception as error:  # of many kinds
+            raise WorkersError(f"{error}; {_IMPORTED}") from None
+        try:
+            if not self._begun:
+                self._connection.recv_bytes()
+                self._begun = True
+            self._connection.send_bytes(content)
+            answer = self._connection.recv_bytes()
+        except (EOFError, OSError):
+            raise self._failure() from None
+        good, value = pickle.loads(answer)
+        if not good:
+            raise value
+        return value
+
+    def _failure(self) -> Exception:
+        """Why it does not answer: by itself it ends only if its script cannot be imported."""
+        self._process.join()
+        if not self._begun and (self._process.exitcode or 0) > 0:
+            return WorkersError(_GUARD)
+        return BrokenProcessPool("a worker process died")
+
+    def kill(self) -> None:
+        self._process.kill()
+
+    def end(self) -> None:
+        self._connection.close()
+        self._process.join()
 
 
 def _block_interrupts() -> None:
@@ -91,74 +170,40 @@ def _block_interrupts() -> None:
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
-def _prepare(lifeline: Connection) -> None:
-    """What a new process does first."""
+def _serve(connection: Connection) -> None:
+    """What a new process does: one call after another, until the connection is closed."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
     os.environ.setdefault("MUJOCO_GL", "disabled")  # nothing is drawn here
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asks
+    calls: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
-    def wait_for_the_end() -> None:
+    def listen() -> None:
         with contextlib.suppress(EOFError, OSError):
-            lifeline.recv_bytes()
-        os._exit(1)
+            while True:
+                calls.put(connection.recv_bytes())
+        os._exit(0)
 
-    threading.Thread(target=wait_for_the_end, daemon=True).start()
+    threading.Thread(target=listen, daemon=True).start()
+    with contextlib.suppress(OSError):  # the process that asks has died
+        connection.send_bytes(b"begun")
+        while True:
+            connection.send_bytes(_answer(calls.get()))
+    os._exit(0)
 
 
-@contextlib.contextmanager
-def dask_cluster(address: str, workers: int) -> Generator[tuple[Executor, Callable[[], int]]]:
-    """An executor on a dask cluster, and how many calls it has use for at a time.
-
-    dask itself repeats what a worker was at when it died. Raises OSError if nobody answers.
-
-    Args:
-        address: of a scheduler, such as `tcp://10.0.0.1:8786`; or `local` for a cluster of this
-            machine.
-        workers: number of processes of a local cluster.
-
-    Raises:
-        OctarmError: if the package distributed is not installed, or there is no scheduler at the
-            address.
-    """
+def _answer(content: bytes) -> bytes:
+    """Whether a call came to its end, and what it returned or raised."""
     try:
-        import distributed
-    except ImportError:
-        raise OctarmError(
-            "--cluster needs the package distributed: pip install 'octarm[cluster]'"
-        ) from None
-    with contextlib.ExitStack() as stack:
-        # What it does when all is well is of no interest here, and what its client has to say of a
-        # scheduler that is gone is said below in one sentence.
-        for name, level in (("", logging.WARNING), (".client", logging.CRITICAL)):
-            logger = logging.getLogger(f"distributed{name}")
-            stack.callback(logger.setLevel, logger.level)
-            logger.setLevel(level)
-        target: Any = address
-        if address == "local":
-            cluster: Any = distributed.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",  # a port that is free
-            )
-            target = stack.enter_context(cluster)
-        try:
-            client: Any = stack.enter_context(distributed.Client(target, set_as_default=False))
-        except (OSError, ValueError) as error:
-            raise OctarmError(f"no dask scheduler answers at {address}: {error}") from None
-        executor = client.get_executor(pure=False)  # a shard that failed may be tried again
-
-        def useful() -> int:
-            if address == "local":
-                target.scale(workers)  # dask gives up on a worker that dies while it starts
-                return workers
-            try:
-                threads = sum(client.nthreads().values())
-            except OSError:
-                raise OctarmError(
-                    f"the dask scheduler at {address} does not answer any more"
-                ) from None
-            return max(8, 2 * threads)  # for a cluster that grows with the demand
-
-        yield executor, useful
+        fn, args, kwargs = pickle.loads(content)
+    except Exception as error:  # of many kinds
+        return pickle.dumps((False, WorkersError(f"{error}; {_IMPORTED}")))
+    try:
+        return pickle.dumps((True, fn(*args, **kwargs)))
+    except BaseException as error:
+        error.add_note(traceback.format_exc())
+        with contextlib.suppress(Exception):  # not every exception can be sent
+            content = pickle.dumps((False, error))
+            if isinstance(pickle.loads(content)[1], Exception):
+                return content
+        return pickle.dumps((False, RuntimeError(traceback.format_exc())))

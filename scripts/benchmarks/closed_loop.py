@@ -189,8 +189,8 @@ def plain_loop(name: str, environment: control.Environment) -> Callable[[], int]
 
 def measured_loop(name: str, environment: control.Environment) -> Callable[[], int]:
     """The same, and what a sweep measures is taken up at every instant."""
-    limit = environment.physics.input_limit()[0]
-    metrics = Metrics(control_period=_step(), input_limit=limit)
+    low, high = environment.physics.input_range()
+    metrics = Metrics(control_period=_step(), input_range=(low[0], high[0]))
 
     def observe(instant: Instant) -> None:
         command = instant.command

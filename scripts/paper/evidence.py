@@ -229,7 +229,7 @@ def _columns(tables: Sequence[pa.Table]) -> dict[str, np.ndarray]:
     }
     true = octarm.nominal_parameters()
     weight = float(sum(true.mass.tolist())) * float(true.gravity)  # of the arm [N]
-    heavy = {"s": weight, "theta": weight * float(true.width)}
+    heavy = {"s": weight, "theta": weight * float(true.width[0])}
 
     def mean_square(metric: str, scale: Mapping[str, float]) -> np.ndarray:
         shares = [columns[f"{metric}_{name}"] / scale[name.rstrip("123")] for name in names]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
@@ -15,6 +14,7 @@ from tqdm import tqdm
 
 import octarm
 from controllers import make_controller
+from octarm.files import write_files
 from octarm.sweeps.workers import WorkerProcesses, cores
 from paper import runs
 from paper.runs import Request
@@ -90,7 +90,7 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
 def _sweep_job(sweep: Sweep, out: Path) -> Job:
     def do(pool: Executor, advance: Advance) -> None:
         file = out / SPECS / f"{sweep.name}.toml"
-        write(file, sweep.text().encode())
+        write_files({file: sweep.text().encode()})
         duration = sweep.content["duration"]
         octarm.sweep(
             octarm.read_spec(file),
@@ -110,7 +110,7 @@ def _run_job(request: Request, out: Path) -> Job:
         if not series_file(out, request).is_file():
             content = io.BytesIO()
             np.savez(content, allow_pickle=False, **pool.submit(runs.perform, request).result())
-            write(series_file(out, request), content.getvalue())
+            write_files({series_file(out, request): content.getvalue()})
         advance(request.seconds)
 
     return Job(request.seconds, do)
@@ -144,14 +144,3 @@ def read_arrays(out: Path, requests: Iterable[Request]) -> dict[str, dict[str, n
         with np.load(series_file(out, request), allow_pickle=False) as file:
             arrays[request.name] = dict(file)
     return arrays
-
-
-def write(path: Path, content: bytes) -> None:
-    """Writes a file whole or not at all.
-
-    Raises:
-        OSError: if it cannot be written.
-    """
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(content)
-    os.replace(part, path)

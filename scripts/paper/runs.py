@@ -126,6 +126,7 @@ def perform(request: Request) -> Arrays:
         timestep=min(period, 1.0 / RATE),
         seed=[np.random.SeedSequence(SEED, spawn_key=(i,)) for i in seeds]
         * len(request.mismatches),
+        engine="mujoco",
     )
     blocks: list[Arrays] = []
 

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from octarm.errors import OctarmError
+from octarm.files import write_files
 from octarm.reports import page as report_page
 from octarm.reports.statistics import Interval
 from paper import adaptation, figures, tables, tracking
 from paper.claims import PAGES, TEXTS, Claim, claim, median, rounded, spread, worded, words
 from paper.evidence import Evidence
-from paper.jobs import write
 from paper.tables import Table, all_tables, as_csv, timings
 
 PAGE, CLAIMS, TABLES, FIGURES = "report.html", "claims.json", "tables", "figures"
@@ -80,9 +80,7 @@ def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = No
             root / ".readme" / "paper.png": drawn[0].png,
             readme: with_claims(readme.read_text(encoding="utf-8"), numbers).encode(),
         }
-    for file, text in files.items():
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write(file, text)
+    write_files(files)
     return claims
 
 

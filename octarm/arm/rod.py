@@ -1,0 +1,137 @@
+"""Chains of modules that stand for an extensible rod, straight when unloaded, that does not shear.
+
+A rod of length L with axial stiffness EA, bending stiffness EI, mass rho A and moment of inertia
+rho I per length is cut into N elements of length h = L/N. Each becomes a slide and a hinge:
+
+- layout `paper`: module i is element i, and its hinge, its mass and its inertia stand at its end.
+  First order in h: a small tip load F deflects the tip by F L^3 / (3 EI) (1 - 3/(2N) + 1/(2N^2)).
+- layout `centred`: hinge i and mass i stand in the middle of element i. The first module is h/2
+  long, and a rigid piece of h/2 leads from the last hinge to the tip. Second order in h where the
+  load does not stretch that piece: F L^3 / (3 EI) (1 - 1/(4 N^2)).
+
+Columns of stiffness k at a distance l give a module the axial stiffness 2 k and the bending
+stiffness k l^2 / 2, so that k = EA / (2 h) and l = 2 sqrt(EI / EA) for a whole element. The half
+element below the first hinge of the centred layout has twice the axial stiffness, while its hinge
+bends as those of all elements do: k_1 = EA / h and l_1 = sqrt(2 EI / EA).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from octarm.arm.parameters import ArmParameters
+from octarm.errors import OctarmError, closest
+
+LAYOUTS = ("paper", "centred")
+
+# A property along the rod: one number, or its values at the base and at the tip, linear between.
+Profile = float | tuple[float, float]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Rod:
+    """A straight extensible rod; the defaults are the means of the nominal arm.
+
+    EA, EI, density and rotary inertia are numbers, or pairs of their values at the base and at the
+    tip, between which they change linearly.
+
+    Attributes:
+        length: L, unloaded [m].
+        EA: axial stiffness [N].
+        EI: bending stiffness [N m^2].
+        density: mass per length, rho A [kg/m].
+        rotary_inertia: moment of inertia per length, rho I [kg m].
+        damping_time: ratio of damping to stiffness [s].
+        gravity: along the hanging rod [m/s^2].
+
+    Raises:
+        OctarmError: if one of them is not positive and finite; the last two may be 0.
+    """
+
+    length: float = 0.36
+    EA: Profile = 240.0
+    EI: Profile = 0.384
+    density: Profile = 0.75 / 0.36
+    rotary_inertia: Profile = 1.5e-3 / 0.45
+    damping_time: float = 0.01
+    gravity: float = 9.81
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            values = np.atleast_1d(np.asarray(getattr(self, field.name), dtype=np.float64))
+            may_be_zero = field.name in ("damping_time", "gravity")
+            ends = 1 if may_be_zero or field.name == "length" else 2
+            if values.ndim != 1 or values.size > ends:
+                raise OctarmError(
+                    f"{field.name} of a rod has shape {values.shape}; it must be a number"
+                    + (" or a pair, at the base and at the tip" if ends == 2 else "")
+                )
+            good = np.isfinite(values) & ((values >= 0.0) if may_be_zero else (values > 0.0))
+            if not good.all():
+                allowed = "at least 0" if may_be_zero else "above 0"
+                raise OctarmError(
+                    f"{field.name} holds {values[~good][0]:g}; it must be finite and {allowed}"
+                )
+
+    def at(self, profile: Profile) -> Callable[[float], float]:
+        """A property as a function of the unloaded distance from the base [m]."""
+        base, tip = np.broadcast_to(profile, 2)
+        return lambda x: base + (tip - base) * (x / self.length)
+
+
+def arm_from_rod(rod: Rod, modules: int, layout: str = "paper") -> ArmParameters:
+    """The chain of N modules that stands for a rod.
+
+    Args:
+        rod: what is cut into elements.
+        modules: their number N, 1 to 100.
+        layout: `paper` or `centred`; see this module.
+
+    Returns:
+        Its parameters. Both columns of a module are alike; widths differ between modules where the
+        rod tapers, and where the layout is `centred`.
+
+    Raises:
+        OctarmError: for another layout or number of modules.
+    """
+    if layout not in LAYOUTS:
+        raise OctarmError(f"unknown layout {layout!r}{closest(layout, LAYOUTS)}")
+    if not 1 <= modules <= 100:
+        raise OctarmError(f"a rod was to be cut into {modules} modules; it must be 1 to 100")
+    h = rod.length / modules
+    borders = np.linspace(0.0, rod.length, modules + 1)
+    axial = h / _integrals(rod, rod.EA, borders, -1)  # springs in series: compliances add
+    bending = h / _integrals(rod, rod.EI, borders, -1)
+    mass = _integrals(rod, rod.density, borders, 1)
+    inertia = _integrals(rod, rod.rotary_inertia, borders, 1)
+    rest, tip = np.full(modules, h), 0.0
+    slide = axial / h  # axial stiffness of a slide [N/m]
+    if layout == "centred":
+        middles = np.concatenate([[0.0], 0.5 * (borders[1:] + borders[:-1]), [rod.length]])
+        rest, tip = np.diff(middles)[:-1], 0.5 * h
+        slide = 1.0 / _integrals(rod, rod.EA, middles, -1)[:-1]
+        # A plate turns with the half elements on both sides of it; the base holds the first half.
+        inertia = _integrals(rod, rod.rotary_inertia, middles, 1)[1:]
+    stiffness = np.broadcast_to(0.5 * slide, (2, modules))
+    return ArmParameters(
+        mass=mass,
+        inertia=inertia,
+        width=2.0 * np.sqrt(bending / h / slide),
+        stiffness=stiffness,
+        damping=rod.damping_time * stiffness,
+        rest_length=rest,
+        gravity=rod.gravity,
+        tip_length=tip,
+    )
+
+
+def _integrals(rod: Rod, profile: Profile, borders: np.ndarray, power: int) -> np.ndarray:
+    """Integrals of a property, or of its inverse, between borders [m], by 8 Gauss points each."""
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    half = 0.5 * np.diff(borders)[:, None]
+    x = borders[:-1, None] + half * (1.0 + nodes)
+    values = np.vectorize(rod.at(profile))(x) ** power
+    return np.sum(half * weights * values, axis=-1)

@@ -1,0 +1,146 @@
+"""Both engines in closed loop: the same laws under the same disturbances, instant by instant.
+
+All arms of a law are in one batch: one arm without disturbance, and one for each disturbance, of
+which the others have the neutral value. What is compared are the true coordinates, angles at the
+lever l/2.
+
+Where a law switches on sgn(s), rounding decides once s is so close to zero that the engines find
+another sign, or another size by a percent, and they part: such an arm is compared up to that
+instant. So is an arm whose readings are rounded, up to the first reading that comes out otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from octarm.arm.parameters import ArmParameters
+from octarm.checks.mechanics import levers
+from octarm.disturbances.catalogue import DISTURBANCES
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.spelling import first_field
+from octarm.interfaces import Controller, Instant
+from octarm.simulation.engines import ENGINES, check_engine
+from octarm.simulation.environment import load
+from octarm.simulation.rollout import simulate
+from octarm.tolerances import Check, CheckTable, run_checks
+
+ALLOWED = 1e-9  # distance [m]
+_SHARE = 0.05  # of the usual range of a disturbance
+_WITHOUT_RANGE = {"saturation": 5.0, "slew": 1e4}  # [N], [N/s]; infinity is neutral
+_PERCENT = 0.01
+_ROUNDED, _STEP = "quantisation", 1e-10  # [m], [rad]; far below a step of the readings
+
+
+class Motion(NamedTuple):
+    """A run of n arms at T control instants.
+
+    Attributes:
+        t: time, shape (T,) [s].
+        q: true coordinates, shape (T, n, 2N) [m], [rad].
+        read: what was read of them, likewise.
+        s: the sliding variable, shape (T, n, 2N) [m/s], [rad/s]; ones for a law without one.
+    """
+
+    t: np.ndarray
+    q: np.ndarray
+    read: np.ndarray
+    s: np.ndarray
+
+
+def compare_engines(
+    parameters: ArmParameters,
+    make: Callable[[str, ArmParameters], Controller],
+    laws: Sequence[str],
+    switching: Sequence[str],
+    *,
+    duration: float = 10.0,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> CheckTable:
+    """A check for each law: how far the engines are apart under any of the disturbances.
+
+    Args:
+        parameters: the arm.
+        make: gives a law by name, with its nominal model.
+        laws: names of the laws.
+        switching: those that switch on sgn(s).
+        duration: of the runs [s].
+        seed: of what is random.
+        progress: called with the name of each part before it starts.
+
+    Raises:
+        OctarmError: if an engine is not installed.
+    """
+    for engine in ENGINES:
+        check_engine(engine)
+
+    def checks(law: str) -> Iterator[Check]:
+        controller = make(law, parameters.mismatched(-0.1))
+        one, two = (_motion(name, parameters, controller, duration, seed) for name in ENGINES)
+        yield _check(law, one, two, levers(parameters), law in switching)
+
+    title = (
+        f"MuJoCo {mujoco.__version__} against the engine lagrange, in closed loop under "
+        f"{len(DISTURBANCES)} disturbances, {duration:g} s, seed {seed}"
+    )
+    rows = run_checks({law: checks(law) for law in laws}, progress)
+    return CheckTable(title, parameters.to_dict(), len(DISTURBANCES) + 1, seed, rows)
+
+
+def one_each() -> list[Disturbance]:
+    """All disturbances for a batch: arm i + 1 has the i-th alone, arm 0 none."""
+    listed: list[Disturbance] = []
+    for i, (name, cls) in enumerate(DISTURBANCES.items()):
+        field, kind = first_field(cls)
+        low, high = kind.usual or (np.inf, np.inf)
+        values = np.full(len(DISTURBANCES) + 1, low)
+        values[i + 1] = _WITHOUT_RANGE.get(name, low + _SHARE * (high - low))
+        given: dict[str, Any] = {field: values[:, None] if kind.each else values}
+        listed.append(cls(**given))
+    return listed
+
+
+def _motion(
+    engine: str, arm: ArmParameters, controller: Controller, duration: float, seed: int
+) -> Motion:
+    environment = load(
+        "sine",
+        parameters=arm,
+        disturbances=one_each(),
+        batch=len(DISTURBANCES) + 1,
+        seed=seed,
+        engine=engine,
+    )
+    rows: list[tuple[float, np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def observe(instant: Instant) -> None:
+        s = instant.command.signals.get("s", np.ones_like(instant.q))
+        rows.append((instant.measurement.t, instant.q, instant.measurement.q, s))
+
+    simulate(environment, controller, duration, observe)
+    return Motion(*map(np.array, zip(*rows, strict=True)))
+
+
+def _check(law: str, one: Motion, two: Motion, lever: np.ndarray, switches: bool) -> Check:
+    """One row: the largest distance of all arms, each up to where rounding decides."""
+    rows = min(len(one.q), len(two.q))  # fewer when all arms are lost
+    (t, q, read, s), other = (Motion(*(x[:rows] for x in motion)) for motion in (one, two))
+    decided = np.zeros(q.shape[:2], dtype=bool)
+    if switches:
+        size = np.maximum(np.abs(s), np.abs(other.s))
+        decided = np.any(np.abs(s - other.s) > _PERCENT * size, axis=-1)
+    rounded = 1 + list(DISTURBANCES).index(_ROUNDED)
+    decided[:, rounded] |= np.any(np.abs(read - other.read)[:, rounded] > _STEP, axis=-1)
+    ends = np.where(decided.any(axis=0), np.argmax(decided, axis=0), rows - 1)
+    distance = np.max(np.abs(q - other.q) * lever, axis=-1)
+    compared = np.arange(rows)[:, None] <= ends
+    largest = np.max(np.where(compared, distance, 0.0), axis=0)
+    worst = ["no disturbance", *DISTURBANCES][int(np.argmax(largest))]
+    text = f"{law}, largest with {worst}"
+    if early := int(np.count_nonzero(decided.any(axis=0))):
+        text += f"; {early} arms until rounding decides, from t = {t[ends.min()]:g} s on"
+    return Check(text, float(np.max(largest)), ALLOWED, unit="m")

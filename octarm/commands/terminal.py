@@ -1,0 +1,134 @@
+"""The terminal as it is found: streams may be closed, full or of few letters, files limited.
+
+Results that are in files do not depend on whether somebody can read what is printed of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import sys
+from collections.abc import Callable, Generator
+from typing import TextIO
+
+from octarm.errors import OctarmError
+
+_FILES = 48  # that a command may open at a time, worker processes aside
+
+
+def repair_streams() -> None:
+    """Opens what is closed of the standard streams, and lets them take every letter.
+
+    The next files that a program opens would have the numbers of closed ones, and what is printed
+    would be written into them. Of output and errors, one stands in for the other.
+    """
+    closed = [number for number in range(3) if not _is_open(number)]
+    for _ in closed:
+        os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+    for number, other in ((1, 2), (2, 1)):
+        if number in closed and other not in closed:
+            os.dup2(other, number)
+    sys.stdin = sys.stdin or open(0, closefd=False)
+    sys.stdout = sys.stdout or open(1, "w", buffering=1, closefd=False)
+    sys.stderr = sys.stderr or open(2, "w", buffering=1, closefd=False)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _is_open(number: int) -> bool:
+    try:
+        os.fstat(number)
+    except OSError:
+        return False
+    return True
+
+
+def check_open_files() -> None:
+    """Raises OctarmError if the system lets this process open too few files to do anything."""
+    try:
+        import resource
+    except ImportError:  # not on POSIX
+        return
+    limit, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = _open_files() + _FILES
+    if not 0 <= limit < needed:  # a negative number stands for no limit
+        return
+    if 0 <= most < needed:
+        raise OctarmError(
+            f"the system allows {limit} open files, and octarm needs {needed}: ulimit -n {needed}"
+        )
+    resource.setrlimit(resource.RLIMIT_NOFILE, (needed, most))
+
+
+def _open_files() -> int:
+    try:
+        return len(os.listdir("/dev/fd"))
+    except OSError:  # there is none, or no further file can be opened
+        return 3
+
+
+def surviving_output(work: Callable[[], int]) -> Callable[[], int]:
+    """Work whose results are in files, so that it goes on although standard output fails.
+
+    What a standard output that is full does not take goes to standard error; whoever has closed a
+    pipe has seen enough.
+    """
+
+    def survivor() -> int:
+        with contextlib.redirect_stdout(_Stream(sys.stdout, sys.stderr)):
+            return work()
+
+    return survivor
+
+
+@contextlib.contextmanager
+def surviving_errors() -> Generator[None]:
+    """Lets what standard error does not take go to standard output, or nowhere."""
+    with contextlib.redirect_stderr(_Stream(sys.stderr, sys.stdout)):
+        yield
+
+
+class _Stream(io.TextIOBase):
+    """A stream whose place another one takes when it fails."""
+
+    def __init__(self, *streams: TextIO) -> None:
+        self._streams = list(streams)
+
+    def write(self, text: str) -> int:
+        """Writes to the first stream that takes it; never fails."""
+        while self._streams:
+            try:
+                self._streams[0].write(text)
+                self._streams[0].flush()
+                break
+            except BrokenPipeError:
+                silence(self._streams[0])
+                break
+            except OSError:
+                silence(self._streams.pop(0))
+        return len(text)
+
+    def isatty(self) -> bool:
+        """Whether it is a terminal that shows progress."""
+        return bool(self._streams) and self._streams[0].isatty()
+
+    def fileno(self) -> int:
+        """The number of the stream that is written to."""
+        if not self._streams:
+            raise io.UnsupportedOperation("fileno")
+        return self._streams[0].fileno()
+
+    @property
+    def encoding(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """That of the stream that is written to."""
+        return self._streams[0].encoding if self._streams else "utf-8"
+
+
+def silence(stream: TextIO) -> None:
+    """Lets what a stream still holds, and all that comes, go nowhere."""
+    with contextlib.suppress(OSError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)

@@ -1,0 +1,57 @@
+"""What a piece of work takes in memory, against what the machine has, before any is allocated."""
+
+from __future__ import annotations
+
+import resource
+from pathlib import Path
+
+import psutil
+
+from octarm.errors import OctarmError
+
+ARM = 4000  # [byte] a module of an arm in a batch: physics, metrics, controller; measured, rounded
+WORKER = 100e6  # [byte] that a process has of its own before it runs anything
+
+
+def check_batch(arms: int, modules: int, batches: int = 1, what: str = "batch") -> None:
+    """Raises OctarmError for a number of arms below 1, or more than memory holds.
+
+    Args:
+        arms: side by side in one batch; `what` is their name in the sentence.
+        modules: of an arm.
+        batches: run by as many processes.
+        what: name of the number of arms.
+    """
+    if arms < 1:
+        raise OctarmError(f"{what} is {arms}; it must be at least 1")
+    each = f"{batches} workers with " if batches > 1 else ""
+    needed = batches * (arms * modules * ARM + (WORKER if batches > 1 else 0.0))
+    check_memory(needed, f"{each}{arms} arms of {modules} modules side by side")
+
+
+def check_memory(needed: float, what: str) -> None:
+    """Raises OctarmError where so much [byte] is more than this process may have."""
+    free = available()
+    if needed > free:
+        raise OctarmError(
+            f"{what} take about {_size(needed)} of memory, of which {_size(free)} are available"
+        )
+
+
+def available() -> float:
+    """The memory that this process may still have [byte], by machine, group and limit."""
+    free = float(psutil.virtual_memory().available)
+    group = Path("/sys/fs/cgroup")
+    try:
+        limit, used = ((group / f"memory.{name}").read_text() for name in ("max", "current"))
+        free = min(free, float(limit) - float(used))  # `max` where there is no limit
+    except (OSError, ValueError):
+        pass
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY:
+        free = min(free, float(limit - psutil.Process().memory_info().vms))
+    return max(0.0, free)
+
+
+def _size(count: float) -> str:
+    return f"{count / 1e9:.3g} GB"

@@ -1,0 +1,36 @@
+"""`scripts/reproduce_paper.py --quick` with runs as short as its measures allow, to be killed."""
+
+import dataclasses
+import functools
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
+
+import reproduce_paper  # noqa: E402
+from paper import studies  # noqa: E402
+
+from octarm.interrupts import raise_interrupts  # noqa: E402
+
+DURATION = 2.05  # [s]; errors count from 2 s on
+_sweeps = studies.sweeps
+
+
+def short_sweeps(variants, effort):
+    """The sweeps of the quick variant, with one seed and shorter episodes."""
+    for sweep in _sweeps(variants, effort):
+        content = {**sweep.content, "duration": DURATION, "episodes": 1}
+        yield sweep._replace(content=content)
+
+
+if __name__ == "__main__":
+    from paper import evidence, jobs
+
+    quick = dataclasses.replace(studies.QUICK, seeds=1, duration=DURATION)
+    studies.QUICK = reproduce_paper.QUICK = quick
+    jobs.sweeps = evidence.sweeps = short_sweeps
+    reproduce_paper.costs = functools.partial(reproduce_paper.costs, seconds=1e-4)
+    raise_interrupts()
+    print("begun", flush=True)
+    sys.exit(reproduce_paper.main())

@@ -1,0 +1,138 @@
+"""That the engines agree: what a sweep and `octarm validate --engines` say about it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from controllers import make_controller
+from octarm.arm.mjcf import nominal_parameters
+from octarm.checks import engines
+from octarm.commands.cli import main
+from octarm.interfaces import Command, Instant, Measurement, Reference
+from octarm.simulation import analytic
+from octarm.sweeps import engine_check
+from octarm.sweeps.engine_check import TipPaths, checked_episodes
+from octarm.sweeps.plan import Plan
+from octarm.sweeps.spec_file import parse_spec
+from octarm.sweeps.store import read_manifest, read_sweep
+
+P = nominal_parameters()
+SPEC = """
+engine = "lagrange"
+episodes = 60
+duration = 0.02
+batch = 50
+seed = 3
+[grid]
+controller = ["smc-boundary", "pd"]
+[grid.disturbance]
+noise = [0.0, 0.4]
+"""
+
+
+def test_every_law_is_compared_under_every_disturbance():
+    names: list[str] = []
+    table = engines.compare_engines(
+        P, make_controller, ["pd", "smc"], ["smc"], duration=0.03, progress=names.append
+    )
+    assert table.passed and names == ["pd", "smc"]
+    assert [check.what.partition(",")[0] for check in table.checks] == names
+    assert all(check.measured < 1e-12 and check.high == 1e-9 for check in table.checks)
+
+
+def test_each_arm_has_one_disturbance_of_its_own():
+    for i, disturbance in enumerate(engines.one_each()):
+        values = next(x for x in vars(disturbance).values() if isinstance(x, np.ndarray)).ravel()
+        (odd,) = np.flatnonzero(values != values[0])
+        assert odd == i + 1
+
+
+@pytest.mark.parametrize("law", ["pd", "smc"])
+def test_an_engine_that_is_wrong_fails(law: str, monkeypatch: pytest.MonkeyPatch):
+    """A spring that is off by 1e-6."""
+    real = analytic.PlantRows.write
+
+    def wrong(self, p, gravity_angle=0.0):
+        return real(self, p.scaled(stiffness=1.0 + 1e-6), gravity_angle)
+
+    monkeypatch.setattr(analytic.PlantRows, "write", wrong)
+    table = engines.compare_engines(P, make_controller, [law], ["smc"], duration=0.03)
+    assert not table.passed
+
+
+def test_an_hundredth_of_the_episodes_is_drawn_by_the_seed():
+    plan = Plan(parse_spec(SPEC))
+    episodes = checked_episodes(plan)
+    assert len(episodes) == len(set(episodes.tolist())) == 3
+    np.testing.assert_array_equal(episodes, checked_episodes(plan))
+    other = Plan(parse_spec(SPEC.replace("seed = 3", "seed = 4")))
+    assert set(checked_episodes(other).tolist()) != set(episodes.tolist())
+    few = Plan(parse_spec('engine = "lagrange"\ncontroller = "pd"\nduration = 0.01'))
+    assert checked_episodes(few).tolist() == [0]
+    assert not checked_episodes(Plan(parse_spec(SPEC.replace("lagrange", "mujoco")))).size
+
+
+def test_paths_are_compared_until_an_arm_diverges():
+    one, two = (paths([0.0, 0.1, 0.2], shift) for shift in (0.0, [0.0, 1e-6, 5.0]))
+    never = np.full(2, np.nan)
+    np.testing.assert_allclose(one.difference(two, never, never), 5.0)
+    lost = np.array([np.nan, 1.0])
+    np.testing.assert_allclose(one.difference(two, lost, lost), [5.0, 1e-6])
+    assert one.difference(two, lost, never)[1] == np.inf
+
+
+def paths(s: list[float], shift) -> TipPaths:
+    out = TipPaths(np.array([0, 2]), periods=3)
+    for k, (x, dx) in enumerate(zip(s, np.broadcast_to(shift, 3), strict=True)):
+        q = np.zeros((3, 6))
+        q[:, 0] = x + dx
+        zero = np.zeros_like(q)
+        measurement, reference = Measurement(0.5 * k, q, zero), Reference(zero, zero, zero)
+        out(Instant(measurement, reference, Command(zero, {}), q, zero, zero, zero))
+    return out
+
+
+def test_a_sweep_states_how_far_the_engines_are_apart(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    spec, swept = tmp_path / "spec.toml", tmp_path / "out"
+    spec.write_text(SPEC, encoding="utf-8")
+    assert main(["sweep", str(spec), "--out", str(swept), "--workers", "1"]) == 0
+    said = capsys.readouterr().out
+    assert "3 of 240 episodes ran on MuJoCo as well as on lagrange: tips are at most" in said
+    table = read_sweep(swept)
+    column = table["engine_difference"].to_numpy()
+    checked = np.flatnonzero(~np.isnan(column))
+    np.testing.assert_array_equal(checked, checked_episodes(Plan(parse_spec(SPEC))))
+    assert np.nanmax(column) < 1e-12
+    manifest = read_manifest(swept)
+    assert manifest["spec"]["engine"] == "lagrange"
+    assert "numba" in manifest["starts"][0]["versions"]
+    assert main(["verify", str(swept), "--episode", str(checked[0]), "--episode", "0"]) == 0
+    monkeypatch.setattr(engine_check, "LIMIT", -1.0)
+    assert main(["sweep", str(spec), "--out", str(swept), "--workers", "1", "--resume"]) == 1
+    assert "beyond the limit" in capsys.readouterr().out
+
+
+def test_the_option_takes_the_place_of_the_specs_engine(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    spec, out = tmp_path / "spec.toml", tmp_path / "out"
+    spec.write_text(SPEC.replace("60", "2"), encoding="utf-8")
+    assert main(["sweep", str(spec), "--out", str(out), "--engine", "mujoco"]) == 0
+    assert read_manifest(out)["spec"]["engine"] == "mujoco"
+    assert "engine_difference" not in read_sweep(out).column_names
+    assert "lagrange" not in capsys.readouterr().out
+    assert main(["sweep", str(spec), "--out", str(out), "--engine", "abacus"]) == 2
+    assert "unknown engine 'abacus'" in capsys.readouterr().err
+
+
+def test_a_run_on_it_is_verified_on_it(tmp_path: Path):
+    out = str(tmp_path / "run")
+    options = ["--duration", "0.05", "--disturbance", "noise:0.4", "--out", out]
+    assert main(["run", "--engine", "lagrange", *options]) == 0
+    description = (tmp_path / "run" / "run.json").read_text(encoding="utf-8")
+    assert '"engine": "lagrange"' in description and '"numba"' in description
+    assert main(["verify", out]) == 0
+    assert main(["plot", out, "--out", str(tmp_path / "figures")]) == 0
