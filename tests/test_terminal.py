@@ -134,7 +134,7 @@ def octarm(command: str, folder: Path, **environment: str) -> subprocess.Complet
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("limit", [4, 9, 10, 12, 16, 24, 40])
+@pytest.mark.parametrize("limit", [9, 10, 12, 16, 24, 40])
 def test_a_low_limit_of_open_files_is_one_sentence(limit, tmp_path):
     done = octarm(f"ulimit -n {limit}; octarm run --duration 0.02 --out a", tmp_path)
     assert (done.returncode, done.stdout) == (ExitCode.BAD_INPUT, "")
