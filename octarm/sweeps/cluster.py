@@ -63,7 +63,8 @@ def dask_cluster(
                 dashboard_address="127.0.0.1:0",  # a port that is free
                 silence_logs=logging.CRITICAL,
             )
-            target = stack.enter_context(cluster)
+            stack.callback(_close, cluster)
+            target = cluster
         try:
             client: Any = stack.enter_context(distributed.Client(target, set_as_default=False))
         except (OSError, ValueError) as error:
@@ -110,6 +111,13 @@ class _Executor(Executor):
 
         self._executor.submit(fn, *args, **kwargs).add_done_callback(hand_on)
         return answer
+
+
+def _close(cluster: Any) -> None:
+    """Ends a cluster of this machine; its work is over, whatever dask says of its workers."""
+    # While a worker that died is begun anew, dask fails at its own assertions.
+    with contextlib.suppress(AssertionError, OSError, TimeoutError):
+        cluster.close()
 
 
 class _Watch:
