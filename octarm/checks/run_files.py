@@ -107,7 +107,7 @@ def deviations(
         now: the same of the re-run; see `saved_arrays`.
         coordinates: their names.
     """
-    found = (
+    differences = (
         _deviation(name, was[name], now[name], now["t"], coordinates)
         for name in now
         if name not in _ENDING
@@ -116,7 +116,7 @@ def deviations(
         and was[name].ndim == now[name].ndim
         and was[name].shape[1:] == now[name].shape[1:]
     )
-    return sorted((d for d in found if d is not None), key=lambda d: d.row)
+    return sorted((d for d in differences if d is not None), key=lambda d: d.row)
 
 
 def _deviation(
@@ -144,9 +144,9 @@ def checksum_differences(folder: Path, description: Mapping[str, Any]) -> list[D
         description: content of its `run.json`.
     """
     stated = {key: description[key] for key in (runs.SUMS,) if key in description}
-    found = [*compare(stated, {runs.SUMS: runs.checksums(folder, description)})]
+    differences = [*compare(stated, {runs.SUMS: runs.checksums(folder, description)})]
     extra = sorted(path.name for path in folder.iterdir() if path.name not in _FILES)
-    return [*found, *(Difference(f"file {name}", "there", ABSENT) for name in extra)]
+    return [*differences, *(Difference(f"file {name}", "there", ABSENT) for name in extra)]
 
 
 def recording_differences(

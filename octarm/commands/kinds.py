@@ -110,7 +110,12 @@ N, COUNT = _converted("N", _whole(0)), _converted("N", _whole(1))
 
 
 def _step(option: str, word: str) -> float | str:
-    return word if word == "auto" else _real(option, word)
+    if word == "auto":
+        return word
+    try:
+        return float(word)
+    except ValueError:
+        raise ValueError(f"{option} is {quoted(word)}; it must be a number [s] or auto") from None
 
 
 STEP = _converted("S", _step)

@@ -113,13 +113,13 @@ def steps_of(
     integrator: str,
 ) -> np.ndarray:
     """The longest stable step of each arm of an episode, shape (...) [s]; see `check_arms`."""
-    found: list[np.ndarray] = []
+    longest: list[np.ndarray] = []
 
     def look(rest: np.ndarray, arms: ArmParameters) -> None:
-        found.append(longest_step(arms, rest, integrator))
+        longest.append(longest_step(arms, rest, integrator))
 
     _survey(look, arm, disturbances, seeds, batch_shape)
-    return functools.reduce(np.minimum, found, np.full(batch_shape, np.inf))
+    return functools.reduce(np.minimum, longest, np.full(batch_shape, np.inf))
 
 
 def check_arms(

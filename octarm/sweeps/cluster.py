@@ -182,8 +182,8 @@ class _Watch:
 
 def _needed() -> dict[str, str]:
     """What a shard depends on, and its versions here."""
-    found = {name: x for name, x in versions().items() if name not in _UNUSED}
-    return {**found, "python": _minor(found["python"])}
+    needed = {name: x for name, x in versions().items() if name not in _UNUSED}
+    return {**needed, "python": _minor(needed["python"])}
 
 
 def _minor(version: str) -> str:
