@@ -103,7 +103,7 @@ BAD = [
     (["run", "--duration", "-3"], "duration is -3 s; it must be positive"),
     (["run", "--duration", "nan"], "duration is nan s; it must be positive"),
     (["run", "--duration", "long"], "--duration is 'long'; it must be a number"),
-    (["run", "--timestep", "aut"], "--timestep is 'aut'; it must be a number [s] or auto"),
+    (["run", "--timestep", "aut"], r"--timestep is 'aut'; it must be a number \[s\] or auto"),
     (["run", "--seed", "1.5"], "--seed is '1.5'; it must be a whole number"),
     (["run", "--out"], "--out needs a value after it"),
     (["run", "--view=perhaps"], "--view is 'perhaps'; it is a flag and takes no value"),
