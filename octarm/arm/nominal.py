@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Mapping
 
 import numpy as np
 
-from octarm.arm import lagrange, model_error
+from octarm.arm import lagrange, model_error, similarity
 from octarm.arm.input_range import InputRange
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import coordinate_names, coordinate_units
@@ -50,6 +51,27 @@ class LagrangeModel:
         """Rest lengths of slides, 1 rad for bends, shape (..., 2N) [m], [rad]."""
         lengths = self.parameters.rest_length
         return np.concatenate([lengths, np.ones_like(lengths)], axis=-1)
+
+    @property
+    def time_scale(self) -> np.ndarray:
+        """1 / omega of the fastest undamped mode, shape () or (..., 1) [s]."""
+        return self._scales[0]
+
+    @property
+    def force_scale(self) -> np.ndarray:
+        """Apparent mass times length over the square of time, shape (..., 2N) [N], [N m]."""
+        return self._scales[1]
+
+    @functools.cached_property
+    def _scales(self) -> tuple[np.ndarray, np.ndarray]:
+        time = similarity.time_scale(self.parameters)
+        force = similarity.apparent_mass(self.parameters) * self.scale / (time * time)
+        return time, np.array(force.T, order="C").T  # contiguous along the arms, as states are
+
+    @property
+    def descriptors(self) -> Mapping[str, np.ndarray]:
+        """Ratios in which arms differ that are not similar, see `octarm.arm.similarity`."""
+        return similarity.descriptors(self.parameters)
 
     @property
     def input_range(self) -> tuple[np.ndarray, np.ndarray]:

@@ -167,7 +167,7 @@ def tune(
     /,
     *,
     out: Annotated[Path | None, kinds.file(".toml")] = None,
-    budget: Annotated[float, kinds.S] = 8000.0,
+    budget: Annotated[float, kinds.S] = 24000.0,
     seed: Annotated[int, kinds.N] = 0,
     resume: bool = False,
     engine: Annotated[str | None, kinds.ENGINE] = None,
@@ -175,13 +175,19 @@ def tune(
     """Find gains for one controller.
 
     The search and its budget are the same for every controller. Writes a small TOML file: the
-    gains, what they cost by the measure that all controllers are tuned for, and how they were
-    found. octarm run --gains FILE.toml uses them.
+    gains, as numbers in the scales of the nominal model that suit all similar arms, what they cost
+    by the measure that all controllers are tuned for, and how they were found. octarm run --gains
+    FILE.toml uses them.
+
+    The measure holds two control periods, late and slow inputs, a payload, a fast motion, wrong
+    models and noise: the list TRAINING of octarm/sweeps/scenarios.py. What the gains are worth is
+    then measured on the list EVALUATION there: desired motions, noises, faults and model errors
+    that the search never saw.
 
     Args:
         controller: controller to tune
         out: file to write; CONTROLLER.toml when not given; the search keeps its state beside it
-        budget: what the search may simulate, all arms counted [s]; 8000 s take minutes
+        budget: what the search may simulate, all arms counted [s]; 24000 s take minutes
         seed: seed of the search
         resume: go on with the search that was interrupted
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not

@@ -16,12 +16,14 @@ from tqdm import tqdm
 from controllers import make_controller
 from controllers.gain_sets import GainSet, read_gain_set, shortest
 from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.nominal import LagrangeModel
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_text
 from octarm.simulation.engines import check_engine, usual_engine
+from octarm.sweeps.scenarios import Scenario
 from octarm.sweeps.tune import Budget, SearchState, Space, StateFile, Tuned, settings, versions
 from octarm.sweeps.tune import tune as tune_gains
-from octarm.sweeps.tune_cost import FORMULA, Examination
+from octarm.sweeps.tune_cost import FORMULA, LARGEST, Examination
 
 
 def tune(
@@ -124,14 +126,23 @@ def gain_set(controller: str, origin: Mapping[str, Any], budget: Budget, tuned: 
     return GainSet.model_validate(
         {
             "controller": controller,
-            "modules": nominal_parameters().modules,
             "gains": {name: shortest(gain) for name, gain in tuned.gains.items()},
+            "arm": _described(budget),
             "tuning": tuning,
             "versions": versions(),
             "search": _outcome(budget.short, tuned.short, tuned.short_by_hand),
             "long_trial": _outcome(budget.long, tuned.long, tuned.long_by_hand),
+            "evaluation": _outcome(budget.unseen, tuned.unseen, tuned.unseen_by_hand),
         }
     )
+
+
+def _described(budget: Budget) -> dict[str, float]:
+    """The arm that gains are tuned for, and the longest control period, in its time scale."""
+    model = LagrangeModel(nominal_parameters())
+    longest = max(scenario.period for scenario in budget.short.scenarios)
+    numbers = {**model.descriptors, "control_period": longest / model.time_scale}
+    return {name: float(f"{float(x):.4g}") for name, x in numbers.items()}
 
 
 def _outcome(examination: Examination, tuned: np.ndarray, by_hand: np.ndarray) -> dict[str, Any]:
@@ -143,8 +154,8 @@ def _outcome(examination: Examination, tuned: np.ndarray, by_hand: np.ndarray) -
         )
     ]
     return {
-        "cost": tuned.mean().item(),
-        "recommended": by_hand.mean().item(),
+        "cost": examination.mean(tuned).item(),
+        "recommended": examination.mean(by_hand).item(),
         "measured_from": examination.begin,
         "duration": examination.duration,
         "scenarios": rows,
@@ -157,10 +168,22 @@ def _print_summary(controller: str, budget: Budget, tuned: Tuned) -> None:
         f"{budget.seconds:.0f} simulated s"
     )
     print("  cost                     tuned  recommended")
-    for name, duration, cost, other in (
-        ("search", budget.short.duration, tuned.short, tuned.short_by_hand),
-        ("long trial", budget.long.duration, tuned.long, tuned.long_by_hand),
+    for name, trial, cost, other in (
+        ("search", budget.short, tuned.short, tuned.short_by_hand),
+        ("long trial", budget.long, tuned.long, tuned.long_by_hand),
+        ("unseen", budget.unseen, tuned.unseen, tuned.unseen_by_hand),
     ):
-        print(f"  {name:<10} of {duration:>4g} s {cost.mean():>11.5f} {other.mean():>12.5f}")
+        means = f"{trial.mean(cost):>11.5f} {trial.mean(other):>12.5f}"
+        print(f"  {name:<10} of {trial.duration:>4g} s {means}")
+    lost = [s for s, cost in zip(budget.long.scenarios, tuned.long, strict=True) if cost >= LARGEST]
+    for scenario in lost:
+        print(f"  lost: {_words(scenario)}")
     if tuned.at_bounds:
         print(f"  as small or large as allowed: {', '.join(tuned.at_bounds)}")
+
+
+def _words(scenario: Scenario) -> str:
+    """What differs from an undisturbed run with an exact model."""
+    usual = Scenario(reference="")
+    fields = dataclasses.asdict(scenario).items()
+    return ", ".join(f"{name} {x}" for name, x in fields if x != getattr(usual, name))

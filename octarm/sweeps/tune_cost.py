@@ -1,6 +1,6 @@
 """What tuning minimises: the same number for every controller, fixed before anything was tuned.
 
-    J = mean over scenarios of (e + w c),                                       w = 0.1
+    J = weighted mean over scenarios of (e + w c),                              w = 0.1
     e = sqrt(mean_j (rms_j / A_j)^2)        rms_j of q_j - q_d,j;  A = 0.0175 m, 0.3 rad
     c = sqrt(mean_i chattering_i^2) / (g sum_k m_k)                  of the input forces tau_i
 
@@ -15,9 +15,7 @@ Why it is what it is:
 - An arm that leaves its limits costs 10 to 20, the more the earlier, and no other one more than 10.
   So gains that lose an arm are worse than any that do not, and a search can still tell which of
   them are the least bad.
-- The scenarios are half of the full design reference x model error x noise, in a chessboard: both
-  references with and without noise, each model error with and without noise and with both
-  references. The true arm is the nominal one.
+- The scenarios are those of `octarm.sweeps.scenarios`, each with its weight.
 - The measurement begins after 1 s, when the start from rest is over, and lasts one period of the
   sine. What drifts slowly does not show in that time: see `LONG`.
 - No controller gets more force than the arm's input range has: what it asks for beyond is cut off.
@@ -38,7 +36,6 @@ from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import split
-from octarm.disturbances.forces import BandLimitedNoise
 from octarm.interfaces import ControllerFactory, Instant, Motion, Reference
 from octarm.metrics.chattering import Chattering
 from octarm.metrics.metric import Settings
@@ -49,6 +46,7 @@ from octarm.simulation.environment import load
 from octarm.simulation.rollout import simulate
 from octarm.simulation.stepping import AnyPhysics
 from octarm.sweeps.progress import arm_seconds
+from octarm.sweeps.scenarios import EVALUATION, TRAINING, Scenario, disturbances
 
 SLIDE_SCALE = 0.0175  # A [m]
 BEND_SCALE = 0.3  # A [rad]
@@ -56,7 +54,7 @@ CHATTERING_WEIGHT = 0.1  # w [1]
 LARGEST = 10.0  # cost of an arm that stays within its limits; one that does not costs up to twice
 
 FORMULA = (
-    f"J = mean over scenarios of sqrt(mean_j (rms_j / A_j)^2) + {CHATTERING_WEIGHT:g} "
+    f"J = weighted mean over scenarios of sqrt(mean_j (rms_j / A_j)^2) + {CHATTERING_WEIGHT:g} "
     "sqrt(mean_i chattering_i^2) / (g sum_k m_k), with the rms of q - q_d, "
     f"A = {SLIDE_SCALE:g} m and {BEND_SCALE:g} rad, the chattering of the inputs tau above 50 Hz, "
     "tau within the actuators' range; "
@@ -65,31 +63,6 @@ FORMULA = (
 
 # "tuning" in ASCII. Runs and sweeps have the seed that the user gives, 0 in the experiments.
 _ENTROPY = int.from_bytes(b"tuning", "big")
-
-
-@dataclasses.dataclass(frozen=True)
-class Scenario:
-    """What a controller is tried on.
-
-    Attributes:
-        reference: name of the desired motion.
-        mismatch: of its nominal model, see `ArmParameters.mismatched` [1].
-        noise: rms of the force on each joint over the amplitude of its input signal [1].
-    """
-
-    reference: str
-    mismatch: float
-    noise: float
-
-
-SCENARIOS = (
-    Scenario("sine", -0.3, noise=0.0),
-    Scenario("multi-sine", 0.0, noise=0.0),
-    Scenario("sine", 0.3, noise=0.0),
-    Scenario("multi-sine", -0.3, noise=0.4),
-    Scenario("sine", 0.0, noise=0.4),
-    Scenario("multi-sine", 0.3, noise=0.4),
-)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -103,7 +76,7 @@ class Examination:
         noise: number of the realisation of the noise.
     """
 
-    scenarios: tuple[Scenario, ...] = SCENARIOS
+    scenarios: tuple[Scenario, ...] = TRAINING
     begin: float = 1.0
     duration: float = 3.0
     noise: int = 0
@@ -112,6 +85,11 @@ class Examination:
     def seconds(self) -> float:
         """What a candidate is simulated for, all scenarios counted [s]."""
         return len(self.scenarios) * self.duration
+
+    def mean(self, costs: np.ndarray) -> np.ndarray:
+        """The weighted mean J of costs of shape (..., scenarios), shape (...) [1]."""
+        weights = np.array([scenario.weight for scenario in self.scenarios])
+        return np.sum(costs * weights, axis=-1) / np.sum(weights)
 
     def seeds(self) -> list[np.random.SeedSequence]:
         """One seed a scenario."""
@@ -124,6 +102,8 @@ class Examination:
 SHORT = Examination()
 # Tells gains that drift, and those that suit one realisation of the noise only.
 LONG = Examination(begin=2.0, duration=10.0, noise=1)
+# What the gains are judged by afterwards.
+UNSEEN = Examination(scenarios=EVALUATION, noise=2)
 
 
 def costs(
@@ -133,9 +113,9 @@ def costs(
     progress: Callable[[float], object] = lambda seconds: None,
     engine: str | None = None,
 ) -> np.ndarray:
-    """The cost of each candidate in each scenario, shape (n, scenarios) [1]; J is its mean.
+    """The cost of each candidate in each scenario, shape (n, scenarios) [1].
 
-    A cost does not depend on the other candidates.
+    J is its `Examination.mean`. A cost does not depend on the other candidates.
 
     Args:
         examination: what is tried.
@@ -146,23 +126,41 @@ def costs(
             counted.
         engine: that steps the arms; `lagrange` where it is installed, when not given.
     """
-    n, scenarios = len(next(iter(candidates.values()))), examination.scenarios
+    n = len(next(iter(candidates.values())))
+    engine = usual_engine() if engine is None else engine
+    table = np.empty((n, len(examination.scenarios)))
+    for period in dict.fromkeys(scenario.period for scenario in examination.scenarios):
+        places = [i for i, s in enumerate(examination.scenarios) if s.period == period]
+        table[:, places] = _costs(examination, places, factory, candidates, progress, engine)
+    return table
+
+
+def _costs(
+    examination: Examination,
+    places: Sequence[int],
+    factory: ControllerFactory,
+    candidates: Mapping[str, np.ndarray],
+    progress: Callable[[float], object],
+    engine: str,
+) -> np.ndarray:
+    """The costs in the scenarios with these numbers, which have one control period."""
+    n = len(next(iter(candidates.values())))
+    scenarios = [examination.scenarios[i] for i in places]
 
     def each(values: Sequence[float]) -> np.ndarray:
         """Values of the scenarios for each arm: the scenarios of a candidate side by side."""
         return np.tile(values, n)
 
-    true = nominal_parameters()
+    true, seeds = nominal_parameters(), examination.seeds()
     names = list(dict.fromkeys(s.reference for s in scenarios))
     motions = [named_reference(name, equilibrium(true)) for name in names]
     environment = load(
         EachItsOwn(motions, each([names.index(s.reference) for s in scenarios])),
-        disturbances=[
-            BandLimitedNoise(ratio=each([s.noise for s in scenarios])[:, None]),
-        ],
+        disturbances=disturbances([scenario for _ in range(n) for scenario in scenarios]),
         batch=n * len(scenarios),
-        seed=examination.seeds() * n,
-        engine=usual_engine() if engine is None else engine,
+        control_period=scenarios[0].period,
+        seed=[seeds[i] for i in places] * n,
+        engine=engine,
     )
     nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
     gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}
