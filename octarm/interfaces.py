@@ -243,8 +243,8 @@ ControllerFactory = Callable[..., Controller]
 class Knob(NamedTuple):
     """A factor by which tuning multiplies the recommended values of gains.
 
-    The usual range, two decades both ways, is meant to be free: a search that ends at an end of it
-    says so. A narrower one needs a reason, which stands where the knob is declared.
+    The usual range, three decades both ways, is meant to be free: a search that ends at one of its
+    ends says so. A narrower one needs a reason, which stands where the knob is declared.
 
     Attributes:
         name: of the knob, for people and files.
@@ -255,8 +255,8 @@ class Knob(NamedTuple):
     """
 
     name: str
-    low: float = 0.01
-    high: float = 100.0
+    low: float = 0.001
+    high: float = 1000.0
     apart: bool = False
     gains: tuple[str, ...] = ()
 

@@ -55,18 +55,19 @@ class LagrangeModel:
     @property
     def time_scale(self) -> np.ndarray:
         """1 / omega of the fastest undamped mode, shape () or (..., 1) [s]."""
-        return self._scales[0]
+        return self._scales.time
 
     @property
     def force_scale(self) -> np.ndarray:
-        """Apparent mass times length over the square of time, shape (..., 2N) [N], [N m]."""
-        return self._scales[1]
+        """What accelerates a coordinate by its length in that time squared, shape (..., 2N).
+
+        In [N], [N m], see `octarm.arm.similarity`.
+        """
+        return self._scales.force
 
     @functools.cached_property
-    def _scales(self) -> tuple[np.ndarray, np.ndarray]:
-        time = similarity.time_scale(self.parameters)
-        force = similarity.apparent_mass(self.parameters) * self.scale / (time * time)
-        return time, np.array(force.T, order="C").T  # contiguous along the arms, as states are
+    def _scales(self) -> similarity.Scales:
+        return similarity.scales(self.parameters)
 
     @property
     def descriptors(self) -> Mapping[str, np.ndarray]:

@@ -15,7 +15,8 @@ masses, lengths and times differ by three factors, and everything else according
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,58 +25,60 @@ from octarm.arm.modes import rates
 from octarm.arm.parameters import ArmParameters
 from octarm.errors import OctarmError
 
+_BEYOND = (
+    "gains have no scale here: masses, lengths and stiffnesses of the nominal model are beyond a "
+    "float, or leave no mode that swings"
+)
 
-def apparent_mass(p: ArmParameters) -> np.ndarray:
-    """What each coordinate of the hanging arm feels when the others are free, 1 / [D^-1]_jj.
 
-    Shape (..., 2N) [kg], [kg m^2].
+class Scales(NamedTuple):
+    """The scales of an arm.
+
+    Attributes:
+        time: 1 / omega of the fastest undamped mode, shape () for one arm, else (..., 1) [s].
+        force: what accelerates a coordinate, all others being free, by its length in the time
+            squared, shape (..., 2N) [N], [N m], contiguous along the arms; its mass is
+            1 / [D^-1]_jj.
+    """
+
+    time: np.ndarray
+    force: np.ndarray
+
+
+def scales(p: ArmParameters) -> Scales:
+    """The scales of the hanging arm.
 
     Raises:
-        OctarmError: if masses are so far apart that D cannot be inverted.
+        OctarmError: if no mode swings, or masses, lengths or stiffnesses are beyond a float.
     """
-    inertia = lagrange.mass_matrix(p, lagrange.equilibrium(p))
+    length = np.concatenate([p.rest_length, np.ones_like(p.rest_length)], axis=-1)
+    with np.errstate(all="ignore"):
+        squares, half = _modes(p, lagrange.equilibrium(p))
+        fastest = squares[..., -1:] if squares.ndim > 1 else squares[-1]
+        mass = 1.0 / np.sum(half * half, axis=-2)  # D^-1 = half^T half
+        force = length * mass * fastest
+        both = Scales(np.asarray(1.0 / np.sqrt(fastest)), np.array(force.T, order="C").T)
+    if not all(np.all(np.isfinite(scale) & (scale > 0.0)) for scale in both):
+        raise OctarmError(_BEYOND)
+    return both
+
+
+def _modes(p: ArmParameters, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The squares of the undamped frequencies at rest, rising, and L^-1 of D = L L^T.
+
+    Shapes (..., 2N) [1/s^2] and (..., 2N, 2N). With a negative square the arm does not stay there.
+    """
+    half = _solved(np.linalg.inv, _solved(np.linalg.cholesky, lagrange.mass_matrix(p, rest)))
+    # L^-1 K L^-T is symmetric, and has the eigenvalues of D^-1 K.
+    stiffness = half @ lagrange.potential_hessian(p, rest) @ half.swapaxes(-1, -2)
+    return _solved(np.linalg.eigvalsh, stiffness), half
+
+
+def _solved(function: Callable[[np.ndarray], np.ndarray], matrix: np.ndarray) -> np.ndarray:
     try:
-        inverse = np.linalg.inv(inertia)
+        return function(matrix)
     except np.linalg.LinAlgError:
-        raise _beyond("masses") from None
-    return 1.0 / np.diagonal(inverse, axis1=-2, axis2=-1)
-
-
-def undamped_modes(p: ArmParameters) -> np.ndarray:
-    """The squares of the circular frequencies of the hanging arm, rising, shape (..., 2N) [1/s^2].
-
-    With a negative one the arm does not stay where it hangs.
-
-    Raises:
-        OctarmError: if masses or stiffnesses are beyond a float.
-    """
-    rest = lagrange.equilibrium(p)
-    try:
-        # D = L L^T: L^-1 K L^-T is symmetric, and has the eigenvalues of D^-1 K.
-        half = np.linalg.inv(np.linalg.cholesky(lagrange.mass_matrix(p, rest)))
-        stiffness = half @ lagrange.potential_hessian(p, rest) @ half.swapaxes(-1, -2)
-        return np.linalg.eigvalsh(stiffness)
-    except np.linalg.LinAlgError:
-        raise _beyond("masses and stiffnesses") from None
-
-
-def time_scale(p: ArmParameters) -> np.ndarray:
-    """1 / omega of the fastest undamped mode, shape () for one arm, else (..., 1) [s].
-
-    Raises:
-        OctarmError: if no mode is stable, or if it is beyond a float.
-    """
-    fastest = undamped_modes(p)[..., -1]
-    if not np.all((fastest > 0.0) & np.isfinite(fastest)):
-        raise _beyond("masses and stiffnesses")
-    return np.asarray(1.0 / np.sqrt(fastest[..., None] if fastest.ndim else fastest))
-
-
-def _beyond(what: str) -> OctarmError:
-    return OctarmError(
-        f"the gains have no scale: the {what} of the nominal model leave no mode that swings, or "
-        "are beyond a float"
-    )
+        raise OctarmError(_BEYOND) from None
 
 
 def descriptors(p: ArmParameters) -> Mapping[str, np.ndarray]:
@@ -85,8 +88,9 @@ def descriptors(p: ArmParameters) -> Mapping[str, np.ndarray]:
     the slowest mode; `weight_ratio`, the weight over the force that doubles the first module's
     length; `mass_ratio`, the last module's mass over the first one's.
     """
-    modes = np.sqrt(np.abs(undamped_modes(p)))
-    eigenvalues: np.ndarray = rates(p, lagrange.equilibrium(p))
+    rest = lagrange.equilibrium(p)
+    modes = np.sqrt(np.abs(_modes(p, rest)[0]))
+    eigenvalues: np.ndarray = rates(p, rest)
     size, decay = np.abs(eigenvalues), -np.real(eigenvalues)
     slowest = np.argmin(size, axis=-1)[..., None]
     damping = np.take_along_axis(decay / size, slowest, -1)[..., 0]

@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
+from octarm.commands.gain_notes import print_unsuited
 from octarm.errors import ExitCode, OctarmError, printable, sentence_of
 from octarm.formats import read_toml
 from octarm.memory import check_batch
@@ -113,6 +114,8 @@ def _checked_spec(options: Options) -> SweepSpec:
         keys = ("gain_set", name) if name in spec.gain_sets else ("grid", "controller")
         with _in_file(options.spec, *(("gains", name) if name in spec.gains else keys)):
             spec.controller(name, nominal_parameters(), make_controller)
+            period, gains = spec.control_period, spec.gain_sets.get(name)
+            print_unsuited(name, gains, nominal_parameters(), spec.timestep, period)
     for episode in spec.record:
         if isinstance(episode, int):
             with _in_file(options.spec, "record", "episodes"):
