@@ -25,7 +25,7 @@ from controllers.fuzzy_rules import FuzzyController as FuzzyController
 from controllers.fuzzy_rules import FuzzySlidingMode as FuzzySlidingMode
 from controllers.gain_sets import gain_set_of
 from controllers.integral_sliding_mode import IntegralSlidingMode as IntegralSlidingMode
-from controllers.law import gain_fields, spelled
+from controllers.law import Law, gain_fields, spelled
 from controllers.sliding_mode import BoundaryLayer as BoundaryLayer
 from controllers.sliding_mode import SlidingMode as SlidingMode
 from controllers.super_twisting import SuperTwisting as SuperTwisting
@@ -46,6 +46,12 @@ CONTROLLERS: dict[str, type] = {
     "afsmc-consequent": AdaptiveConsequents,
     "afsmc": AdaptiveFuzzy,
 }
+
+
+def limits_text() -> str:
+    """For help pages: the laws that do not bear what all others do, a line each; may be empty."""
+    limits = {name: law.bears.limits() for name, law in CONTROLLERS.items() if issubclass(law, Law)}
+    return "\n".join(f"  {name}: up to {text}" for name, text in limits.items() if text)
 
 
 def make_controller(

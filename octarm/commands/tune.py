@@ -148,7 +148,7 @@ def _described(budget: Budget) -> dict[str, float]:
 def _outcome(examination: Examination, tuned: np.ndarray, by_hand: np.ndarray) -> dict[str, Any]:
     """What the gains cost, in all and in each scenario."""
     rows = [
-        {**dataclasses.asdict(scenario), "cost": cost, "recommended": other}
+        {**_unusual(scenario), "cost": cost, "recommended": other}
         for scenario, cost, other in zip(
             examination.scenarios, tuned.tolist(), by_hand.tolist(), strict=True
         )
@@ -183,7 +183,11 @@ def _print_summary(controller: str, budget: Budget, tuned: Tuned) -> None:
 
 
 def _words(scenario: Scenario) -> str:
-    """What differs from an undisturbed run with an exact model."""
-    usual = Scenario(reference="")
-    fields = dataclasses.asdict(scenario).items()
-    return ", ".join(f"{name} {x}" for name, x in fields if x != getattr(usual, name))
+    """A scenario in words."""
+    return ", ".join(f"{name} {value}" for name, value in _unusual(scenario).items())
+
+
+def _unusual(scenario: Scenario) -> dict[str, Any]:
+    """What of a scenario is not as usual, and its reference, by the names of its fields."""
+    usual = dataclasses.asdict(Scenario(reference=""))
+    return {name: x for name, x in dataclasses.asdict(scenario).items() if x != usual[name]}
