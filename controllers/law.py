@@ -65,6 +65,7 @@ class GainField:
     def scaled(self, numbers: npt.ArrayLike, nominal: NominalModel) -> npt.ArrayLike:
         """The gain [SI] for numbers in the scales of a nominal model, see `controllers.scaling`.
 
+        Numbers of shape (), (..., 1) or (..., 2M), for any M, become (..., 1) or (..., 2N).
         What is no number, or too many of them, stays as it is, to be refused by `checked`.
         """
         try:

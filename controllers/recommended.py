@@ -17,7 +17,13 @@ from octarm.interfaces import Knob, NominalModel
 
 
 class SetFor(NamedTuple):
-    """The scales of an arm that gains were set for, see `octarm.interfaces.NominalModel`."""
+    """The scales of an arm of N modules that gains were set for; see `NominalModel`.
+
+    Attributes:
+        scale: shape (2N,) [m], [rad].
+        time_scale: shape () [s].
+        force_scale: shape (2N,) [N], [N m].
+    """
 
     scale: np.ndarray
     time_scale: np.ndarray

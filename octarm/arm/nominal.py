@@ -71,7 +71,10 @@ class LagrangeModel:
 
     @property
     def descriptors(self) -> Mapping[str, np.ndarray]:
-        """Ratios in which arms differ that are not similar, see `octarm.arm.similarity`."""
+        """Ratios in which arms differ that are not similar, each of shape (...) [1].
+
+        See `octarm.arm.similarity.descriptors`.
+        """
         return similarity.descriptors(self.parameters)
 
     @property

@@ -167,7 +167,7 @@ def tune(
     /,
     *,
     out: Annotated[Path | None, kinds.file(".toml")] = None,
-    budget: Annotated[float, kinds.S] = 24000.0,
+    budget: Annotated[float, kinds.S] = 8000.0,
     seed: Annotated[int, kinds.N] = 0,
     resume: bool = False,
     engine: Annotated[str | None, kinds.ENGINE] = None,
@@ -187,7 +187,7 @@ def tune(
     Args:
         controller: controller to tune
         out: file to write; CONTROLLER.toml when not given; the search keeps its state beside it
-        budget: what the search may simulate, all arms counted [s]; 24000 s take minutes
+        budget: what the search may simulate, all arms counted [s]; 8000 s take minutes
         seed: seed of the search
         resume: go on with the search that was interrupted
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not

@@ -47,9 +47,8 @@ def run(
         nominal: a further factor on a parameter of the controller's model, e.g. mass:0.7
         parameter: a parameter of the true arm and of the model, e.g. mass:0.3,0.25,0.2 [kg], or
             input_range:-12,12 for the lowest and highest force of the columns [N]
-        gains: those to start from, scaled by the controller's model: tuned (for control periods up
-            to 0.002 s), recommended (set by hand, lower), or a file NAME.toml of octarm tune; tuned
-            ones when not given
+        gains: those to start from, scaled by the controller's model: tuned, recommended (set by
+            hand), or a file NAME.toml of octarm tune; tuned ones when not given
         gain: one gain in SI, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
         timestep: physics step [s]; that of models/octarm.xml, 0.0005 s, when not given; auto is the
             longest part of the control period that suits the fastest mode of the arm
