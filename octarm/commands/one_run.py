@@ -66,8 +66,9 @@ def run(
       octarm run --disturbance noise:0.4 --disturbance payload:0.2,at=3
       octarm run --controller smc --gain lambda:20 --parameter mass:0.4,0.3,0.2
 
-    With tuned gains, 40 % noise and a model wrong by 30 % the nominal arm is kept up to a control
-    period of 2 ms, inputs late by 1.5 ms or that lag by 5 ms; sooner ends the law:
+    With tuned gains, 40 % noise and a model wrong by 30 %, laws are to keep the
+    nominal arm up to a control period of 2 ms, inputs late by 1.5 ms, and inputs
+    that lag by 5 ms; those that end sooner:
 
     {limits}
 

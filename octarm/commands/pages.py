@@ -66,8 +66,7 @@ def page(app: App, name: str) -> str:
     if "{limits}" in examples:
         from controllers import limits_text
 
-        none = "  none"
-        examples = examples.replace("{limits}", limits_text() or none)
+        examples = examples.replace("{limits}", limits_text() or "  none")
     return "\n".join([*lines, "", "examples:", examples.rstrip()])
 
 
