@@ -36,8 +36,16 @@ _WORDS = {
 def known_words(kind: str) -> list[str]:
     """The words that a kind of value can be, such as CONTROLLER; imports what holds them."""
     if kind == "GAINS":
-        return ["tuned", "recommended", *map(str, sorted(Path().glob("*.toml")))]
+        return ["tuned", "recommended", *_files()]
+    if kind == "ARM":
+        from octarm.arm.file import shipped_arms
+
+        return [*shipped_arms(), *_files()]
     return list(pkgutil.resolve_name(_WORDS[kind]))
+
+
+def _files() -> list[str]:
+    return list(map(str, sorted(Path().glob("*.toml"))))
 
 
 def text(metavar: str) -> Parameter:
@@ -123,7 +131,7 @@ X, S, HZ = (_converted(metavar, _real) for metavar in ("X", "S", "HZ"))
 RUN, DIR = text("RUN"), text("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE = map(_word, ("CONTROLLER", "REFERENCE", "DISTURBANCE"))
 ACTUATION, INTEGRATOR, ENGINE = map(_word, ("ACTUATION", "INTEGRATOR", "ENGINE"))
-GAINS, SHELL = map(_word, ("GAINS", "SHELL"))
+GAINS, SHELL, ARM = map(_word, ("GAINS", "SHELL", "ARM"))
 
 
 def heading(name: str) -> Parameter:
