@@ -26,7 +26,6 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -121,14 +120,10 @@ def cannot_hang(p: ArmParameters) -> str:
 
 
 def arm_toml(arm: Arm) -> str:
-    """The text of a file that `read_arm` makes this arm of, in SI units."""
+    """The text of a file that `read_arm` makes this arm of, in SI units, to twelve digits."""
     p = arm.parameters
-    content: dict[str, Any] = {
-        "name": arm.name or None,
-        "source": list(arm.source) or None,
-        "converted": list(arm.converted) or None,
-        "assumed": list(arm.assumed) or None,
-        "modules": p.modules,
+    words = {
+        name: getattr(arm, name) or None for name in ("name", "source", "converted", "assumed")
     }
     lever = 0.25 * p.widths * p.widths
     rows: dict[str, tuple[str, np.ndarray]] = {
@@ -152,14 +147,16 @@ def arm_toml(arm: Arm) -> str:
     if np.any(np.isfinite(p.input_range)):
         alike = p.input_range.shape[-1] == 1
         rows["input_range"] = "force", p.input_range[:, 0] if alike else p.input_range
-    for name, (kind, value) in rows.items():
-        content[name] = {"value": _shortest(value), "unit": next(iter(UNITS[kind]))}
-    return to_toml(content)
+    lines = [_line(name, value, next(iter(UNITS[kind]))) for name, (kind, value) in rows.items()]
+    return to_toml({**words, "modules": p.modules}) + "".join(lines)
 
 
-def _shortest(value: np.ndarray) -> Any:
-    """A number for all modules and columns alike, or a list."""
+def _line(name: str, value: np.ndarray, unit: str) -> str:
+    """A quantity as a file has it: one for all modules and columns alike, or a list."""
+    numbers = [float(f"{x:.12g}") for x in value.ravel().tolist()]
+    value = np.reshape(numbers, value.shape)
     if value.ndim == 2 and np.array_equal(value[0], value[1]):
         value = value[0]
-    alike = value.ndim < 2 and value.size > 0 and bool(np.all(value == value.flat[0]))
-    return value.flat[0].item() if alike else value.tolist()
+    if value.ndim < 2 and np.all(value == value.flat[0]):
+        return f'{name} = "{value.flat[0].item()!r} {unit}"\n'
+    return f'{name} = {{ value = {value.tolist()!r}, unit = "{unit}" }}\n'

@@ -149,8 +149,7 @@ def linear_law(controller: Controller, rest: np.ndarray, period: float) -> Linea
         size = np.maximum(np.abs(a), np.abs(b)).max(axis=0, initial=0.0)
         if np.any(np.abs(a - b) > _UNLIKE * size + 1e-9):
             raise NoSlopeError(
-                f"the law has no derivative by {name} at rest, as one that switches by sgn(s); "
-                "the loop cannot be linearised"
+                f"no derivative by {name} at rest, as of a law that switches by sgn(s)"
             )
     by_y, by_z = fine
     n = len(rest)
@@ -277,7 +276,7 @@ class Loop:
             self._law = lambda T: first
 
     def matrix(self, period: float) -> np.ndarray:
-        """See `loop_matrix`."""
+        """`loop_matrix` for a control period [s], shape (m + k, m + k)."""
         return loop_matrix(self.plant, self._law(period), period)
 
     def radius(self, period: float) -> float:
@@ -312,8 +311,8 @@ class Mode(NamedTuple):
         radius: by which it grows in a control period [1].
         frequency: at which it swings [Hz]; half the sampling rate if it alternates.
         coordinate: of the plant that has most of the kinetic energy.
-        mode: of the plant that has the largest share in it, counted from 1, the slowest.
-        plant_frequency: natural frequency of that mode [Hz].
+        mode: of the plant without dampers that has the largest share in it, counted from 1.
+        plant_frequency: frequency of that mode [Hz].
     """
 
     radius: float
@@ -330,16 +329,14 @@ def first_mode(loop: Loop, period: float) -> Mode:
     plant, n = loop.plant, len(loop.plant.names)
     state = vectors[: 2 * n, worst]
     energy = plant.inertia * np.abs(state[n:]) ** 2
-    rates, shapes = np.linalg.eig(plant.A)
-    speed = np.sqrt(np.sum(plant.inertia[:, None] * np.abs(shapes[n:]) ** 2, axis=0))
-    share = np.abs(np.linalg.solve(shapes, state)) * speed
-    sizes = np.abs(rates)
-    most = int(np.argmax(share))
-    slower = sizes[(np.imag(rates) >= 0.0) & (sizes < (1.0 - 1e-9) * sizes[most])]
+    squares, shapes = np.linalg.eig(-plant.A[n:, :n])  # of D^-1 K
+    size = np.sqrt(np.sum(plant.inertia[:, None] * np.abs(shapes) ** 2, axis=0))
+    most = int(np.argmax(np.abs(np.linalg.solve(shapes, state[n:])) * size))
+    square = np.real(squares)
     return Mode(
         radius=float(np.abs(values[worst])),
         frequency=abs(float(np.angle(values[worst]))) / (2.0 * math.pi * period),
         coordinate=plant.names[int(np.argmax(energy))],
-        mode=len(slower) + 1,
-        plant_frequency=float(sizes[most]) / (2.0 * math.pi),
+        mode=int(np.sum(square < square[most])) + 1,
+        plant_frequency=math.sqrt(max(0.0, float(square[most]))) / (2.0 * math.pi),
     )

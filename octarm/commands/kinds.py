@@ -142,6 +142,8 @@ def heading(name: str) -> Parameter:
 EXPERIMENT = heading("the experiment")
 MODEL = heading("the arm, and the model that the controller believes")
 GAIN = heading("gains")
+SOURCE = heading("another source of the arm")
+LOOP = heading("stability of the sampled loop")
 SIMULATION = heading("simulation")
 SOUGHT = heading("what is sought")
 RUNS = heading("the runs, as in octarm run")
