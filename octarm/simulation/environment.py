@@ -187,14 +187,13 @@ def groups_of(arm: ArmParameters, plant_modules: int | None, layout: str) -> Gro
     Raises:
         OctarmError: if there is no such plant.
     """
-    if plant_modules is None:
-        if layout != PAPER:
-            raise OctarmError(
-                f"layout is {quoted(layout)}, which is that of a plant of more modules; "
-                "plant_modules says of how many"
-            )
-        return None
-    groups = Groups.of(arm, whole_number("plant_modules", plant_modules, 1), layout)
+    modules = arm.modules if plant_modules is None else plant_modules
+    groups = Groups.of(arm, whole_number("plant_modules", modules, 1), layout)
+    if plant_modules is None and layout != PAPER:
+        raise OctarmError(
+            f"layout is {layout!r}, that of a plant of more modules; plant_modules must say of how "
+            "many"
+        )
     return None if layout == PAPER and groups.plant.modules == arm.modules else groups
 
 
