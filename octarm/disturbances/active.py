@@ -25,10 +25,10 @@ from octarm.disturbances.episode import (
     PlantProcess,
     SensorFault,
     SensorProcess,
-    TipProcess,
     numbered,
     occurrences,
 )
+from octarm.disturbances.forces import TipProcess
 from octarm.errors import OctarmError
 
 _SIMULATED = (1e-14, 1e14)  # masses [kg] and inertias [kg m^2]; beyond, MuJoCo divides by zero

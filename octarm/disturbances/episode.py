@@ -25,7 +25,6 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 
 from octarm.arm.groups import Groups
-from octarm.arm.kinematics import tip_force
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.delivered import Measured
@@ -285,24 +284,6 @@ class Disturbance(abc.ABC):
 
 # What `start` of a `Force` and of an `ActuatorFault` returns.
 ForceProcess = ActuatorProcess = Callable[[int, np.ndarray], np.ndarray]
-
-
-class TipProcess:
-    """A force on the tip, wherever that is: a `ForceProcess` that needs the plant's coordinates.
-
-    Attributes:
-        push: at a physics step, along x and y of the base frame, each of shape () or (n,) [N].
-        tip_length: of the plant, shape () or (n,) [m].
-    """
-
-    def __init__(
-        self, push: Callable[[int], tuple[Amount, Amount]], tip_length: np.ndarray | float
-    ) -> None:
-        self.push, self.tip_length = push, tip_length
-
-    def __call__(self, step: int, q: np.ndarray) -> np.ndarray:
-        """The generalised force of a step, q being that of all modules, shapes (..., 2N)."""
-        return tip_force(q, *self.push(step), self.tip_length)
 
 
 class PlantProcess(NamedTuple):

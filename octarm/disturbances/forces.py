@@ -9,9 +9,10 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from octarm.arm.kinematics import tip_force
 from octarm.arrays import entry
 from octarm.disturbances.delivered import Measured
-from octarm.disturbances.episode import Episode, Event, Force, ForceProcess, TipProcess
+from octarm.disturbances.episode import Episode, Event, Force, ForceProcess
 from octarm.disturbances.fields import Amount, Quantity, Words
 from octarm.disturbances.streams import NEVER, HeldNoise, in_steps
 from octarm.errors import OctarmError
@@ -204,6 +205,24 @@ def _along(size: Callable[[int], Amount], x: float, y: float, step: int) -> tupl
     """A force of a size in a direction."""
     amount = size(step)
     return amount * x, amount * y
+
+
+class TipProcess:
+    """A force on the tip, wherever that is: a `ForceProcess` that needs the plant's coordinates.
+
+    Attributes:
+        push: at a physics step, along x and y of the base frame, each of shape () or (n,) [N].
+        tip_length: of the plant, shape () or (n,) [m].
+    """
+
+    def __init__(
+        self, push: Callable[[int], tuple[Amount, Amount]], tip_length: np.ndarray | float
+    ) -> None:
+        self.push, self.tip_length = push, tip_length
+
+    def __call__(self, step: int, q: np.ndarray) -> np.ndarray:
+        """The generalised force of a step, q being that of all modules, shapes (..., 2N)."""
+        return tip_force(q, *self.push(step), self.tip_length)
 
 
 class _Push:

@@ -157,7 +157,7 @@ class AnyPhysics(control.Physics):
         return self._qvel.take(self._qvel_index, 0).T
 
     def plant_place(self) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """`Instant.plant_q` and `Instant.plant_tip`."""
+        """`plant_q` and `plant_tip` of an `Instant`, shapes (..., 2K) and (..., 2) [m], [rad]."""
         if self.groups is None:
             return None, None
         q = self.plant_q()
