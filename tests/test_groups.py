@@ -2,6 +2,7 @@
 # pyright: reportAttributeAccessIssue=false
 # (mujoco ships no type stubs)
 
+import pickle
 from typing import Any
 
 import mujoco
@@ -18,6 +19,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import OctarmError
+from octarm.interfaces import Instant
 from octarm.simulation.engines import ENGINES
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout, simulate
@@ -213,13 +215,15 @@ def test_an_arm_has_the_same_bits_alone_and_in_a_batch(layout: str, engine: str)
     }  # fmt: skip
     seeds = [np.random.SeedSequence(0, spawn_key=(i,)) for i in range(20)]
     places: list[list[np.ndarray]] = []
+
+    def note(x: Instant) -> None:
+        assert x.plant_q is not None and x.plant_tip is not None
+        places[-1].append(np.concatenate([x.q, x.v, x.plant_q, x.plant_tip], axis=-1))
+
     for threads in (1, 2):
         places.append([])
         environment = load(batch=20, seed=seeds, threads=threads, **options)
-        simulate(
-            environment, law("smc-boundary"), 0.02,
-            lambda x: places[-1].append(np.concatenate([x.q, x.v, x.plant_q, x.plant_tip], -1)),
-        )  # fmt: skip
+        simulate(environment, law("smc-boundary"), 0.02, note)
     np.testing.assert_array_equal(places[0], places[1])
     for i in (0, 7, 19):
         run = rollout(load(seed=seeds[i], **options), law("smc-boundary"), 0.02)
@@ -241,12 +245,65 @@ def test_a_plant_of_as_many_modules_is_the_arm(engine: str):
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+@each_layout
+def test_arms_of_different_size_have_plants_of_different_size(layout: str, engine: str):
+    arms = ArmParameters.from_dict(
+        ARM.to_dict()
+        | {
+            "rest_length": np.outer([1.0, 1.3], ARM.rest_length),
+            "stiffness": np.multiply.outer([1.0, 0.8], ARM.stiffness),
+            "tip_length": [0.0, 0.01],
+        }
+    )
+    options: dict[str, Any] = {
+        "plant_modules": 6, "layout": layout, "timestep": 1e-4, "engine": engine,
+        "disturbances": [parse_disturbance("step:1,on=tip-y")],
+    }  # fmt: skip
+    seeds = [np.random.SeedSequence(i) for i in range(2)]
+    environment = load(batch=2, seed=seeds, parameters=arms, **options)
+    environment.reset()
+    physics = environment.physics
+    physics.set_control(np.tile(TAU, (2, 1)))
+    physics.step(50)
+    for i in range(2):
+        single = load(seed=seeds[i], parameters=arms.arm(i), **options)
+        single.reset()
+        single.physics.set_control(TAU)
+        single.physics.step(50)
+        for part in ("q", "v", "plant_q", "disturbance", "hanging"):
+            alone, row = (getattr(x, part)() for x in (single.physics, physics))
+            np.testing.assert_array_equal(row[i], alone)
+        tips = physics.tip_position()[i], single.physics.tip_position()
+        np.testing.assert_allclose(*tips, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_copy_goes_on_as_the_original(engine: str):
+    environment = load(
+        plant_modules=9, layout="centred", timestep=1e-4, engine=engine,
+        disturbances=[parse_disturbance("noise:0.4")],
+    )  # fmt: skip
+    environment.reset()
+    original = environment.physics
+    original.set_control(TAU)
+    original.step(20)
+    copies = [original.copy(), pickle.loads(pickle.dumps(original))]
+    for physics in (original, *copies):
+        physics.step(20)
+    for physics in copies:
+        assert len(physics.coordinates.names) == 6
+        for part in ("q", "v", "plant_q", "tau"):
+            np.testing.assert_array_equal(getattr(physics, part)(), getattr(original, part)())
+
+
 def test_the_tip_is_pushed_where_it_is():
     groups = Groups.of(ARM, 15, "centred")
     q, v = bent(groups, 4)
-    push, eps = np.array([0.7, -1.3]), 1e-6
+    (x, y), eps = (0.7, -1.3), 1e-6
+    push = np.array([x, y])
     power = push @ (groups.tip(q + eps * v) - groups.tip(q - eps * v)) / (2.0 * eps)
-    assert tip_force(q, *push, 0.5 * 0.36 / 15.0) @ v == pytest.approx(power, rel=1e-8)
+    assert tip_force(q, x, y, 0.5 * 0.36 / 15.0) @ v == pytest.approx(power, rel=1e-8)
     environment = load(
         plant_modules=15, layout="centred", timestep=1e-4,
         disturbances=[parse_disturbance("step:2,on=tip-y")],

@@ -152,10 +152,10 @@ def _change(name: str, moments: dict[str, Any]) -> str:
 
 
 def _number(value: Any) -> str:
-    if isinstance(value, list) and np.size(value) > _MOST_NUMBERS:
-        numbers = np.array(value, dtype=np.float64)
-        return f"{_number(np.nanmin(numbers))} .. {_number(np.nanmax(numbers))}"
     if isinstance(value, list):
+        numbers = np.array(cast("list[Any]", value), dtype=np.float64)
+        if numbers.size > _MOST_NUMBERS:
+            return f"{np.nanmin(numbers):.3g} .. {np.nanmax(numbers):.3g}"
         return "(" + ", ".join(map(_number, cast("list[Any]", value))) + ")"
     return "unknown" if value is None else f"{value:.3g}"
 

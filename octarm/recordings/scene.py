@@ -17,6 +17,7 @@ import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
+from octarm.arm.kinematics import arc_tip
 from octarm.arm.mjcf import world_position
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance
@@ -117,6 +118,7 @@ class Scene:
         tip, desired_tip = shapes.tip(q), shapes.tip(q_d)
         if self._finer:
             tip = world_position(rows["plant_tip"])
+            desired_tip = world_position(np.stack(arc_tip(q_d), axis=-1))
         last = self._last or (tip[0], desired_tip[0])
         self._last = tip[-1], desired_tip[-1]
         tube, ribs = shapes.backbone(q, shapes.TUBE_PIECES), shapes.backbone(q_d, shapes.RIBS)
@@ -130,7 +132,7 @@ class Scene:
             "world/skeleton": _strips(shapes.skeleton(q)),
         }
         if self._payloads:
-            frames["world/payload"] = self._balls(rows["t"], q)
+            frames["world/payload"] = self._balls(rows["t"], rows["plant_q"] if self._finer else q)
         if self._finer:
             curve = np.concatenate([shapes.skeleton(rows["plant_q"]), tip[:, None]], axis=1)
             frames["world/plant"] = _strips(curve)
