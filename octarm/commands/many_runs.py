@@ -104,6 +104,8 @@ def margin(
     gains: Annotated[str | None, kinds.GAINS, kinds.RUNS] = None,
     seed: Annotated[int, kinds.N, kinds.RUNS] = 0,
     engine: Annotated[str | None, kinds.ENGINE, kinds.RUNS] = None,
+    plant_modules: Annotated[int | None, kinds.COUNT, kinds.RUNS] = None,
+    layout: Annotated[str, kinds.LAYOUT, kinds.RUNS] = "paper",
     csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
     json: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
 ) -> Work:
@@ -132,6 +134,8 @@ def margin(
         seed: seed of all that is random
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
             given
+        plant_modules: modules of the true arm; the model's when not given
+        layout: of that arm, paper or centred
         csv: also write the table to this file
         json: also write everything: the margins of each seed, and the coarse grid
 
@@ -157,6 +161,8 @@ def margin(
         gains=gains,
         seed=seed,
         engine=usual_engine() if engine is None else engine,
+        plant_modules=plant_modules,
+        layout=layout,
     )
     job = partial(work.margin, controllers, settings, low, high, csv, json)
     return job if csv is None and json is None else surviving_output(job)
@@ -171,6 +177,8 @@ def tune(
     seed: Annotated[int, kinds.N] = 0,
     resume: bool = False,
     engine: Annotated[str | None, kinds.ENGINE] = None,
+    plant_modules: Annotated[int | None, kinds.COUNT] = None,
+    layout: Annotated[str, kinds.LAYOUT] = "paper",
 ) -> Work:
     """Find gains for one controller.
 
@@ -186,6 +194,8 @@ def tune(
         resume: go on with the search that was interrupted
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
             given
+        plant_modules: modules of the true arm; the model's when not given
+        layout: of that arm, paper or centred
 
     Examples:
       octarm tune smc-boundary --out my-gains.toml
@@ -194,4 +204,5 @@ def tune(
     from octarm.commands import tune as work
 
     out = out or Path(f"{controller}.toml")
-    return surviving_output(partial(work.tune, controller, out, budget, seed, resume, engine))
+    options = work.Options(out, budget, seed, resume, engine, plant_modules, layout)
+    return surviving_output(partial(work.tune, controller, options))
