@@ -67,7 +67,9 @@ def references(p: ArmParameters) -> np.ndarray:
         out[neighbours] = between[sample]
         sine = np.sin(2.0 * np.pi * _FREQUENCY * t)
         on_tip = sizes @ [0.0, 1.0, float(sample in _PULSE), sine]
-        out[len(DRIVEN) :] += tip_force(q[len(DRIVEN) :], along * on_tip, (1.0 - along) * on_tip)
+        out[len(DRIVEN) :] += tip_force(
+            q[len(DRIVEN) :], along * on_tip, (1.0 - along) * on_tip, p.entries.tip_length
+        )
         return out
 
     mass = np.tile(p.mass, (tau.shape[1], 1))
@@ -104,6 +106,7 @@ def disturbed_orders(p: ArmParameters, reference: np.ndarray) -> dict[str, float
     tau = np.tile(inputs(p)[0, 0], (len(DISTURBED), 1))
     coarse = int(np.ceil(hold * fastest_rate(p) / 0.2))
     errors: list[np.ndarray] = []
+    p = dataclasses.replace(p, input_range=(-np.inf, np.inf))  # as in the references
     for count in (coarse, 2 * coarse):
         environment = load(
             parameters=p,
