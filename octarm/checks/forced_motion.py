@@ -126,6 +126,12 @@ def disturbed_orders(p: ArmParameters, reference: np.ndarray) -> dict[str, float
 
 
 def _push(p: ArmParameters) -> tuple[float, str]:
-    """The force on the tip [N], and its direction; one module does not move sideways."""
+    """The force on the tip [N], and its direction; one module does not move sideways.
+
+    It is no more than what bends an arm a little that is soft in bending alone.
+    """
+    bending = np.diagonal(lagrange.stiffness_matrix(p))[p.modules :]
     size = 0.04 * float(np.mean(p.stiffness * p.rest_length))
+    length = float(np.sum(p.rest_length) + p.tip_length)
+    size = min(size, 0.6 * float(np.mean(bending)) / length)
     return size, "tip-y" if p.modules > 1 else "tip-x"

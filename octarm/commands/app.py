@@ -57,9 +57,9 @@ def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
 
 
 for title, functions in {
-    "an arm": (one_arm.arm,),
     "one run": (one_run.run, one_run.replay, one_run.record, one_run.plot, one_run.video),
     "many runs": (many_runs.sweep, many_runs.report, many_runs.margin, many_runs.tune),
+    "an arm": (one_arm.arm,),
     "checks": (checks.validate, checks.verify),
     "this machine": (checks.doctor, completion),
 }.items():

@@ -42,7 +42,7 @@ class LoopOptions:
         return Stability(p, made, period)
 
 
-def arms(names: Sequence[str], rod: str | None) -> list[Arm]:
+def _arms(names: Sequence[str], rod: str | None) -> list[Arm]:
     """The arms that a command line means.
 
     Raises:
@@ -57,8 +57,11 @@ def arms(names: Sequence[str], rod: str | None) -> list[Arm]:
     return [_from_rod(rod)]
 
 
-def arm(several: Sequence[Arm], loop: LoopOptions, write: Path | None, out: Path | None) -> int:
+def arm(
+    names: Sequence[str], rod: str | None, loop: LoopOptions, write: Path | None, out: Path | None
+) -> int:
     """`octarm arm`: prints what arms are; draws and writes one."""
+    several = _arms(names, rod)
     if (write or out) and len(several) != 1:
         raise OctarmError(f"{len(several)} arms are given; --write and --out take one")
     stable = True

@@ -49,6 +49,5 @@ def arm(
     """
     from octarm.commands import arm as work
 
-    several = work.arms(arms, from_rod)
     loop = work.LoopOptions(controller, gains, control_period)
-    return surviving_output(partial(work.arm, several, loop, write, out))
+    return surviving_output(partial(work.arm, arms, from_rod, loop, write, out))

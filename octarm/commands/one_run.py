@@ -73,7 +73,7 @@ def run(
       octarm run --controller afsmc --mismatch -0.3 --out runs/adaptive
       octarm run --disturbance noise:0.4 --disturbance payload:0.2,at=3
       octarm run --controller smc --gain lambda:20 --parameter mass:0.4,0.3,0.2
-      octarm run --arm my-arm.toml --gains recommended
+      octarm run --arm eth --controller afsmc
       octarm run --plant-modules 15 --timestep auto --control-period 0.0001
 
     Disturbances, by what they act on; keys with their defaults:
