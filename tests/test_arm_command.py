@@ -192,6 +192,7 @@ def test_a_run_has_the_arm_of_its_file_and_parameters_on_top():
     assert "identical" in said("verify", "eth")
 
 
+@pytest.mark.slow
 def test_a_sweep_over_arms_keeps_them_and_gives_each_its_columns():
     spec = """\
 episodes = 2
