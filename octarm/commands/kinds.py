@@ -13,7 +13,8 @@ from typing import Any, Literal, get_args, get_origin
 
 from cyclopts import Group, Parameter, Token
 
-from octarm.errors import quoted
+from octarm.errors import OctarmError, quoted
+from octarm.units import ANY, number
 
 Work = Callable[[], int]  # what a command does, once it begins; returns the exit code
 
@@ -60,11 +61,16 @@ def _converted(metavar: str, convert: Callable[[str, str], Any]) -> Parameter:
     return Parameter(metavar=metavar, converter=converter)
 
 
-def _real(option: str, word: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        raise ValueError(f"{option} is {quoted(word)}; it must be a number") from None
+def _real(unit: str) -> Callable[[str, str], float]:
+    def convert(option: str, word: str) -> float:
+        return number(option, word, unit)
+
+    return convert
+
+
+def _number_as_text(option: str, word: str) -> str:
+    number(option, word, ANY)
+    return word
 
 
 _LARGEST = 2**63 - 1  # that tables and recordings hold
@@ -113,13 +119,16 @@ def _step(option: str, word: str) -> float | str:
     if word == "auto":
         return word
     try:
-        return float(word)
-    except ValueError:
-        raise ValueError(f"{option} is {quoted(word)}; it must be a number [s] or auto") from None
+        return number(option, word, "s")
+    except OctarmError as error:
+        raise OctarmError(str(error).replace("a number", "a number [s] or auto")) from None
 
 
 STEP = _converted("S", _step)
-X, S, HZ = (_converted(metavar, _real) for metavar in ("X", "S", "HZ"))
+X = _converted("X", _real("1"))
+S = _converted("S", _real("s"))
+HZ = _converted("HZ", _real("Hz"))
+AMOUNT = _converted("X", _number_as_text)  # a number whose unit depends on another option
 RUN, DIR = text("RUN"), text("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE = map(_word, ("CONTROLLER", "REFERENCE", "DISTURBANCE"))
 ACTUATION, INTEGRATOR, ENGINE = map(_word, ("ACTUATION", "INTEGRATOR", "ENGINE"))
