@@ -72,9 +72,9 @@ def test_the_metrics_are_those_of_the_arrays():
 def test_the_same_command_gives_the_same_bytes_and_another_parameter_does_not():
     assert short_run() == 0
     first = Path("a/run.npz").read_bytes()
-    assert short_run() == 0  # replaces the earlier run
+    assert short_run("--force") == 0  # replaces the earlier run
     assert Path("a/run.npz").read_bytes() == first
-    assert short_run("--parameter", "damping:12,10,8.001;12,10,8") == 0
+    assert short_run("--force", "--parameter", "damping:12,10,8.001;12,10,8") == 0
     assert Path("a/run.npz").read_bytes() != first
 
 
@@ -126,7 +126,8 @@ BAD = [
     (["run", "--out", "file.txt"], "file.txt exists and is not an earlier run"),
     (["run", "--out", "full"], "full exists and is not an earlier run"),
     (["run", "--out", "file.txt/run"], "file.txt.*: "),
-    (["run", "--out", "precious"], "precious exists and is not an earlier run"),
+    (["run", "--out", "precious"], "precious/run.json is there already; --force replaces it"),
+    (["run", "--out", "precious", "--force"], "precious exists and is not an earlier run"),
     (["run", "--out", "deep/down/a", "--gain", "K:1;2"], "--gain is 'K:1;2'; a gain is one number"),
     (["run", "--gain", "K:1", "--gain", "K:2"], "--gain gives K twice"),
     (["run", "--duration", "1e300"], "duration is 1e.300 s; it must be at most 500000 s"),
@@ -241,7 +242,7 @@ def test_a_time_outside_the_run_and_a_name_that_is_no_picture_are_refused(capsys
 def test_a_link_to_a_run_is_followed():
     assert short_run() == 0
     Path("link").symlink_to("a")
-    assert cli.main(["run", "--duration", "0.02", "--out", "link"]) == 0
+    assert cli.main(["run", "--duration", "0.02", "--out", "link", "--force"]) == 0
     assert Path("link").is_symlink()
     assert len(octarm.read_run("a")[0]) == 40
     assert {p.name for p in Path().iterdir()} == {"a", "link"}

@@ -107,6 +107,18 @@ def file(suffix: str = "") -> Parameter:
     return _converted(f"FILE{suffix}", convert)
 
 
+def check_free(force: bool, *files: Path | None) -> None:
+    """Raises OctarmError if one of the files that a command writes is there, unless it is forced.
+
+    A device and a pipe hold nothing that could be lost.
+    """
+    for path in files if not force else ():
+        if path is not None and path.is_file():
+            raise OctarmError(
+                f"{path} is there already; --force replaces it, or choose another name"
+            )
+
+
 def whole(least: int, most: int) -> Parameter:
     """A whole number of what takes a whole machine, or hours, beyond the largest one."""
     return _converted("N", _whole(least, most))
