@@ -55,3 +55,8 @@ def number(name: str, text: str, unit: str) -> float:
         words = f"{', '.join(others)} or {last}" if others else last
         raise OctarmError(f"{name} is {quoted(text)}; its unit must be {words}")
     return float(match[1]) * known[match[2]]
+
+
+def has_unit(text: str) -> bool:
+    """Whether a text looks like a number with something behind it."""
+    return _NUMBER.fullmatch(text) is not None

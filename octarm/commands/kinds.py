@@ -6,6 +6,7 @@ the text of the help page. Called, it imports the modules that it needs and retu
 
 from __future__ import annotations
 
+import os
 import pkgutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -113,10 +114,16 @@ def check_free(force: bool, *files: Path | None) -> None:
     A device and a pipe hold nothing that could be lost.
     """
     for path in files if not force else ():
-        if path is not None and path.is_file():
+        if path is not None and os.path.isfile(path):  # a name may be too long
             raise OctarmError(
                 f"{path} is there already; --force replaces it, or choose another name"
             )
+
+
+def check_folder(folder: Path, file: str, what: str) -> None:
+    """Raises OctarmError, before what takes long to import, for a folder that is not `what`."""
+    if not os.path.isfile(folder / file):
+        raise OctarmError(f"{folder} is not {what}: it has no {file}")
 
 
 def whole(least: int, most: int) -> Parameter:
