@@ -34,7 +34,7 @@ import pydantic
 from pydantic import AfterValidator, Field, FiniteFloat
 
 from octarm.arm.actuation import ACTUATIONS
-from octarm.arm.groups import MOST_MODULES, PAPER
+from octarm.arm.groups import MOST_MODULES, PAPER, groups_of
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.modes import INTEGRATORS
 from octarm.arm.rod import LAYOUTS
@@ -44,7 +44,6 @@ from octarm.errors import FileError, OctarmError, closest, quoted
 from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
 from octarm.simulation.engines import ENGINES, MUJOCO
-from octarm.simulation.environment import groups_of
 from octarm.simulation.steps import AUTO
 from octarm.sweeps.spec import (
     LAYOUT,
