@@ -286,7 +286,7 @@ class AnyPhysics(control.Physics):
                 middle = self._middle()
                 q = middle if self.groups is None else self.groups.measured(middle)
                 self._added[self._qvel_index] = active.force(self._steps, q, middle).T
-                mean = active.felt() / nstep
+                mean = active.measured_force() / nstep
                 if not self._all_intact:
                     mean = np.where(self._intact[..., None], mean, 0.0)
                 self._disturbance = self._disturbance + mean
