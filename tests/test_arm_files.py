@@ -134,14 +134,14 @@ def test_a_module_has_the_axial_and_bending_stiffness_that_the_file_gives(column
     [
         ({"width": "0.08"}, r'line \d+: width is 0\.08; it must be given with a unit'),
         ({"width": '"80 mn"'}, r'line \d+: width is "80 mn"; it must be in m, cm or mm, which are'),
-        ({"width": '"80mm"'}, r'width is "80mm"; it must be a number, a space and a unit'),
+        ({"width": '"80xm"'}, r'width is "80xm"; it must be in m, cm or mm'),
         ({"width": '"80 N"'}, r"width is .*; it must be in m, cm or mm"),
         ({"width": "true"}, r"width is true; it must be"),
         ({"width": '{ value = 80 }'}, r"width is .*; it must be a table such as { value = "),
         ({"width": '{ value = "80", unit = "mm" }'}, r"width is .*; it must be a table"),
         ({"mass": '{ value = [1, [2]], unit = "g" }'}, r"mass is .*; it must be a list of as"),
         ({"mass": "[]"}, r'mass is \[\]; it must be a number with a unit'),
-        ({"width": '"nan m"'}, r"width is .*; it must be a number, a space and a unit"),
+        ({"width": '"nan m"'}, r"width is .*; it must be a number with a unit"),
         ({"mass": None, "modules": "2"}, r"it needs a value of mass$"),
         ({"damping": None}, r"it needs a value of damping$"),
         ({"mass": '"1 kg"'}, r"it needs a value of modules, since no list says how many there are"),
@@ -184,7 +184,12 @@ def test_every_unit_is_read_and_the_first_one_is_of_the_si(kind: str):
         np.testing.assert_allclose(
             quantity(kind, {"value": [1, 2.0], "unit": unit}), [size, 2 * size]
         )
-    assert quantity("inertia", "3 kg·mm²") == pytest.approx(3e-6)
+    for spelling in ("3 kg·mm²", "3kg mm^2", "3e0 kg*mm^2", " +3. kgmm^2 "):
+        assert quantity("inertia", spelling) == pytest.approx(3e-6)
+    assert quantity("length", "-inf m") == -np.inf
+    for wrong in ("1.2.3 m", "m", "1 2 m", "0x10 m", "1e m", "", "3"):
+        with pytest.raises(ValueError, match=r"a number with a unit|in m, cm or mm"):
+            quantity("length", wrong)
 
 
 ROD = """\

@@ -149,6 +149,21 @@ class Groups:
         return self.plant.tip_length - self.arm.tip_length
 
 
+def groups_of(arm: ArmParameters, plant_modules: int | None, layout: str) -> Groups | None:
+    """The groups of a plant of so many modules, if that is another one than the arm itself.
+
+    Raises:
+        OctarmError: if there is no such plant, or a layout is given without a number of modules.
+    """
+    groups = Groups.of(arm, arm.modules if plant_modules is None else plant_modules, layout)
+    if plant_modules is None and layout != PAPER:
+        raise OctarmError(
+            f"layout is {layout!r}, that of a plant of more modules; plant_modules must say of how "
+            "many"
+        )
+    return None if layout == PAPER and groups.plant.modules == arm.modules else groups
+
+
 def _halved_at_borders(sums: np.ndarray) -> np.ndarray:
     """The sums over groups, shape (M, N), with a half of the first slide of all but one of them."""
     out = sums.copy()

@@ -1,12 +1,13 @@
-"""Quantities as files have them, a number with its unit, in SI units and rad.
+"""Quantities of many numbers as files have them, each with its unit, in SI units and rad.
 
-A quantity is a word, `"120 mm"`; a list of such words; or a table for many numbers of one unit,
-`{ value = [1200, 1000, 800], unit = "N/m" }`.
+A quantity is a word, `"120 mm"` or `"120mm"`; a list of such words; or a table for many numbers of
+one unit, `{ value = [1200, 1000, 800], unit = "N/m" }`.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
@@ -34,6 +35,9 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 }  # fmt: skip
 
 
+_NUMBER = re.compile(r"\s*[-+]?(?:inf|(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![\w.]*\d)")
+
+
 def quantity(kind: str, given: Any) -> np.ndarray:
     """The numbers of a quantity in SI units, of any shape.
 
@@ -47,8 +51,10 @@ def quantity(kind: str, given: Any) -> np.ndarray:
     si = next(iter(UNITS[kind]))
     match given:
         case str():
-            number, _, unit = given.strip().partition(" ")
-            return _number(number, kind) * _size(unit, kind)
+            number = _NUMBER.match(given)
+            if number is None or number.end() == len(given):
+                raise ValueError(f'a number with a unit, such as "1 {si}"')
+            return np.array(float(number[0])) * _size(given[number.end() :], kind)
         case {"value": value, "unit": str() as unit, **rest} if not rest:
             return _numbers(value) * _size(unit, kind)
         case dict():
@@ -62,14 +68,6 @@ def quantity(kind: str, given: Any) -> np.ndarray:
             raise ValueError(f'given with a unit, such as "{spelt(given)} {si}"')
         case _:
             raise ValueError(f'a number with a unit, such as "1 {si}"')
-
-
-def _number(word: str, kind: str) -> np.ndarray:
-    try:
-        return _finite_or_inf(float(word))
-    except ValueError:
-        si = next(iter(UNITS[kind]))
-        raise ValueError(f'a number, a space and a unit, such as "1 {si}"') from None
 
 
 def _numbers(value: Any) -> np.ndarray:
@@ -96,8 +94,13 @@ def _finite_or_inf(x: Any) -> np.ndarray:
 
 def _size(unit: str, kind: str) -> float:
     units = UNITS[kind]
-    name = " ".join(unit.replace("·", " ").replace("*", " ").replace("²", "^2").split())
-    if name not in units:
+    known = {_closed_up(name): size for name, size in units.items()}
+    if _closed_up(unit) not in known:
         *most, last = units
         raise ValueError(f"in {', '.join(most)} or {last}, which are the units of {kind}")
-    return units[name]
+    return known[_closed_up(unit)]
+
+
+def _closed_up(unit: str) -> str:
+    """A unit without what people write differently: `N m`, `N*m` and `Nm` are one."""
+    return re.sub(r"[\s·*]", "", unit.replace("²", "^2"))

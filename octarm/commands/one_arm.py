@@ -16,6 +16,7 @@ def arm(
     from_rod: Annotated[str | None, kinds.text("KEY=VALUE,.."), kinds.SOURCE] = None,
     write: Annotated[Path | None, kinds.file(".toml"), kinds.OUTPUT] = None,
     out: Annotated[Path | None, kinds.file(".png"), kinds.OUTPUT] = None,
+    force: Annotated[bool, kinds.OUTPUT] = False,
     controller: Annotated[tuple[str, ...], kinds.CONTROLLER, kinds.LOOP] = (),
     gains: Annotated[str | None, kinds.GAINS, kinds.LOOP] = None,
     control_period: Annotated[float | None, kinds.S, kinds.LOOP] = None,
@@ -37,6 +38,7 @@ def arm(
             damping_time [s] and gravity [m/s^2]; BASE:TIP for a property that tapers
         write: write the arm to this file, in SI units
         out: draw the arm into this file
+        force: replace files that are there
         controller: look at the loop with this controller
         gains: its gains, as in octarm run
         control_period: time between control actions [s]; 0.0005 when not given
@@ -47,6 +49,7 @@ def arm(
       octarm arm eth --controller smc-boundary --controller afsmc \
         --control-period 0.001
     """
+    kinds.check_free(force, write, out)
     from octarm.commands import arm as work
 
     loop = work.LoopOptions(controller, gains, control_period)

@@ -14,7 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import make_controller
-from controllers.gain_sets import GainSet, read_gain_set, shortest
+from controllers.gain_sets import GainSet, shortest
 from octarm.arm.file import read_arm
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_text
@@ -32,6 +32,7 @@ class Options:
     seconds: float
     seed: int
     resume: bool
+    force: bool
     engine: str | None
     arm: str | None
     plant_modules: int | None
@@ -59,6 +60,8 @@ def tune(controller: str, options: Options) -> int:
     """`octarm tune`: gains for one controller, as a TOML file."""
     out, budget, rig = options.out, Budget.within(options.seconds), options.rig
     rig.check()
+    if options.force and not options.resume:
+        state_file(out).unlink(missing_ok=True)
     tuned = _search(controller, budget, options)
     origin = {
         "command": options.command(controller),
@@ -84,7 +87,11 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
     space = Space(factory(nominal), nominal.modules)
     depends_on = settings(controller, space, budget, options.seed, options.rig)
     file = StateFile(state_file(out), depends_on)
-    _check_place(out, file, controller, resume)
+    if file.path.exists() and not resume:
+        raise OctarmError(
+            f"{file.path} keeps a search that was interrupted; go on with it by --resume, or "
+            "begin it anew by --force"
+        )
     state = file.read() if resume else None
     bar = tqdm(
         total=budget.seconds, unit=" simulated s", unit_scale=True, disable=None, leave=False
@@ -110,25 +117,6 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
             raise KeyboardInterrupt("nothing was written") from None
         more = shlex.join(["--out", str(out), "--resume"])
         raise KeyboardInterrupt(f"go on by: {options.command(controller)} {more}") from None
-
-
-def _check_place(out: Path, file: StateFile, controller: str, resume: bool) -> None:
-    """Raises OctarmError if something stands where the result shall be.
-
-    An earlier result is replaced.
-    """
-    if out.exists():
-        earlier = read_gain_set(out)
-        if earlier.controller != controller:
-            raise OctarmError(
-                f"{out} holds gains of {earlier.controller}; choose another --out for those of "
-                f"{controller}"
-            )
-    if file.path.exists() and not resume:
-        raise OctarmError(
-            f"{file.path} keeps a search that was interrupted; go on with it by --resume, or "
-            "delete it"
-        )
 
 
 def state_file(out: Path) -> Path:

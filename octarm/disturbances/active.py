@@ -63,7 +63,7 @@ class ActiveDisturbances:
         self.inputs: dict[str, np.ndarray] = {}
         self.commanded = np.empty(0)
         self.readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        self._total = self._felt = np.empty(0)
+        self._total = self._measured = np.empty(0)
         families = (Force, PlantChange, ActuatorFault, SensorFault)
         started: dict[str, list[tuple[str, Any]]] = {cls.family: [] for cls in families}
         place = {cls: i for i, cls in enumerate(DISTURBANCES.values())}
@@ -112,12 +112,12 @@ class ActiveDisturbances:
             self.shares = shares
             self._total = sum(shares.values(), start=np.zeros(()))  # 0.0, never -0.0
             self._total.setflags(write=False)
-            self._felt = self._total
+            self._measured = self._total
         return self._total
 
-    def felt(self) -> np.ndarray:
-        """The sum of `shares`, shape (..., 2N) [N], [N m]."""
-        return self._felt
+    def measured_force(self) -> np.ndarray:
+        """The last `force` as far as it is measured, the sum of `shares`, shape (..., 2N)."""
+        return self._measured
 
     def _force_on(
         self, groups: Groups, step: int, q: np.ndarray, plant_q: np.ndarray
@@ -132,7 +132,7 @@ class ActiveDisturbances:
                 self.shares[name] = process(step, q)
                 force = groups.force(self.shares[name])
             total = total + force
-        self._felt = sum(self.shares.values(), start=np.zeros(()))
+        self._measured = sum(self.shares.values(), start=np.zeros(()))
         return total
 
     def plant_changes_at(self, step: int) -> bool:

@@ -14,7 +14,7 @@ from dm_control.rl import control
 from dm_env import specs
 
 from octarm.arm.actuation import ACTUATIONS
-from octarm.arm.groups import PAPER, Groups
+from octarm.arm.groups import PAPER, groups_of
 from octarm.arm.kinematics import arc_tip, last_axis, tip_position
 from octarm.arm.mjcf import build_model, build_slim_model, nominal_parameters, world_position
 from octarm.arm.parameters import ArmParameters
@@ -128,6 +128,8 @@ def load(
             f"{'one arm' if batch is None else f'{batch} arms'}"
         )
     seeds = _seeds(seed, batch)
+    if plant_modules is not None:
+        plant_modules = whole_number("plant_modules", plant_modules, 1)
     groups = groups_of(true, plant_modules, layout)
     plant = true if groups is None else groups.plant
     if batch is not None:
@@ -179,22 +181,6 @@ def load(
         episode_periods=limit,
     )
     return control.Environment(physics, task, n_sub_steps=steps_a_period)
-
-
-def groups_of(arm: ArmParameters, plant_modules: int | None, layout: str) -> Groups | None:
-    """The groups of a plant of so many modules; None if the plant is the arm itself.
-
-    Raises:
-        OctarmError: if there is no such plant.
-    """
-    modules = arm.modules if plant_modules is None else plant_modules
-    groups = Groups.of(arm, whole_number("plant_modules", modules, 1), layout)
-    if plant_modules is None and layout != PAPER:
-        raise OctarmError(
-            f"layout is {layout!r}, that of a plant of more modules; plant_modules must say of how "
-            "many"
-        )
-    return None if layout == PAPER and groups.plant.modules == arm.modules else groups
 
 
 def _seeds(

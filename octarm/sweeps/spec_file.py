@@ -19,6 +19,8 @@ An arm is a file, beside the spec, or one that comes with octarm; `arm` is a key
 list in `[grid]`. Its numbers become part of the spec that the sweep keeps, in a table `[arms.NAME]`
 as `run.json` has them.
 
+A number may be a text with a unit, such as `"40%"`, `"100 g"`, `"15deg"` or `"60ms"`.
+
 A further disturbance of the same class has its number behind its name, from 2 on: `pulse-2`,
 `noise-2.time`. It has columns and random numbers of its own.
 
@@ -31,6 +33,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -40,7 +43,7 @@ from pydantic import AfterValidator, Field, FiniteFloat
 
 from octarm.arm.actuation import ACTUATIONS
 from octarm.arm.file import arm_of, read_arm
-from octarm.arm.groups import MOST_MODULES, PAPER
+from octarm.arm.groups import MOST_MODULES, PAPER, groups_of
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.modes import INTEGRATORS
 from octarm.arm.parameters import ArmParameters
@@ -51,7 +54,6 @@ from octarm.errors import FileError, OctarmError, closest, quoted
 from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
 from octarm.simulation.engines import ENGINES, MUJOCO
-from octarm.simulation.environment import groups_of
 from octarm.simulation.steps import AUTO
 from octarm.sweeps.spec import (
     ARM,
@@ -63,11 +65,22 @@ from octarm.sweeps.spec import (
     class_of,
     which,
 )
+from octarm.units import number
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
 METHODS = ("uniform", "sobol")
 GAIN_SETS = ("tuned", "recommended")
 
+_LIKE_A_NUMBER = re.compile(r"\s*[-+.]{0,2}\d")  # how a number begins, with a unit or not
+# The units of what is no field of a disturbance; numbers may be texts with another unit.
+_UNITS = {
+    ("duration",): "s",
+    ("timestep",): "s",
+    ("control_period",): "s",
+    ("mismatch",): "1",
+    ("grid", "mismatch"): "1",
+    ("random", "mismatch"): "1",
+}
 # Axes of every sweep, and those that only some have.
 _USUAL, _MORE = ("controller", "reference", "mismatch"), (ARM, LAYOUT, PLANT_MODULES)
 _OWN = ("controller", "reference", *_MORE, "mismatch")  # in their order, slowest first
@@ -200,7 +213,14 @@ def parse_spec(text: str, file: str = "spec.toml") -> SweepSpec:
 
 
 def _spec(document: Document) -> SweepSpec:
+    for keys, unit in _UNITS.items():
+        document = _in_si(document, unit, *keys)
     content = document.read(SpecFile)
+    for place in (("disturbance",), ("grid", "disturbance"), ("random", "disturbance")):
+        for field, keys in list(_fields(document, *place)):
+            kind = field_kinds(class_of(field.disturbance))[field.field]
+            if not isinstance(kind, Words):
+                document = _in_si(document, kind.unit, *keys)
     axes, drawn = _axes(document, content)
     arms = _arms(document, content, axes)
     _check_plants(document, content, axes, arms)
@@ -227,6 +247,36 @@ def _spec(document: Document) -> SweepSpec:
     for name in spec.disturbances:
         _try(spec, name, document)
     return spec
+
+
+def _in_si(document: Document, unit: str, *keys: str) -> Document:
+    """The document with numbers in place of texts such as "40%" at a key, if there are some."""
+    table: Any = document.content
+    for key in keys:
+        if not isinstance(table, dict) or key not in table:
+            return document
+        table = cast(dict[str, Any], table)[key]
+
+    def converted(value: Any) -> Any:
+        if isinstance(value, list):
+            return [converted(x) for x in cast(list[Any], value)]
+        if isinstance(value, dict):
+            between = {"low", "high"}
+            items = cast(dict[str, Any], value).items()
+            return {key: converted(x) if key in between else x for key, x in items}
+        if not isinstance(value, str) or not _LIKE_A_NUMBER.match(value):
+            return value
+        try:
+            return number(".".join(keys), value, unit)
+        except OctarmError as error:
+            raise document.error(str(error), *keys) from None
+
+    def replaced(content: Any, keys: tuple[str, ...]) -> Any:
+        if not keys:
+            return converted(content)
+        return {**content, keys[0]: replaced(content[keys[0]], keys[1:])}
+
+    return dataclasses.replace(document, content=replaced(document.content, keys))
 
 
 def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tuple[Axis, ...]]:

@@ -11,9 +11,9 @@ import dataclasses
 
 import numpy as np
 
+from octarm.arm.groups import groups_of
 from octarm.disturbances.episode import PlantChange
 from octarm.errors import OctarmError
-from octarm.simulation.environment import groups_of
 from octarm.simulation.steps import AUTO, StepError, check_arms, fitting_step, steps_of
 from octarm.sweeps.plan import Arms, Plan
 from octarm.sweeps.spec import SweepSpec, class_of

@@ -35,7 +35,7 @@ from typing import Any
 
 import numpy as np
 
-from octarm.arm.groups import PAPER
+from octarm.arm.groups import PAPER, groups_of
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
@@ -47,7 +47,7 @@ from octarm.metrics.metric import Settings
 from octarm.metrics.tracking import TrackingError
 from octarm.references import named_reference
 from octarm.simulation.engines import check_engine, usual_engine
-from octarm.simulation.environment import groups_of, load
+from octarm.simulation.environment import load
 from octarm.simulation.rollout import simulate
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.steps import AUTO
