@@ -18,6 +18,7 @@ from octarm.references import REFERENCES
 GROUPS = {
     "one run": ["run", "replay", "record", "plot", "video"],
     "many runs": ["sweep", "report", "margin", "tune"],
+    "an arm": ["arm"],
     "checks": ["validate", "verify"],
     "this machine": ["doctor", "completion"],
 }
@@ -28,9 +29,18 @@ COMMANDS = [name for names in GROUPS.values() for name in names]
 OPERANDS = {
     "replay": "RUN ..", "record": "RUN", "plot": "RUN", "video": "RUN", "sweep": "SPEC.toml",
     "report": "SWEEP", "margin": "CONTROLLER ..", "tune": "CONTROLLER", "verify": "RUN ..",
-    "completion": "SHELL",
+    "completion": "SHELL", "arm": "ARM ..",
 }  # fmt: skip
 OPTIONS: dict[str, dict[str, dict[str, str]]] = {
+    "arm": {
+        "another source of the arm": {"--from-rod": "KEY=VALUE,.."},
+        "output": {"--write": "FILE.toml", "--out": "FILE.png", "--force": ""},
+        "stability of the sampled loop": {
+            "--controller": "CONTROLLER ..",
+            "--gains": "GAINS",
+            "--control-period": "S",
+        },
+    },
     "run": {
         "the experiment": {
             "--controller": "CONTROLLER smc-boundary",
@@ -40,9 +50,12 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--seed": "N 0",
         },
         "the arm, and the model that the controller believes": {
+            "--arm": "ARM",
             "--mismatch": "X 0",
             "--nominal": "NAME:FACTOR ..",
             "--parameter": "NAME:VALUES ..",
+            "--plant-modules": "N",
+            "--layout": "LAYOUT paper",
         },
         "gains": {"--gains": "GAINS", "--gain": "NAME:VALUES .."},
         "simulation": {
@@ -52,11 +65,11 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--integrator": "INTEGRATOR rk4",
             "--engine": "ENGINE mujoco",
         },
-        "output": {"--out": "DIR", "--view": ""},
+        "output": {"--out": "DIR", "--force": "", "--view": ""},
     },
-    "replay": {"options": {"--screenshot": "FILE.png", "--time": "S", "--web": ""}},
-    "record": {"options": {"--out": "FILE.rrd"}},
-    "plot": {"options": {"--out": "DIR"}},
+    "replay": {"options": {"--screenshot": "FILE.png", "--time": "S", "--web": "", "--force": ""}},
+    "record": {"options": {"--out": "FILE.rrd", "--force": ""}},
+    "plot": {"options": {"--out": "DIR", "--force": ""}},
     "video": {
         "options": {
             "--out": "FILE.mp4",
@@ -64,6 +77,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--height": "N 720",
             "--rate": "HZ 30",
             "--speed": "X 1",
+            "--force": "",
         }
     },
     "sweep": {
@@ -71,6 +85,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--out": "DIR",
             "--workers": "N",
             "--resume": "",
+            "--force": "",
             "--dry-run": "",
             "--cluster": "ADDRESS",
             "--wait-for-workers": "S 60",
@@ -78,7 +93,12 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
         }
     },
     "report": {
-        "options": {"--baseline": "CONTROLLER", "--metric": "METRIC ..", "--out": "DIR"},
+        "options": {
+            "--baseline": "CONTROLLER",
+            "--metric": "METRIC ..",
+            "--out": "DIR",
+            "--force": "",
+        },
     },
     "margin": {
         "what is sought": {
@@ -98,8 +118,11 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--gains": "GAINS",
             "--seed": "N 0",
             "--engine": "ENGINE",
+            "--arm": "ARM",
+            "--plant-modules": "N",
+            "--layout": "LAYOUT paper",
         },
-        "output": {"--csv": "FILE", "--json": "FILE"},
+        "output": {"--csv": "FILE", "--json": "FILE", "--force": ""},
     },
     "tune": {
         "options": {
@@ -107,18 +130,24 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--budget": "S 8000",
             "--seed": "N 0",
             "--resume": "",
+            "--force": "",
             "--engine": "ENGINE",
+            "--arm": "ARM",
+            "--plant-modules": "N",
+            "--layout": "LAYOUT paper",
         }
     },
     "validate": {
         "options": {
             "--controllers": "",
             "--engines": "",
+            "--arm": "ARM",
             "--modules": "N 3",
             "--random-parameters": "N 0",
             "--states": "N",
             "--seed": "N 0",
             "--json": "FILE",
+            "--force": "",
         }
     },
     "verify": {"options": {"--episode": "N ..", "--sample": "N"}},
@@ -247,6 +276,8 @@ def test_an_option_takes_one_value_and_a_flag_none(
 @pytest.mark.parametrize("command", OPERANDS)
 def test_operands_are_needed_and_counted(command: str):
     kind = OPERANDS[command].partition(" ")[0]
+    if command == "arm":  # the nominal one when none is given
+        return
     if not OPERANDS[command].endswith(".."):
         assert refused(command).startswith(f"octarm {command} needs {kind}, ")
         assert "'y'" in refused(command, "x", "y")
@@ -255,12 +286,12 @@ def test_operands_are_needed_and_counted(command: str):
 
 
 def test_words_that_are_not_known_are_refused_with_the_closest():
-    known = ", ".join(COMMANDS)
-    assert refused("ran") == f"unknown command 'ran', did you mean 'run'? known are {known}"
-    assert refused("xyz") == f"unknown command 'xyz'; known are {known}"
+    near = f"the nearest of {len(COMMANDS)} are "
+    assert refused("ran").startswith(f"unknown command 'ran', did you mean 'run'? {near}run, ")
+    assert refused("xyz").startswith(f"unknown command 'xyz'; {near}")
     assert refused() == "no command is given; octarm --help lists them"
     assert refused("run", "--duraton", "3").startswith(
-        "octarm run has no option '--duraton', did you mean '--duration'? known are --controller, "
+        "octarm run has no option '--duraton', did you mean '--duration'? the nearest of "
     )
     assert refused("run", "--duraton=3").startswith("octarm run has no option '--duraton', did")
     assert refused("run", "--dur", "3").startswith("octarm run has no option '--dur'")

@@ -228,7 +228,7 @@ def test_gains_for_another_arm_say_so():
 
 def test_a_run_says_that_its_gains_are_for_another_arm(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    short = ["run", "--controller", "smc-boundary", "--out", "a"]
+    short = ["run", "--controller", "smc-boundary", "--out", "a", "--force"]
     assert cli.main([*short, "--duration", "0.01"]) == 0
     assert capsys.readouterr().err == ""
     eight = ["mass:" + ",".join(["0.3"] * 8), "inertia:1e-4", "width:0.08", "stiffness:800"]

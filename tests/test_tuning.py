@@ -432,10 +432,10 @@ def test_the_command_writes_gains_and_how_they_were_found(capsys):
     for name, gain in gains_of(controller).items():
         numbers = content["gains"][name]
         np.testing.assert_allclose(gain, numbers * controller.scales()[name], rtol=1e-15)
-    assert cli.main(["tune", "smc", "--out", "my.toml", "--seed", "5"]) == 0  # replaced
+    assert cli.main(["tune", "smc", "--out", "my.toml", "--seed", "5"]) == 2
+    assert "my.toml is there already; --force replaces it" in capsys.readouterr().err
+    assert cli.main(["tune", "smc", "--out", "my.toml", "--seed", "5", "--force"]) == 0
     assert tomllib.loads(Path("my.toml").read_text()) == content
-    assert cli.main(["tune", "pd", "--out", "my.toml"]) == 2
-    assert "my.toml holds gains of smc; choose another --out" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("_small")
@@ -464,7 +464,7 @@ def test_an_interrupted_command_goes_on(capsys, monkeypatch):
     assert cli.main([*arguments, "--resume"]) == 0
     resumed = Path("smc.toml").read_text()
     assert [path.name for path in Path().iterdir()] == ["smc.toml"]
-    assert cli.main(arguments) == 0
+    assert cli.main([*arguments, "--force"]) == 0
     assert Path("smc.toml").read_text() == resumed
     Path("smc.toml.state").write_text("{}")
     assert cli.main([*arguments, "--resume"]) == 2
@@ -567,7 +567,7 @@ def test_what_is_no_gain_set_is_refused(tmp_path):
 
 def test_a_run_takes_its_gains_from_where_it_is_told(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    short = ["run", "--controller", "smc", "--duration", "0.01", "--out", "a"]
+    short = ["run", "--controller", "smc", "--duration", "0.01", "--out", "a", "--force"]
     assert cli.main([*short, "--gains", str(written(tmp_path))]) == 0
 
     def used() -> float:

@@ -9,7 +9,7 @@ import itertools
 import shlex
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +18,13 @@ from dm_control.rl import control
 from tqdm import tqdm
 
 from controllers import make_controller
+from octarm.arm.file import read_arm
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.modes import growth_rate
 from octarm.arm.parameters import ArmParameters
 from octarm.commands.gain_notes import print_unsuited
 from octarm.commands.summary import Swing, summary
+from octarm.disturbances.episode import Disturbance
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
 from octarm.recordings.recording import run_recording
 from octarm.runs import folder as runs
@@ -40,6 +42,8 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
     period = environment.control_timestep()
     far = print_unsuited(experiment.controller, gain_set, experiment.nominal, None, period)
     periods = whole_periods(experiment.duration, period)
+    for sentence in late_events(experiment.disturbances, experiment.duration):
+        print(f"octarm: {sentence}", file=sys.stderr)
     out = out or _dated_folder(experiment.controller)
     started, swing = time.perf_counter(), Swing()
     with tqdm(total=periods, unit=" periods", disable=None, leave=False) as bar:
@@ -69,18 +73,29 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
     return ExitCode.FINE
 
 
-def true_arm(changes: Sequence[str]) -> ArmParameters:
-    """The nominal arm with other parameters, each spelt NAME:VALUES.
+def late_events(disturbances: Sequence[Disturbance], duration: float) -> Iterator[str]:
+    """What begins after a run of this duration [s], a sentence each."""
+    for disturbance in disturbances:
+        for event in disturbance.events():
+            if event.text and event.at >= duration:
+                yield (
+                    f"{event.text} begins at {event.at:g} s, and the run ends at {duration:g} s "
+                    "before it"
+                )
+
+
+def true_arm(changes: Sequence[str], arm: str | None = None) -> ArmParameters:
+    """The nominal arm, or that of a file, with other parameters, each spelt NAME:VALUES.
 
     Raises:
-        OctarmError: if there is no such parameter, or its values are not allowed.
+        OctarmError: if there is no such arm or parameter, or values are not allowed.
     """
     values = named_values("--parameter", changes)
     known = [field.name for field in dataclasses.fields(ArmParameters)]
     for name in values:
         if name not in known:
             raise OctarmError(f"unknown parameter {quoted(name)}{closest(name, known)}")
-    nominal = nominal_parameters()
+    nominal = nominal_parameters() if arm is None else read_arm(arm)
     try:
         return dataclasses.replace(nominal, **values)
     except OctarmError:
@@ -138,7 +153,7 @@ def _advice(far: str, environment: control.Environment) -> str:
     A sentence `far` says that the gains were found for another arm, see `print_unsuited`.
     """
     physics: ArmPhysics = environment.physics
-    growth = float(growth_rate(physics.plant().parameters, physics.hanging()))
+    growth = float(growth_rate(physics.plant().parameters, physics.plant_rest()))
     if growth > 0.0:
         return (
             "; without control this arm does not stay where it hangs: a mode grows e-fold in "

@@ -14,7 +14,6 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import make_controller
-from octarm.arm.mjcf import nominal_parameters
 from octarm.commands.gain_notes import print_unsuited
 from octarm.errors import ExitCode, OctarmError, printable, sentence_of
 from octarm.formats import read_toml
@@ -52,13 +51,18 @@ class Options:
     cluster: str | None
     wait: float
     engine: str | None = None
+    force: bool = False
 
 
 def sweep(options: Options) -> int:
     """`octarm sweep`: runs a spec into a folder."""
     spec = _checked_spec(options)
+    if options.resume and options.force:
+        raise OctarmError("--resume and --force exclude each other")
     if options.out is None:
         raise OctarmError("there is no folder to write to; give --out DIR, or --dry-run")
+    if options.resume and not (options.out.is_dir() and any(options.out.iterdir())):
+        raise OctarmError(f"there is nothing in {options.out} to go on with by --resume")
     _run(spec, options, options.out)
     alike = _record(spec, options, options.out)
     _print_summary(options.out)
@@ -113,9 +117,10 @@ def _checked_spec(options: Options) -> SweepSpec:
     for name in spec.controllers:
         keys = ("gain_set", name) if name in spec.gain_sets else ("grid", "controller")
         with _in_file(options.spec, *(("gains", name) if name in spec.gains else keys)):
-            spec.controller(name, nominal_parameters(), make_controller)
             period, gains = spec.control_period, spec.gain_sets.get(name)
-            print_unsuited(name, gains, nominal_parameters(), spec.timestep, period)
+            for arm in spec.all_arms():
+                spec.controller(name, arm, make_controller)
+                print_unsuited(name, gains, arm, spec.timestep, period)
     for episode in spec.record:
         if isinstance(episode, int):
             with _in_file(options.spec, "record", "episodes"):
@@ -174,6 +179,7 @@ def _run(spec: SweepSpec, options: Options, out: Path) -> None:
                 executor=executor,
                 in_flight=in_flight,
                 resume=options.resume,
+                replace=options.force,
                 progress=bar.update,
                 partial=bar.go_on,
                 say=bar.say,
@@ -194,7 +200,7 @@ def _pool(options: Options, plan: Plan) -> Generator[tuple[Executor, int | Calla
             yield cluster
         return
     workers = min(workers, len(plan.shards))
-    check_batch(len(plan.shards[0]), nominal_parameters().modules, workers)
+    check_batch(len(plan.shards[0]), plan.spec.most_modules, workers)
     with WorkerProcesses(workers) as processes:
         yield processes, workers
 

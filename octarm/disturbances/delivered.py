@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -155,7 +156,7 @@ class Measured(NamedTuple):
         Each of them at some moments, and its extremes, of the parameter's own shape (...).
         """
         arms = [_numbers(plant.parameters, plant.gravity_angle) for plant in self.plants]
-        undisturbed = _numbers(self.episode.parameters, 0.0)
+        undisturbed = _numbers(self.episode.plant, 0.0)
         out: dict[str, dict[str, np.ndarray]] = {}
         for name, original in undisturbed.items():
             values = np.stack([arm[name] for arm in arms])
@@ -167,6 +168,7 @@ class Measured(NamedTuple):
 
 def _numbers(parameters: ArmParameters, gravity_angle: Any) -> dict[str, np.ndarray]:
     """Parameters that may change by name, with the angle of gravity [rad] for its size."""
-    numbers = parameters.to_dict() | {"gravity_angle": gravity_angle}
+    numbers = vars(parameters) | {"gravity_angle": gravity_angle}
+    names = [field.name for field in dataclasses.fields(parameters)]
     fixed = ("gravity", "input_range")
-    return {name: np.asarray(x) for name, x in numbers.items() if name not in fixed}
+    return {n: np.asarray(numbers[n]) for n in (*names, "gravity_angle") if n not in fixed}

@@ -34,6 +34,7 @@ class Scenario:
         dead_zone: of the inputs [N].
         payload: at the tip, from the start [kg].
         push: constant force on the tip, across the hanging arm, from 1.5 s on [N].
+        plant_modules: modules of the plant, see `octarm.load`; 0 for those of the arm.
         weight: what the scenario counts [1].
     """
 
@@ -48,6 +49,7 @@ class Scenario:
     dead_zone: float = 0.0
     payload: float = 0.0
     push: float = 0.0
+    plant_modules: int = 0
     weight: float = 1.0
 
 

@@ -2,16 +2,24 @@
 
 At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep` (or `"auto"`),
 `control_period` [s], `actuation`, `integrator`, `engine`, `batch` and `gain_set`, and `controller`,
-`reference` and `mismatch` where they have one value. The tables are:
+`reference`, `mismatch`, `plant_modules` and `layout` (of a plant of more modules, see
+`octarm.arm.groups`) where they have one value. The tables are:
 
-- `[grid]`: `controller`, `reference` and `mismatch` as lists;
+- `[grid]`: `controller`, `reference`, `mismatch`, `plant_modules` and `layout` as lists;
 - `[grid.disturbance]`: lists of values of disturbances, spelt as on the command line: `noise` for
   the value that goes without a key there, `noise.time` for one with a key;
 - `[random]` with `mismatch`, and `[random.disturbance]`: what is drawn for each seed,
   `payload = { low = 0.0, high = 0.2, method = "sobol" }`; `uniform` is the usual method;
 - `[disturbance]`: what is the same in all episodes, `noise.time = 0.01`;
 - `[gains.NAME]`: gains of a controller [SI];
+- `[arm]`: the arm, as in a file of one (`octarm.arm.file`), instead of `arm = "my-arm.toml"`;
 - `[record]`: `episodes`, a list of numbers, `"worst"`, `"median"` and `"diverged"`.
+
+An arm is a file, beside the spec, or one that comes with octarm; `arm` is a key at the top, or a
+list in `[grid]`. Its numbers become part of the spec that the sweep keeps, in a table `[arms.NAME]`
+as `run.json` has them.
+
+A number may be a text with a unit, such as `"40%"`, `"100 g"`, `"15deg"` or `"60ms"`.
 
 A further disturbance of the same class has its number behind its name, from 2 on: `pulse-2`,
 `noise-2.time`. It has columns and random numbers of its own.
@@ -24,7 +32,9 @@ part of the spec that the sweep keeps.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+import itertools
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -32,7 +42,12 @@ import pydantic
 from pydantic import AfterValidator, Field, FiniteFloat
 
 from octarm.arm.actuation import ACTUATIONS
+from octarm.arm.file import arm_of, read_arm
+from octarm.arm.groups import MOST_MODULES, PAPER, groups_of
+from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.modes import INTEGRATORS
+from octarm.arm.parameters import ArmParameters
+from octarm.arm.rod import LAYOUTS
 from octarm.disturbances.fields import Words, field_defaults, field_keys, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError, OctarmError, closest, quoted
@@ -40,13 +55,35 @@ from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml
 from octarm.references import REFERENCES
 from octarm.simulation.engines import ENGINES, MUJOCO
 from octarm.simulation.steps import AUTO
-from octarm.sweeps.spec import SETTINGS, Axis, SweepSpec, class_of, which
+from octarm.sweeps.spec import (
+    ARM,
+    LAYOUT,
+    PLANT_MODULES,
+    SETTINGS,
+    Axis,
+    SweepSpec,
+    class_of,
+    which,
+)
+from octarm.units import number
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
 METHODS = ("uniform", "sobol")
 GAIN_SETS = ("tuned", "recommended")
 
-_OWN = ("controller", "reference", "mismatch")  # axes of every sweep
+_LIKE_A_NUMBER = re.compile(r"\s*[-+.]{0,2}\d")  # how a number begins, with a unit or not
+# The units of what is no field of a disturbance; numbers may be texts with another unit.
+_UNITS = {
+    ("duration",): "s",
+    ("timestep",): "s",
+    ("control_period",): "s",
+    ("mismatch",): "1",
+    ("grid", "mismatch"): "1",
+    ("random", "mismatch"): "1",
+}
+# Axes of every sweep, and those that only some have.
+_USUAL, _MORE = ("controller", "reference", "mismatch"), (ARM, LAYOUT, PLANT_MODULES)
+_OWN = ("controller", "reference", *_MORE, "mismatch")  # in their order, slowest first
 
 
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -66,6 +103,8 @@ def _step(value: float | str) -> float | str:
 Distinct = AfterValidator(_distinct)
 Reference = Annotated[str, one_of(REFERENCES)]
 Mismatch = Annotated[float, Field(gt=-1.0, le=1e6)]
+Layout = Annotated[str, one_of(LAYOUTS)]
+Modules = Annotated[int, Field(ge=1, le=MOST_MODULES)]
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 Step = Annotated[float | str, AfterValidator(_step)]
 Number = Annotated[float, pydantic.AllowInfNan(True)]
@@ -99,6 +138,9 @@ class Grid(Model):
     controller: Annotated[Array[str], Distinct] | None = None
     reference: Annotated[Array[Reference], Distinct] | None = None
     mismatch: Annotated[Array[Mismatch], Distinct] | None = None
+    plant_modules: Annotated[Array[Modules], Distinct] | None = None
+    layout: Annotated[Array[Layout], Distinct] | None = None
+    arm: Annotated[Array[str], Distinct] | None = None
     disturbance: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -140,11 +182,15 @@ class SpecFile(Model):
     controller: str | None = None
     reference: Reference | None = None
     mismatch: Mismatch | None = None
+    plant_modules: Modules | None = None
+    layout: Layout | None = None
     gain_set: str | dict[str, str | GainFile] | None = None
     grid: Grid = Grid()
     random: Random = Random()
     disturbance: dict[str, Any] = Field(default_factory=dict)
     gains: dict[str, dict[str, Gain]] = Field(default_factory=dict)
+    arm: str | dict[str, Any] | None = None
+    arms: dict[str, dict[str, Any]] = Field(default_factory=dict)
     record: Record = Record()
 
 
@@ -167,8 +213,17 @@ def parse_spec(text: str, file: str = "spec.toml") -> SweepSpec:
 
 
 def _spec(document: Document) -> SweepSpec:
+    for keys, unit in _UNITS.items():
+        document = _in_si(document, unit, *keys)
     content = document.read(SpecFile)
+    for place in (("disturbance",), ("grid", "disturbance"), ("random", "disturbance")):
+        for field, keys in list(_fields(document, *place)):
+            kind = field_kinds(class_of(field.disturbance))[field.field]
+            if not isinstance(kind, Words):
+                document = _in_si(document, kind.unit, *keys)
     axes, drawn = _axes(document, content)
+    arms = _arms(document, content, axes)
+    _check_plants(document, content, axes, arms)
     sets = _gain_sets(document, content, [str(value) for value in axes[0].values])
     fixed: dict[str, dict[str, Any]] = {}
     for field, keys in _fields(document, "disturbance"):
@@ -185,21 +240,52 @@ def _spec(document: Document) -> SweepSpec:
         fixed=fixed,
         gain_sets=sets,
         gains=content.gains,
+        arms={name: arm.to_dict() for name, arm in arms.items()},
         record=content.record.episodes,
-        text="" if files - {*GAIN_SETS} else document.text,
+        text="" if files - {*GAIN_SETS} or _other_files(content, arms) else document.text,
     )
     for name in spec.disturbances:
         _try(spec, name, document)
     return spec
 
 
+def _in_si(document: Document, unit: str, *keys: str) -> Document:
+    """The document with numbers in place of texts such as "40%" at a key, if there are some."""
+    table: Any = document.content
+    for key in keys:
+        if not isinstance(table, dict) or key not in table:
+            return document
+        table = cast(dict[str, Any], table)[key]
+
+    def converted(value: Any) -> Any:
+        if isinstance(value, list):
+            return [converted(x) for x in cast(list[Any], value)]
+        if isinstance(value, dict):
+            between = {"low", "high"}
+            items = cast(dict[str, Any], value).items()
+            return {key: converted(x) if key in between else x for key, x in items}
+        if not isinstance(value, str) or not _LIKE_A_NUMBER.match(value):
+            return value
+        try:
+            return number(".".join(keys), value, unit)
+        except OctarmError as error:
+            raise document.error(str(error), *keys) from None
+
+    def replaced(content: Any, keys: tuple[str, ...]) -> Any:
+        if not keys:
+            return converted(content)
+        return {**content, keys[0]: replaced(content[keys[0]], keys[1:])}
+
+    return dataclasses.replace(document, content=replaced(document.content, keys))
+
+
 def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tuple[Axis, ...]]:
     """The axes of the grid, and those that are drawn.
 
-    They come in the order in which episodes are counted, the slowest first: those of words,
-    beginning with the controller, and then the others.
+    They come in the order in which episodes are counted, the slowest first: those whose values do
+    not share a batch, beginning with the controller, and then the others.
     """
-    axes = [_own_axis(name, document, content) for name in _OWN]
+    axes = [axis for name in _OWN if (axis := _own_axis(name, document, content)) is not None]
     for field, keys in _fields(document, "grid", "disturbance"):
         values = document.read(cast(Any, Annotated[Array[Number] | Array[str], Distinct]), *keys)
         axes.append(dataclasses.replace(field, values=values))
@@ -212,9 +298,9 @@ def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tupl
 
     def rank(axis: Axis) -> tuple[bool, int, int, str]:
         if axis.name in _OWN:
-            return not axis.words, _OWN.index(axis.name) - len(_OWN), 0, ""
+            return not axis.apart, _OWN.index(axis.name) - len(_OWN), 0, ""
         kind, place = which(axis.disturbance)
-        return not axis.words, [*DISTURBANCES].index(kind), place, axis.field
+        return not axis.apart, [*DISTURBANCES].index(kind), place, axis.field
 
     axes.sort(key=rank)
     return tuple(a for a in axes if not a.method), tuple(a for a in axes if a.method)
@@ -224,12 +310,65 @@ def _drawn(axis: Axis, bounds: Bounds) -> Axis:
     return dataclasses.replace(axis, values=(bounds.low, bounds.high), method=bounds.method)
 
 
-def _own_axis(name: str, document: Document, content: SpecFile) -> Axis:
-    """Controller, reference or mismatch: in the grid, one value at the top, or drawn."""
+def _arms(document: Document, content: SpecFile, axes: Sequence[Axis]) -> dict[str, ArmParameters]:
+    """The arms of the axis `arm` by name; none without such an axis."""
+    names = [str(value) for axis in axes if axis.name == ARM for value in axis.values]
+    keys = ("grid", ARM) if content.arm is None else (ARM,)
+    for name in content.arms:
+        if name not in names:
+            raise document.error(f"{quoted(name)} is no arm of this sweep", "arms", name)
+    arms: dict[str, ArmParameters] = {}
+    for name in names:
+        try:
+            if name in content.arms:
+                arms[name] = ArmParameters.from_dict(content.arms[name])
+            elif isinstance(content.arm, dict):
+                arms[name] = arm_of(document, ARM).parameters
+            else:
+                file = name.endswith(".toml")
+                arms[name] = read_arm(Path(document.file).parent / name if file else name)
+        except OctarmError as error:
+            if isinstance(content.arm, dict):
+                raise  # it names its line
+            raise document.error(str(error), *keys) from None
+    return arms
+
+
+def _other_files(content: SpecFile, arms: Iterable[str]) -> bool:
+    """Whether arms are not in the spec itself."""
+    return not isinstance(content.arm, dict) and any(name not in content.arms for name in arms)
+
+
+def _check_plants(
+    document: Document,
+    content: SpecFile,
+    axes: Sequence[Axis],
+    arms: Mapping[str, ArmParameters],
+) -> None:
+    """Raises OctarmError for plants of more modules that cannot be made."""
+    values = {axis.name: axis.values for axis in axes}
+    sizes: Any = values.get(PLANT_MODULES, (None,))
+    layouts: Any = values.get(LAYOUT, (PAPER,))
+    name = PLANT_MODULES if PLANT_MODULES in values else LAYOUT
+    once = content.layout if name == LAYOUT else content.plant_modules
+    several = [*arms.values()] or [nominal_parameters()]
+    for arm, (modules, layout) in itertools.product(several, itertools.product(sizes, layouts)):
+        try:
+            groups_of(arm, modules, layout)
+        except OctarmError as error:
+            keys = ("grid", name) if once is None else (name,)
+            raise document.error(str(error), *keys) from None
+
+
+def _own_axis(name: str, document: Document, content: SpecFile) -> Axis | None:
+    """Controller, reference and so on: in the grid, one value at the top, or drawn.
+
+    It is None if there is none, and needs to be none.
+    """
     single = getattr(content, name)
     places = {
         ("grid", name): getattr(content.grid, name),
-        (name,): None if single is None else (single,),
+        (name,): None if single is None else (ARM if isinstance(single, dict) else single,),
         ("random", name): content.random.mismatch if name == "mismatch" else None,
     }
     given = {keys: value for keys, value in places.items() if value is not None}
@@ -237,6 +376,8 @@ def _own_axis(name: str, document: Document, content: SpecFile) -> Axis:
         raise document.error(f"{name} is given twice, here and elsewhere", *next(iter(given)))
     if not given and name == "controller":
         raise document.error("there is no controller; [grid] needs controller = [...]", "grid")
+    if not given and name in _MORE:
+        return None
     value = next(iter(given.values()), ("sine",) if name == "reference" else (0.0,))
     axis = Axis(name=name)
     if isinstance(value, Bounds):

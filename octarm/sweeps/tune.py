@@ -23,13 +23,12 @@ import numpy as np
 from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
-from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import OctarmError
 from octarm.files import write_text
 from octarm.formats import Model, read_json, to_json
 from octarm.interfaces import Controller, Knob, Tunable
 from octarm.runs import versions as origin
-from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, UNSEEN, Examination, costs
+from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, UNSEEN, Examination, Rig, costs
 
 _PACKAGES = ("python", "octarm", "mujoco", "dm-control", "numpy", "scipy")
 _LARGEST = 1e8  # [s] of simulated time
@@ -207,7 +206,7 @@ def tune(
     state: SearchState | None = None,
     keep: Callable[[SearchState], object] = lambda state: None,
     progress: Callable[[float], object] = lambda seconds: None,
-    engine: str | None = None,
+    rig: Rig | None = None,
 ) -> Tuned:
     """Searches gains; the same bits for the same arguments, wherever it went on from.
 
@@ -219,12 +218,12 @@ def tune(
         state: where an earlier search stopped; the beginning when not given.
         keep: called with the state after every generation.
         progress: called with simulated seconds as they pass, see `tune_cost.costs`.
-        engine: that steps the arms, see `tune_cost.costs`.
+        rig: what they are tried on, see `tune_cost.costs`.
 
     Raises:
         OctarmError: if the controller cannot be made, or has no gain that can be tuned.
     """
-    nominal = nominal_parameters()
+    nominal = (rig or Rig()).arm()
     space = Space(factory(nominal, {}), nominal.modules)
     fixed = space.fixed()
 
@@ -233,7 +232,7 @@ def tune(
         return factory(nominal, {n: x * scales[n] for n, x in {**fixed, **numbers}.items()})
 
     def tried(examination: Examination, candidates: np.ndarray) -> np.ndarray:
-        return costs(examination, make, space.turned(candidates), progress, engine)
+        return costs(examination, make, space.turned(candidates), progress, rig)
 
     def cost(candidates: np.ndarray) -> np.ndarray:
         return budget.short.mean(tried(budget.short, candidates))
@@ -353,14 +352,12 @@ class StateFile:
         return SearchState(content.generation, population, costs)
 
 
-def settings(
-    controller: str, space: Space, budget: Budget, seed: int, engine: str
-) -> dict[str, Any]:
+def settings(controller: str, space: Space, budget: Budget, seed: int, rig: Rig) -> dict[str, Any]:
     """All that a search depends on, ready for JSON."""
     return {
         "controller": controller,
         "seed": seed,
-        "engine": engine,
+        **rig.settings(),
         "budget": dataclasses.asdict(budget),
         "gains": {name: gain.tolist() for name, gain in space.gains.items()},
         "range": [knob._asdict() for knob in space.knobs],

@@ -29,9 +29,11 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
+from octarm.arm.groups import PAPER, groups_of
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
@@ -41,10 +43,11 @@ from octarm.metrics.chattering import Chattering
 from octarm.metrics.metric import Settings
 from octarm.metrics.tracking import TrackingError
 from octarm.references import named_reference
-from octarm.simulation.engines import usual_engine
+from octarm.simulation.engines import check_engine, usual_engine
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import simulate
 from octarm.simulation.stepping import AnyPhysics
+from octarm.simulation.steps import AUTO
 from octarm.sweeps.progress import arm_seconds
 from octarm.sweeps.scenarios import EVALUATION, TRAINING, Scenario, disturbances
 
@@ -106,12 +109,53 @@ LONG = Examination(begin=2.0, duration=10.0, noise=1)
 UNSEEN = Examination(scenarios=EVALUATION, noise=2)
 
 
+@dataclasses.dataclass(frozen=True)
+class Rig:
+    """What controllers are tried on.
+
+    Attributes:
+        engine: that steps the arms.
+        plant_modules: number of modules of the plant, see `octarm.load`; the arm itself when None.
+        layout: of that plant.
+        parameters: of the arm; the nominal ones when None.
+    """
+
+    engine: str = dataclasses.field(default_factory=usual_engine)
+    plant_modules: int | None = None
+    layout: str = PAPER
+    parameters: ArmParameters | None = None
+
+    def arm(self) -> ArmParameters:
+        """The arm, which is the nominal one if no parameters are given."""
+        return nominal_parameters() if self.parameters is None else self.parameters
+
+    def check(self) -> None:
+        """Raises OctarmError if there is no such engine or plant."""
+        check_engine(self.engine)
+        groups_of(self.arm(), self.plant_modules, self.layout)
+
+    def settings(self) -> dict[str, Any]:
+        """What the result depends on, ready for JSON and TOML."""
+        numbers: dict[str, Any] = {"engine": self.engine}
+        if self.plant_modules is not None:
+            numbers |= {"plant_modules": self.plant_modules, "layout": self.layout}
+        if self.parameters is not None:
+            numbers["arm"] = self.parameters.to_dict()
+        return numbers
+
+    def rest(self) -> np.ndarray:
+        """Where the arm hangs, shape (2N,) [m], [rad]."""
+        arm = self.arm()
+        groups = groups_of(arm, self.plant_modules, self.layout)
+        return equilibrium(arm) if groups is None else groups.measured(equilibrium(groups.plant))
+
+
 def costs(
     examination: Examination,
     factory: ControllerFactory,
     candidates: Mapping[str, np.ndarray],
     progress: Callable[[float], object] = lambda seconds: None,
-    engine: str | None = None,
+    rig: Rig | None = None,
 ) -> np.ndarray:
     """The cost of each candidate in each scenario, shape (n, scenarios) [1].
 
@@ -124,43 +168,49 @@ def costs(
         candidates: gains with a row for each of them, shapes (n, 1) or (n, 2N).
         progress: called with the seconds that have been simulated since the last call, all arms
             counted.
-        engine: that steps the arms; `lagrange` where it is installed, when not given.
+        rig: what they are tried on; the arm itself on the usual engine when not given.
     """
-    n = len(next(iter(candidates.values())))
-    engine = usual_engine() if engine is None else engine
-    table = np.empty((n, len(examination.scenarios)))
-    for period in dict.fromkeys(scenario.period for scenario in examination.scenarios):
-        places = [i for i, s in enumerate(examination.scenarios) if s.period == period]
-        table[:, places] = _costs(examination, places, factory, candidates, progress, engine)
+    table = np.empty((len(next(iter(candidates.values()))), len(examination.scenarios)))
+    kinds = [(scenario.period, scenario.plant_modules) for scenario in examination.scenarios]
+    for kind in dict.fromkeys(kinds):
+        places = [i for i, other in enumerate(kinds) if other == kind]
+        trial = examination, places
+        table[:, places] = _costs(trial, factory, candidates, progress, rig or Rig())
     return table
 
 
 def _costs(
-    examination: Examination,
-    places: Sequence[int],
+    trial: tuple[Examination, Sequence[int]],
     factory: ControllerFactory,
     candidates: Mapping[str, np.ndarray],
     progress: Callable[[float], object],
-    engine: str,
+    rig: Rig,
 ) -> np.ndarray:
-    """The costs in the scenarios with these numbers, which have one control period."""
+    """The costs in the scenarios with these numbers, of one control period and one plant."""
+    examination, places = trial
     n = len(next(iter(candidates.values())))
     scenarios = [examination.scenarios[i] for i in places]
+    if scenarios[0].plant_modules:
+        rig = dataclasses.replace(rig, plant_modules=scenarios[0].plant_modules)
 
     def each(values: Sequence[float]) -> np.ndarray:
         """Values of the scenarios for each arm: the scenarios of a candidate side by side."""
         return np.tile(values, n)
 
-    true, seeds = nominal_parameters(), examination.seeds()
+    true, seeds = rig.arm(), examination.seeds()
     names = list(dict.fromkeys(s.reference for s in scenarios))
-    motions = [named_reference(name, equilibrium(true)) for name in names]
+    motions = [named_reference(name, rest) for rest in [rig.rest()] for name in names]
     environment = load(
         EachItsOwn(motions, each([names.index(s.reference) for s in scenarios])),
         disturbances=disturbances([scenario for _ in range(n) for scenario in scenarios]),
         batch=n * len(scenarios),
         control_period=scenarios[0].period,
         seed=[seeds[i] for i in places] * n,
-        engine=engine,
+        timestep=None if rig.plant_modules is None else AUTO,
+        parameters=true,
+        engine=rig.engine,
+        plant_modules=rig.plant_modules,
+        layout=rig.layout,
     )
     nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
     gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}
