@@ -114,11 +114,13 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
         "options": {
             "--controllers": "",
             "--engines": "",
+            "--rod": "",
             "--modules": "N 3",
             "--random-parameters": "N 0",
             "--states": "N",
             "--seed": "N 0",
             "--json": "FILE",
+            "--out": "DIR",
         }
     },
     "verify": {"options": {"--episode": "N ..", "--sample": "N"}},

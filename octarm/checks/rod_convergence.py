@@ -1,0 +1,320 @@
+"""How many modules are enough: chains of both layouts against the rod that they stand for.
+
+Errors at N = 1 .. 40 of statics, frequencies and motion, the orders at which they vanish, and what
+they tend to. `rod_theory` has the exact statics and the frequencies, `rod_motion` the motions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import root_scalar
+
+from octarm.arm.parameters import ArmParameters
+from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
+from octarm.checks import rod_motion, rod_peer, rod_study, rod_theory
+from octarm.tolerances import Check, CheckTable, run_checks
+
+MODULES = (1, 2, 3, 5, 10, 20, 40)
+ORDERS = {"paper": 1, "centred": 2}
+TAPERED = Rod(EA=(300.0, 150.0), EI=(0.5, 0.2), density=(3.0, 1.0), rotary_inertia=(4e-3, 1e-3))
+
+# Weights of the errors at N = 10, 20, 40 that leave out the terms 1/N and 1/N^2, or 1/N^2 and
+# 1/N^4; and the error that may be left, of the order 1/N^3 or 1/N^6.
+_ENDLESS = {1: np.array([1.0, -6.0, 8.0]) / 3.0, 2: np.array([1.0, -20.0, 64.0]) / 45.0}
+_LEFT = {1: 2e-4, 2: 1e-6}
+_ANGLE = 1.0  # of the tip under the large load [rad]
+_CLOSE = 0.15  # of an observed order to that of theory
+_APART = 2e-3  # [1]; PyElastica's rod from its chain, as both shear and stretch in their own ways
+
+
+class Curve(NamedTuple):
+    """The errors of one quantity over the number of modules.
+
+    Attributes:
+        case: what is compared.
+        layout: of the chains.
+        errors: relative to the rod's value, at each of MODULES, shape (7,) [1]; NaN where a chain
+            has no such quantity. Those of a motion are distances in lengths of the rod.
+        order: at which they vanish; 0 where they are zero, None where terms cancel up to N = 40.
+        signed: whether errors have a sign, so that they can be extrapolated.
+    """
+
+    case: str
+    layout: str
+    errors: np.ndarray
+    order: int | None
+    signed: bool = True
+
+    @property
+    def observed(self) -> float:
+        """The order between the two largest numbers of modules [1]."""
+        return float(np.log2(np.abs(self.errors[-2] / self.errors[-1])))
+
+    @property
+    def endless(self) -> float:
+        """The error to which those of the three largest numbers of modules tend [1]."""
+        return float(_ENDLESS[self.order or 1] @ self.errors[-3:])
+
+    def needed(self, error: float) -> int:
+        """The number of modules from which on errors are at most `error` [1].
+
+        Between MODULES by straight lines in logarithmic scales, beyond them by the order.
+        """
+        size = np.abs(self.errors)
+        above = np.flatnonzero(~(size <= error))
+        if not above.size:
+            return MODULES[0]
+        i, slope = int(above[-1]), float(self.order or 1)
+        if i < len(size) - 1:
+            slope = math.log(size[i] / size[i + 1]) / math.log(MODULES[i + 1] / MODULES[i])
+        return math.ceil(MODULES[i] * (size[i] / error) ** (1.0 / slope) * (1.0 - 1e-9))
+
+
+class Study(NamedTuple):
+    """The whole comparison.
+
+    Attributes:
+        curves: of all quantities and layouts.
+        motions: of the tip of the default rod let go, by name, shape (T, 2) [m].
+        peer: likewise of the slim rod, beside PyElastica; empty where that is not installed.
+        table: what is checked.
+    """
+
+    curves: list[Curve]
+    motions: dict[str, np.ndarray]
+    peer: dict[str, np.ndarray]
+    table: CheckTable
+
+    def to_dict(self) -> dict[str, Any]:
+        """The checks and the errors, for JSON."""
+        curves = [
+            {"case": c.case, "layout": c.layout, "error": [_plain(x) for x in c.errors]}
+            for c in self.curves
+        ]
+        return self.table.to_dict() | {"modules": list(MODULES), "curves": curves}
+
+    def __str__(self) -> str:
+        """The errors as a table, and the checks."""
+        head = ("error [%] at N =", "layout", *map(str, MODULES), "order", "5 % from", "1 % from")
+        rows = [head, *map(_row, self.curves)]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [
+            "  ".join(text.ljust(w) if i < 2 else text.rjust(w) for i, (text, w) in
+                      enumerate(zip(row, widths, strict=True))).rstrip()
+            for row in rows
+        ]  # fmt: skip
+        notes = [] if self.peer else ["", rod_peer.MISSING]
+        return "\n".join([*lines, *notes, "", str(self.table)])
+
+
+def study(progress: Callable[[str], object] | None = None) -> Study:
+    """Compares chains of MODULES with the default rod, and with one that tapers.
+
+    Args:
+        progress: called with the name of each part before it starts.
+
+    Raises:
+        OctarmError: if a static shape is not found.
+    """
+    rod, curves = Rod(), list[Curve]()
+    motions, peer = dict[str, np.ndarray](), dict[str, np.ndarray]()
+    parts = {
+        "closed forms": _closed_forms(rod),
+        "statics": _checked(_statics(rod), curves),
+        "a rod that tapers": _checked(_tapered(), curves),
+        "frequencies": _checked(_frequencies(rod), curves),
+        "motion": _checked(_motion(rod, motions), curves),
+    }
+    if rod_peer.installed():
+        parts["PyElastica"] = _peer(peer)
+    checks = run_checks(parts, progress)
+    title = f"chains of up to {MODULES[-1]} modules against the extensible rod"
+    table = CheckTable(title, dataclasses.asdict(rod), 0, 0, checks)
+    return Study(curves, motions, peer, table)
+
+
+def _closed_forms(rod: Rod) -> Iterator[Check]:
+    """The deflection by a small tip load, for all N up to the largest."""
+    beam = rod_theory.tip_compliance(rod)
+    factors: dict[str, Callable[[int], float]] = {
+        "paper": lambda n: 1.0 - 1.5 / n + 0.5 / n**2,
+        "centred": lambda n: 1.0 - 0.25 / n**2,
+    }
+    for layout, factor in factors.items():
+        errors = [
+            abs(rod_study.tip_compliance(arm_from_rod(rod, n, layout)) / beam - factor(n))
+            for n in range(1, MODULES[-1] + 1)
+        ]
+        yield Check(f"small tip load, {layout}: closed form", max(errors), 1e-9)
+
+
+def _checked(curves: Iterator[Curve], listed: list[Curve]) -> Iterator[Check]:
+    """The checks of curves, which are listed as well."""
+    for curve in curves:
+        listed.append(curve)
+        what = f"{curve.case}, {curve.layout}"
+        if curve.order == 0:
+            yield Check(f"{what}: largest error", float(np.max(np.abs(curve.errors))), 1e-9)
+            continue
+        if curve.order is not None:
+            low, high = curve.order - _CLOSE, curve.order + _CLOSE
+            yield Check(f"{what}: order", curve.observed, high, low)
+        if curve.signed:
+            left = _LEFT[curve.order or 1]
+            yield Check(f"{what}: error, extrapolated", abs(curve.endless), left)
+
+
+def _errors(rod: Rod, layout: str, value: Callable[[ArmParameters], float]) -> np.ndarray:
+    """A value of each chain, shape (7,)."""
+    return np.array([value(arm_from_rod(rod, n, layout)) for n in MODULES])
+
+
+def _deflection(
+    p: ArmParameters, force: np.ndarray, gravity: np.ndarray, along: bool = False
+) -> float:
+    x, y, _ = rod_study.static_tip(p, force, gravity)
+    return float(x) - float(np.sum(p.rest_length)) - float(p.tip_length) if along else float(y)
+
+
+def _statics(rod: Rod) -> Iterator[Curve]:
+    """Deflections of the tip under a small and a large load on it, and under the weight."""
+    none, weight = np.zeros(2), rod.gravity
+    force = _force_for(rod, _ANGLE)
+    loads = {
+        "weight across": (none, np.array([0.0, weight])),
+        "weight along": (none, np.array([weight, 0.0])),
+    }
+    compliance = rod_theory.tip_compliance(rod)
+    for layout, order in ORDERS.items():
+        errors = _errors(rod, layout, rod_study.tip_compliance) / compliance - 1.0
+        yield Curve("small tip load", layout, errors, order)
+    yield from _large_load(rod, force)
+    for case, load in loads.items():
+        along = case == "weight along"
+        tip = rod_theory.static_tip(rod, *load)
+        exact = tip[0] - rod.length if along else tip[1]
+        for layout, order in ORDERS.items():
+            value = functools.partial(_deflection, force=load[0], gravity=load[1], along=along)
+            errors = _errors(rod, layout, value) / exact - 1.0
+            yield Curve(case, layout, errors, 0 if along and layout == "centred" else order)
+
+
+def _large_load(rod: Rod, force: float) -> Iterator[Curve]:
+    """The deflection under a load that turns the tip by 1 rad.
+
+    The tip piece of the centred layout, h/2 long, does not stretch. Without its compliance
+    c = h / (2 EA) under the axial force n = F sin phi(L) the potential is larger by c n^2 / 2, and
+    by Castigliano's theorem the deflection smaller by c n dn/dF: of first order in h, like the
+    error of the paper's layout. What is left is of second order.
+    """
+    change = 1e-4 * force
+    forces = (force, force - change, force + change)
+    tips = [rod_theory.static_tip(rod, np.array([0.0, f]), np.zeros(2)) for f in forces]
+    exact = tips[0][1]
+    pulls = [f * math.sin(tip[2]) for f, tip in zip(forces, tips, strict=True)]
+    slope = (pulls[2] - pulls[1]) / (2.0 * change)
+    stiffness = rod.at(rod.EA)(rod.length)
+    rigid = rod.length / (2.0 * np.array(MODULES) * stiffness) * pulls[0] * slope
+    load = np.array([0.0, force])
+    for layout in LAYOUTS:
+        value = functools.partial(_deflection, force=load, gravity=np.zeros(2))
+        errors = _errors(rod, layout, value) / exact - 1.0
+        centred = layout == "centred"
+        yield Curve("tip at 1 rad", layout, errors, None if centred else 1)
+        if centred:
+            yield Curve("tip at 1 rad, all stretched", layout, errors + rigid / exact, 2)
+
+
+def _force_for(rod: Rod, angle: float) -> float:
+    """The force across the tip [N] that turns it by an angle [rad]."""
+
+    def beyond(force: float) -> float:
+        return float(rod_theory.static_tip(rod, np.array([0.0, force]), np.zeros(2))[2]) - angle
+
+    first = 2.0 * angle * rod.at(rod.EI)(0.0) / rod.length**2  # by linear theory
+    return float(root_scalar(beyond, x0=first, x1=1.2 * first, method="secant", xtol=1e-10).root)
+
+
+def _tapered() -> Iterator[Curve]:
+    """Deflections of a rod whose properties change along it."""
+    rod, none, across = TAPERED, np.zeros(2), np.array([0.0, TAPERED.gravity])
+    compliance = rod_theory.tip_compliance(rod)
+    exact = rod_theory.static_tip(rod, none, across)[1]
+    for layout, order in ORDERS.items():
+        errors = _errors(rod, layout, rod_study.tip_compliance) / compliance - 1.0
+        yield Curve("small tip load, tapered", layout, errors, order)
+    for layout, order in ORDERS.items():
+        value = functools.partial(_deflection, force=none, gravity=across)
+        errors = _errors(rod, layout, value) / exact - 1.0
+        yield Curve("weight across, tapered", layout, errors, order)
+
+
+def _frequencies(rod: Rod) -> Iterator[Curve]:
+    """The first three bending frequencies, and the first axial one."""
+    bending, axial = rod_theory.bending_frequencies(rod, 3), rod_theory.axial_frequencies(rod, 1)
+    for layout, order in ORDERS.items():
+        chains = [rod_study.frequencies(arm_from_rod(rod, n, layout)) for n in MODULES]
+        for k, exact in enumerate(bending):
+            values = [b[k] if len(b) > k else math.nan for b, _ in chains]
+            # In the paper's layout, what mass and hinges at the ends do to the first one cancels.
+            known = None if layout == "paper" and k == 0 else order
+            yield Curve(f"bending frequency {k + 1}", layout, np.array(values) / exact - 1.0, known)
+        values = np.array([a[0] for _, a in chains])
+        yield Curve("axial frequency 1", layout, values / axial[0] - 1.0, order)
+
+
+def _motion(rod: Rod, motions: dict[str, np.ndarray]) -> Iterator[Curve]:
+    """The largest distance of the tip of a chain let go from that of the rod, in .3 and 1 s."""
+    motions["rod"] = rod_motion.converged(rod)
+    for layout, order in ORDERS.items():
+        tips = [rod_motion.released(arm_from_rod(rod, n, layout)) for n in MODULES]
+        motions |= {f"{layout}, N = {n}": tip for n, tip in zip(MODULES, tips, strict=True)}
+        for case, last in (("in .3 s", rod_motion.FIRST), ("in 1 s", rod_motion.SAMPLES)):
+            exact, *others = (tip[: last + 1] for tip in (motions["rod"], *tips))
+            errors = [rod_motion.distance(rod, tip, exact) for tip in others]
+            yield Curve(f"release, tip {case}", layout, np.array(errors), order, signed=False)
+
+
+def _peer(motions: dict[str, np.ndarray]) -> Iterator[Check]:
+    """PyElastica's slim rod against the chain of its own discretisation, and extrapolated."""
+    rod = rod_peer.slim_rod()
+    motions["rod"] = rod_motion.converged(rod)
+    peers = [rod_peer.released(rod, n) for n in rod_peer.ELEMENTS]
+    for n, tips in zip(rod_peer.ELEMENTS, peers, strict=True):
+        motions[f"PyElastica, n = {n}"] = tips
+        chain = motions[f"the same chain, N = {n}"] = rod_motion.released(rod_peer.like(rod, n))
+        apart = rod_motion.distance(rod, tips, chain)
+        yield Check(f"slim rod let go: PyElastica, n = {n}, against its chain", apart, _APART)
+    limit = motions["PyElastica, extrapolated"] = rod_peer.extrapolated(*peers)
+    part = slice(rod_motion.FIRST + 1)
+    apart = rod_motion.distance(rod, limit[part], motions["rod"][part])
+    # The weights of the extrapolation, in sum 5, magnify what PyElastica's rods differ by.
+    what = "slim rod let go, .3 s: PyElastica extrapolated, against the rod"
+    yield Check(what, apart, 5.0 * _APART)
+
+
+def _row(curve: Curve) -> tuple[str, ...]:
+    """The line of a curve in the table of errors."""
+    errors = ["-" if math.isnan(x) else _percent(x) for x in curve.errors]
+    zero = curve.order == 0
+    order = "-" if zero or curve.order is None else f"{curve.observed:.2f}"
+    needed = ["1" if zero else str(curve.needed(x)) for x in (0.05, 0.01)]
+    return (curve.case, curve.layout, *errors, order, *needed)
+
+
+def _percent(error: float) -> str:
+    """An error in percent, to three digits at most."""
+    percent = 100.0 * error
+    if abs(percent) < 0.005:
+        return "0"
+    return f"{percent:.{0 if abs(percent) >= 99.5 else 1 if abs(percent) >= 9.95 else 2}f}"
+
+
+def _plain(x: float) -> float | None:
+    return None if math.isnan(x) else float(x)
