@@ -24,8 +24,8 @@ class Behaviour(NamedTuple):
 
     Attributes:
         compliance: outputs by unit loads, shape (2 + m, 2 + m), symmetric [m/N] to [rad/(N m)].
-        weight: the tip along by weight along; the tip across and the plates by weight across, shape
-            (2 + m,) [m], [rad].
+        weight: the tip along by weight along; the tip across and the plates by weight across,
+            shape (2 + m,) [m], [rad].
         frequencies: the lowest ones of bending, two unless m = 1, and the lowest of stretching,
             shape (k,) [Hz].
         response: of the tip along, the tip across and the last plate to a unit step of their own

@@ -185,6 +185,9 @@ def _rows(right: Behaviour, before: Behaviour, after: Behaviour) -> Iterator[Row
         errors = (float(np.expm1(e.frequencies[k])) for e in (before, after))
         yield Row("modes", mode, float(right.frequencies[k]), "Hz", *errors)
     for k, i in enumerate((0, 1, m + 1)):
-        errors = (float(np.sqrt(np.mean(np.square(e.response[k])))) for e in (before, after))
+        errors = (
+            float(np.linalg.norm(e.response[k])) / len(e.response[k]) ** 0.5
+            for e in (before, after)
+        )
         what = f"{outputs[i]}, step of {loads[i]}"
         yield Row("transient", what, float(right.finals[k]), per[i], *errors)

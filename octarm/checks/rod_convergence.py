@@ -18,62 +18,14 @@ from scipy.optimize import root_scalar
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
 from octarm.checks import rod_motion, rod_peer, rod_study, rod_theory
+from octarm.checks.rod_curves import MODULES, Curve, table
 from octarm.tolerances import Check, CheckTable, run_checks
 
-MODULES = (1, 2, 3, 5, 10, 20, 40)
 ORDERS = {"paper": 1, "centred": 2}
 TAPERED = Rod(EA=(300.0, 150.0), EI=(0.5, 0.2), density=(3.0, 1.0), rotary_inertia=(4e-3, 1e-3))
 
-# Weights of the errors at N = 10, 20, 40 that leave out the terms 1/N and 1/N^2, or 1/N^2 and
-# 1/N^4; and the error that may be left, of the order 1/N^3 or 1/N^6.
-_ENDLESS = {1: np.array([1.0, -6.0, 8.0]) / 3.0, 2: np.array([1.0, -20.0, 64.0]) / 45.0}
-_LEFT = {1: 2e-4, 2: 1e-6}
 _ANGLE = 1.0  # of the tip under the large load [rad]
-_CLOSE = 0.15  # of an observed order to that of theory
 _APART = 2e-3  # [1]; PyElastica's rod from its chain, as both shear and stretch in their own ways
-
-
-class Curve(NamedTuple):
-    """The errors of one quantity over the number of modules.
-
-    Attributes:
-        case: what is compared.
-        layout: of the chains.
-        errors: relative to the rod's value, at each of MODULES, shape (7,) [1]; NaN where a chain
-            has no such quantity. Those of a motion are distances in lengths of the rod.
-        order: at which they vanish; 0 where they are zero, None where terms cancel up to N = 40.
-        signed: whether errors have a sign, so that they can be extrapolated.
-    """
-
-    case: str
-    layout: str
-    errors: np.ndarray
-    order: int | None
-    signed: bool = True
-
-    @property
-    def observed(self) -> float:
-        """The order between the two largest numbers of modules [1]."""
-        return float(np.log2(np.abs(self.errors[-2] / self.errors[-1])))
-
-    @property
-    def endless(self) -> float:
-        """The error to which those of the three largest numbers of modules tend [1]."""
-        return float(_ENDLESS[self.order or 1] @ self.errors[-3:])
-
-    def needed(self, error: float) -> int:
-        """The number of modules from which on errors are at most `error` [1].
-
-        Between MODULES by straight lines in logarithmic scales, beyond them by the order.
-        """
-        size = np.abs(self.errors)
-        above = np.flatnonzero(~(size <= error))
-        if not above.size:
-            return MODULES[0]
-        i, slope = int(above[-1]), float(self.order or 1)
-        if i < len(size) - 1:
-            slope = math.log(size[i] / size[i + 1]) / math.log(MODULES[i + 1] / MODULES[i])
-        return math.ceil(MODULES[i] * (size[i] / error) ** (1.0 / slope) * (1.0 - 1e-9))
 
 
 class Study(NamedTuple):
@@ -93,24 +45,13 @@ class Study(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """The checks and the errors, for JSON."""
-        curves = [
-            {"case": c.case, "layout": c.layout, "error": [_plain(x) for x in c.errors]}
-            for c in self.curves
-        ]
+        curves = [curve.to_dict() for curve in self.curves]
         return self.table.to_dict() | {"modules": list(MODULES), "curves": curves}
 
     def __str__(self) -> str:
         """The errors as a table, and the checks."""
-        head = ("error [%] at N =", "layout", *map(str, MODULES), "order", "5 % from", "1 % from")
-        rows = [head, *map(_row, self.curves)]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = [
-            "  ".join(text.ljust(w) if i < 2 else text.rjust(w) for i, (text, w) in
-                      enumerate(zip(row, widths, strict=True))).rstrip()
-            for row in rows
-        ]  # fmt: skip
         notes = [] if self.peer else ["", rod_peer.MISSING]
-        return "\n".join([*lines, *notes, "", str(self.table)])
+        return "\n".join([table(self.curves), *notes, "", str(self.table)])
 
 
 def study(progress: Callable[[str], object] | None = None) -> Study:
@@ -126,10 +67,10 @@ def study(progress: Callable[[str], object] | None = None) -> Study:
     motions, peer = dict[str, np.ndarray](), dict[str, np.ndarray]()
     parts = {
         "closed forms": _closed_forms(rod),
-        "statics": _checked(_statics(rod), curves),
-        "a rod that tapers": _checked(_tapered(), curves),
-        "frequencies": _checked(_frequencies(rod), curves),
-        "motion": _checked(_motion(rod, motions), curves),
+        "statics": _listed(_statics(rod), curves),
+        "a rod that tapers": _listed(_tapered(), curves),
+        "frequencies": _listed(_frequencies(rod), curves),
+        "motion": _listed(_motion(rod, motions), curves),
     }
     if rod_peer.installed():
         parts["PyElastica"] = _peer(peer)
@@ -154,20 +95,11 @@ def _closed_forms(rod: Rod) -> Iterator[Check]:
         yield Check(f"small tip load, {layout}: closed form", max(errors), 1e-9)
 
 
-def _checked(curves: Iterator[Curve], listed: list[Curve]) -> Iterator[Check]:
+def _listed(curves: Iterator[Curve], listed: list[Curve]) -> Iterator[Check]:
     """The checks of curves, which are listed as well."""
     for curve in curves:
         listed.append(curve)
-        what = f"{curve.case}, {curve.layout}"
-        if curve.order == 0:
-            yield Check(f"{what}: largest error", float(np.max(np.abs(curve.errors))), 1e-9)
-            continue
-        if curve.order is not None:
-            low, high = curve.order - _CLOSE, curve.order + _CLOSE
-            yield Check(f"{what}: order", curve.observed, high, low)
-        if curve.signed:
-            left = _LEFT[curve.order or 1]
-            yield Check(f"{what}: error, extrapolated", abs(curve.endless), left)
+        yield from curve.checks()
 
 
 def _errors(rod: Rod, layout: str, value: Callable[[ArmParameters], float]) -> np.ndarray:
@@ -297,24 +229,3 @@ def _peer(motions: dict[str, np.ndarray]) -> Iterator[Check]:
     # The weights of the extrapolation, in sum 5, magnify what PyElastica's rods differ by.
     what = "slim rod let go, .3 s: PyElastica extrapolated, against the rod"
     yield Check(what, apart, 5.0 * _APART)
-
-
-def _row(curve: Curve) -> tuple[str, ...]:
-    """The line of a curve in the table of errors."""
-    errors = ["-" if math.isnan(x) else _percent(x) for x in curve.errors]
-    zero = curve.order == 0
-    order = "-" if zero or curve.order is None else f"{curve.observed:.2f}"
-    needed = ["1" if zero else str(curve.needed(x)) for x in (0.05, 0.01)]
-    return (curve.case, curve.layout, *errors, order, *needed)
-
-
-def _percent(error: float) -> str:
-    """An error in percent, to three digits at most."""
-    percent = 100.0 * error
-    if abs(percent) < 0.005:
-        return "0"
-    return f"{percent:.{0 if abs(percent) >= 99.5 else 1 if abs(percent) >= 9.95 else 2}f}"
-
-
-def _plain(x: float) -> float | None:
-    return None if math.isnan(x) else float(x)

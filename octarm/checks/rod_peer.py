@@ -80,7 +80,10 @@ def released(rod: Rod, elements: int) -> np.ndarray:
 
 
 def extrapolated(coarse: np.ndarray, middle: np.ndarray, fine: np.ndarray) -> np.ndarray:
-    """The motion of endlessly many elements, from n, 2n and 4n, without their errors 1/n, 1/n^2."""
+    """The tip of endlessly many elements, from n, 2n and 4n, each of shape (T, 2) [m].
+
+    It leaves out their errors of the orders 1/n and 1/n^2.
+    """
     return (coarse - 6.0 * middle + 8.0 * fine) / 3.0
 
 
