@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from octarm.arm import lagrange
 from octarm.arm.parameters import ArmParameters
 from octarm.errors import OctarmError
 
@@ -38,11 +39,17 @@ def lumped(plant: ArmParameters, modules: int, layout: str = "paper") -> ArmPara
     if plant.tip_length > 0.0:
         for b in range(1, modules):
             slides[b - 1 : b + 1, b * size] = 0.5
-    both = np.sum(plant.stiffness, axis=0)
-    give = slides @ (1.0 / both)  # of the slides [m/N]
-    bend = hinges @ (1.0 / (0.25 * plant.widths**2 * both))  # of the hinges [rad/(N m)]
-    share = (plant.stiffness / both) @ slides.T / np.sum(slides, axis=1)  # of each column
-    lag = (plant.damping / plant.stiffness**2) @ slides.T / ((1.0 / plant.stiffness) @ slides.T)
+    n = plant.modules
+    stiffness, damping = (
+        np.diag(matrix(plant)) for matrix in (lagrange.stiffness_matrix, lagrange.damping_matrix)
+    )
+    give = slides @ (1.0 / stiffness[:n])  # of the slides [m/N]
+    bend = hinges @ (1.0 / stiffness[n:])  # of the hinges [rad/(N m)]
+    lost = slides @ (damping[:n] / stiffness[:n] ** 2)  # power under a force's rate [m s/N]
+    sizes = np.sum(slides, axis=1)
+    springs, dampers = (
+        _shares(columns) @ slides.T / sizes for columns in (plant.stiffness, plant.damping)
+    )
     length, inertia, tip = slides @ plant.rest_length, hinges @ plant.inertia, 0.0
     length[-1] += plant.tip_length
     if layout == "centred":
@@ -50,17 +57,24 @@ def lumped(plant: ArmParameters, modules: int, layout: str = "paper") -> ArmPara
         # halves on both sides of them; the base holds the first half.
         halves = 0.5 * (np.eye(modules) + np.eye(modules, k=-1))
         tip = 0.5 * float(length[-1])
-        length, give, inertia = halves @ length, halves @ give, halves.T @ inertia
-    stiffness = share / give
+        length, give, lost = (halves @ x for x in (length, give, lost))
+        inertia = halves.T @ inertia
     bounds = plant.input_range
     return ArmParameters(
         mass=hinges @ plant.mass,
         inertia=inertia,
         width=2.0 * np.sqrt(give / bend),
-        stiffness=stiffness,
-        damping=lag * stiffness,
+        stiffness=springs / give,
+        damping=dampers * lost / give**2,
         rest_length=length,
         gravity=plant.gravity,
         tip_length=tip,
         input_range=bounds if bounds.shape == (2, 1) else (-np.inf, np.inf),
     )
+
+
+def _shares(columns: np.ndarray) -> np.ndarray:
+    """What each column has of both, shape (2, N); a half where there is nothing."""
+    total = np.sum(columns, axis=0)
+    some = total > 0.0
+    return np.where(some, columns / np.where(some, total, 1.0), 0.5)

@@ -40,7 +40,7 @@ def installed() -> bool:
 def slim_rod() -> Rod:
     """The default rod with a sixteenth of its section and the same bending stiffness.
 
-    A round section of radius r has EI = EA r^2 / 4 and rho I = rho A r^2 / 4.
+    Its rho I is that of a round section, rho A EI / EA.
     """
     rod = Rod(EA=3840.0)
     return dataclasses.replace(rod, rotary_inertia=_first(rod.density) * _square(rod))
@@ -61,7 +61,7 @@ def released(rod: Rod, elements: int) -> np.ndarray:
     class Simulation(ea.BaseSystemCollection, ea.Constraints, ea.Forcing):
         """A rod with its clamp and its weight."""
 
-    body, simulation = _cosserat_rod(rod, elements), Simulation()
+    body, simulation = cosserat_rod(rod, elements, _SHEAR), Simulation()
     simulation.append(body)
     simulation.constrain(body).using(
         ea.OneEndFixedBC, constrained_position_idx=(0,), constrained_director_idx=(0,)
@@ -87,7 +87,12 @@ def extrapolated(coarse: np.ndarray, middle: np.ndarray, fine: np.ndarray) -> np
     return (coarse - 6.0 * middle + 8.0 * fine) / 3.0
 
 
-def _cosserat_rod(rod: Rod, elements: int) -> Any:
+def cosserat_rod(rod: Rod, elements: int, shear: float = 1.0) -> Any:
+    """PyElastica's rod along x, with a multiple of the shear stiffness.
+
+    Its section is round, of a radius r with EI = EA r^2 / 4; rho I follows as rho A r^2 / 4, which
+    is that of the default rod. Properties at the base hold all along.
+    """
     radius = 2.0 * math.sqrt(_square(rod))
     section = math.pi * radius**2
     x, _, z = np.eye(3)
@@ -95,7 +100,7 @@ def _cosserat_rod(rod: Rod, elements: int) -> Any:
         elements, 0.0 * x, x, z, rod.length, radius, _first(rod.density) / section,
         youngs_modulus=_first(rod.EA) / section,
     )  # fmt: skip
-    body.shear_matrix[:2] *= _SHEAR
+    body.shear_matrix[:2] *= shear
     return body
 
 
