@@ -22,6 +22,7 @@ def validate(
     seed: Annotated[int, kinds.N] = 0,
     json: Annotated[Path | None, kinds.file()] = None,
     out: Annotated[Path | None, kinds.DIR] = None,
+    force: bool = False,
 ) -> Work:
     """Check MuJoCo against the analytic model.
 
@@ -43,12 +44,14 @@ def validate(
         seed: seed of the random states and parameters
         json: also write the report to this file
         out: of --rod: also draw its figures in this folder
+        force: replace files that are there
 
     Examples:
       octarm validate --modules 5 --json report.json
       octarm validate --controllers
       octarm validate --rod --out convergence
     """
+    kinds.check_free(force, json, out and out / "convergence.png")
     from octarm.commands import rod as rods
     from octarm.commands import validate as work
     from octarm.errors import OctarmError

@@ -68,7 +68,7 @@ class Settings:
         if not 0.0 < self.share <= 1.0:
             raise OctarmError(f"share is {self.share:g}; it must be above 0 and at most 1")
 
-    def varied(self, low: float | None, high: float | None) -> Varied:
+    def varied(self, low: str | None, high: str | None) -> Varied:
         """What varies: the one disturbance without a value."""
         varying = [text for text in self.disturbance if is_varied(text)]
         if len(varying) != 1:
@@ -102,8 +102,8 @@ class Settings:
 def margin(
     controllers: Sequence[str],
     settings: Settings,
-    low: float | None,
-    high: float | None,
+    low: str | None,
+    high: str | None,
     csv_file: Path | None,
     json_file: Path | None,
 ) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import make_controller
-from controllers.gain_sets import GainSet, read_gain_set, shortest
+from controllers.gain_sets import GainSet, shortest
 from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_text
@@ -25,7 +25,13 @@ from octarm.sweeps.tune_cost import FORMULA, Examination
 
 
 def tune(
-    controller: str, out: Path, seconds: float, seed: int, resume: bool, engine: str | None
+    controller: str,
+    out: Path,
+    seconds: float,
+    seed: int,
+    resume: bool,
+    force: bool,
+    engine: str | None,
 ) -> int:
     """`octarm tune`: gains for one controller, as a TOML file."""
     budget = Budget.within(seconds)
@@ -34,6 +40,8 @@ def tune(
     engine = usual_engine() if engine is None else engine
     check_engine(engine)
     more = shlex.join(["--out", str(out), "--resume"])
+    if force and not resume:
+        state_file(out).unlink(missing_ok=True)
     tuned = _search(controller, budget, out, seed, engine, resume, f"{command} {more}")
     origin = {
         "command": command,
@@ -59,7 +67,11 @@ def _search(
     nominal = nominal_parameters()
     space = Space(factory(nominal), nominal.modules)
     file = StateFile(state_file(out), settings(controller, space, budget, seed, engine))
-    _check_place(out, file, controller, resume)
+    if file.path.exists() and not resume:
+        raise OctarmError(
+            f"{file.path} keeps a search that was interrupted; go on with it by --resume, or "
+            "begin it anew by --force"
+        )
     state = file.read() if resume else None
     bar = tqdm(
         total=budget.seconds, unit=" simulated s", unit_scale=True, disable=None, leave=False
@@ -84,25 +96,6 @@ def _search(
         if not file.path.exists():
             raise KeyboardInterrupt("nothing was written") from None
         raise KeyboardInterrupt(f"go on by: {again}") from None
-
-
-def _check_place(out: Path, file: StateFile, controller: str, resume: bool) -> None:
-    """Raises OctarmError if something stands where the result shall be.
-
-    An earlier result is replaced.
-    """
-    if out.exists():
-        earlier = read_gain_set(out)
-        if earlier.controller != controller:
-            raise OctarmError(
-                f"{out} holds gains of {earlier.controller}; choose another --out for those of "
-                f"{controller}"
-            )
-    if file.path.exists() and not resume:
-        raise OctarmError(
-            f"{file.path} keeps a search that was interrupted; go on with it by --resume, or "
-            "delete it"
-        )
 
 
 def state_file(out: Path) -> Path:

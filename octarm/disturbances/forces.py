@@ -13,7 +13,7 @@ from octarm.arm.kinematics import tip_force
 from octarm.arrays import entry
 from octarm.disturbances.delivered import Measured
 from octarm.disturbances.episode import Episode, Event, Force, ForceProcess
-from octarm.disturbances.fields import Amount, Quantity, Words
+from octarm.disturbances.fields import PHASE, Amount, Quantity, Words
 from octarm.disturbances.streams import NEVER, HeldNoise, in_steps
 from octarm.errors import OctarmError
 
@@ -123,7 +123,7 @@ class SineForce(_PushForce):
     units: ClassVar[Mapping[str, str]] = {"frequency": "Hz"}
     amplitude: Size
     frequency: Annotated[Amount, Quantity("Hz", above=0.0)] = 1.0
-    phase: Annotated[Amount, Quantity("rad")] = 0.0
+    phase: Annotated[Amount, PHASE] = 0.0
     at: Start = 0.0
     length: Length = np.inf
     on: Place = "theta1"

@@ -15,7 +15,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from octarm.disturbances.episode import Episode, Event, Plant, PlantChange, PlantProcess
-from octarm.disturbances.fields import Amount, Quantity, Words
+from octarm.disturbances.fields import PHASE, Amount, Quantity, Words
 from octarm.disturbances.streams import NEVER, first_step, periods_begun
 
 # The parameters that have factors, and how many axes each has after the batch axes.
@@ -25,7 +25,7 @@ _GRID = 0.01  # [s]; parameters that drift stay as they are for so long, whateve
 
 Factor = Annotated[Amount, Quantity("1", above=0.0, at_most=1e6)]
 Share = Annotated[Amount, Quantity("1", at_least=0.0, below=1.0, usual=(0.0, 0.95))]
-Angle = Annotated[Amount, Quantity("rad", usual=(0.0, 1.5))]
+Angle = Annotated[Amount, Quantity("rad", at_least=-np.pi, at_most=np.pi, usual=(0.0, 1.5))]
 Of = Annotated[str, Words(joined=tuple(SCALABLE))]
 
 
@@ -82,7 +82,7 @@ class RandomMismatch(PlantChange):
     name: ClassVar[str] = "random-mismatch"
     share: Share
     rest_length: Share = 0.0
-    tilt: Annotated[Amount, Quantity("rad", at_least=0.0)] = 0.0
+    tilt: Annotated[Amount, Quantity("rad", at_least=0.0, at_most=np.pi)] = 0.0
 
     def start(self, episode: Episode) -> PlantProcess:
         """The arms of one episode."""
@@ -226,7 +226,7 @@ class CyclicDrift(PlantChange):
     name: ClassVar[str] = "cyclic-drift"
     share: Share
     period: Annotated[Amount, Quantity("s", at_least=10.0 * _GRID)] = 10.0
-    phase: Annotated[Amount, Quantity("rad")] = 0.0
+    phase: Annotated[Amount, PHASE] = 0.0
     of: Of = "stiffness"
 
     def start(self, episode: Episode) -> PlantProcess:

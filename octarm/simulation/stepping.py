@@ -24,6 +24,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Coordinates, planar_coordinates
 from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Plant
+from octarm.errors import OctarmError, quoted
 from octarm.simulation.exclusive import Exclusive
 
 
@@ -181,9 +182,23 @@ class AnyPhysics(control.Physics):
         self._qvel[self._qvel_index] = v.T
 
     def set_control(self, control: np.ndarray) -> None:
-        """Holds the input forces tau, shape (..., 2N) [N], until the next call."""
+        """Holds the input forces tau, shape (..., 2N) [N], until the next call.
+
+        Raises:
+            OctarmError: unless they are numbers of this shape.
+        """
         with self.exclusive:
-            self._tau = np.array(control, dtype=np.float64)
+            try:
+                tau = np.array(control, dtype=np.float64)
+            except (TypeError, ValueError):
+                raise OctarmError(
+                    f"the action is {quoted(control)}; it must be an array of numbers"
+                ) from None
+            if tau.shape != self._zero.shape:
+                raise OctarmError(
+                    f"the action has shape {tau.shape}; it must be {self._zero.shape}"
+                )
+            self._tau = tau
             self._possible = self._within_range(self._tau)
 
     @contextlib.contextmanager

@@ -13,6 +13,8 @@ At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep`
 - `[gains.NAME]`: gains of a controller;
 - `[record]`: `episodes`, a list of numbers, `"worst"`, `"median"` and `"diverged"`.
 
+A number may be a text with a unit, such as `"40%"`, `"100 g"`, `"15deg"` or `"60ms"`.
+
 A further disturbance of the same class has its number behind its name, from 2 on: `pulse-2`,
 `noise-2.time`. It has columns and random numbers of its own.
 
@@ -24,6 +26,7 @@ part of the spec that the sweep keeps.
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -42,11 +45,22 @@ from octarm.references import REFERENCES
 from octarm.simulation.engines import ENGINES, MUJOCO
 from octarm.simulation.steps import AUTO
 from octarm.sweeps.spec import SETTINGS, Axis, SweepSpec, class_of, which
+from octarm.units import number
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
 METHODS = ("uniform", "sobol")
 GAIN_SETS = ("tuned", "recommended")
 
+_LIKE_A_NUMBER = re.compile(r"\s*[-+.]{0,2}\d")  # how a number begins, with a unit or not
+# The units of what is no field of a disturbance; numbers may be texts with another unit.
+_UNITS = {
+    ("duration",): "s",
+    ("timestep",): "s",
+    ("control_period",): "s",
+    ("mismatch",): "1",
+    ("grid", "mismatch"): "1",
+    ("random", "mismatch"): "1",
+}
 _OWN = ("controller", "reference", "mismatch")  # axes of every sweep
 
 
@@ -168,7 +182,14 @@ def parse_spec(text: str, file: str = "spec.toml") -> SweepSpec:
 
 
 def _spec(document: Document) -> SweepSpec:
+    for keys, unit in _UNITS.items():
+        document = _in_si(document, unit, *keys)
     content = document.read(SpecFile)
+    for place in (("disturbance",), ("grid", "disturbance"), ("random", "disturbance")):
+        for field, keys in list(_fields(document, *place)):
+            kind = field_kinds(class_of(field.disturbance))[field.field]
+            if not isinstance(kind, Words):
+                document = _in_si(document, kind.unit, *keys)
     axes, drawn = _axes(document, content)
     sets, gains = _gains(document, content, [str(value) for value in axes[0].values])
     fixed: dict[str, dict[str, Any]] = {}
@@ -191,6 +212,36 @@ def _spec(document: Document) -> SweepSpec:
     for name in spec.disturbances:
         _try(spec, name, document)
     return spec
+
+
+def _in_si(document: Document, unit: str, *keys: str) -> Document:
+    """The document with numbers in place of texts such as "40%" at a key, if there are some."""
+    table: Any = document.content
+    for key in keys:
+        if not isinstance(table, dict) or key not in table:
+            return document
+        table = cast(dict[str, Any], table)[key]
+
+    def converted(value: Any) -> Any:
+        if isinstance(value, list):
+            return [converted(x) for x in cast(list[Any], value)]
+        if isinstance(value, dict):
+            between = {"low", "high"}
+            items = cast(dict[str, Any], value).items()
+            return {key: converted(x) if key in between else x for key, x in items}
+        if not isinstance(value, str) or not _LIKE_A_NUMBER.match(value):
+            return value
+        try:
+            return number(".".join(keys), value, unit)
+        except OctarmError as error:
+            raise document.error(str(error), *keys) from None
+
+    def replaced(content: Any, keys: tuple[str, ...]) -> Any:
+        if not keys:
+            return converted(content)
+        return {**content, keys[0]: replaced(content[keys[0]], keys[1:])}
+
+    return dataclasses.replace(document, content=replaced(document.content, keys))
 
 
 def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tuple[Axis, ...]]:
