@@ -7,7 +7,6 @@ they tend to. `rod_theory` has the exact statics and the frequencies, `rod_motio
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -15,15 +14,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import root_scalar
 
-from octarm.arm.parameters import ArmParameters
-from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
-from octarm.checks import rod_motion, rod_peer, rod_study, rod_theory
+from octarm.arm.rod import Rod, arm_from_rod
+from octarm.checks import rod_halves, rod_motion, rod_peer, rod_study, rod_theory
 from octarm.checks.rod_curves import MODULES, Curve, table
 from octarm.tolerances import Check, CheckTable, run_checks
 
 ORDERS = {"paper": 1, "centred": 2}
+HALVES = "half-half"  # a layout that no arm has; see `octarm.checks.rod_halves`
 TAPERED = Rod(EA=(300.0, 150.0), EI=(0.5, 0.2), density=(3.0, 1.0), rotary_inertia=(4e-3, 1e-3))
 
+_SMALL = 1e-4  # load on the tip [N]
 _ANGLE = 1.0  # of the tip under the large load [rad]
 _APART = 2e-3  # [1]; PyElastica's rod from its chain, as both shear and stretch in their own ways
 
@@ -50,7 +50,13 @@ class Study(NamedTuple):
 
     def __str__(self) -> str:
         """The errors as a table, and the checks."""
-        notes = [] if self.peer else ["", rod_peer.MISSING]
+        notes = [
+            "",
+            "paper: hinges at the ends of modules; centred: in the middle of elements, with a rigid "
+            "tip piece;",
+            "half-half: in the middle of modules, which no arm has. Releases: lengths of the rod.",
+        ]
+        notes += [] if self.peer else [rod_peer.MISSING]
         return "\n".join([table(self.curves), *notes, "", str(self.table)])
 
 
@@ -102,42 +108,36 @@ def _listed(curves: Iterator[Curve], listed: list[Curve]) -> Iterator[Check]:
         yield from curve.checks()
 
 
-def _errors(rod: Rod, layout: str, value: Callable[[ArmParameters], float]) -> np.ndarray:
-    """A value of each chain, shape (7,)."""
-    return np.array([value(arm_from_rod(rod, n, layout)) for n in MODULES])
+def _tips(rod: Rod, layout: str, force: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+    """The static tip of each chain, x, y and the angle there, shape (7, 3) [m], [m], [rad]."""
+    if layout == HALVES:
+        return np.array([rod_halves.static_tip(rod, n, force, gravity) for n in MODULES])
+    chains = [arm_from_rod(rod, n, layout) for n in MODULES]
+    return np.array([rod_study.static_tip(p, force, gravity) for p in chains])
 
 
-def _deflection(
-    p: ArmParameters, force: np.ndarray, gravity: np.ndarray, along: bool = False
-) -> float:
-    x, y, _ = rod_study.static_tip(p, force, gravity)
-    return float(x) - float(np.sum(p.rest_length)) - float(p.tip_length) if along else float(y)
+def _deflections(
+    rod: Rod, case: str, force: np.ndarray, gravity: np.ndarray, *, along: bool = False
+) -> Iterator[Curve]:
+    """The deflection of the tip in every layout, along the rod or across it."""
+    place, unloaded = (0, rod.length) if along else (1, 0.0)
+    exact = rod_theory.static_tip(rod, force, gravity)[place] - unloaded
+    for layout, order in {**ORDERS, HALVES: 2}.items():
+        tips = _tips(rod, layout, force, gravity)[:, place] - unloaded
+        known = 0 if along and layout != "paper" else order
+        yield Curve(case, layout, tips / exact - 1.0, known)
 
 
 def _statics(rod: Rod) -> Iterator[Curve]:
     """Deflections of the tip under a small and a large load on it, and under the weight."""
-    none, weight = np.zeros(2), rod.gravity
-    force = _force_for(rod, _ANGLE)
-    loads = {
-        "weight across": (none, np.array([0.0, weight])),
-        "weight along": (none, np.array([weight, 0.0])),
-    }
-    compliance = rod_theory.tip_compliance(rod)
-    for layout, order in ORDERS.items():
-        errors = _errors(rod, layout, rod_study.tip_compliance) / compliance - 1.0
-        yield Curve("small tip load", layout, errors, order)
-    yield from _large_load(rod, force)
-    for case, load in loads.items():
-        along = case == "weight along"
-        tip = rod_theory.static_tip(rod, *load)
-        exact = tip[0] - rod.length if along else tip[1]
-        for layout, order in ORDERS.items():
-            value = functools.partial(_deflection, force=load[0], gravity=load[1], along=along)
-            errors = _errors(rod, layout, value) / exact - 1.0
-            yield Curve(case, layout, errors, 0 if along and layout == "centred" else order)
+    none = np.zeros(2)
+    yield from _deflections(rod, "small tip load", np.array([0.0, _SMALL]), none)
+    yield from _large_load(rod)
+    yield from _deflections(rod, "weight across", none, np.array([0.0, rod.gravity]))
+    yield from _deflections(rod, "weight along", none, np.array([rod.gravity, 0.0]), along=True)
 
 
-def _large_load(rod: Rod, force: float) -> Iterator[Curve]:
+def _large_load(rod: Rod) -> Iterator[Curve]:
     """The deflection under a load that turns the tip by 1 rad.
 
     The tip piece of the centred layout, h/2 long, does not stretch. Without its compliance
@@ -145,22 +145,19 @@ def _large_load(rod: Rod, force: float) -> Iterator[Curve]:
     by Castigliano's theorem the deflection smaller by c n dn/dF: of first order in h, like the
     error of the paper's layout. What is left is of second order.
     """
-    change = 1e-4 * force
-    forces = (force, force - change, force + change)
-    tips = [rod_theory.static_tip(rod, np.array([0.0, f]), np.zeros(2)) for f in forces]
-    exact = tips[0][1]
+    none, force = np.zeros(2), _force_for(rod, _ANGLE)
+    forces = force * np.array([1.0, 1.0 - 1e-4, 1.0 + 1e-4])
+    tips = [rod_theory.static_tip(rod, np.array([0.0, f]), none) for f in forces]
     pulls = [f * math.sin(tip[2]) for f, tip in zip(forces, tips, strict=True)]
-    slope = (pulls[2] - pulls[1]) / (2.0 * change)
-    stiffness = rod.at(rod.EA)(rod.length)
-    rigid = rod.length / (2.0 * np.array(MODULES) * stiffness) * pulls[0] * slope
-    load = np.array([0.0, force])
-    for layout in LAYOUTS:
-        value = functools.partial(_deflection, force=load, gravity=np.zeros(2))
-        errors = _errors(rod, layout, value) / exact - 1.0
-        centred = layout == "centred"
-        yield Curve("tip at 1 rad", layout, errors, None if centred else 1)
-        if centred:
-            yield Curve("tip at 1 rad, all stretched", layout, errors + rigid / exact, 2)
+    slope = (pulls[2] - pulls[1]) / (forces[2] - forces[1])
+    give = rod.length / (2.0 * np.array(MODULES) * rod.at(rod.EA)(rod.length))
+    for curve in _deflections(rod, "tip at 1 rad", np.array([0.0, force]), none):
+        if curve.layout != "centred":
+            yield curve
+            continue
+        yield curve._replace(order=None)
+        errors = curve.errors + give * pulls[0] * slope / tips[0][1]
+        yield Curve("tip at 1 rad, all stretched", curve.layout, errors, 2)
 
 
 def _force_for(rod: Rod, angle: float) -> float:
@@ -175,16 +172,9 @@ def _force_for(rod: Rod, angle: float) -> float:
 
 def _tapered() -> Iterator[Curve]:
     """Deflections of a rod whose properties change along it."""
-    rod, none, across = TAPERED, np.zeros(2), np.array([0.0, TAPERED.gravity])
-    compliance = rod_theory.tip_compliance(rod)
-    exact = rod_theory.static_tip(rod, none, across)[1]
-    for layout, order in ORDERS.items():
-        errors = _errors(rod, layout, rod_study.tip_compliance) / compliance - 1.0
-        yield Curve("small tip load, tapered", layout, errors, order)
-    for layout, order in ORDERS.items():
-        value = functools.partial(_deflection, force=none, gravity=across)
-        errors = _errors(rod, layout, value) / exact - 1.0
-        yield Curve("weight across, tapered", layout, errors, order)
+    none, weight = np.zeros(2), np.array([0.0, TAPERED.gravity])
+    yield from _deflections(TAPERED, "small tip load, tapered", np.array([0.0, _SMALL]), none)
+    yield from _deflections(TAPERED, "weight across, tapered", none, weight)
 
 
 def _frequencies(rod: Rod) -> Iterator[Curve]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from octarm.arm.rod import LAYOUTS
 from octarm.checks import rod_motion
 from octarm.checks.rod_convergence import Study
 from octarm.checks.rod_convergence import study as study
@@ -56,7 +57,7 @@ def _draw(out: Path, result: Study) -> None:
     """Writes the figures, all or none."""
     errors: dict[str, dict[str, np.ndarray]] = {case: {} for case in _DRAWN}
     for curve in result.curves:
-        if curve.case in errors:
+        if curve.case in errors and curve.layout in LAYOUTS:
             errors[curve.case][curve.layout] = curve.errors
     motions = [("the default rod", result.motions, _CHAINS)]
     if result.peer:
