@@ -52,9 +52,8 @@ class Study(NamedTuple):
         """The errors as a table, and the checks."""
         notes = [
             "",
-            "paper: hinges at the ends of modules; centred: in the middle of elements, with a rigid "
-            "tip piece;",
-            "half-half: in the middle of modules, which no arm has. Releases: lengths of the rod.",
+            "hinges: paper, at the ends of modules; centred, amid elements, with a rigid tip piece;",
+            "half-half, amid modules, as no arm has them. Releases: distances in rod lengths.",
         ]
         notes += [] if self.peer else [rod_peer.MISSING]
         return "\n".join([table(self.curves), *notes, "", str(self.table)])
