@@ -52,7 +52,7 @@ class Study(NamedTuple):
         """The errors as a table, and the checks."""
         notes = [
             "",
-            "hinges: paper, at the ends of modules; centred, amid elements, with a rigid tip piece;",
+            "hinges: paper, at the ends of modules; centred, amid elements, with a rigid tip;",
             "half-half, amid modules, as no arm has them. Releases: distances in rod lengths.",
         ]
         notes += [] if self.peer else [rod_peer.MISSING]
