@@ -43,6 +43,8 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--mismatch": "X 0",
             "--nominal": "NAME:FACTOR ..",
             "--parameter": "NAME:VALUES ..",
+            "--plant-modules": "N",
+            "--layout": "LAYOUT paper",
         },
         "gains": {"--gains": "GAINS", "--gain": "NAME:VALUES .."},
         "simulation": {
@@ -105,6 +107,8 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--gains": "GAINS",
             "--seed": "N 0",
             "--engine": "ENGINE",
+            "--plant-modules": "N",
+            "--layout": "LAYOUT paper",
         },
         "output": {"--csv": "FILE", "--json": "FILE", "--force": ""},
     },
@@ -116,6 +120,8 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--resume": "",
             "--force": "",
             "--engine": "ENGINE",
+            "--plant-modules": "N",
+            "--layout": "LAYOUT paper",
         }
     },
     "validate": {

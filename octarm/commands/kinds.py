@@ -31,6 +31,7 @@ _WORDS = {
     "ACTUATION": "octarm.arm.actuation:ACTUATIONS",
     "INTEGRATOR": "octarm.arm.modes:INTEGRATORS",
     "ENGINE": "octarm.simulation.engines:ENGINES",
+    "LAYOUT": "octarm.arm.rod:LAYOUTS",
     "SHELL": "octarm.commands.kinds:SHELLS",
 }
 
@@ -151,6 +152,7 @@ AMOUNT = _converted("X", _number_as_text)  # a number whose unit depends on anot
 RUN, DIR = text("RUN"), text("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE = map(_word, ("CONTROLLER", "REFERENCE", "DISTURBANCE"))
 ACTUATION, INTEGRATOR, ENGINE = map(_word, ("ACTUATION", "INTEGRATOR", "ENGINE"))
+LAYOUT = _word("LAYOUT")
 GAINS, SHELL = map(_word, ("GAINS", "SHELL"))
 
 

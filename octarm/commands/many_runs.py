@@ -112,6 +112,8 @@ def margin(
     gains: Annotated[str | None, kinds.GAINS, kinds.RUNS] = None,
     seed: Annotated[int, kinds.N, kinds.RUNS] = 0,
     engine: Annotated[str | None, kinds.ENGINE, kinds.RUNS] = None,
+    plant_modules: Annotated[int | None, kinds.COUNT, kinds.RUNS] = None,
+    layout: Annotated[str, kinds.LAYOUT, kinds.RUNS] = "paper",
     csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
     json: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
     force: Annotated[bool, kinds.OUTPUT] = False,
@@ -141,6 +143,8 @@ def margin(
         seed: seed of all that is random
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
             given
+        plant_modules: modules of the true arm; the model's when not given
+        layout: of that arm, paper or centred
         csv: also write the table to this file
         json: also write everything: the margins of each seed, and the coarse grid
         force: replace files that are there
@@ -168,6 +172,8 @@ def margin(
         gains=gains,
         seed=seed,
         engine=usual_engine() if engine is None else engine,
+        plant_modules=plant_modules,
+        layout=layout,
     )
     job = partial(work.margin, controllers, settings, low, high, csv, json)
     return job if csv is None and json is None else surviving_output(job)
@@ -183,6 +189,8 @@ def tune(
     resume: bool = False,
     force: bool = False,
     engine: Annotated[str | None, kinds.ENGINE] = None,
+    plant_modules: Annotated[int | None, kinds.COUNT] = None,
+    layout: Annotated[str, kinds.LAYOUT] = "paper",
 ) -> Work:
     """Find gains for one controller.
 
@@ -199,6 +207,8 @@ def tune(
         force: replace gains that are there, and begin an interrupted search anew
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
             given
+        plant_modules: modules of the true arm; the model's when not given
+        layout: of that arm, paper or centred
 
     Examples:
       octarm tune smc-boundary --out my-gains.toml
@@ -208,5 +218,5 @@ def tune(
     kinds.check_free(force or resume, out)
     from octarm.commands import tune as work
 
-    settings = (budget, seed, resume, force, engine)
-    return surviving_output(partial(work.tune, controller, out, *settings))
+    options = work.Options(out, budget, seed, resume, force, engine, plant_modules, layout)
+    return surviving_output(partial(work.tune, controller, options))

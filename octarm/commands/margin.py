@@ -54,6 +54,8 @@ class Settings:
     gains: str | None
     seed: int
     engine: str
+    plant_modules: int | None
+    layout: str
 
     @property
     def fixed(self) -> list[str]:
@@ -94,6 +96,8 @@ class Settings:
             timestep=self.timestep,
             control_period=self.control_period,
             engine=self.engine,
+            plant_modules=self.plant_modules,
+            layout=self.layout,
             seed=self.seed,
             threads=cores(),
         )
@@ -172,6 +176,8 @@ def _heading(settings: Settings, varied: Varied) -> list[str]:
     bounds = " and ".join(settings.bound).replace(":", " <= ")
     around = [f"{settings.reference}, {settings.duration:g} s"]
     around += [f"nominal model wrong by {settings.mismatch:g}"] if settings.mismatch else []
+    if settings.plant_modules is not None:
+        around += [f"a plant of {settings.plant_modules} modules, {settings.layout}"]
     around += [spelling(parse_disturbance(text)) for text in settings.fixed]
     seeds = f"{settings.share:.0%} of {settings.seeds} seeds"
     return [

@@ -21,6 +21,8 @@ def run(
     mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0,
     nominal: Annotated[tuple[str, ...], kinds.text("NAME:FACTOR"), kinds.MODEL] = (),
     parameter: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.MODEL] = (),
+    plant_modules: Annotated[int | None, kinds.COUNT, kinds.MODEL] = None,
+    layout: Annotated[str, kinds.LAYOUT, kinds.MODEL] = "paper",
     gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None,
     gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = (),
     timestep: Annotated[float | str | None, kinds.STEP, kinds.SIMULATION] = None,
@@ -48,6 +50,9 @@ def run(
         nominal: a further factor on a parameter of the controller's model, e.g. mass:0.7
         parameter: a parameter of the true arm and of the model, e.g. mass:0.3,0.25,0.2 [kg], or
             input_range:-12,12 for the lowest and highest force of the columns [N]
+        plant_modules: modules of the true arm, a multiple of the model's: a chain of the same rod,
+            of which the controller knows groups; the model's modules when not given
+        layout: of such a chain: paper, or centred with hinges in the middle of elements
         gains: those to start from: tuned (for a control period of 0.0005 s), recommended (set by
             hand, lower), or a file NAME.toml of octarm tune; tuned ones when not given
         gain: one gain, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
@@ -67,6 +72,7 @@ def run(
       octarm run --controller afsmc --mismatch -0.3 --out runs/adaptive
       octarm run --disturbance noise:0.4 --disturbance payload:0.2,at=3
       octarm run --controller smc --gain lambda:20 --parameter mass:0.4,0.3,0.2
+      octarm run --plant-modules 15 --timestep auto --control-period 0.0001
 
     Disturbances, by what they act on; keys with their defaults:
 
@@ -93,6 +99,8 @@ def run(
         actuation=actuation,
         integrator=integrator,
         engine=engine,
+        plant_modules=plant_modules,
+        layout=layout,
     )
     return surviving_output(partial(work.run, experiment, gains, out, view))
 

@@ -149,7 +149,7 @@ def _advice(gain_set: str | None, environment: control.Environment) -> str:
     Tuned gains are high for the usual control period, and some arms do not stay where they hang.
     """
     physics: ArmPhysics = environment.physics
-    growth = float(growth_rate(physics.plant().parameters, physics.hanging()))
+    growth = float(growth_rate(physics.plant().parameters, physics.plant_rest()))
     if growth > 0.0:
         return (
             "; without control this arm does not stay where it hangs: a mode grows e-fold in "

@@ -71,7 +71,8 @@ class RandomMismatch(PlantChange):
     """A true arm with parameters drawn at random, every module and column on its own.
 
     Each parameter is multiplied by 1 + share u with u uniform in -1 .. 1. The draws are the same
-    for any share.
+    for any share. All modules of a group of a finer plant have the draws of the module that the
+    group stands for.
 
     Attributes:
         share: of mass, inertia, stiffness and damping, shape (...) [1].
@@ -95,7 +96,10 @@ class RandomMismatch(PlantChange):
         u = {name: np.stack(rows).reshape((*batch, *rows[0].shape)) for name, rows in drawn.items()}
         value = episode.values(self)
         shares = dict.fromkeys(SCALABLE, value["share"]) | {"rest_length": value["rest_length"]}
-        factors = {name: 1.0 + _spread(name, share) * u[name] for name, share in shares.items()}
+        factors = {
+            name: episode.each_module(1.0 + _spread(name, share) * u[name])
+            for name, share in shares.items()
+        }
         return _from_the_start(factors, value["tilt"] * u["tilt"])
 
 

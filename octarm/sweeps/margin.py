@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from dm_control.rl import control
 
+from octarm.arm.groups import PAPER
 from octarm.arm.mjcf import nominal_parameters
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_disturbance
@@ -274,6 +275,8 @@ class MarginRuns:
         timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
         control_period: time between control actions [s]; one physics step when None.
         engine: that steps the arms; `lagrange` where it is installed, when not given.
+        plant_modules: number of modules of the plant, see `octarm.load`.
+        layout: of that plant.
         seed: of all that is random.
         threads: that step a batch.
         progress: called with the seconds that were simulated since the last call, all arms counted.
@@ -289,6 +292,8 @@ class MarginRuns:
     timestep: float | str | None = None
     control_period: float | None = None
     engine: str = dataclasses.field(default_factory=usual_engine)
+    plant_modules: int | None = None
+    layout: str = PAPER
     seed: int = 0
     threads: int = 1
     progress: Callable[[float], object] = lambda seconds: None
@@ -302,7 +307,8 @@ class MarginRuns:
             OctarmError: if a control period at both ends fails.
         """
         ends = np.array([0.0, 1.0])
-        check_batch(9 * seeds, nominal_parameters().modules)  # on the coarse grid
+        modules = self.plant_modules or nominal_parameters().modules
+        check_batch(9 * seeds, modules)  # on the coarse grid
         environment, controller = self._begin(np.repeat(np.arange(seeds), 2), np.tile(ends, seeds))
         known = measure(environment, controller, environment.control_timestep()).metrics
         for metric, _ in self.bounds:
@@ -348,6 +354,8 @@ class MarginRuns:
             control_period=self.control_period,
             threads=self.threads,
             engine=self.engine,
+            plant_modules=self.plant_modules,
+            layout=self.layout,
         )
         mismatch = values if self.varied.name == NOMINAL else self.mismatch
         return environment, self.factory(nominal_parameters().mismatched(mismatch))
