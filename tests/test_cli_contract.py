@@ -142,11 +142,13 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--controllers": "",
             "--engines": "",
             "--arm": "ARM",
+            "--rod": "",
             "--modules": "N 3",
             "--random-parameters": "N 0",
             "--states": "N",
             "--seed": "N 0",
             "--json": "FILE",
+            "--out": "DIR",
             "--force": "",
         }
     },
