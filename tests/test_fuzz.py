@@ -187,6 +187,7 @@ VALUES = {
     "REFERENCE": st.sampled_from([*REFERENCES]),
     "DISTURBANCE": DISTURBANCE,
     "ACTUATION": st.sampled_from(["f-coeff", "internal"]),
+    "ARM": st.sampled_from(["octarm", "eth", "fabric"]) | FILES,
     "GAINS": st.sampled_from(["tuned", "recommended"]) | FILES,
     "N": COUNTS,
     "METRIC": st.sampled_from(["rms_error", "effort", "rms_error_theta1"]),

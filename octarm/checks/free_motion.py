@@ -244,7 +244,7 @@ def measured_frequencies(model: mujoco.MjModel, p: ArmParameters) -> np.ndarray:
 def undamped(model: mujoco.MjModel) -> mujoco.MjModel:
     """A copy without dampers."""
     model = copy.copy(model)
-    model.tendon_damping[:] = 0.0
+    model.tendon_damping[:] = model.dof_damping[:] = 0.0
     return model
 
 

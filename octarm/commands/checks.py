@@ -16,6 +16,7 @@ def validate(
     controllers: bool = False,
     engines: bool = False,
     rod: bool = False,
+    arm: Annotated[str | None, kinds.ARM] = None,
     modules: Annotated[int, kinds.whole(1, 60)] = 3,
     random_parameters: Annotated[int, kinds.whole(0, 10_000)] = 0,
     states: Annotated[int | None, kinds.whole(1, 1_000_000)] = None,
@@ -37,6 +38,8 @@ def validate(
             controller and under every disturbance; it takes minutes
         rod: check instead how chains of 1 to 40 modules converge to the extensible rod that they
             stand for: statics, frequencies, motion, and PyElastica where it is installed
+        arm: check this arm, a file NAME.toml or one that comes with octarm, instead of the nominal
+            one
         modules: number of modules of the arm, at most 60; the time grows with its cube
         random_parameters: check so many arms with random parameters instead of the nominal one
         states: random states that each comparison runs over; 10000, of controllers 3000, when not
@@ -60,14 +63,19 @@ def validate(
     given = [name for name, flag in flags.items() if flag]
     if len(given) > 1:
         raise OctarmError(f"{' and '.join(given)} are given; one check at a time")
+    if arm is not None and (modules != 3 or random_parameters):
+        raise OctarmError("--arm is given, and so are --modules or --random-parameters")
     if rod:
+        if arm is not None:
+            raise OctarmError("--arm is given, and so is --rod, which has its own chains")
         job = partial(rods.validate_rod, out, json)
         return job if json is None and out is None else surviving_output(job)
     if out is not None:
         raise OctarmError("--out is given without --rod, which alone draws figures")
     states = (3000 if controllers else 10_000) if states is None else states
     compare = work.ledger if controllers else work.engines if engines else work.plant
-    job = partial(work.validate, compare, modules, random_parameters, states, seed, json)
+    arms = work.arms(arm, modules, random_parameters, seed)
+    job = partial(work.validate, compare, arms, states, seed, json)
     return job if json is None else surviving_output(job)
 
 
