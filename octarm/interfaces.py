@@ -77,6 +77,21 @@ class Command(NamedTuple):
     layer: np.ndarray | None = None
 
 
+class Within(NamedTuple):
+    """What happened at the m physics steps of one control period.
+
+    Attributes:
+        q: true coordinates when each step began, shape (m, ..., 2N) [m], [rad].
+        q_d: desired coordinates then, broadcasts to the same shape [m], [rad].
+        received: input forces that reached the arm in each step, shape (m, ..., 2N) [N]: those
+            that were asked for, after the input range and all that is wrong with the actuators.
+    """
+
+    q: np.ndarray
+    q_d: np.ndarray
+    received: np.ndarray
+
+
 class Instant(NamedTuple):
     """One control instant as the loop hands it to its observers.
 
@@ -89,6 +104,7 @@ class Instant(NamedTuple):
         tau: input forces that are asked for until the next instant, shape (..., 2N) [N].
         disturbance: generalised force that was added, mean over the period, shape (..., 2N) [N],
             [N m].
+        within: the physics steps of the period; None if they are not known.
     """
 
     measurement: Measurement
@@ -98,13 +114,17 @@ class Instant(NamedTuple):
     v: np.ndarray
     tau: np.ndarray
     disturbance: np.ndarray
+    within: Within | None = None
 
 
 # k consecutive control instants as named fields, each of shape (k, ...): `t`, `q`, `v`, `q_d`,
 # `v_d`, `tau`, `force` and `disturbance` as in `Instant`, the controller's signals by name, and
-# `q_measured` and `v_measured` where one arm is recorded while sensors act.
+# `q_measured` and `v_measured` where one arm is recorded while sensors act. Those of `WITHIN` have
+# shape (k, m, ...) for the m physics steps of a control period, see `Within`; `q_steps` and
+# `q_d_steps` are there only if m > 1, since for m = 1 they are `q` and `q_d`.
 # The arrays are read-only for whoever gets them, and their memory may be used again afterwards.
 Rows = Mapping[str, np.ndarray]
+WITHIN = ("received", "q_steps", "q_d_steps")
 
 
 class NominalModel(Protocol):

@@ -101,7 +101,7 @@ class Saturation(ActuatorFault):
         return functools.partial(_limited, _columns(self, "limit", episode))
 
     def input_bound(self) -> Amount:
-        """The limit, broadcasts to (2N,) [N]; infinite where there is none."""
+        """The limit, broadcasts to (..., 2N) [N]; infinite where there is none."""
         return self.limit
 
 

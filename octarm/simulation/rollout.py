@@ -15,7 +15,7 @@ import numpy as np
 from dm_control.rl import control
 
 from octarm.errors import OctarmError
-from octarm.interfaces import Controller, Instant, Measurement, Reference, Rows
+from octarm.interfaces import Controller, Instant, Measurement, Reference, Rows, Within
 from octarm.simulation.arguments import check_simulation, commanded
 from octarm.simulation.environment import TrackingTask, whole_periods
 from octarm.simulation.physics import ArmPhysics
@@ -70,6 +70,8 @@ def _episode(
     """See `simulate`; the arms can be moved within `with turn:` alone."""
     physics: AnyPhysics = environment.physics
     task: TrackingTask = environment.task
+    step = physics.timestep()
+    steps = round(environment.control_timestep() / step)
     with turn:
         timestep = environment.reset()
     state = controller.initial_state(physics.batch_shape)
@@ -85,8 +87,12 @@ def _episode(
             message = _refusal(physics, command.force, measurement)
             tau = physics.actuation.inputs(measurement.q, command.force)
         q, v = physics.q(), physics.v()
+        q_d_steps = task.desired_steps(step, steps) if steps > 1 else q_d[None]
+        q_steps, received = q[None], np.zeros_like(q)[None]
         if message:
             disturbance = np.zeros_like(q)
+            if steps > 1:  # which were not taken
+                q_steps, received = (x.repeat(steps, 0) for x in (q_steps, received))
         else:
             try:
                 with turn:
@@ -95,7 +101,11 @@ def _episode(
                 message = physics.divergence() or f"diverged at t = {physics.time():.6g} s: {error}"
             tau = physics.tau()  # what a wrapper made of it
             disturbance = physics.disturbance()
-        instant = Instant(measurement, reference, command, q, v, tau, disturbance)
+            received = physics.received()[None]
+            if steps > 1:
+                q_steps, received = physics.within()
+        within = Within(q_steps, q_d_steps, received)
+        instant = Instant(measurement, reference, command, q, v, tau, disturbance, within)
         for observe in observers:
             observe(instant)
         if message or timestep.last():

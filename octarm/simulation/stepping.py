@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import abc
 import contextlib
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 
 import mujoco
 import numpy as np
@@ -21,7 +21,7 @@ from octarm.arm.actuation import Actuation
 from octarm.arm.limits import Limits
 from octarm.arm.mjcf import PlantFields, paper_order
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import Coordinates, planar_coordinates
+from octarm.arrays import Coordinates, planar_coordinates, stacked
 from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Plant
 from octarm.simulation.exclusive import Exclusive
@@ -130,6 +130,27 @@ class AnyPhysics(control.Physics):
         """The input forces that reached the arms in the last physics step, shape (..., 2N) [N]."""
         return self._received.copy(order="K")
 
+    def within(self) -> tuple[np.ndarray, np.ndarray]:
+        """The physics steps of the last `step`, of which there were several.
+
+        Returns:
+            The true coordinates when each of them began [m], [rad], and the input forces that
+            reached the arms in it [N], both of shape (m, ..., 2N). A step that was not taken any
+            more, as no arm was left, is like the last one.
+        """
+        q, received = self._within
+        return q, received
+
+    def reachable_inputs(self) -> tuple[np.ndarray, np.ndarray]:
+        """The input range, narrowed by what this episode's disturbances limit the inputs to.
+
+        The lowest and the highest input forces, each of shape (..., 2N) [N].
+        """
+        low, high = self.input_range()
+        for bound in () if self.active is None else self.active.input_bounds:
+            low, high = np.maximum(low, -np.asarray(bound)), np.minimum(high, bound)
+        return low, high
+
     def added(self) -> np.ndarray:
         """Generalised force that MuJoCo was given in the last physics step, shape (..., 2N)."""
         return self._added.take(self._qvel_index, 0).T
@@ -214,8 +235,13 @@ class AnyPhysics(control.Physics):
         An arm stops at its first state outside the limits. It ends early when no arm is left.
         """
         self._disturbance = self._zero
-        for _ in range(n_sub_steps):
+        within: Sequence[np.ndarray] = ()
+        if n_sub_steps > 1:
+            within = self._within = tuple(stacked(self._zero, n_sub_steps) for _ in range(2))
+        for i in range(n_sub_steps):
             self._receive(n_sub_steps)
+            if within:
+                within[0][i], within[1][i] = self.q(), self._received
             self._advance()
             self._steps += 1
             if self.active is not None and self.active.sensors:
@@ -224,6 +250,8 @@ class AnyPhysics(control.Physics):
                 self.watch(self)
             self._check_limits()
             if self.all_lost():
+                for rows in within:
+                    rows[i + 1 :] = rows[i]
                 return
 
     def _receive(self, nstep: int) -> None:
@@ -270,6 +298,7 @@ class AnyPhysics(control.Physics):
             self._write(Plant(self._undisturbed))
         self.active = None
         self._tau = self._possible = self._received = self._disturbance = self._zero
+        self._within = self._zero[None], self._zero[None]
         self._steps = 0
         self._intact = np.ones(self.batch_shape, dtype=bool)
         self._diverged_at = np.full(self.batch_shape, np.nan)
