@@ -236,6 +236,20 @@ def test_the_smallest_bound_counts():
     assert np.array_equal(both(seeds, shares).excess, what(seeds, shares).excess)
 
 
+def test_the_delay_that_breaks_the_bound_is_not_bound_to_physics_steps():
+    """It is borne at 3 ms and not at 3.5, and with finer steps breaks at the same one."""
+    options = {"reference": "sine", "duration": 3.0, "control_period": 5e-4, "timestep": 5e-4}
+    options["factory"] = lambda nominal: hand_set("pd", nominal)
+    what = trial("actuation-delay", "tip_rms_error:0.003", low=0.0, high=0.004, **options)
+    found = search(what, 1)
+    met, failed = (float(what.varied.at(x[0])) for x in (found.met, found.failed))
+    assert 0.003 < met < failed < 0.0035 and failed - met <= 0.01 * failed
+    fine = dataclasses.replace(what, timestep=5e-5)
+    grid = np.array([0.003, met - 3e-5, failed + 3e-5, 0.0035]) / 0.004
+    excess = fine(np.zeros(4, dtype=int), grid).excess
+    np.testing.assert_array_equal(excess <= 1.0, [True, True, False, False])
+
+
 def noisy(**options) -> MarginRuns:
     return MarginRuns(
         factory=lambda nominal: hand_set("smc-boundary", nominal),
