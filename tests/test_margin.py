@@ -243,7 +243,7 @@ def test_the_delay_that_breaks_the_bound_is_not_bound_to_physics_steps():
     what = trial("actuation-delay", "tip_rms_error:0.003", low=0.0, high=0.004, **options)
     found = search(what, 1)
     met, failed = (float(what.varied.at(x[0])) for x in (found.met, found.failed))
-    assert 0.003 < met < failed < 0.0035 and failed - met <= 0.01 * failed
+    assert 0.003 < met < failed < 0.0035 and failed - met < 0.011 * failed
     fine = dataclasses.replace(what, timestep=5e-5)
     grid = np.array([0.003, met - 3e-5, failed + 3e-5, 0.0035]) / 0.004
     excess = fine(np.zeros(4, dtype=int), grid).excess
