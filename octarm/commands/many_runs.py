@@ -94,7 +94,7 @@ def margin(
     bound: Annotated[tuple[str, ...], kinds.text("METRIC:VALUE"), kinds.SOUGHT] = (),
     low: Annotated[float | None, kinds.X, kinds.SOUGHT] = None,
     high: Annotated[float | None, kinds.X, kinds.SOUGHT] = None,
-    seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 36,
+    seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 16,
     share: Annotated[float, kinds.X, kinds.SOUGHT] = 0.9,
     mismatch: Annotated[float, kinds.X, kinds.RUNS] = 0.0,
     reference: Annotated[str, kinds.REFERENCE, kinds.RUNS] = "sine",
