@@ -37,8 +37,8 @@ class Difference(NamedTuple):
         other: those of which only the baseline's did.
         both: those of which both did.
         unpaired: episodes whose partner is not finished.
-        chance: `measured.chance`, adjusted for all comparisons of the report, see `adjusted`; NaN
-            where neither less nor more is better.
+        chance: `measured.chance`, adjusted for all comparisons of the report, see `adjusted`,
+            shape (M,) [1]; NaN where neither less nor more is better.
     """
 
     measured: Paired

@@ -182,7 +182,7 @@ def paired(
 
 
 def adjusted(chances: npt.ArrayLike) -> np.ndarray:
-    """Probabilities of many comparisons, adjusted by Benjamini and Hochberg, of the same shape.
+    """Probabilities, shape (...), adjusted by Benjamini and Hochberg for the number of them.
 
     Of the comparisons whose adjusted probability is at most 5 %, at most 5 % are expected to be
     without a difference. NaN stays so and does not count.
