@@ -25,7 +25,7 @@ from octarm.metrics.metric import SETTLED_AFTER as SETTLED_AFTER
 from octarm.metrics.sliding import ReachingBound, Sliding
 from octarm.metrics.tracking import Overshoot, Settling, TipError, TrackingError
 
-_FIELDS = ("t", "q", "q_d", "tau", "force")
+_FIELDS = ("t", "q", "q_d", "tau", "force", "plant_tip")
 _FORCES = ("tau", "force", "asked_tau", "asked_force")
 _NUMBERS_A_PART = 50_000  # of a coordinate array; more at a time would leave the caches
 
@@ -184,6 +184,7 @@ def _within(rows: Rows, settings: Settings) -> Rows:
     """The physics steps of control instants as rows, under the names of the fields of instants."""
     steps = settings.steps
     number = np.rint(rows["t"] / settings.step)[:, None] + np.arange(steps)
+    tips = {"plant_tip": _flat(rows["plant_tip_steps"])} if "plant_tip" in rows else {}
     return {
         "t": number.ravel() * settings.step,
         "q": _flat(rows["q_steps"]),
@@ -191,6 +192,7 @@ def _within(rows: Rows, settings: Settings) -> Rows:
         "received": _flat(rows["received"]),
         "tau": _held(rows["tau"], steps),
         "force": _held(rows["force"], steps),
+        **tips,
     }
 
 

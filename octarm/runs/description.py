@@ -29,6 +29,13 @@ class _Disturbance(_Named):
     delivered: dict[str, Any] | None = None
 
 
+class Plant(_Table):
+    """Which plant of more modules it was, see `octarm.arm.groups`."""
+
+    modules: Annotated[int, Field(ge=1)]
+    layout: str
+
+
 class _Coordinate(_Table):
     name: str
     unit: str
@@ -40,6 +47,7 @@ class _Run(_Table):
     controller: _Controller
     parameters: dict[str, Any]
     reference: _Named
+    plant: Plant | None = None
     spawn_key: Array[Annotated[int, Field(ge=0, lt=2**32)]] = ()
 
 

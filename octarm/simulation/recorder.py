@@ -107,11 +107,15 @@ class Recorder:
             "force": instant.command.force,
             "disturbance": instant.disturbance,
         }
+        if instant.plant_q is not None and instant.plant_tip is not None:
+            row |= {"plant_q": instant.plant_q, "plant_tip": instant.plant_tip}
         if (within := instant.within) is not None:
             row["received"] = within.received
             if len(within.q) > 1:
                 row["q_steps"], q_d = within.q, within.q_d
                 row["q_d_steps"] = q_d[:, None] if q_d.ndim < within.q.ndim else q_d
+                if within.plant_tip is not None:
+                    row["plant_tip_steps"] = within.plant_tip
         signals, fields = instant.command.signals, self._fields
         if not (signals.keys().isdisjoint(row) and signals.keys().isdisjoint(Ending._fields)):
             for name, signal in signals.items():

@@ -87,12 +87,11 @@ def _episode(
             message = _refusal(physics, command.force, measurement)
             tau = physics.actuation.inputs(measurement.q, command.force)
         q, v = physics.q(), physics.v()
+        plant_q, plant_tip = physics.plant_place()
         q_d_steps = task.desired_steps(step, steps) if steps > 1 else q_d[None]
-        q_steps, received = q[None], np.zeros_like(q)[None]
         if message:
             disturbance = np.zeros_like(q)
-            if steps > 1:  # which were not taken
-                q_steps, received = (x.repeat(steps, 0) for x in (q_steps, received))
+            within = _still(steps, q, q_d_steps, plant_tip)
         else:
             try:
                 with turn:
@@ -101,16 +100,25 @@ def _episode(
                 message = physics.divergence() or f"diverged at t = {physics.time():.6g} s: {error}"
             tau = physics.tau()  # what a wrapper made of it
             disturbance = physics.disturbance()
-            received = physics.received()[None]
             if steps > 1:
-                q_steps, received = physics.within()
-        within = Within(q_steps, q_d_steps, received)
-        instant = Instant(measurement, reference, command, q, v, tau, disturbance, within)
+                q_steps, received, tip_steps = physics.within()
+                within = Within(q_steps, q_d_steps, received, tip_steps)
+            else:
+                within = Within(q[None], q_d_steps, physics.received()[None])
+        instant = Instant(
+            measurement, reference, command, q, v, tau, disturbance, plant_q, plant_tip, within
+        )
         for observe in observers:
             observe(instant)
         if message or timestep.last():
             break
     return message or physics.divergence()
+
+
+def _still(steps: int, q: np.ndarray, q_d: np.ndarray, plant_tip: np.ndarray | None) -> Within:
+    """A period whose steps are not taken, the arms being at q, shape (..., 2N) [m], [rad]."""
+    tip = None if plant_tip is None else plant_tip[None].repeat(steps, 0)
+    return Within(q[None].repeat(steps, 0), q_d, np.zeros((steps, *q.shape)), tip)
 
 
 def rollout(
