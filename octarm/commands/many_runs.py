@@ -89,7 +89,8 @@ def report(
     Examples:
       octarm report runs/noise --baseline smc-boundary --metric tip_rms_error
     """
-    kinds.check_folder(sweep, "manifest.json", "a sweep")
+    if (refuse := kinds.refusal(sweep, "manifest.json", "a sweep")) is not None:
+        return refuse
     kinds.check_free(force, (out or sweep / "report") / "report.html")
     from octarm.commands import report as work
 
