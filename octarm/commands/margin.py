@@ -16,6 +16,7 @@ from controllers import make_controller
 from octarm.arm.file import read_arm
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
+from octarm.commands.gain_notes import print_unsuited
 from octarm.disturbances.spelling import parse_disturbance, spelling
 from octarm.errors import ExitCode, OctarmError
 from octarm.files import write_text
@@ -122,6 +123,9 @@ def margin(
     settings.check()
     varied = settings.varied(low, high)
     runs = {name: settings.runs(name, varied) for name in controllers}
+    for name in controllers:
+        believed, step = nominal_parameters(), settings.timestep
+        print_unsuited(name, settings.gains, believed, step, settings.control_period)
     runs = {name: run.rehearse(settings.seeds) for name, run in runs.items()}
     rows: list[Mapping[str, Any]] = []
     for name, run in runs.items():

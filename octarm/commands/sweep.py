@@ -14,6 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import make_controller
+from octarm.commands.gain_notes import print_unsuited
 from octarm.errors import ExitCode, OctarmError, printable, sentence_of
 from octarm.formats import read_toml
 from octarm.memory import check_batch
@@ -116,8 +117,10 @@ def _checked_spec(options: Options) -> SweepSpec:
     for name in spec.controllers:
         keys = ("gain_set", name) if name in spec.gain_sets else ("grid", "controller")
         with _in_file(options.spec, *(("gains", name) if name in spec.gains else keys)):
+            period, gains = spec.control_period, spec.gain_sets.get(name)
             for arm in spec.all_arms():
                 spec.controller(name, arm, make_controller)
+                print_unsuited(name, gains, arm, spec.timestep, period)
     for episode in spec.record:
         if isinstance(episode, int):
             with _in_file(options.spec, "record", "episodes"):
