@@ -33,7 +33,11 @@ OPERANDS = {
 }  # fmt: skip
 OPTIONS: dict[str, dict[str, dict[str, str]]] = {
     "arm": {
-        "another source of the arm": {"--from-rod": "KEY=VALUE,.."},
+        "another source of the arm": {
+            "--from-rod": "KEY=VALUE,..",
+            "--fit-modules": "N",
+            "--layout": "LAYOUT paper",
+        },
         "output": {"--write": "FILE.toml", "--out": "FILE.png", "--force": ""},
         "stability of the sampled loop": {
             "--controller": "CONTROLLER ..",
@@ -142,11 +146,13 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--controllers": "",
             "--engines": "",
             "--arm": "ARM",
+            "--rod": "",
             "--modules": "N 3",
             "--random-parameters": "N 0",
             "--states": "N",
             "--seed": "N 0",
             "--json": "FILE",
+            "--out": "DIR",
             "--force": "",
         }
     },
