@@ -33,7 +33,7 @@ from octarm.metrics.metric import Settings
 from octarm.references import named_reference
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout, simulate
-from octarm.sweeps.scenarios import EVALUATION, TRAINING, Scenario, disturbances
+from octarm.sweeps.scenarios import EVALUATION, SCENARIOS, Scenario, disturbances
 from octarm.sweeps.tune import (
     Budget,
     SearchState,
@@ -84,9 +84,9 @@ def scaled(name: str):
 # The measure
 
 
-@pytest.mark.parametrize("scenario", [*TRAINING, *EVALUATION])
+@pytest.mark.parametrize("scenario", [*SCENARIOS, *EVALUATION])
 def test_the_cost_is_the_declared_formula(scenario: Scenario):
-    trial = Examination(begin=0.1, duration=0.2, scenarios=(TRAINING[3], scenario))
+    trial = Examination(begin=0.1, duration=0.2, scenarios=(SCENARIOS[3], scenario))
     K = np.array([[1.0], [3.0]])
     both = costs(trial, by_hand("smc"), {"K": K})
     assert both.shape == (2, 2)
@@ -121,8 +121,8 @@ def test_the_cost_is_the_declared_formula(scenario: Scenario):
 
 
 def test_the_mean_is_weighed_as_the_scenarios_say():
-    heavy = dataclasses.replace(TRAINING[0], weight=3.0)
-    trial = Examination(scenarios=(heavy, TRAINING[1]))
+    heavy = dataclasses.replace(SCENARIOS[0], weight=3.0)
+    trial = Examination(scenarios=(heavy, SCENARIOS[1]))
     np.testing.assert_allclose(trial.mean(np.array([[1.0, 5.0], [2.0, 2.0]])), [2.0, 2.0])
 
 
@@ -138,12 +138,12 @@ def values(scenarios: tuple[Scenario, ...], field: str) -> set[Any]:
 
 def test_the_scenarios_hold_what_they_have_to():
     """Two control periods, a delay, a lag, a payload, wrong models and noise."""
-    assert len(set(TRAINING)) == len(TRAINING)
-    assert values(TRAINING, "period") == {0.0005, 0.002}
-    assert values(TRAINING, "mismatch") == {-0.3, 0.0, 0.3}
-    assert 0.4 in values(TRAINING, "noise") and 0.2 in values(TRAINING, "payload")
-    assert 0.0015 in values(TRAINING, "delay") and 0.005 in values(TRAINING, "lag")
-    balanced = TRAINING[:6]  # half of the full design
+    assert len(set(SCENARIOS)) == len(SCENARIOS)
+    assert values(SCENARIOS, "period") == {0.0005, 0.002}
+    assert values(SCENARIOS, "mismatch") == {-0.3, 0.0, 0.3}
+    assert 0.4 in values(SCENARIOS, "noise") and 0.2 in values(SCENARIOS, "payload")
+    assert 0.0015 in values(SCENARIOS, "delay") and 0.005 in values(SCENARIOS, "lag")
+    balanced = SCENARIOS[:6]  # half of the full design
     for one, other in (("reference", "mismatch"), ("reference", "noise"), ("mismatch", "noise")):
         pairs = {(getattr(s, one), getattr(s, other)) for s in balanced}
         assert len(pairs) == len(values(balanced, one)) * len(values(balanced, other))
@@ -155,12 +155,12 @@ def test_the_scenarios_hold_what_they_have_to():
 )
 def test_evaluation_has_nothing_that_tuning_saw(field: str):
     """But what is absent: no mismatch, no noise, no delay."""
-    assert not (values(TRAINING, field) & values(EVALUATION, field)) - {0.0}
+    assert not (values(SCENARIOS, field) & values(EVALUATION, field)) - {0.0}
 
 
 def test_noise_of_the_evaluation_is_of_another_kind():
     noisy = [s for s in EVALUATION if s.noise]
-    assert all(s.correlation_time not in values(TRAINING, "correlation_time") for s in noisy)
+    assert all(s.correlation_time not in values(SCENARIOS, "correlation_time") for s in noisy)
 
 
 def test_inertia_counts_in_the_fast_reference():
@@ -176,8 +176,8 @@ def test_inertia_counts_in_the_fast_reference():
 
 
 def test_what_acts_on_no_arm_is_left_out():
-    assert disturbances([TRAINING[0], TRAINING[1]]) == []
-    names = [d.name for d in disturbances([TRAINING[0], TRAINING[3], TRAINING[10]])]
+    assert disturbances([SCENARIOS[0], SCENARIOS[1]]) == []
+    names = [d.name for d in disturbances([SCENARIOS[0], SCENARIOS[3], SCENARIOS[10]])]
     assert names == ["noise", "actuation-delay"]
 
 
@@ -376,7 +376,7 @@ def test_the_seed_changes_the_search_and_not_the_scenarios(uninterrupted):
 
 
 def test_the_budget_counts_simulated_seconds():
-    n = len(TRAINING)
+    n = len(SCENARIOS)
     budget = Budget.within(24000.0)
     assert budget.population == 24 and budget.generations == 24000 // (24 * n * 3)
     assert budget.search_seconds == budget.generations * 24 * n * 3.0
@@ -404,7 +404,7 @@ def test_the_command_writes_gains_and_how_they_were_found(capsys):
     assert [path.name for path in Path().iterdir()] == ["my.toml"]
     content = tomllib.loads(Path("my.toml").read_text())
     assert (content["controller"], content["arm"]["modules"]) == ("smc", 3)
-    longest = max(values(TRAINING, "period")) / LagrangeModel(P).time_scale
+    longest = max(values(SCENARIOS, "period")) / LagrangeModel(P).time_scale
     assert content["arm"]["control_period"] == pytest.approx(longest, rel=1e-3)
     tuning = content["tuning"]
     assert tuning["command"] == "octarm tune smc --budget 8000 --seed 5"

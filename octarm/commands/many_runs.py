@@ -205,7 +205,7 @@ def tune(
     FILE.toml uses them.
 
     The measure holds two control periods, late and slow inputs, a payload, a fast motion, wrong
-    models and noise: the list TRAINING of octarm/sweeps/scenarios.py. What the gains are worth is
+    models and noise: the list SCENARIOS of octarm/sweeps/scenarios.py. What the gains are worth is
     then measured on the list EVALUATION there: desired motions, noises, faults and model errors
     that the search never saw.
 

@@ -53,7 +53,7 @@ class Scenario:
     weight: float = 1.0
 
 
-TRAINING = (
+SCENARIOS = (
     # The model is wrong, and noise acts: half of the design reference x mismatch x noise.
     Scenario(reference="sine", mismatch=-0.3),
     Scenario(reference="multi-sine"),

@@ -49,7 +49,7 @@ from octarm.simulation.rollout import simulate
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.steps import AUTO
 from octarm.sweeps.progress import arm_seconds
-from octarm.sweeps.scenarios import EVALUATION, TRAINING, Scenario, disturbances
+from octarm.sweeps.scenarios import EVALUATION, SCENARIOS, Scenario, disturbances
 
 SLIDE_SCALE = 0.0175  # A [m]
 BEND_SCALE = 0.3  # A [rad]
@@ -79,7 +79,7 @@ class Examination:
         noise: number of the realisation of the noise.
     """
 
-    scenarios: tuple[Scenario, ...] = TRAINING
+    scenarios: tuple[Scenario, ...] = SCENARIOS
     begin: float = 1.0
     duration: float = 3.0
     noise: int = 0
