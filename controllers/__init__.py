@@ -1,8 +1,9 @@
 """The controllers, by the names that the command line uses.
 
-To add one, write its file, import its class here, and add its line to `CONTROLLERS`. The class is a
-`controllers.law.Law` with a field for each gain, which declares its units, what is allowed, its
-recommended value and its tuning. `octarm.interfaces` says what a controller does.
+A controller of your own needs no line here: `make_controller("./my_law.py:MyLaw", ...)`, and see
+`octarm.declared`. Best it is a `controllers.law.Law` with a field for each gain, which declares its
+units, what is allowed, its recommended value and its tuning; any frozen dataclass will do that does
+what `octarm.interfaces.Controller` says. Its fields but `nominal` are its gains.
 
 Tuned gains take the place of recommended ones where `controllers/gains/` holds some for the
 controller and for arms of as many modules. `octarm tune` finds gains.
@@ -10,6 +11,7 @@ controller and for arms of as many modules. `octarm tune` finds gains.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -24,16 +26,30 @@ from controllers.fuzzy_rules import FuzzyController as FuzzyController
 from controllers.fuzzy_rules import FuzzySlidingMode as FuzzySlidingMode
 from controllers.gain_sets import starting_gains
 from controllers.integral_sliding_mode import IntegralSlidingMode as IntegralSlidingMode
-from controllers.law import gain_fields, spelled
+from controllers.law import GainField, Law, gain_fields, spelled
 from controllers.sliding_mode import BoundaryLayer as BoundaryLayer
 from controllers.sliding_mode import SlidingMode as SlidingMode
 from controllers.super_twisting import SuperTwisting as SuperTwisting
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
+from octarm.arrays import read_only
+from octarm.declared import Declared, short_name
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import NominalModel, Tunable
 
-CONTROLLERS: dict[str, type] = {
+
+def _lacks(thing: Any) -> str:
+    """What a class of a user lacks of a controller; empty if nothing."""
+    if not (isinstance(thing, type) and dataclasses.is_dataclass(thing)):
+        return "is no dataclass; octarm.interfaces.Controller says what a controller is"
+    if not vars(thing)["__dataclass_params__"].frozen:
+        return "is no frozen dataclass, although a controller keeps nothing between calls"
+    methods = {name for base in thing.__mro__ for name in vars(base)}
+    missing = [name for name in ("initial_state", "__call__") if name not in methods]
+    return f"has no method {missing[0]}" if missing else ""
+
+
+_BUILT_IN: dict[str, type] = {
     "pd": ProportionalDerivative,
     "computed-torque": ComputedTorque,
     "smc": SlidingMode,
@@ -45,6 +61,7 @@ CONTROLLERS: dict[str, type] = {
     "afsmc-consequent": AdaptiveConsequents,
     "afsmc": AdaptiveFuzzy,
 }
+CONTROLLERS = Declared("controller", _BUILT_IN, _lacks)
 
 
 def make_controller(
@@ -57,7 +74,7 @@ def make_controller(
     """A controller by name, with the nominal model it believes.
 
     Args:
-        name: one of `CONTROLLERS`.
+        name: of a built-in controller or of an installed package's, MODULE:NAME, or FILE.py:NAME.
         nominal: the model of the arm that the controller is given; parameters stand for the
             analytic model with them.
         gains: gains by name, each a number or an array that broadcasts to (..., 2N), unless the
@@ -69,24 +86,44 @@ def make_controller(
     Raises:
         OctarmError: for an unknown name or gain set, or a gain that is unknown or invalid.
     """
-    if name not in CONTROLLERS:
-        raise OctarmError(f"unknown controller {quoted(name)}{closest(name, CONTROLLERS)}")
-    law = CONTROLLERS[name]
+    law: Any = CONTROLLERS[name]
+    name = short_name(name)
     model = LagrangeModel(nominal) if isinstance(nominal, ArmParameters) else nominal
     given, declared = dict(gains or {}), gain_fields(law)
-    fields = {spelled(field): field for field in declared}
+    known = [field.name for field in dataclasses.fields(law) if field.init]
+    fields = {spelled(field): field for field in known if field != "nominal"}
     starting: dict[str, Any] = {
         gain: declared[field].start(model)
         for gain, field in fields.items()
-        if declared[field].recommended is not None
+        if field in declared and declared[field].recommended is not None
     }
     starting |= starting_gains(name, model.modules, gain_set)
     for gain, field in fields.items():
-        if declared[field].replaced_by in given:
+        if field in declared and declared[field].replaced_by in given:
             starting.pop(gain, None)
     values: dict[str, Any] = {}
     for gain, value in {**starting, **given}.items():
         if gain not in fields:
             raise OctarmError(f"{name} has no gain {quoted(gain)}{closest(gain, fields)}")
         values[fields[gain]] = value
-    return law(nominal=model, **values)
+    if not issubclass(law, Law):  # which checks its gains itself
+        values = {field: _checked(declared.get(field), field, x, model) for field, x in values.items()}
+    needed = [f.name for f in dataclasses.fields(law) if f.init and not _has_default(f)]
+    if missing := [spelled(f) for f in needed if f not in values and f != "nominal"]:
+        raise OctarmError(f"{name} needs the gain {missing[0]}; it recommends no value")
+    return law(**values, **({"nominal": model} if "nominal" in known else {}))
+
+
+def _checked(field: GainField | None, name: str, value: Any, model: NominalModel) -> Any:
+    """A gain of a class that does not check it: a number or a read-only array."""
+    if field is not None:
+        return field.checked(spelled(name), value, model)
+    if isinstance(value, str | bool | int):
+        return value
+    array = read_only(spelled(name), value)
+    return array if array.ndim else array.item()
+
+
+def _has_default(field: dataclasses.Field[Any]) -> bool:
+    missing = dataclasses.MISSING
+    return field.default is not missing or field.default_factory is not missing

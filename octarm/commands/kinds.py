@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args, get_origin
 
 from cyclopts import Group, Parameter, Token
 
+from octarm.declared import Declared, absolute
 from octarm.errors import quoted
 
 Work = Callable[[], int]  # what a command does, once it begins; returns the exit code
@@ -24,6 +25,7 @@ SHELLS: tuple[Shell, ...] = get_args(Shell)
 # Where the words of a kind of value stand that has a list of them.
 _WORDS = {
     "CONTROLLER": "controllers:CONTROLLERS",
+    "METRIC": "octarm.metrics.declared:ACCUMULATORS",
     "REFERENCE": "octarm.references:REFERENCES",
     "DISTURBANCE": "octarm.disturbances.catalogue:DISTURBANCES",
     "ACTUATION": "octarm.arm.actuation:ACTUATIONS",
@@ -37,7 +39,8 @@ def known_words(kind: str) -> list[str]:
     """The words that a kind of value can be, such as CONTROLLER; imports what holds them."""
     if kind == "GAINS":
         return ["tuned", "recommended", *map(str, sorted(Path().glob("*.toml")))]
-    return list(pkgutil.resolve_name(_WORDS[kind]))
+    words = pkgutil.resolve_name(_WORDS[kind])
+    return words.names() if isinstance(words, Declared) else list(words)
 
 
 def text(metavar: str) -> Parameter:
@@ -48,6 +51,18 @@ def text(metavar: str) -> Parameter:
 def _word(metavar: str) -> Parameter:
     """A kind of value with known words, which a shell asks the program for."""
     return Parameter(metavar=metavar, completer=lambda _: known_words(metavar))
+
+
+def _declared(metavar: str) -> Parameter:
+    """A name, or an import path or file of a user's own; see `octarm.declared`."""
+
+    def converter(hint: Any, tokens: Sequence[Token]) -> Any:
+        words = [absolute(token.value) for token in tokens]
+        return tuple(words) if get_origin(hint) is tuple else words[0]
+
+    return Parameter(
+        metavar=metavar, converter=converter, completer=lambda _: known_words(metavar)
+    )
 
 
 def _converted(metavar: str, convert: Callable[[str, str], Any]) -> Parameter:
@@ -121,7 +136,9 @@ def _step(option: str, word: str) -> float | str:
 STEP = _converted("S", _step)
 X, S, HZ = (_converted(metavar, _real) for metavar in ("X", "S", "HZ"))
 RUN, DIR = text("RUN"), text("DIR")
-CONTROLLER, REFERENCE, DISTURBANCE = map(_word, ("CONTROLLER", "REFERENCE", "DISTURBANCE"))
+CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
+    _declared, ("CONTROLLER", "REFERENCE", "DISTURBANCE", "METRIC")
+)
 ACTUATION, INTEGRATOR, ENGINE = map(_word, ("ACTUATION", "INTEGRATOR", "ENGINE"))
 GAINS, SHELL = map(_word, ("GAINS", "SHELL"))
 

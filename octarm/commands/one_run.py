@@ -16,6 +16,7 @@ def run(
     controller: Annotated[str, kinds.CONTROLLER, kinds.EXPERIMENT] = "smc-boundary",
     reference: Annotated[str, kinds.REFERENCE, kinds.EXPERIMENT] = "sine",
     disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = (),
+    metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.EXPERIMENT] = (),
     duration: Annotated[float, kinds.S, kinds.EXPERIMENT] = 10.0,
     seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
     mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0,
@@ -40,6 +41,7 @@ def run(
         reference: the desired motion
         disturbance: NAME:VALUE[,KEY=VALUE..], what acts on the arm unknown to the controller; see
             below
+        metric: what is measured as well, FILE.py:NAME or MODULE:NAME
         duration: length of the run [s]
         seed: seed of all that is random; an undisturbed run has nothing random
         mismatch: error of the controller's model: mass, inertia and damping times 1 + X,
@@ -65,24 +67,25 @@ def run(
       octarm run --controller afsmc --mismatch -0.3 --out runs/adaptive
       octarm run --disturbance noise:0.4 --disturbance payload:0.2,at=3
       octarm run --controller smc --gain lambda:20 --parameter mass:0.4,0.3,0.2
+      octarm run --controller ./mine.py:Law --disturbance ./mine.py:Gust:5,at=1
 
     Disturbances, by what they act on; keys with their defaults:
 
     {disturbances}
     """
     from octarm.commands import run as work
-    from octarm.disturbances.spelling import parse_disturbance
     from octarm.runs.experiment import Experiment
 
+    names, code, disturbances = work.named_words(controller, reference, disturbance, metric)
     true = work.true_arm(parameter)
     factors = work.named_values("--nominal", nominal)
     experiment = Experiment(
-        controller=controller,
+        controller=names[0],
         gains=work.gain_values(gain),
         nominal=true.mismatched(mismatch).scaled(**factors),
         parameters=true,
-        reference=reference,
-        disturbances=tuple(map(parse_disturbance, disturbance)),
+        reference=names[1],
+        disturbances=disturbances,
         seed=seed,
         duration=duration,
         timestep=timestep,
@@ -90,6 +93,7 @@ def run(
         actuation=actuation,
         integrator=integrator,
         engine=engine,
+        code=code,
     )
     return surviving_output(partial(work.run, experiment, gains, out, view))
 

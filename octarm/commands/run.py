@@ -17,13 +17,19 @@ import numpy.typing as npt
 from dm_control.rl import control
 from tqdm import tqdm
 
-from controllers import make_controller
+from controllers import CONTROLLERS, make_controller
 from octarm.arm.mjcf import nominal_parameters, template_model
 from octarm.arm.modes import growth_rate
 from octarm.arm.parameters import ArmParameters
 from octarm.commands.summary import Swing, summary
+from octarm.declared import Code, named
+from octarm.disturbances.catalogue import DISTURBANCES
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
+from octarm.metrics.declared import ACCUMULATORS
 from octarm.recordings.recording import run_recording
+from octarm.references import REFERENCES
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
@@ -50,7 +56,7 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
             keep=swing.add,
         )
     elapsed = time.perf_counter() - started
-    print(summary(len(trajectory), swing.amplitude(), description, elapsed))
+    print(summary(len(trajectory), swing.amplitude(), description, elapsed, experiment.code))
     print(f"wrote {printable(str(out))}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt(f"{out} holds the run up to t = {trajectory.t[-1]:.6g} s")
@@ -64,6 +70,29 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
     else:
         print(f"see it: octarm replay {printable(shlex.quote(str(out)))}")
     return ExitCode.FINE
+
+
+def named_words(
+    controller: str, reference: str, disturbances: Sequence[str], metrics: Sequence[str]
+) -> tuple[list[str], dict[str, Code], tuple[Disturbance, ...]]:
+    """What an experiment is made of, given the words of the command line.
+
+    Returns:
+        The names of the controller, the reference, the disturbances and the metrics; the code of
+        those that are not built in; and the disturbances.
+
+    Raises:
+        OctarmError: for a word that means nothing.
+    """
+    names, code = named(
+        [
+            (CONTROLLERS, controller),
+            (REFERENCES, reference),
+            *((DISTURBANCES, DISTURBANCES.split(text).word) for text in disturbances),
+            *((ACCUMULATORS, word) for word in metrics),
+        ]
+    )
+    return names, code, tuple(map(parse_disturbance, disturbances))
 
 
 def true_arm(changes: Sequence[str]) -> ArmParameters:

@@ -18,6 +18,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from octarm.arm.parameters import ArmParameters
+from octarm.disturbances.drawn import Drawn
 from octarm.disturbances.episode import Disturbance
 from octarm.interfaces import Rows
 from octarm.recordings import shapes
@@ -48,7 +49,11 @@ class Scene:
     """The entities of the scene of one run: `looks` once, `frames` for each block of rows."""
 
     def __init__(
-        self, parameters: ArmParameters, disturbances: Sequence[Disturbance], *, disturbed: bool
+        self,
+        parameters: ArmParameters,
+        disturbances: Sequence[Disturbance | Drawn],
+        *,
+        disturbed: bool,
     ) -> None:
         """The scene of one arm.
 

@@ -15,6 +15,7 @@ import numpy as np
 from dm_control.rl import control
 
 from octarm.arm.parameters import ArmParameters
+from octarm.declared import Code, word_of
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.ledger import Ledger, asked
 from octarm.disturbances.spelling import from_entry
@@ -22,6 +23,7 @@ from octarm.errors import OctarmError, closest, quoted
 from octarm.formats import Document
 from octarm.interfaces import Controller, ControllerFactory, Rows
 from octarm.interrupts import ignored_interrupts
+from octarm.metrics.declared import measured as measured_by
 from octarm.metrics.table import Metrics, as_json
 from octarm.references import REFERENCES
 from octarm.runs import folder as runs
@@ -78,6 +80,8 @@ class Experiment:
         actuation: see `octarm.arm.actuation`.
         integrator: see `octarm.load`.
         engine: that steps the arm, see `octarm.simulation.engines`.
+        code: what is not built in by name, and metrics that are measured as well; see
+            `octarm.declared.named`.
     """
 
     controller: str
@@ -94,18 +98,20 @@ class Experiment:
     actuation: str = "f-coeff"
     integrator: str = "rk4"
     engine: str = MUJOCO
+    code: Mapping[str, Code] = dataclasses.field(default_factory=dict[str, Code])
 
     def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
         """The environment and the controller.
 
         Raises:
             OctarmError: if one of them cannot be made.
+            CodeChanged: if the code of one of them is not what it was.
         """
         seed = self.seed
         if self.spawn_key:
             seed = np.random.SeedSequence(self.seed, spawn_key=self.spawn_key)
         environment = load(
-            self.reference,
+            word_of(self.reference, self.code),
             disturbances=self.disturbances,
             parameters=self.parameters,
             timestep=self.timestep,
@@ -115,7 +121,8 @@ class Experiment:
             integrator=self.integrator,
             engine=self.engine,
         )
-        return environment, factory(self.controller, self.nominal, self.gains)
+        controller = word_of(self.controller, self.code)
+        return environment, factory(controller, self.nominal, self.gains)
 
     def announcement(
         self, environment: control.Environment, controller: Controller
@@ -123,13 +130,15 @@ class Experiment:
         """The content of `run.json` before the run, given what `begin` made."""
         task: TrackingTask = environment.task
         physics: AnyPhysics = environment.physics
+        fields = runs.describe_fields(task.reference)
         coordinates = zip(physics.coordinates.names, physics.coordinates.units, strict=True)
         return {
             "controller": {"name": self.controller, "gains": runs.gains_of(controller)},
             "parameters": self.parameters.to_dict(),
             "coordinates": [{"name": name, "unit": unit} for name, unit in coordinates],
             "nominal": self.nominal.to_dict(),
-            "reference": {"name": self.reference, **runs.describe_fields(task.reference)},
+            "reference": {"name": self.reference} | fields | {"name": self.reference},
+            "code": {name: each.model_dump() for name, each in self.code.items()},
             "disturbances": asked(task.disturbances),
             "seed": self.seed,
             "spawn_key": list(self.spawn_key),
@@ -142,7 +151,7 @@ class Experiment:
             "metrics": {},
             "status": runs.RUNNING,
             "message": "",
-            "versions": versions(self.engine),
+            "versions": versions(self.engine, self.code),
             "host": host(),
             "digest": "",
             "command": _readable(shlex.join(["octarm", *sys.argv[1:]])),
@@ -154,10 +163,11 @@ class Experiment:
 
         Raises:
             OctarmError: if something is missing or not allowed, or the reference is a custom one.
+            CodeChanged: if the code of a disturbance is not what it was.
         """
         inputs = Document(runs.DESCRIPTION, description).read(Inputs)
         reference = inputs.reference.name
-        if reference not in REFERENCES:
+        if reference not in (*REFERENCES, *inputs.code):
             raise OctarmError(
                 f"the run followed a custom reference, {quoted(reference)}, which its folder does "
                 f"not hold{closest(reference, REFERENCES)}"
@@ -170,7 +180,10 @@ class Experiment:
             nominal=ArmParameters.from_dict(inputs.nominal),
             parameters=ArmParameters.from_dict(inputs.parameters),
             reference=reference,
-            disturbances=tuple(from_entry(entry.model_dump()) for entry in inputs.disturbances),
+            disturbances=tuple(
+                from_entry(entry.model_dump(), inputs.code) for entry in inputs.disturbances
+            ),
+            code=inputs.code,
             **numbers,
         )
 
@@ -277,13 +290,19 @@ def _perform(
     if ledger is not None:
         physics.watch = ledger.step
     measured: list[Metrics] = []
+    code = Document(runs.DESCRIPTION, {"code": announced.get("code", {})})
+    catalogue = measured_by(code.read(dict[str, Code], "code"))
 
     def take_up(rows: Rows) -> None:
         keep(rows, recorder.layer)
         if not measured:
             period, bounds = environment.control_timestep(), physics.input_range()
             layer = recorder.layer
-            measured.append(Metrics(control_period=period, input_range=bounds, layer=layer))
+            measured.append(
+                Metrics(
+                    control_period=period, input_range=bounds, layer=layer, catalogue=catalogue
+                )
+            )
         measured[0].update(rows)
 
     recorder = ArmRecorder(environment, take_up)
