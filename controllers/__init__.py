@@ -107,11 +107,13 @@ def make_controller(
             raise OctarmError(f"{name} has no gain {quoted(gain)}{closest(gain, fields)}")
         values[fields[gain]] = value
     if not issubclass(law, Law):  # which checks its gains itself
-        values = {field: _checked(declared.get(field), field, x, model) for field, x in values.items()}
+        for field, value in values.items():
+            values[field] = _checked(declared.get(field), field, value, model)
     needed = [f.name for f in dataclasses.fields(law) if f.init and not _has_default(f)]
     if missing := [spelled(f) for f in needed if f not in values and f != "nominal"]:
         raise OctarmError(f"{name} needs the gain {missing[0]}; it recommends no value")
-    return law(**values, **({"nominal": model} if "nominal" in known else {}))
+    made: Any = law(**values, **({"nominal": model} if "nominal" in known else {}))
+    return made
 
 
 def _checked(field: GainField | None, name: str, value: Any, model: NominalModel) -> Any:

@@ -30,6 +30,8 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
+from pydantic import Field
+
 from octarm.errors import FileError, OctarmError, closest, quoted
 from octarm.formats import Model
 
@@ -39,6 +41,7 @@ Kind = Literal["controller", "reference", "disturbance", "metric"]
 _NAME = r"[A-Za-z_][\w.]*"
 # The file or module, the name in it, and what follows, such as the numbers of a disturbance.
 _PATH = re.compile(rf"(.+\.py|[A-Za-z_]\w*(?:\.\w+)*):({_NAME})(?::(.*))?", re.DOTALL)
+_PARTS = re.compile(r"[^/:.]+")
 _ALLOWED = "it must be a known name, MODULE:NAME, or FILE.py:NAME"
 
 
@@ -58,7 +61,7 @@ class Code(Model):
     path: str
     sha256: str
     distribution: str = ""
-    declares: dict[str, dict[str, Any]] = {}
+    declares: dict[str, dict[str, Any]] = Field(default_factory=dict)
 
 
 # The code of an experiment of which all is built in.
@@ -115,7 +118,9 @@ class Declared(collections.UserDict[str, T]):
         """The word with which a text begins, and the rest: `noise:0.4`, `./gust.py:Gust:5,at=1`."""
         name, _, rest = text.partition(":")
         match = None if name in self or name in self._points() else _PATH.fullmatch(text)
-        return Spelt(name, rest) if match is None else Spelt(f"{match[1]}:{match[2]}", match[3] or "")
+        return (
+            Spelt(name, rest) if match is None else Spelt(f"{match[1]}:{match[2]}", match[3] or "")
+        )
 
     def code(self, word: str) -> Code | None:
         """Where something comes from; None for what is built in.
@@ -163,7 +168,7 @@ class Declared(collections.UserDict[str, T]):
 
 
 def absolute(word: str, folder: Path | None = None) -> str:
-    """A word whose file, if it names one, has its absolute path; seen from a folder, or from here."""
+    """A word whose file, if it names one, has its absolute path, seen from a folder or from here."""
     match = _PATH.fullmatch(word)
     if match is None or not match[1].endswith(".py"):
         return word
@@ -232,6 +237,15 @@ def word_of(name: str, code: Mapping[str, Code]) -> str:
     return path
 
 
+def file_of(path: str) -> Path:
+    """The file of what MODULE:NAME or FILE.py:NAME names; nothing is imported.
+
+    Raises:
+        OctarmError: if there is no such module.
+    """
+    return Path(_located(path.rpartition(":")[0]))
+
+
 def distributions(code: Mapping[str, Code]) -> dict[str, str]:
     """The versions of the installed packages that brought some code, by name."""
     found: dict[str, str] = {}
@@ -243,7 +257,7 @@ def distributions(code: Mapping[str, Code]) -> dict[str, str]:
 
 def _short(path: str, others: set[str], taken: set[str]) -> str:
     """The shortest end of a path that is neither taken nor the end of another path."""
-    parts, *rest = ([x for x in re.split(r"[/:.]", p) if x not in ("", "py")] for p in (path, *others))
+    parts, *rest = (_PARTS.findall(each.replace(".py:", ":")) for each in (path, *others))
     for k in range(1, len(parts) + 1):
         name = ".".join(parts[-k:])
         if name not in taken and all(other[-k:] != parts[-k:] for other in rest):
@@ -291,19 +305,21 @@ def _module_of(file: str, content: bytes) -> types.ModuleType:
 
 def _content(source: str) -> bytes:
     """The bytes of a file, or of that of a module; nothing is imported."""
-    file = source if source.endswith(".py") else _file_of(source)
+    file = _located(source)
     try:
         return Path(file).read_bytes()
     except OSError as error:
         raise FileError(f"{file} cannot be read: {error.strerror}") from None
 
 
-def _file_of(module: str) -> str:
-    """The file of a module, which is also looked for in the working folder, after all others.
+def _located(source: str) -> str:
+    """A file, or that of a module; modules may also be in the working folder.
 
     Packages above it are not imported, unlike by `importlib.util.find_spec`.
     """
-    top, *parts = module.split(".")
+    if source.endswith(".py"):
+        return source
+    top, *parts = source.split(".")
     spec = _spec(top, None)
     if spec is None and any(map(os.path.exists, (top, f"{top}.py"))):
         sys.path.append(os.getcwd())  # as `python -m` does; processes that are started inherit it

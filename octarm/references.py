@@ -12,7 +12,7 @@ import functools
 import inspect
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -317,12 +317,12 @@ def named_reference(name: str, rest: np.ndarray) -> Motion:
         OctarmError: for an unknown name, with the known ones, or if what it names makes no motion.
     """
     motion: Any = REFERENCES[name](rest)
-    if isinstance(motion, type) or not callable(motion):
+    if not callable(motion):
         raise OctarmError(
-            f"the reference {quoted(name)} makes {quoted(motion)}; it must make a function of time, "
-            "as octarm.interfaces.Motion says"
+            f"the reference {quoted(name)} makes {quoted(motion)}; it must make a function of "
+            "time, as octarm.interfaces.Motion says"
         )
-    return motion
+    return cast(Motion, motion)
 
 
 def _first_two(

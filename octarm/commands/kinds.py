@@ -60,9 +60,7 @@ def _declared(metavar: str) -> Parameter:
         words = [absolute(token.value) for token in tokens]
         return tuple(words) if get_origin(hint) is tuple else words[0]
 
-    return Parameter(
-        metavar=metavar, converter=converter, completer=lambda _: known_words(metavar)
-    )
+    return Parameter(metavar=metavar, converter=converter, completer=lambda _: known_words(metavar))
 
 
 def _converted(metavar: str, convert: Callable[[str, str], Any]) -> Parameter:

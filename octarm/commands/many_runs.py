@@ -9,6 +9,7 @@ from typing import Annotated
 from octarm.commands import kinds
 from octarm.commands.kinds import Work
 from octarm.commands.terminal import surviving_output
+from octarm.declared import short_name
 
 
 def sweep(
@@ -63,7 +64,7 @@ def report(
     /,
     *,
     baseline: Annotated[str | None, kinds.CONTROLLER] = None,
-    metric: Annotated[tuple[str, ...], kinds.text("METRIC")] = (),
+    metric: Annotated[tuple[str, ...], kinds.METRIC] = (),
     out: Annotated[Path | None, kinds.DIR] = None,
 ) -> Work:
     """Turn a sweep into a page with tables and figures.
@@ -96,6 +97,7 @@ def margin(
     high: Annotated[float | None, kinds.X, kinds.SOUGHT] = None,
     seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 16,
     share: Annotated[float, kinds.X, kinds.SOUGHT] = 0.9,
+    metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.SOUGHT] = (),
     mismatch: Annotated[float, kinds.X, kinds.RUNS] = 0.0,
     reference: Annotated[str, kinds.REFERENCE, kinds.RUNS] = "sine",
     duration: Annotated[float, kinds.S, kinds.RUNS] = 6.0,
@@ -123,6 +125,7 @@ def margin(
         high: value up to which is tried, greater or smaller than low; a usual one when not given
         seeds: number of seeds
         share: share of the seeds that have to meet the bounds; 1 for all of them
+        metric: what is measured as well, FILE.py:NAME or MODULE:NAME; for a bound of your own
         mismatch: error of the nominal model
         reference: the desired motion
         duration: length of each run [s]
@@ -149,6 +152,7 @@ def margin(
         bound=bound,
         seeds=seeds,
         share=share,
+        metric=metric,
         mismatch=mismatch,
         reference=reference,
         duration=duration,
@@ -193,5 +197,5 @@ def tune(
     """
     from octarm.commands import tune as work
 
-    out = out or Path(f"{controller}.toml")
+    out = out or Path(f"{short_name(controller)}.toml")
     return surviving_output(partial(work.tune, controller, out, budget, seed, resume, engine))

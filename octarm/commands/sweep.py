@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from controllers import make_controller
+from controllers import CONTROLLERS, make_controller
 from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import ExitCode, OctarmError, printable, sentence_of
 from octarm.formats import read_toml
@@ -108,11 +108,14 @@ def _checked_spec(options: Options) -> SweepSpec:
     if options.engine is not None:
         spec = dataclasses.replace(spec, engine=options.engine)
     check_engine(spec.engine)
-    plan = Plan(spec)
     for name in spec.controllers:
         keys = ("gain_set", name) if name in spec.gain_sets else ("grid", "controller")
         with _in_file(options.spec, *(("gains", name) if name in spec.gains else keys)):
+            code = None if name in spec.code else CONTROLLERS.code(name)
+            if code is not None:  # an entry point of an installed package
+                spec = dataclasses.replace(spec, code={**spec.code, name: code}, text="")
             spec.controller(name, nominal_parameters(), make_controller)
+    plan = Plan(spec)
     for episode in spec.record:
         if isinstance(episode, int):
             with _in_file(options.spec, "record", "episodes"):

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from controllers import make_controller
+from controllers import CONTROLLERS, make_controller
 from controllers.gain_sets import GainSet, read_gain_set, shortest
 from octarm.arm.mjcf import nominal_parameters
+from octarm.declared import Code, short_name
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_text
 from octarm.simulation.engines import check_engine, usual_engine
@@ -29,6 +30,7 @@ def tune(
 ) -> int:
     """`octarm tune`: gains for one controller, as a TOML file."""
     budget = Budget.within(seconds)
+    _check_knobs(controller)
     words = ["octarm", "tune", controller, "--budget", f"{seconds:g}", "--seed", str(seed)]
     command = shlex.join([*words, *(["--engine", engine] if engine is not None else [])])
     engine = usual_engine() if engine is None else engine
@@ -42,12 +44,13 @@ def tune(
         "budget": seconds,
         "engine": engine,
     }
-    write_text(out, gain_set(controller, origin, budget, tuned).to_toml())
+    name = short_name(controller)
+    write_text(out, gain_set(name, origin, budget, tuned, CONTROLLERS.code(controller)).to_toml())
     state_file(out).unlink(missing_ok=True)
-    _print_summary(controller, budget, tuned)
+    _print_summary(name, budget, tuned)
     print(f"wrote {printable(str(out))}")
-    gains = printable(shlex.quote(str(out)))
-    print(f"try it: octarm run --controller {controller} --gains {gains}")
+    gains, word = (printable(shlex.quote(str(each))) for each in (out, controller))
+    print(f"try it: octarm run --controller {word} --gains {gains}")
     return ExitCode.FINE
 
 
@@ -58,8 +61,11 @@ def _search(
     factory = functools.partial(make_controller, controller, gain_set="recommended")
     nominal = nominal_parameters()
     space = Space(factory(nominal), nominal.modules)
-    file = StateFile(state_file(out), settings(controller, space, budget, seed, engine))
-    _check_place(out, file, controller, resume)
+    code = CONTROLLERS.code(controller)
+    depends = settings(controller, space, budget, seed, engine)
+    depends |= {} if code is None else {"code": code.sha256}
+    file = StateFile(state_file(out), depends)
+    _check_place(out, file, short_name(controller), resume)
     state = file.read() if resume else None
     bar = tqdm(
         total=budget.seconds, unit=" simulated s", unit_scale=True, disable=None, leave=False
@@ -86,6 +92,15 @@ def _search(
         raise KeyboardInterrupt(f"go on by: {again}") from None
 
 
+def _check_knobs(controller: str) -> None:
+    """Raises OctarmError for a law that does not say what tuning may turn."""
+    if not any("knobs" in vars(base) for base in CONTROLLERS[controller].__mro__):
+        raise OctarmError(
+            f"{short_name(controller)} has no method knobs; a controllers.law.Law has one, and "
+            "octarm.interfaces.Tunable says what it answers"
+        )
+
+
 def _check_place(out: Path, file: StateFile, controller: str, resume: bool) -> None:
     """Raises OctarmError if something stands where the result shall be.
 
@@ -110,8 +125,14 @@ def state_file(out: Path) -> Path:
     return out.with_name(out.name + ".state")
 
 
-def gain_set(controller: str, origin: Mapping[str, Any], budget: Budget, tuned: Tuned) -> GainSet:
-    """The result, with all that is needed to find it again."""
+def gain_set(
+    controller: str,
+    origin: Mapping[str, Any],
+    budget: Budget,
+    tuned: Tuned,
+    code: Code | None = None,
+) -> GainSet:
+    """The result, with all that is needed to find it again; `code` if it is not built in."""
     tuning = {
         **origin,
         "candidates": budget.generations * budget.population,
@@ -127,6 +148,7 @@ def gain_set(controller: str, origin: Mapping[str, Any], budget: Budget, tuned: 
             "modules": nominal_parameters().modules,
             "gains": {name: shortest(gain) for name, gain in tuned.gains.items()},
             "tuning": tuning,
+            **({} if code is None else {"code": code.model_dump()}),
             "versions": versions(),
             "search": _outcome(budget.short, tuned.short, tuned.short_by_hand),
             "long_trial": _outcome(budget.long, tuned.long, tuned.long_by_hand),

@@ -15,7 +15,7 @@ from octarm.checks.differences import listed
 from octarm.checks.sweep_files import sweep_differences
 from octarm.checks.verify import check_run
 from octarm.checks.verify_episode import check_episode
-from octarm.declared import Code, CodeChanged, word_of
+from octarm.declared import Code, CodeChanged, file_of, word_of
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.formats import Document
 from octarm.runs import folder as runs
@@ -82,11 +82,9 @@ def _announce(folder: Path, code: Mapping[str, Code]) -> None:
         CodeChanged: if a file is not what it was, before any of them is imported.
         OctarmError: for a file within the folder, which whoever made the folder may have written.
     """
-    for name in code:
-        path = word_of(name, code)
-        file = Path(path.rpartition(":")[0]).resolve()
-        if file.is_relative_to(folder.resolve()):
-            raise OctarmError(f"{file} came with the folder that it is to verify; it is not run")
+    for path in [word_of(name, code) for name in code]:
+        if file_of(path).resolve().is_relative_to(folder.resolve()):
+            raise OctarmError(f"{path} is within the folder that is to be verified; it is not run")
         print(f"octarm: runs {printable(path)}, the same file as then", file=sys.stderr)
 
 

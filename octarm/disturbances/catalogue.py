@@ -7,7 +7,6 @@ name and its fields.
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
 import re
 from typing import Any

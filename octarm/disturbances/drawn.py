@@ -6,7 +6,6 @@ Whoever looks at a run need not have, nor import, what a user wrote.
 from __future__ import annotations
 
 from collections.abc import Sequence
-
 from typing import Annotated
 
 import numpy as np

@@ -72,4 +72,7 @@ class _Declaration(Model):
     waits_for: str = ""
 
     def metric(self) -> Metric:
-        return Metric(**{**vars(self), "text": printable(self.text, 200)})
+        text = printable(self.text, 200)
+        return Metric(
+            self.of, self.units, text, self.better, self.zero_best, self.together, self.waits_for
+        )

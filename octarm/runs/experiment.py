@@ -299,9 +299,7 @@ def _perform(
             period, bounds = environment.control_timestep(), physics.input_range()
             layer = recorder.layer
             measured.append(
-                Metrics(
-                    control_period=period, input_range=bounds, layer=layer, catalogue=catalogue
-                )
+                Metrics(control_period=period, input_range=bounds, layer=layer, catalogue=catalogue)
             )
         measured[0].update(rows)
 

@@ -56,8 +56,8 @@ def _plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value):
         return describe_fields(value)
     if value is None or isinstance(value, str | bool | int | float | list | np.ndarray):
-        return plain(value)
-    return value.item() if isinstance(value, np.generic) else type(value).__name__
+        return plain(cast(Any, value))
+    return plain(value.item()) if isinstance(value, np.generic) else type(value).__name__
 
 
 def write_run(folder: Path, rows: Trajectory, description: Mapping[str, Any]) -> None:

@@ -77,6 +77,7 @@ class FinishedSweep:
             actuation=spec.actuation,
             integrator=spec.integrator,
             engine=spec.engine,
+            code=spec.code,
         )
 
     def begin(
@@ -93,8 +94,8 @@ class FinishedSweep:
         """
 
         def make(name: str, nominal: Any, gains: Mapping[str, Any]) -> Controller:
-            del gains  # those of the spec
-            return self.plan.spec.controller(name, nominal, factory)
+            del name, gains  # those of the spec
+            return self.plan.spec.controller(experiment.controller, nominal, factory)
 
         experiment = self.experiment(episode)
         environment, controller = experiment.begin(make)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,8 +14,10 @@ from dm_control.rl import control
 
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.nominal import LagrangeModel
+from octarm.declared import word_of
 from octarm.interfaces import Controller, ControllerFactory, Instant
-from octarm.metrics.table import METRICS, Column, Metrics, columns
+from octarm.metrics.metric import Metric
+from octarm.metrics.table import METRICS, Catalogue, Column, Metrics, columns
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.folder import gains_of
 from octarm.runs.versions import host, versions
@@ -51,7 +53,7 @@ def run_shard(
     controller = spec.controller(arms.controller, nominal_parameters(), factory)
     origin = {
         "host": host(),
-        "versions": versions(spec.engine),
+        "versions": versions(spec.engine, spec.code),
         "gains": gains_of(controller),
     }
     return table.replace_schema_metadata({k: json.dumps(v) for k, v in origin.items()})
@@ -95,7 +97,8 @@ def run_arms(
     started = time.perf_counter()
     environment, controller = begin(plan.spec, arms, factory)
     length = plan.spec.duration if duration is None else duration
-    outcome = measure(environment, controller, length, *observers)
+    catalogue = plan.spec.catalogue()
+    outcome = measure(environment, controller, length, *observers, catalogue=catalogue)
     n = len(arms.episodes)
     values = plan.values(arms.episodes)
     held: dict[str, Any] = {
@@ -123,7 +126,7 @@ def begin(
         OctarmError: if an arm, a disturbance or a controller cannot be made.
     """
     environment = load(
-        arms.reference,
+        word_of(arms.reference, spec.code),
         disturbances=arms.disturbances,
         batch=arms.batch,
         seed=arms.seeds[0] if arms.batch is None else arms.seeds,
@@ -161,8 +164,11 @@ class Outcome(NamedTuple):
 class Observer:
     """Measures a run while it goes on, and keeps nothing of it but a few instants."""
 
-    def __init__(self, environment: control.Environment, duration: float) -> None:
-        """An observer of a run of so many seconds, for `simulate`."""
+    def __init__(
+        self, environment: control.Environment, duration: float, catalogue: Catalogue = METRICS
+    ) -> None:
+        """An observer of a run of so many seconds, for `simulate`, and what it measures."""
+        self._catalogue = catalogue
         self._physics: AnyPhysics = environment.physics
         self._period = environment.control_timestep()
         periods = whole_periods(duration, self._period)
@@ -173,9 +179,14 @@ class Observer:
         """Takes a control instant."""
         if self._measured is None:
             bounds, layer = self._physics.input_range(), instant.command.layer
-            metrics = Metrics(control_period=self._period, input_range=bounds, layer=layer)
+            metrics = Metrics(
+                control_period=self._period,
+                input_range=bounds,
+                layer=layer,
+                catalogue=self._catalogue,
+            )
             # Without a cycle of references, so that the arms' memory is free when the run is over.
-            self._measured = metrics, Recorder(metrics.update, fields=METRICS.fields)
+            self._measured = metrics, Recorder(metrics.update, fields=self._catalogue.fields)
         self._digest(instant)
         self._measured[1](instant)
 
@@ -195,7 +206,7 @@ class Observer:
         results = metrics.result(diverged=diverged if batch else diverged[0])
         values = {
             column.name: results[column.metric].reshape(n, -1)[:, column.place]
-            for column in _metric_columns()
+            for column in _metric_columns(self._catalogue)
             if column.metric in results
         }
         return Outcome(diverged_at, values, *self._digest.result())
@@ -206,6 +217,7 @@ def measure(
     controller: Controller,
     duration: float,
     *observers: Observe,
+    catalogue: Catalogue = METRICS,
 ) -> Outcome:
     """Runs a controller against a batch or one arm, and measures while it runs.
 
@@ -214,8 +226,9 @@ def measure(
         controller: see `octarm.interfaces`.
         duration: of the run [s].
         observers: called at every control instant.
+        catalogue: what is measured.
     """
-    observer = Observer(environment, duration)
+    observer = Observer(environment, duration, catalogue)
 
     def observe(instant: Instant) -> None:
         for each in (observer, *observers):
@@ -237,7 +250,7 @@ def schema(spec: SweepSpec) -> pa.Schema:
     for axis in (*spec.axes, *spec.random):
         if axis.name != "controller":
             fields.append(pa.field(axis.name, word if axis.words else number))
-    for column in _metric_columns():
+    for column in _metric_columns(spec.metrics()):
         fields.append(pa.field(column.name, number, metadata=column.metadata))
     if spec.engine == LAGRANGE:
         fields.append(pa.field(COLUMN, number, metadata={"unit": "m"}))
@@ -249,10 +262,10 @@ def schema(spec: SweepSpec) -> pa.Schema:
     return pa.schema(fields)
 
 
-def _metric_columns() -> list[Column]:
+def _metric_columns(metrics: Mapping[str, Metric]) -> list[Column]:
     """The columns of all metrics."""
     arm = LagrangeModel(nominal_parameters())
-    return columns(arm.names, arm.units)
+    return columns(arm.names, arm.units, metrics)
 
 
 def _column(values: Any, kind: pa.DataType, count: int) -> pa.Array:

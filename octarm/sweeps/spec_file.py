@@ -13,6 +13,9 @@ At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep`
 - `[gains.NAME]`: gains of a controller;
 - `[record]`: `episodes`, a list of numbers, `"worst"`, `"median"` and `"diverged"`.
 
+Controllers, references and disturbances may be `MODULE:NAME` or `FILE.py:NAME`, and so may those of
+`metric`, what is measured as well; see `octarm.sweeps.spec_code`.
+
 A further disturbance of the same class has its number behind its name, from 2 on: `pulse-2`,
 `noise-2.time`. It has columns and random numbers of its own.
 
@@ -24,7 +27,7 @@ part of the spec that the sweep keeps.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -34,6 +37,7 @@ from pydantic import AfterValidator, Field, FiniteFloat
 from octarm.arm.actuation import ACTUATIONS
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.modes import INTEGRATORS
+from octarm.declared import Code
 from octarm.disturbances.fields import Words, field_defaults, field_keys, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError, OctarmError, closest, quoted
@@ -41,7 +45,8 @@ from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml
 from octarm.references import REFERENCES
 from octarm.simulation.engines import ENGINES, MUJOCO
 from octarm.simulation.steps import AUTO
-from octarm.sweeps.spec import SETTINGS, Axis, SweepSpec, class_of, which
+from octarm.sweeps.spec import SETTINGS, Axis, SweepSpec, keys_of, which
+from octarm.sweeps.spec_code import with_names
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
 METHODS = ("uniform", "sobol")
@@ -65,7 +70,6 @@ def _step(value: float | str) -> float | str:
 
 
 Distinct = AfterValidator(_distinct)
-Reference = Annotated[str, one_of(REFERENCES)]
 Mismatch = Annotated[float, Field(gt=-1.0, le=1e6)]
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 Step = Annotated[float | str, AfterValidator(_step)]
@@ -98,7 +102,7 @@ class Grid(Model):
     """The table `[grid]`."""
 
     controller: Annotated[Array[str], Distinct] | None = None
-    reference: Annotated[Array[Reference], Distinct] | None = None
+    reference: Annotated[Array[str], Distinct] | None = None
     mismatch: Annotated[Array[Mismatch], Distinct] | None = None
     disturbance: dict[str, Any] = Field(default_factory=dict)
 
@@ -129,7 +133,8 @@ class SpecFile(Model):
     batch: Annotated[int, Field(ge=1)] = 1024
     integrator: Annotated[str, one_of(INTEGRATORS)] = "rk4"
     controller: str | None = None
-    reference: Reference | None = None
+    reference: str | None = None
+    metric: str | Array[str] = ()  # those that are not built in are in `code`
     mismatch: Mismatch | None = None
     gain_set: str | dict[str, str] | None = None
     grid: Grid = Grid()
@@ -137,6 +142,7 @@ class SpecFile(Model):
     disturbance: dict[str, Any] = Field(default_factory=dict)
     gains: dict[str, dict[str, Gain]] = Field(default_factory=dict)
     record: Record = Record()
+    code: dict[str, Code] = Field(default_factory=dict)
 
 
 class GainFile(Model):
@@ -168,11 +174,13 @@ def parse_spec(text: str, file: str = "spec.toml") -> SweepSpec:
 
 
 def _spec(document: Document) -> SweepSpec:
+    kept = document.content.get("code", {})  # of which no code is imported
+    document = with_names(document)
     content = document.read(SpecFile)
     axes, drawn = _axes(document, content)
     sets, gains = _gains(document, content, [str(value) for value in axes[0].values])
     fixed: dict[str, dict[str, Any]] = {}
-    for field, keys in _fields(document, "disturbance"):
+    for field, keys in _fields(document, content.code, "disturbance"):
         if field.name in [axis.name for axis in (*axes, *drawn)]:
             raise document.error(f"{field.name} is an axis, too", *keys)
         value = document.read(cast(Any, Number | str | list[Number]), *keys)
@@ -186,10 +194,12 @@ def _spec(document: Document) -> SweepSpec:
         gain_sets={name: "recommended" if c in files else c for name, c in sets.items()},
         gains=gains,
         record=content.record.episodes,
-        text="" if files else document.text,
+        code=content.code,
+        text="" if files or content.code else document.text,
     )
     for name in spec.disturbances:
-        _try(spec, name, document)
+        if which(name)[0] not in kept:
+            _try(spec, name, document)
     return spec
 
 
@@ -199,12 +209,13 @@ def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tupl
     They come in the order in which episodes are counted, the slowest first: those of words,
     beginning with the controller, and then the others.
     """
-    axes = [_own_axis(name, document, content) for name in _OWN]
-    for field, keys in _fields(document, "grid", "disturbance"):
+    axes, code = [_own_axis(name, document, content) for name in _OWN], content.code
+    kinds = [*DISTURBANCES, *sorted(code)]
+    for field, keys in _fields(document, code, "grid", "disturbance"):
         values = document.read(cast(Any, Annotated[Array[Number] | Array[str], Distinct]), *keys)
         axes.append(dataclasses.replace(field, values=values))
-    for field, keys in _fields(document, "random", "disturbance"):
-        if isinstance(field_kinds(class_of(field.disturbance))[field.field], Words):
+    for field, keys in _fields(document, code, "random", "disturbance"):
+        if _is_of_words(field, code):
             raise document.error(f"{field.name} is made of words: it cannot be drawn", *keys)
         if field.name in [axis.name for axis in axes]:
             raise document.error(f"{field.name} is an axis of the grid, too", *keys)
@@ -214,7 +225,7 @@ def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tupl
         if axis.name in _OWN:
             return not axis.words, _OWN.index(axis.name) - len(_OWN), 0, ""
         kind, place = which(axis.disturbance)
-        return not axis.words, [*DISTURBANCES].index(kind), place, axis.field
+        return not axis.words, kinds.index(kind), place, axis.field
 
     axes.sort(key=rank)
     return tuple(a for a in axes if not a.method), tuple(a for a in axes if a.method)
@@ -238,13 +249,28 @@ def _own_axis(name: str, document: Document, content: SpecFile) -> Axis:
     if not given and name == "controller":
         raise document.error("there is no controller; [grid] needs controller = [...]", "grid")
     value = next(iter(given.values()), ("sine",) if name == "reference" else (0.0,))
+    if name == "reference":
+        known = (*REFERENCES, *content.code)
+        for word in [word for word in cast("tuple[str, ...]", value) if word not in known]:
+            keys = next(iter(given))
+            raise document.error(f"unknown reference {spelt(word)}{closest(word, known)}", *keys)
     axis = Axis(name=name)
     if isinstance(value, Bounds):
         return _drawn(axis, value)
     return dataclasses.replace(axis, values=value)
 
 
-def _fields(document: Document, *place: str) -> Iterator[tuple[Axis, tuple[str, ...]]]:
+def _is_of_words(axis: Axis, code: Mapping[str, Code]) -> bool:
+    kind = which(axis.disturbance)[0]
+    if kind in code:
+        said = code[kind].declares.values()
+        return any(field["field"] == axis.field and not field["number"] for field in said)
+    return isinstance(field_kinds(DISTURBANCES[kind])[axis.field], Words)
+
+
+def _fields(
+    document: Document, code: Mapping[str, Code], *place: str
+) -> Iterator[tuple[Axis, tuple[str, ...]]]:
     """The fields of disturbances in a table: axes without values, and the keys of their values.
 
     A field is given by `noise = ...`, or by `time = ...` in a table `noise`.
@@ -253,10 +279,10 @@ def _fields(document: Document, *place: str) -> Iterator[tuple[Axis, tuple[str, 
     for key in place:
         table = table.get(key, {})
     for name, value in dict[str, Any](table).items():
-        if which(name)[0] not in DISTURBANCES:
-            hint = closest(name, DISTURBANCES)
+        if which(name)[0] not in (*DISTURBANCES, *code):
+            hint = closest(name, (*DISTURBANCES, *code))
             raise document.error(f"unknown disturbance {quoted(name)}{hint}", *place, name)
-        fields = field_keys(class_of(name))
+        fields = keys_of(name, code)
         first = next(iter(fields))
         inner = cast(dict[str, Any], value) if isinstance(value, dict) else None
         bare = inner is None or (inner and inner.keys() <= Bounds.model_fields.keys())
@@ -321,7 +347,7 @@ def _try(spec: SweepSpec, name: str, document: Document) -> None:
     before = kind if number == 2 else f"{kind}-{number - 1}"
     if number > 1 and before not in spec.disturbances:
         raise document.error(f"there is a {name}, but no {before}", *table, name)
-    cls: Any = DISTURBANCES[kind]
+    cls: Any = spec.class_of(name)
     given = {*field_defaults(cls), *fixed, *(axis.field for axis in axes)}
     for key, field in field_keys(cls).items():
         if field not in given:
