@@ -110,6 +110,10 @@ class Declared(collections.UserDict[str, T]):
     def __missing__(self, word: str) -> T:
         return self._found(word)[0]
 
+    def get(self, key: str, default: Any = None) -> Any:
+        """What is built in under a name."""
+        return self.data.get(key, default)
+
     def names(self) -> list[str]:
         """The names of all that is built in or that an installed package brings."""
         return [*self, *(point for point in self._points() if point not in self)]
@@ -118,9 +122,9 @@ class Declared(collections.UserDict[str, T]):
         """The word with which a text begins, and the rest: `noise:0.4`, `./gust.py:Gust:5,at=1`."""
         name, _, rest = text.partition(":")
         match = None if name in self or name in self._points() else _PATH.fullmatch(text)
-        return (
-            Spelt(name, rest) if match is None else Spelt(f"{match[1]}:{match[2]}", match[3] or "")
-        )
+        if match is None or not ("/" in name or "." in name or _is_module(name)):
+            return Spelt(name, rest)
+        return Spelt(f"{match[1]}:{match[2]}", match[3] or "")
 
     def code(self, word: str) -> Code | None:
         """Where something comes from; None for what is built in.
@@ -168,7 +172,7 @@ class Declared(collections.UserDict[str, T]):
 
 
 def absolute(word: str, folder: Path | None = None) -> str:
-    """A word whose file, if it names one, has its absolute path, seen from a folder or from here."""
+    """A word with the absolute path of its file, if it has one, seen from a folder or from here."""
     match = _PATH.fullmatch(word)
     if match is None or not match[1].endswith(".py"):
         return word
@@ -334,6 +338,12 @@ def _located(source: str) -> str:
     if not spec.has_location or spec.origin is None:
         raise OctarmError(f"module {quoted(name)} has no file; {_ALLOWED}")
     return spec.origin
+
+
+def _is_module(name: str) -> bool:
+    with contextlib.suppress(OctarmError):
+        return bool(_located(name))
+    return False
 
 
 def _spec(name: str, places: Any) -> Any:

@@ -36,6 +36,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--controller": "CONTROLLER smc-boundary",
             "--reference": "REFERENCE sine",
             "--disturbance": "DISTURBANCE ..",
+            "--metric": "METRIC ..",
             "--duration": "S 10",
             "--seed": "N 0",
         },
@@ -88,6 +89,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--high": "X",
             "--seeds": "N 16",
             "--share": "X 0.9",
+            "--metric": "METRIC ..",
         },
         "the runs, as in octarm run": {
             "--mismatch": "X 0",

@@ -13,7 +13,6 @@ from typing import Any, Literal, get_args, get_origin
 
 from cyclopts import Group, Parameter, Token
 
-from octarm.declared import Declared, absolute
 from octarm.errors import quoted
 
 Work = Callable[[], int]  # what a command does, once it begins; returns the exit code
@@ -39,6 +38,8 @@ def known_words(kind: str) -> list[str]:
     """The words that a kind of value can be, such as CONTROLLER; imports what holds them."""
     if kind == "GAINS":
         return ["tuned", "recommended", *map(str, sorted(Path().glob("*.toml")))]
+    from octarm.declared import Declared
+
     words = pkgutil.resolve_name(_WORDS[kind])
     return words.names() if isinstance(words, Declared) else list(words)
 
@@ -57,6 +58,8 @@ def _declared(metavar: str) -> Parameter:
     """A name, or an import path or file of a user's own; see `octarm.declared`."""
 
     def converter(hint: Any, tokens: Sequence[Token]) -> Any:
+        from octarm.declared import absolute
+
         words = [absolute(token.value) for token in tokens]
         return tuple(words) if get_origin(hint) is tuple else words[0]
 

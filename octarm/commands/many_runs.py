@@ -9,7 +9,6 @@ from typing import Annotated
 from octarm.commands import kinds
 from octarm.commands.kinds import Work
 from octarm.commands.terminal import surviving_output
-from octarm.declared import short_name
 
 
 def sweep(
@@ -196,6 +195,7 @@ def tune(
       octarm tune smc-boundary --out my-gains.toml --resume
     """
     from octarm.commands import tune as work
+    from octarm.declared import short_name
 
     out = out or Path(f"{short_name(controller)}.toml")
     return surviving_output(partial(work.tune, controller, out, budget, seed, resume, engine))

@@ -285,7 +285,7 @@ class MarginRuns:
     engine: str = dataclasses.field(default_factory=usual_engine)
     seed: int = 0
     threads: int = 1
-    catalogue: Catalogue = METRICS
+    catalogue: Catalogue = dataclasses.field(default_factory=lambda: METRICS)
     progress: Callable[[float], object] = lambda seconds: None
 
     def rehearse(self, seeds: int = 1) -> MarginRuns:
