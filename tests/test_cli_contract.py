@@ -18,6 +18,7 @@ from octarm.references import REFERENCES
 GROUPS = {
     "one run": ["run", "replay", "record", "plot", "video"],
     "many runs": ["sweep", "report", "margin", "tune"],
+    "your own": ["new"],
     "checks": ["validate", "verify"],
     "this machine": ["doctor", "completion"],
 }
@@ -28,7 +29,7 @@ COMMANDS = [name for names in GROUPS.values() for name in names]
 OPERANDS = {
     "replay": "RUN ..", "record": "RUN", "plot": "RUN", "video": "RUN", "sweep": "SPEC.toml",
     "report": "SWEEP", "margin": "CONTROLLER ..", "tune": "CONTROLLER", "verify": "RUN ..",
-    "completion": "SHELL",
+    "completion": "SHELL", "new": "KIND NAME",
 }  # fmt: skip
 OPTIONS: dict[str, dict[str, dict[str, str]]] = {
     "run": {
@@ -124,6 +125,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
         }
     },
     "verify": {"options": {"--episode": "N ..", "--sample": "N"}},
+    "new": {},
     "doctor": {},
     "completion": {},
 }
@@ -197,7 +199,8 @@ def test_a_help_page_has_operands_and_options_by_heading(command: str):
     assert max(map(len, text.splitlines())) <= 80
     assert text.startswith(f"usage: octarm {command}")
     parts = sections(text)
-    operand, _, several = OPERANDS.get(command, "").partition(" ")
+    operand, *others = OPERANDS.get(command, "").split()
+    several = others == [".."]
     usage = text.splitlines()[0]
     assert (f"{operand} [{operand} ..]" if several else f" {operand}") in usage
     if operand:
@@ -248,10 +251,10 @@ def test_an_option_takes_one_value_and_a_flag_none(
 
 @pytest.mark.parametrize("command", OPERANDS)
 def test_operands_are_needed_and_counted(command: str):
-    kind = OPERANDS[command].partition(" ")[0]
-    if not OPERANDS[command].endswith(".."):
+    kind, *others = OPERANDS[command].split()
+    if others != [".."]:
         assert refused(command).startswith(f"octarm {command} needs {kind}, ")
-        assert "'y'" in refused(command, "x", "y")
+        assert "'y'" in refused(command, "x", *others, "y")
     else:
         assert re.search(r"RUN|run|CONTROLLER|controller", refused(command))
 

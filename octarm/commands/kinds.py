@@ -19,6 +19,7 @@ Work = Callable[[], int]  # what a command does, once it begins; returns the exi
 
 Shell = Literal["bash", "zsh", "fish"]
 SHELLS: tuple[Shell, ...] = get_args(Shell)
+STARTS = ("controller", "disturbance", "reference", "metric", "experiment")  # of octarm new
 
 
 # Where the words of a kind of value stand that has a list of them.
@@ -31,6 +32,7 @@ _WORDS = {
     "INTEGRATOR": "octarm.arm.modes:INTEGRATORS",
     "ENGINE": "octarm.simulation.engines:ENGINES",
     "SHELL": "octarm.commands.kinds:SHELLS",
+    "KIND": "octarm.commands.kinds:STARTS",
 }
 
 
@@ -141,7 +143,7 @@ CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
     _declared, ("CONTROLLER", "REFERENCE", "DISTURBANCE", "METRIC")
 )
 ACTUATION, INTEGRATOR, ENGINE = map(_word, ("ACTUATION", "INTEGRATOR", "ENGINE"))
-GAINS, SHELL = map(_word, ("GAINS", "SHELL"))
+GAINS, SHELL, KIND = map(_word, ("GAINS", "SHELL", "KIND"))
 
 
 def heading(name: str) -> Parameter:
