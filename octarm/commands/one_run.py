@@ -74,28 +74,34 @@ def run(
     {disturbances}
     """
     from octarm.commands import run as work
+    from octarm.disturbances.spelling import parse_disturbance
     from octarm.runs.experiment import Experiment
 
-    names, code, disturbances = work.named_words(controller, reference, disturbance, metric)
     true = work.true_arm(parameter)
-    factors = work.named_values("--nominal", nominal)
-    experiment = Experiment(
-        controller=names[0],
-        gains=work.gain_values(gain),
-        nominal=true.mismatched(mismatch).scaled(**factors),
-        parameters=true,
-        reference=names[1],
-        disturbances=disturbances,
-        seed=seed,
-        duration=duration,
-        timestep=timestep,
-        control_period=control_period,
-        actuation=actuation,
-        integrator=integrator,
-        engine=engine,
-        code=code,
-    )
-    return surviving_output(partial(work.run, experiment, gains, out, view))
+    nominal_arm = true.mismatched(mismatch).scaled(**work.named_values("--nominal", nominal))
+    own_gains = work.gain_values(gain)
+
+    def job() -> int:
+        names, code = work.named_words(controller, reference, disturbance, metric)
+        experiment = Experiment(
+            controller=names[0],
+            gains=own_gains,
+            nominal=nominal_arm,
+            parameters=true,
+            reference=names[1],
+            disturbances=tuple(map(parse_disturbance, disturbance)),
+            seed=seed,
+            duration=duration,
+            timestep=timestep,
+            control_period=control_period,
+            actuation=actuation,
+            integrator=integrator,
+            engine=engine,
+            code=code,
+        )
+        return work.run(experiment, gains, out, view)
+
+    return surviving_output(job)
 
 
 def replay(

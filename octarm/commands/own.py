@@ -22,7 +22,7 @@ def new(kind: Annotated[str, kinds.KIND], name: Annotated[str, kinds.text("NAME"
 
     Examples:
       octarm new controller my-law
-      octarm run --controller ./my_law.py:MyLaw
+      octarm new disturbance soft-wall
       octarm new experiment first
     """
     from octarm.commands import new as work

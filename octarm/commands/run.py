@@ -24,8 +24,6 @@ from octarm.arm.parameters import ArmParameters
 from octarm.commands.summary import Swing, summary
 from octarm.declared import Code, named
 from octarm.disturbances.catalogue import DISTURBANCES
-from octarm.disturbances.episode import Disturbance
-from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
 from octarm.metrics.declared import ACCUMULATORS
 from octarm.recordings.recording import run_recording
@@ -74,17 +72,16 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
 
 def named_words(
     controller: str, reference: str, disturbances: Sequence[str], metrics: Sequence[str]
-) -> tuple[list[str], dict[str, Code], tuple[Disturbance, ...]]:
-    """What an experiment is made of, given the words of the command line.
+) -> tuple[list[str], dict[str, Code]]:
+    """The names of what an experiment is made of, given the words of the command line.
 
-    Returns:
-        The names of the controller, the reference, the disturbances and the metrics; the code of
-        those that are not built in; and the disturbances.
+    Those of the controller, the reference, the disturbances and the metrics, and the code of what
+    is not built in.
 
     Raises:
         OctarmError: for a word that means nothing.
     """
-    names, code = named(
+    return named(
         [
             (CONTROLLERS, controller),
             (REFERENCES, reference),
@@ -92,7 +89,6 @@ def named_words(
             *((ACCUMULATORS, word) for word in metrics),
         ]
     )
-    return names, code, tuple(map(parse_disturbance, disturbances))
 
 
 def true_arm(changes: Sequence[str]) -> ArmParameters:
