@@ -199,7 +199,7 @@ def test_a_help_page_has_operands_and_options_by_heading(command: str):
     assert max(map(len, text.splitlines())) <= 80
     assert text.startswith(f"usage: octarm {command}")
     parts = sections(text)
-    operand, *others = OPERANDS.get(command, "").split()
+    operand, *others = OPERANDS.get(command, "").split() or [""]
     several = others == [".."]
     usage = text.splitlines()[0]
     assert (f"{operand} [{operand} ..]" if several else f" {operand}") in usage
