@@ -87,7 +87,11 @@ def make_controller(
         OctarmError: for an unknown name or gain set, or a gain that is unknown or invalid.
     """
     law: Any = CONTROLLERS[name]
-    name = short_name(name)
+    if name not in CONTROLLERS:  # no gains are shipped for it
+        name = short_name(name)
+        if gain_set == "tuned":
+            raise OctarmError(f"{name} comes without tuned gains; `octarm tune` finds some")
+        gain_set = gain_set or "recommended"
     model = LagrangeModel(nominal) if isinstance(nominal, ArmParameters) else nominal
     given, declared = dict(gains or {}), gain_fields(law)
     known = [field.name for field in dataclasses.fields(law) if field.init]
