@@ -8,6 +8,7 @@ import subprocess
 import sys
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -329,10 +330,11 @@ def test_an_installed_package_brings_names(things: Path, tmp_path: Path, monkeyp
 
 def test_any_frozen_dataclass_is_a_controller_and_its_fields_are_its_gains():
     word = "./damper.py:Damper"
-    law = make_controller(word, P, {"pull": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]})
+    law: Any = make_controller(word, P, {"pull": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]})
     np.testing.assert_array_equal(law.pull, np.arange(1.0, 7.0))
     assert law.K_v == 4.0 and [*gain_fields(type(law))] == ["K_v"]
-    assert make_controller(word, P).pull == 200.0
+    plain: Any = make_controller(word, P)
+    assert plain.pull == 200.0
     batch = octarm.load(batch=3)
     many = make_controller(word, P, {"K_v": np.full((3, 1), 2.0)})
     from octarm.simulation.rollout import simulate
