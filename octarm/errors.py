@@ -10,6 +10,7 @@ from typing import Any
 _LONGEST_VALUE = 80  # characters of a value in a sentence
 _LONGEST_WORD = 256  # of a sentence: a file's name, or a key
 _LONGEST_SENTENCE = 2000
+_MOST_NAMES, _NEAREST = 12, 6  # known words that are named, and those of a longer list
 _LONGEST_GUESS = 200  # of a word for which the closest known one is looked for
 
 
@@ -84,8 +85,15 @@ def sentence_of(error: OSError) -> str:
 
 
 def closest(word: object, known: Iterable[str]) -> str:
-    """The end of an error sentence: what a misspelt word may have meant, and all known ones."""
-    known, text = list(known), str(word)[:_LONGEST_GUESS]
+    """The end of an error sentence: what a misspelt word may have meant, and the known ones.
+
+    Of more than a dozen only the nearest are named.
+    """
+    text = str(word)[:_LONGEST_GUESS].casefold()
+    known = {name.casefold(): name for name in known}
+    nearest = [known[n] for n in difflib.get_close_matches(text, known, _NEAREST, 0.0)]
     match = difflib.get_close_matches(text, known, n=1)
-    meant = f", did you mean {quoted(match[0])}?" if match else ";"
-    return f"{meant} known are {', '.join(known)}"
+    meant = f", did you mean {quoted(known[match[0]])}?" if match else ";"
+    if len(known) <= _MOST_NAMES:
+        return f"{meant} known are {', '.join(known.values())}"
+    return f"{meant} the nearest of {len(known)} are {', '.join(nearest)}"

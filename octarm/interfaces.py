@@ -89,6 +89,10 @@ class Instant(NamedTuple):
         tau: input forces that are asked for until the next instant, shape (..., 2N) [N].
         disturbance: generalised force that was added, mean over the period, shape (..., 2N) [N],
             [N m].
+        plant_q: true coordinates of all modules of a plant of more modules, shape (..., 2K) [m],
+            [rad]; None where the plant is the arm itself.
+        plant_tip: where its tip is in the base frame, x along the hanging arm, y across, shape
+            (..., 2) [m]; likewise.
     """
 
     measurement: Measurement
@@ -98,11 +102,14 @@ class Instant(NamedTuple):
     v: np.ndarray
     tau: np.ndarray
     disturbance: np.ndarray
+    plant_q: np.ndarray | None = None
+    plant_tip: np.ndarray | None = None
 
 
 # k consecutive control instants as named fields, each of shape (k, ...): `t`, `q`, `v`, `q_d`,
-# `v_d`, `tau`, `force` and `disturbance` as in `Instant`, the controller's signals by name, and
-# `q_measured` and `v_measured` where one arm is recorded while sensors act.
+# `v_d`, `tau`, `force` and `disturbance` as in `Instant`, `plant_q` and `plant_tip` where there are
+# any, the controller's signals by name, and `q_measured` and `v_measured` where one arm is recorded
+# while sensors act.
 # The arrays are read-only for whoever gets them, and their memory may be used again afterwards.
 Rows = Mapping[str, np.ndarray]
 

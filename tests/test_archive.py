@@ -83,7 +83,7 @@ def test_a_damaged_file_is_no_trajectory(tmp_path, damage):
         arrays = dict(np.load(path, allow_pickle=False))
         arrays["s"] = np.full(230, None) if damage == "objects" else np.full(230, "word")
         np.savez(path, **arrays)
-    with pytest.raises(ValueError, match=r"a\.npz is not a trajectory file"):
+    with pytest.raises(ValueError, match=r"a\.npz is (not a trajectory file|damaged)"):
         Trajectory.load(path, mapped=True)
 
 

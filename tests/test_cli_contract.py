@@ -45,6 +45,8 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--mismatch": "X 0",
             "--nominal": "NAME:FACTOR ..",
             "--parameter": "NAME:VALUES ..",
+            "--plant-modules": "N",
+            "--layout": "LAYOUT paper",
         },
         "gains": {"--gains": "GAINS", "--gain": "NAME:VALUES .."},
         "simulation": {
@@ -54,11 +56,11 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--integrator": "INTEGRATOR rk4",
             "--engine": "ENGINE mujoco",
         },
-        "output": {"--out": "DIR", "--view": ""},
+        "output": {"--out": "DIR", "--force": "", "--view": ""},
     },
-    "replay": {"options": {"--screenshot": "FILE.png", "--time": "S", "--web": ""}},
-    "record": {"options": {"--out": "FILE.rrd"}},
-    "plot": {"options": {"--out": "DIR"}},
+    "replay": {"options": {"--screenshot": "FILE.png", "--time": "S", "--web": "", "--force": ""}},
+    "record": {"options": {"--out": "FILE.rrd", "--force": ""}},
+    "plot": {"options": {"--out": "DIR", "--force": ""}},
     "video": {
         "options": {
             "--out": "FILE.mp4",
@@ -66,6 +68,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--height": "N 720",
             "--rate": "HZ 30",
             "--speed": "X 1",
+            "--force": "",
         }
     },
     "sweep": {
@@ -73,6 +76,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--out": "DIR",
             "--workers": "N",
             "--resume": "",
+            "--force": "",
             "--dry-run": "",
             "--cluster": "ADDRESS",
             "--wait-for-workers": "S 60",
@@ -80,7 +84,12 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
         }
     },
     "report": {
-        "options": {"--baseline": "CONTROLLER", "--metric": "METRIC ..", "--out": "DIR"},
+        "options": {
+            "--baseline": "CONTROLLER",
+            "--metric": "METRIC ..",
+            "--out": "DIR",
+            "--force": "",
+        },
     },
     "margin": {
         "what is sought": {
@@ -101,8 +110,10 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--gains": "GAINS",
             "--seed": "N 0",
             "--engine": "ENGINE",
+            "--plant-modules": "N",
+            "--layout": "LAYOUT paper",
         },
-        "output": {"--csv": "FILE", "--json": "FILE"},
+        "output": {"--csv": "FILE", "--json": "FILE", "--force": ""},
     },
     "tune": {
         "options": {
@@ -110,7 +121,10 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--budget": "S 8000",
             "--seed": "N 0",
             "--resume": "",
+            "--force": "",
             "--engine": "ENGINE",
+            "--plant-modules": "N",
+            "--layout": "LAYOUT paper",
         }
     },
     "validate": {
@@ -122,6 +136,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--states": "N",
             "--seed": "N 0",
             "--json": "FILE",
+            "--force": "",
         }
     },
     "verify": {"options": {"--episode": "N ..", "--sample": "N"}},
@@ -260,12 +275,12 @@ def test_operands_are_needed_and_counted(command: str):
 
 
 def test_words_that_are_not_known_are_refused_with_the_closest():
-    known = ", ".join(COMMANDS)
-    assert refused("ran") == f"unknown command 'ran', did you mean 'run'? known are {known}"
-    assert refused("xyz") == f"unknown command 'xyz'; known are {known}"
+    near = f"the nearest of {len(COMMANDS)} are "
+    assert refused("ran").startswith(f"unknown command 'ran', did you mean 'run'? {near}run, ")
+    assert refused("xyz").startswith(f"unknown command 'xyz'; {near}")
     assert refused() == "no command is given; octarm --help lists them"
     assert refused("run", "--duraton", "3").startswith(
-        "octarm run has no option '--duraton', did you mean '--duration'? known are --controller, "
+        "octarm run has no option '--duraton', did you mean '--duration'? the nearest of "
     )
     assert refused("run", "--duraton=3").startswith("octarm run has no option '--duraton', did")
     assert refused("run", "--dur", "3").startswith("octarm run has no option '--dur'")

@@ -176,7 +176,7 @@ def test_values_go_where_they_belong():
         ("payload:0.2,at=3,at=3", "'payload:0.2,at=3,at=3' gives at twice"),
         ("payload:0.2,mass=3", "'payload:0.2,mass=3' gives mass twice"),
         ("payload:0.2,3", "'payload:0.2,3' has '3'; it must read payload:MASS,at=0"),
-        ("payload:much", "'payload:much' gives mass the value 'much'; it must be a number"),
+        ("payload:much", "mass of 'payload:much' is 'much'; it must be a number"),
         ("payload:nan", "mass of payload holds nan; it must be finite"),
         ("payload:1/2", "'payload:1/2' gives mass 2 numbers; it takes one"),
         ("payload:-1", "mass of payload is -1 kg; it must be at least 0 kg"),

@@ -106,7 +106,10 @@ def test_a_disturbance_that_ends_the_run_is_reported_all_the_same(text: str, cap
         ("noise:0.4,time=0.0001", "a noise is 0.0001 s; it must be at least the physics step"),
         ("actuation-delay:11", "delay of actuation-delay is 11 s; it must be at most 10 s"),
         ("payload:1e300", "a module with mass 1e+300 kg; it must be between 1e-14 and 1e+14 kg"),
-        ("nois:0.4", "unknown disturbance 'nois', did you mean 'noise'? known are noise, sine, p"),
+        (
+            "nois:0.4",
+            "unknown disturbance 'nois', did you mean 'noise'? the nearest of 19 are noise, ",
+        ),
         ("payload:0.2,att=3", "payload has no key 'att', did you mean 'at'? known are mass, at"),
         ("loss:1/0", "share of loss has shape (2,); it must be one number, or 6"),
         ("step:1,on=theta4", "unknown coordinate 'theta4'"),
@@ -128,3 +131,11 @@ def test_the_trajectory_holds_what_was_added_and_what_was_read():
     np.testing.assert_array_equal(run.disturbance[:, 3], np.where(run.t < 0.01 - 1e-9, 0.0, 0.2))
     np.testing.assert_array_equal(np.delete(run.disturbance, 3, axis=1), 0.0)
     assert np.max(np.abs(run.signals["q_measured"][:, 3:] - run.q[:, 3:])) > 1e-3
+
+
+def test_what_begins_after_the_run_is_said_before_it(capsys):
+    late = ["--disturbance", "payload:100g,at=30s", "--disturbance", "noise:0.1"]
+    assert short_run(*late, duration="0.01") == 0
+    assert capsys.readouterr().err == (
+        "octarm: payload 0.1 begins at 30 s, and the run ends at 0.01 s before it\n"
+    )

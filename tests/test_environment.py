@@ -15,6 +15,7 @@ from dm_control.suite.wrappers import action_noise
 
 import octarm
 from octarm.arm.mjcf import build_model, nominal_parameters, paper_order
+from octarm.errors import OctarmError
 from octarm.simulation.environment import load, whole_periods
 
 
@@ -242,3 +243,14 @@ def test_copies_and_pickles_go_on_alike():
 def test_the_package_offers_its_fixed_names():
     for name in ("ArmParameters", "build_model", "load", "rollout", "Trajectory"):
         assert hasattr(octarm, name)
+
+
+@pytest.mark.parametrize("batch", [None, 2])
+def test_an_action_of_another_shape_is_refused(batch):
+    environment = octarm.load(batch=batch)
+    environment.reset()
+    for action in (np.zeros(5), np.zeros((3, 6)), 0.0):
+        with pytest.raises(OctarmError, match=r"the action has shape \(.*\); it must be \(.*6,?\)"):
+            environment.step(action)
+    with pytest.raises(OctarmError, match="the action is 'a'; it must be an array of numbers"):
+        environment.step("a")

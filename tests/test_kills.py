@@ -30,7 +30,7 @@ TUNE = ["tune", "smc", "--seed", "5", "--out", "mine.toml"]
 MARGIN = [
     "margin", "pd", "smc-boundary", "--disturbance", "payload", "--disturbance", "noise:0.4",
     "--bound", "effort_tau1:12", "--seeds", "3", "--duration", "0.1", "--json", "m.json",
-    "--csv", "m.csv",
+    "--csv", "m.csv", "--force",
 ]  # fmt: skip
 OTHERS = {"notes.txt": "mine", ".mine.toml.part": "mine", "mine.toml.bak": "mine"}
 

@@ -181,7 +181,8 @@ def test_a_killed_run_can_be_replayed_up_to_the_last_block(opened, capsys):
     run, _ = runs.map_run(Path("a"))
     assert len(run) % 5000 == 0
     np.testing.assert_array_equal(fields("again.rrd", "/signals")["tau"], run.tau)
-    assert cli.main(["run", "--duration", "0.02", "--out", "a"]) == 0  # it may be replaced
+    assert cli.main(["run", "--duration", "0.02", "--out", "a"]) == 2
+    assert cli.main(["run", "--duration", "0.02", "--out", "a", "--force"]) == 0
     assert {p.name for p in Path("a").iterdir()} == {"run.npz", "run.json", "run.rrd"}
 
 

@@ -7,6 +7,7 @@ import distributed  # noqa: F401  its defaults must be there before one of them 
 import pytest
 from test_sweep import SPEC
 
+import octarm
 from octarm.commands.cli import main
 from octarm.errors import ExitCode
 
@@ -26,7 +27,13 @@ def test_the_command_writes_a_sweep_and_prints_a_row_a_controller(tmp_path, spec
     assert "pd                          12         0" in out
     assert str(tmp_path / "s") in out
     assert main(arguments) == ExitCode.BAD_INPUT
-    assert "--resume" in capsys.readouterr().err
+    assert "go on with it by --resume, replace it by --force" in capsys.readouterr().err
+    table = octarm.read_sweep(tmp_path / "s").drop_columns(["wall_time"])
+    spec_file.write_text(SPEC.replace("seed = ", "seed = 1"))
+    assert main([*arguments, "--resume"]) == ExitCode.BAD_INPUT
+    assert main([*arguments, "--force"]) == ExitCode.FINE
+    assert not octarm.read_sweep(tmp_path / "s").drop_columns(["wall_time"]).equals(table)
+    assert main(["verify", str(tmp_path / "s"), "--episode", "3"]) == ExitCode.FINE
 
 
 def test_a_dry_run_says_what_it_will_take(spec_file, capsys, monkeypatch, tmp_path):
@@ -49,6 +56,8 @@ def test_a_dry_run_says_what_it_will_take(spec_file, capsys, monkeypatch, tmp_pa
         ("seed", "sede", ["--out", "s"], "my.toml, line 1: unknown key 'sede'"),
         ("", "", ["--out", "s", "--cluster", "tcp://127.0.0.1:1"], "no dask scheduler answers"),
         ("", "", ["--out", "my.toml"], "my.toml is not a folder"),
+        ("", "", ["--out", "s", "--resume"], "there is nothing in s to go on with by --resume"),
+        ("", "", ["--out", "s", "--resume", "--force"], "--resume and --force exclude each other"),
     ],
 )
 def test_bad_input_is_one_sentence(spec_file, capsys, monkeypatch, old, new, options, told):

@@ -446,7 +446,7 @@ def test_the_same_sweep_gives_the_same_files(written, known):
     code = "import sys; from octarm.commands.cli import main; sys.exit(main(sys.argv[1:]))"
     subprocess.run(
         [sys.executable, "-c", code, "report", str(known),
-         "--metric", "tip_rms_error", "--metric", "effort"],
+         "--metric", "tip_rms_error", "--metric", "effort", "--force"],
         check=True, capture_output=True, env={"PYTHONHASHSEED": "7"},
         cwd=Path(__file__).parent.parent,
     )  # fmt: skip
@@ -473,10 +473,15 @@ def test_numbers_are_told_to_three_digits(value):
 
 
 def refused(arguments: list[str], capsys) -> str:
-    assert main(["report", *arguments]) == ExitCode.BAD_INPUT
+    assert main(["report", *arguments, "--force"]) == ExitCode.BAD_INPUT
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     return error
+
+
+def test_a_report_is_replaced_by_force_alone(written, known, capsys):
+    assert main(["report", str(known)]) == ExitCode.BAD_INPUT
+    assert "report.html is there already; --force replaces it" in capsys.readouterr().err
 
 
 def test_bad_input_is_one_sentence(known, tmp_path, capsys):

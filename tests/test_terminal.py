@@ -116,7 +116,7 @@ def test_too_few_files_leave_an_earlier_run_as_it_is(commands, place):
     assert commands.run(RUN, place) == 0
     before, code = (place / "a" / "run.npz").stat().st_ino, -1
     for free in range(16):
-        code = commands.run([*RUN, "--mismatch", "0.1"], place, free=free)
+        code = commands.run([*RUN, "--force", "--mismatch", "0.1"], place, free=free)
         assert made(place) == {"a"} and {p.name for p in (place / "a").iterdir()} == WHOLE
         assert ((place / "a" / "run.npz").stat().st_ino == before) == (code != 0)
         if code == 0:

@@ -333,10 +333,10 @@ def test_the_command_writes_gains_and_how_they_were_found(capsys):
     controller = make_controller("smc", P, gain_set="my.toml")
     for name, gain in gains_of(controller).items():
         np.testing.assert_array_equal(gain, content["gains"][name])
-    assert cli.main(["tune", "smc", "--out", "my.toml", "--seed", "5"]) == 0  # replaced
+    assert cli.main(["tune", "smc", "--out", "my.toml", "--seed", "5"]) == 2
+    assert "my.toml is there already; --force replaces it" in capsys.readouterr().err
+    assert cli.main(["tune", "smc", "--out", "my.toml", "--seed", "5", "--force"]) == 0
     assert tomllib.loads(Path("my.toml").read_text()) == content
-    assert cli.main(["tune", "pd", "--out", "my.toml"]) == 2
-    assert "my.toml holds gains of smc; choose another --out" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("_small")
@@ -365,7 +365,7 @@ def test_an_interrupted_command_goes_on(capsys, monkeypatch):
     assert cli.main([*arguments, "--resume"]) == 0
     resumed = Path("smc.toml").read_text()
     assert [path.name for path in Path().iterdir()] == ["smc.toml"]
-    assert cli.main(arguments) == 0
+    assert cli.main([*arguments, "--force"]) == 0
     assert Path("smc.toml").read_text() == resumed
     Path("smc.toml.state").write_text("{}")
     assert cli.main([*arguments, "--resume"]) == 2
@@ -461,7 +461,7 @@ def test_what_is_no_gain_set_is_refused(tmp_path):
 
 def test_a_run_takes_its_gains_from_where_it_is_told(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    short = ["run", "--controller", "smc", "--duration", "0.01", "--out", "a"]
+    short = ["run", "--controller", "smc", "--duration", "0.01", "--out", "a", "--force"]
     assert cli.main([*short, "--gains", str(written(tmp_path))]) == 0
     assert '"lambda_": 33.0' in Path("a/run.json").read_text()
     assert cli.main([*short, "--gains", "recommended"]) == 0

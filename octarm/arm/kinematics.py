@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from octarm.arrays import Entry, cos_sin, join, split
+from octarm.arrays import Entry, cos_sin, entry, join, split
 
 
 def positions(q: np.ndarray) -> np.ndarray:
@@ -143,6 +143,22 @@ def tip(q: np.ndarray) -> tuple[Entry, Entry]:
         share = 2.0 / (1.0 + half * half)  # 1 + cos phi
         x = x + entries[i] * (share - 1.0)
         y = y + entries[i] * (share * half)
+    return x, y
+
+
+def arc_tip(q: np.ndarray) -> tuple[Entry, Entry]:
+    """The end of a chain of arcs of constant curvature, x and y in the base frame, shape (...) [m].
+
+    Arc i has the length s_i and turns by theta_i; its chord s_i sin(theta_i/2) / (theta_i/2) points
+    along u(phi_{i-1} + theta_i/2). It is where modules with distributed curvature put the tip.
+    """
+    n = q.shape[-1] // 2
+    entries = split(q)
+    x, y, phi = 0.0, 0.0, 0.0
+    for length, theta in zip(entries[:n], entries[n:], strict=True):
+        cos, sin = cos_sin(phi + 0.5 * theta)
+        chord = length * entry(np.sinc(theta * (0.5 / np.pi)))
+        x, y, phi = x + chord * cos, y + chord * sin, phi + theta
     return x, y
 
 

@@ -15,6 +15,7 @@ from octarm.errors import OctarmError
 from octarm.recordings.contents import contents
 from octarm.recordings.recording import write_recording
 from octarm.runs import folder as runs
+from octarm.simulation.stored import unreadable
 from octarm.simulation.trajectory import Ending, Trajectory
 
 _FILES = (runs.DESCRIPTION, runs.ARRAYS, runs.RECORDING)
@@ -53,7 +54,7 @@ def stored_arrays(path: Path) -> dict[str, np.ndarray]:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: np.asarray(array) for name, array in file.items()}
     except Exception as error:  # damaged bytes raise errors of any kind
-        raise OctarmError(f"{path} is not a trajectory file ({error})") from None
+        raise unreadable(path, error) from None
     t = arrays.get("t")
     if t is None or t.ndim != 1 or not len(t):
         raise OctarmError(f"{path} holds no rows")

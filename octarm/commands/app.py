@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import importlib.metadata
 import os
+import re
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -19,10 +20,11 @@ from cyclopts.exceptions import (
     UnusedCliTokensError,
 )
 
+from octarm import units
 from octarm.commands import checks, kinds, many_runs, one_run, own
 from octarm.commands.kinds import SHELLS, Work
 from octarm.commands.pages import arguments_of, commands, is_operand, overview, page, spelling
-from octarm.errors import ExitCode, OctarmError, closest, quoted
+from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
 
 APP = App(
     name="octarm",
@@ -85,7 +87,7 @@ def parse(words: Sequence[str]) -> Work:
     if any("\0" in word for word in words):  # no process gets such words, but a caller may
         raise OctarmError("a word holds a zero byte, which no name and no value has")
     try:
-        command, bound, _ = APP.parse_args(words, print_error=False, exit_on_error=False)
+        command, bound, _ = APP.parse_args(_joined(words), print_error=False, exit_on_error=False)
     except CycloptsError as error:
         raise OctarmError(_sentence(error, words[0])) from None
     if command == APP.help_print:
@@ -95,6 +97,18 @@ def parse(words: Sequence[str]) -> Work:
         _check_address_space(words[0])
         return command(*bound.args, **bound.kwargs)
     return functools.partial(command, *bound.args, **bound.kwargs)  # the version, words for a shell
+
+
+def _joined(words: Sequence[str]) -> list[str]:
+    """The words, a negative number with a unit, such as -30%, joined to the option before it."""
+    joined: list[str] = []
+    for word in words:
+        negative = re.match(r"-\.?\d", word) and joined and joined[-1].startswith("--")
+        if negative and "=" not in joined[-1] and units.has_unit(word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 def _check_address_space(command: str) -> None:
@@ -125,7 +139,7 @@ def _sentence(error: CycloptsError, command: str) -> str:
         case UnknownOptionError():
             return _no_such_option(command, (error.token.keyword or error.token.value))
         case UnusedCliTokensError(unused_tokens=[word, *_]):
-            return f"octarm {command} has no use for {quoted(word)}"
+            return f"octarm {command} has no use for {quoted(word)}{_as_option(command, word)}"
         case RepeatArgumentError():
             return f"{error.token.keyword} is given twice"
         case MissingArgumentError(argument=Argument() as argument) if is_operand(argument):
@@ -143,6 +157,15 @@ def _sentence(error: CycloptsError, command: str) -> str:
 def _help(command: str, argument: Argument) -> str:
     texts = {spelling(a): a.parameter.help for a in arguments_of(APP, command)}
     return str(texts[spelling(argument)])
+
+
+def _as_option(command: str, word: str) -> str:
+    """What a word may have meant that lacks the dashes of an option."""
+    name, equals, value = word.lstrip("-").partition("=")
+    option = f"--{name.replace('_', '-')}"
+    if option not in map(spelling, arguments_of(APP, command)):
+        return ""
+    return f", did you mean {printable(option + equals + value, 80)}?"
 
 
 def _no_such_option(command: str, word: str) -> str:

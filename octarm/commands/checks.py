@@ -20,6 +20,7 @@ def validate(
     states: Annotated[int | None, kinds.whole(1, 1_000_000)] = None,
     seed: Annotated[int, kinds.N] = 0,
     json: Annotated[Path | None, kinds.file()] = None,
+    force: bool = False,
 ) -> Work:
     """Check MuJoCo against the analytic model.
 
@@ -37,11 +38,13 @@ def validate(
             given
         seed: seed of the random states and parameters
         json: also write the report to this file
+        force: replace a file that is there
 
     Examples:
       octarm validate --modules 5 --json report.json
       octarm validate --controllers
     """
+    kinds.check_free(force, json)
     from octarm.commands import validate as work
     from octarm.errors import OctarmError
 

@@ -6,6 +6,7 @@ the text of the help page. Called, it imports the modules that it needs and retu
 
 from __future__ import annotations
 
+import os
 import pkgutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,7 +14,8 @@ from typing import Any, Literal, get_args, get_origin
 
 from cyclopts import Group, Parameter, Token
 
-from octarm.errors import quoted
+from octarm.errors import OctarmError, quoted
+from octarm.units import ANY, number
 
 Work = Callable[[], int]  # what a command does, once it begins; returns the exit code
 
@@ -31,6 +33,7 @@ _WORDS = {
     "ACTUATION": "octarm.arm.actuation:ACTUATIONS",
     "INTEGRATOR": "octarm.arm.modes:INTEGRATORS",
     "ENGINE": "octarm.simulation.engines:ENGINES",
+    "LAYOUT": "octarm.arm.rod:LAYOUTS",
     "SHELL": "octarm.commands.kinds:SHELLS",
     "KIND": "octarm.commands.kinds:STARTS",
 }
@@ -78,11 +81,16 @@ def _converted(metavar: str, convert: Callable[[str, str], Any]) -> Parameter:
     return Parameter(metavar=metavar, converter=converter)
 
 
-def _real(option: str, word: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        raise ValueError(f"{option} is {quoted(word)}; it must be a number") from None
+def _real(unit: str) -> Callable[[str, str], float]:
+    def convert(option: str, word: str) -> float:
+        return number(option, word, unit)
+
+    return convert
+
+
+def _number_as_text(option: str, word: str) -> str:
+    number(option, word, ANY)
+    return word
 
 
 _LARGEST = 2**63 - 1  # that tables and recordings hold
@@ -119,6 +127,24 @@ def file(suffix: str = "") -> Parameter:
     return _converted(f"FILE{suffix}", convert)
 
 
+def check_free(force: bool, *files: Path | None) -> None:
+    """Raises OctarmError if one of the files that a command writes is there, unless it is forced.
+
+    A device and a pipe hold nothing that could be lost.
+    """
+    for path in files if not force else ():
+        if path is not None and os.path.isfile(path):  # a name may be too long
+            raise OctarmError(
+                f"{path} is there already; --force replaces it, or choose another name"
+            )
+
+
+def check_folder(folder: Path, file: str, what: str) -> None:
+    """Raises OctarmError, before what takes long to import, for a folder that is not `what`."""
+    if not os.path.isfile(folder / file):
+        raise OctarmError(f"{folder} is not {what}: it has no {file}")
+
+
 def whole(least: int, most: int) -> Parameter:
     """A whole number of what takes a whole machine, or hours, beyond the largest one."""
     return _converted("N", _whole(least, most))
@@ -131,18 +157,22 @@ def _step(option: str, word: str) -> float | str:
     if word == "auto":
         return word
     try:
-        return float(word)
-    except ValueError:
-        raise ValueError(f"{option} is {quoted(word)}; it must be a number [s] or auto") from None
+        return number(option, word, "s")
+    except OctarmError as error:
+        raise OctarmError(str(error).replace("a number", "a number [s] or auto")) from None
 
 
 STEP = _converted("S", _step)
-X, S, HZ = (_converted(metavar, _real) for metavar in ("X", "S", "HZ"))
+X = _converted("X", _real("1"))
+S = _converted("S", _real("s"))
+HZ = _converted("HZ", _real("Hz"))
+AMOUNT = _converted("X", _number_as_text)  # a number whose unit depends on another option
 RUN, DIR = text("RUN"), text("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
     _declared, ("CONTROLLER", "REFERENCE", "DISTURBANCE", "METRIC")
 )
 ACTUATION, INTEGRATOR, ENGINE = map(_word, ("ACTUATION", "INTEGRATOR", "ENGINE"))
+LAYOUT = _word("LAYOUT")
 GAINS, SHELL, KIND = map(_word, ("GAINS", "SHELL", "KIND"))
 
 

@@ -18,6 +18,7 @@ def sweep(
     out: Annotated[Path | None, kinds.DIR] = None,
     workers: Annotated[int | None, kinds.whole(1, 4096)] = None,
     resume: bool = False,
+    force: bool = False,
     dry_run: bool = False,
     cluster: Annotated[str | None, kinds.text("ADDRESS")] = None,
     wait_for_workers: Annotated[float, kinds.S] = 60.0,
@@ -38,6 +39,7 @@ def sweep(
         out: folder to write
         workers: processes, one thread each; one a core when not given
         resume: go on with the sweep that was begun in the folder
+        force: replace a sweep that is there
         dry_run: print the number of episodes, and the time and disk they take; run nothing
         cluster: run on the dask cluster with the scheduler of this address, or on `local`, one of
             this machine
@@ -52,7 +54,9 @@ def sweep(
     """
     from octarm.commands import sweep as work
 
-    options = work.Options(spec, out, workers, resume, cluster, wait_for_workers, engine)
+    options = work.Options(
+        spec, out, workers, resume, cluster, wait_for_workers, engine, force=force
+    )
     if dry_run:
         return partial(work.dry_run, options)
     return surviving_output(partial(work.sweep, options))
@@ -65,6 +69,7 @@ def report(
     baseline: Annotated[str | None, kinds.CONTROLLER] = None,
     metric: Annotated[tuple[str, ...], kinds.METRIC] = (),
     out: Annotated[Path | None, kinds.DIR] = None,
+    force: bool = False,
 ) -> Work:
     """Turn a sweep into a page with tables and figures.
 
@@ -79,10 +84,13 @@ def report(
         metric: metric, or column of the table (rms_error, rms_error_theta3); rms_error,
             tip_rms_error, chattering, effort and overshoot when not given
         out: folder to write; report in the sweep's when not given
+        force: replace a report that is there
 
     Examples:
       octarm report runs/noise --baseline smc-boundary --metric tip_rms_error
     """
+    kinds.check_folder(sweep, "manifest.json", "a sweep")
+    kinds.check_free(force, (out or sweep / "report") / "report.html")
     from octarm.commands import report as work
 
     return surviving_output(partial(work.report, sweep, baseline, metric, out))
@@ -92,8 +100,8 @@ def margin(
     *controllers: Annotated[str, kinds.CONTROLLER],
     disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.SOUGHT] = (),
     bound: Annotated[tuple[str, ...], kinds.text("METRIC:VALUE"), kinds.SOUGHT] = (),
-    low: Annotated[float | None, kinds.X, kinds.SOUGHT] = None,
-    high: Annotated[float | None, kinds.X, kinds.SOUGHT] = None,
+    low: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None,
+    high: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None,
     seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 16,
     share: Annotated[float, kinds.X, kinds.SOUGHT] = 0.9,
     metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.SOUGHT] = (),
@@ -105,8 +113,11 @@ def margin(
     gains: Annotated[str | None, kinds.GAINS, kinds.RUNS] = None,
     seed: Annotated[int, kinds.N, kinds.RUNS] = 0,
     engine: Annotated[str | None, kinds.ENGINE, kinds.RUNS] = None,
+    plant_modules: Annotated[int | None, kinds.COUNT, kinds.RUNS] = None,
+    layout: Annotated[str, kinds.LAYOUT, kinds.RUNS] = "paper",
     csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
     json: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
+    force: Annotated[bool, kinds.OUTPUT] = False,
 ) -> Work:
     r"""Find how much of a disturbance controllers bear.
 
@@ -134,8 +145,11 @@ def margin(
         seed: seed of all that is random
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
             given
+        plant_modules: modules of the true arm; the model's when not given
+        layout: of that arm, paper or centred
         csv: also write the table to this file
         json: also write everything: the margins of each seed, and the coarse grid
+        force: replace files that are there
 
     Examples:
       octarm margin smc-boundary afsmc --disturbance payload \
@@ -143,6 +157,7 @@ def margin(
       octarm margin pd afsmc --disturbance nominal-mismatch \
         --bound rms_error_theta1:0.02
     """
+    kinds.check_free(force, csv, json)
     from octarm.commands import margin as work
     from octarm.simulation.engines import usual_engine
 
@@ -160,6 +175,8 @@ def margin(
         gains=gains,
         seed=seed,
         engine=usual_engine() if engine is None else engine,
+        plant_modules=plant_modules,
+        layout=layout,
     )
     job = partial(work.margin, controllers, settings, low, high, csv, json)
     return job if csv is None and json is None else surviving_output(job)
@@ -173,7 +190,10 @@ def tune(
     budget: Annotated[float, kinds.S] = 8000.0,
     seed: Annotated[int, kinds.N] = 0,
     resume: bool = False,
+    force: bool = False,
     engine: Annotated[str | None, kinds.ENGINE] = None,
+    plant_modules: Annotated[int | None, kinds.COUNT] = None,
+    layout: Annotated[str, kinds.LAYOUT] = "paper",
 ) -> Work:
     """Find gains for one controller.
 
@@ -187,15 +207,21 @@ def tune(
         budget: what the search may simulate, all arms counted [s]; 8000 s take minutes
         seed: seed of the search
         resume: go on with the search that was interrupted
+        force: replace gains that are there, and begin an interrupted search anew
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
             given
+        plant_modules: modules of the true arm; the model's when not given
+        layout: of that arm, paper or centred
 
     Examples:
       octarm tune smc-boundary --out my-gains.toml
       octarm tune smc-boundary --out my-gains.toml --resume
     """
-    from octarm.commands import tune as work
     from octarm.declared import short_name
 
     out = out or Path(f"{short_name(controller)}.toml")
-    return surviving_output(partial(work.tune, controller, out, budget, seed, resume, engine))
+    kinds.check_free(force or resume, out)
+    from octarm.commands import tune as work
+
+    options = work.Options(out, budget, seed, resume, force, engine, plant_modules, layout)
+    return surviving_output(partial(work.tune, controller, options))

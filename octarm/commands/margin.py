@@ -60,6 +60,8 @@ class Settings:
     gains: str | None
     seed: int
     engine: str
+    plant_modules: int | None
+    layout: str
 
     @property
     def fixed(self) -> list[str]:
@@ -74,7 +76,7 @@ class Settings:
         if not 0.0 < self.share <= 1.0:
             raise OctarmError(f"share is {self.share:g}; it must be above 0 and at most 1")
 
-    def varied(self, low: float | None, high: float | None) -> Varied:
+    def varied(self, low: str | None, high: str | None) -> Varied:
         """What varies: the one disturbance without a value."""
         varying = [text for text in self.disturbance if is_varied(text)]
         if len(varying) != 1:
@@ -100,6 +102,8 @@ class Settings:
             timestep=self.timestep,
             control_period=self.control_period,
             engine=self.engine,
+            plant_modules=self.plant_modules,
+            layout=self.layout,
             seed=self.seed,
             threads=cores(),
             catalogue=METRICS.extended(ACCUMULATORS[word] for word in self.metric),
@@ -121,8 +125,8 @@ class Settings:
 def margin(
     controllers: Sequence[str],
     settings: Settings,
-    low: float | None,
-    high: float | None,
+    low: str | None,
+    high: str | None,
     csv_file: Path | None,
     json_file: Path | None,
 ) -> int:
@@ -192,6 +196,8 @@ def _heading(settings: Settings, varied: Varied, reference: str) -> list[str]:
     bounds = " and ".join(settings.bound).replace(":", " <= ")
     around = [f"{reference}, {settings.duration:g} s"]
     around += [f"nominal model wrong by {settings.mismatch:g}"] if settings.mismatch else []
+    if settings.plant_modules is not None:
+        around += [f"a plant of {settings.plant_modules} modules, {settings.layout}"]
     around += [spelling(parse_disturbance(text)) for text in settings.fixed]
     seeds = f"{settings.share:.0%} of {settings.seeds} seeds"
     return [

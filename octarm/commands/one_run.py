@@ -22,6 +22,8 @@ def run(
     mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0,
     nominal: Annotated[tuple[str, ...], kinds.text("NAME:FACTOR"), kinds.MODEL] = (),
     parameter: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.MODEL] = (),
+    plant_modules: Annotated[int | None, kinds.COUNT, kinds.MODEL] = None,
+    layout: Annotated[str, kinds.LAYOUT, kinds.MODEL] = "paper",
     gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None,
     gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = (),
     timestep: Annotated[float | str | None, kinds.STEP, kinds.SIMULATION] = None,
@@ -30,6 +32,7 @@ def run(
     integrator: Annotated[str, kinds.INTEGRATOR, kinds.SIMULATION] = "rk4",
     engine: Annotated[str, kinds.ENGINE, kinds.SIMULATION] = "mujoco",
     out: Annotated[Path | None, kinds.DIR, kinds.OUTPUT] = None,
+    force: Annotated[bool, kinds.OUTPUT] = False,
     view: Annotated[bool, kinds.OUTPUT] = False,
 ) -> Work:
     """Run one controller on the arm and record it.
@@ -49,6 +52,9 @@ def run(
         nominal: a further factor on a parameter of the controller's model, e.g. mass:0.7
         parameter: a parameter of the true arm and of the model, e.g. mass:0.3,0.25,0.2 [kg], or
             input_range:-12,12 for the lowest and highest force of the columns [N]
+        plant_modules: modules of the true arm, a multiple of the model's: a chain of the same rod,
+            of which the controller knows groups; the model's modules when not given
+        layout: of such a chain: paper, or centred with hinges in the middle of elements
         gains: those to start from: tuned (for a control period of 0.0005 s), recommended (set by
             hand, lower), or a file NAME.toml of octarm tune; tuned ones when not given
         gain: one gain, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
@@ -60,6 +66,7 @@ def run(
         integrator: rk4, or implicitfast, which is of first order, for arms with very much damping
         engine: what steps the arm: mujoco, or lagrange, the analytic arm, compiled (extra fast)
         out: run folder to write; runs/DATE-TIME-CONTROLLER when not given
+        force: replace an earlier run
         view: open the recording in the viewer when the run is done
 
     Examples:
@@ -68,11 +75,13 @@ def run(
       octarm run --disturbance noise:0.4 --disturbance payload:0.2,at=3
       octarm run --controller smc --gain lambda:20 --parameter mass:0.4,0.3,0.2
       octarm run --controller ./mine.py:Law --disturbance ./mine.py:Gust:5,at=1
+      octarm run --plant-modules 15 --timestep auto --control-period 0.0001
 
     Disturbances, by what they act on; keys with their defaults:
 
     {disturbances}
     """
+    kinds.check_free(force, out and out / "run.json")
     from octarm.commands import run as work
     from octarm.disturbances.spelling import parse_disturbance
     from octarm.runs.experiment import Experiment
@@ -97,6 +106,8 @@ def run(
             actuation=actuation,
             integrator=integrator,
             engine=engine,
+            plant_modules=plant_modules,
+            layout=layout,
             code=code,
         )
         return work.run(experiment, gains, out, view)
@@ -109,6 +120,7 @@ def replay(
     screenshot: Annotated[Path | None, kinds.file(".png")] = None,
     time: Annotated[float | None, kinds.S] = None,
     web: bool = False,
+    force: bool = False,
 ) -> Work:
     """Open recorded runs in the rerun viewer.
 
@@ -120,12 +132,14 @@ def replay(
         screenshot: write a picture of the viewer instead of opening it; no display
         time: time shown in the picture [s]; the middle of the run when not given
         web: serve the viewer to a browser on this machine; no network
+        force: replace a picture that is there
 
     Examples:
       octarm replay runs/my-run
       octarm replay runs/smc runs/afsmc
       octarm replay runs/my-run --screenshot picture.png --time 4.5
     """
+    kinds.check_free(force, screenshot)
     from octarm.commands import replay as work
 
     job = partial(work.replay, runs, screenshot, time, web)
@@ -133,7 +147,11 @@ def replay(
 
 
 def record(
-    run: Annotated[Path, kinds.RUN], /, *, out: Annotated[Path | None, kinds.file(".rrd")] = None
+    run: Annotated[Path, kinds.RUN],
+    /,
+    *,
+    out: Annotated[Path | None, kinds.file(".rrd")] = None,
+    force: bool = False,
 ) -> Work:
     """Rebuild the recording of a run from its arrays.
 
@@ -141,28 +159,37 @@ def record(
 
     Args:
         run: run folder
-        out: recording to write; run.rrd in the folder when not given
+        out: recording to write; that of the run is made anew when not given
+        force: replace another file that is there
 
     Examples:
       octarm record runs/my-run
     """
+    kinds.check_free(force, out)
     from octarm.commands import redraw as work
 
     return surviving_output(partial(work.record, run, out))
 
 
 def plot(
-    run: Annotated[Path, kinds.RUN], /, *, out: Annotated[Path | None, kinds.DIR] = None
+    run: Annotated[Path, kinds.RUN],
+    /,
+    *,
+    out: Annotated[Path | None, kinds.DIR] = None,
+    force: bool = False,
 ) -> Work:
     """Draw the standard figures of a run, as PNG and SVG.
 
     Args:
         run: run folder
         out: folder to write to; RUN-figures when not given
+        force: replace figures that are there
 
     Examples:
       octarm plot runs/my-run --out figures
     """
+    out = out or _sibling(run, "-figures")
+    kinds.check_free(force, out / "tracking.png")
     from octarm.commands import redraw as work
 
     return surviving_output(partial(work.plot, run, out))
@@ -177,6 +204,7 @@ def video(
     height: Annotated[int, kinds.N] = 720,
     rate: Annotated[float, kinds.HZ] = 30.0,
     speed: Annotated[float, kinds.X] = 1.0,
+    force: bool = False,
 ) -> Work:
     """Film a run with MuJoCo's renderer.
 
@@ -189,10 +217,13 @@ def video(
         height: height [pixel]
         rate: pictures a second [Hz]
         speed: how much faster than real time the film runs
+        force: replace a film that is there
 
     Examples:
       octarm video runs/my-run --out run.mp4 --speed 0.5
     """
+    out = out or _sibling(run, ".mp4")
+    kinds.check_free(force, out)
     from octarm.recordings.video import choose_renderer
 
     choose_renderer()  # before anything imports MuJoCo
@@ -200,3 +231,8 @@ def video(
 
     size = (width, height)
     return surviving_output(partial(work.video, run, out, size=size, rate=rate, speed=speed))
+
+
+def _sibling(folder: Path, ending: str) -> Path:
+    """A name like the run folder's; the folder itself holds the run and nothing else."""
+    return folder.resolve().with_name(folder.resolve().name + ending)

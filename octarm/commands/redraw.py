@@ -24,30 +24,24 @@ def record(run: Path, out: Path | None) -> int:
     return ExitCode.FINE
 
 
-def plot(run: Path, out: Path | None) -> int:
+def plot(run: Path, out: Path) -> int:
     """`octarm plot`: the standard figures of a run."""
     from octarm.recordings.plots import write_figures
 
     trajectory, description = rows_of(run)
-    for path in write_figures(out or _sibling(run, "-figures"), trajectory, description):
+    for path in write_figures(out, trajectory, description):
         print(f"wrote {printable(str(path))}")
     return ExitCode.FINE
 
 
-def video(run: Path, out: Path | None, *, size: tuple[int, int], rate: float, speed: float) -> int:
+def video(run: Path, out: Path, *, size: tuple[int, int], rate: float, speed: float) -> int:
     """`octarm video`: MuJoCo's picture of a run as a film, `size` its width and height [pixel]."""
     from octarm.recordings.video import write_video
 
     trajectory, description = rows_of(run)
-    target = out or _sibling(run, ".mp4")
-    write_video(target, trajectory, description, size=size, rate=rate, speed=speed)
-    print(f"wrote {printable(str(target))}")
+    write_video(out, trajectory, description, size=size, rate=rate, speed=speed)
+    print(f"wrote {printable(str(out))}")
     return ExitCode.FINE
-
-
-def _sibling(folder: Path, ending: str) -> Path:
-    """A name like the run folder's; the folder itself holds the run and nothing else."""
-    return folder.resolve().with_name(folder.resolve().name + ending)
 
 
 def rows_of(folder: Path) -> tuple[Trajectory, dict[str, Any]]:

@@ -9,7 +9,7 @@ import itertools
 import shlex
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.commands.summary import Swing, summary
 from octarm.declared import Code, named
 from octarm.disturbances.catalogue import DISTURBANCES
+from octarm.disturbances.episode import Disturbance
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
 from octarm.metrics.declared import ACCUMULATORS
 from octarm.recordings.recording import run_recording
@@ -41,6 +42,8 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
     )
     announced = experiment.announcement(environment, controller)
     periods = whole_periods(experiment.duration, environment.control_timestep())
+    for sentence in late_events(experiment.disturbances, experiment.duration):
+        print(f"octarm: {sentence}", file=sys.stderr)
     out = out or _dated_folder(experiment.controller)
     started, swing = time.perf_counter(), Swing()
     with tqdm(total=periods, unit=" periods", disable=None, leave=False) as bar:
@@ -89,6 +92,17 @@ def named_words(
             *((ACCUMULATORS, word) for word in metrics),
         ]
     )
+
+
+def late_events(disturbances: Sequence[Disturbance], duration: float) -> Iterator[str]:
+    """What begins after a run of this duration [s], a sentence each."""
+    for disturbance in disturbances:
+        for event in disturbance.events():
+            if event.text and event.at >= duration:
+                yield (
+                    f"{event.text} begins at {event.at:g} s, and the run ends at {duration:g} s "
+                    "before it"
+                )
 
 
 def true_arm(changes: Sequence[str]) -> ArmParameters:
@@ -160,7 +174,7 @@ def _advice(gain_set: str | None, environment: control.Environment) -> str:
     Tuned gains are high for the usual control period, and some arms do not stay where they hang.
     """
     physics: ArmPhysics = environment.physics
-    growth = float(growth_rate(physics.plant().parameters, physics.hanging()))
+    growth = float(growth_rate(physics.plant().parameters, physics.plant_rest()))
     if growth > 0.0:
         return (
             "; without control this arm does not stay where it hangs: a mode grows e-fold in "

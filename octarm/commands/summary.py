@@ -52,8 +52,10 @@ def summary(
     """
     rate = 1.0 / description["control_period"]
     simulated = rows * description["control_period"]
+    plant = description.get("plant")
+    on = f", a plant of {plant['modules']} modules ({plant['layout']})" if plant else ""
     lines = [
-        f"{description['controller']['name']} on {description['reference']['name']}: "
+        f"{description['controller']['name']} on {description['reference']['name']}{on}: "
         f"{simulated:g} s at {rate:g} Hz, done in {elapsed:.1f} s"
     ]
     if description["disturbances"]:

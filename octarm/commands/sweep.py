@@ -51,13 +51,18 @@ class Options:
     cluster: str | None
     wait: float
     engine: str | None = None
+    force: bool = False
 
 
 def sweep(options: Options) -> int:
     """`octarm sweep`: runs a spec into a folder."""
     spec = _checked_spec(options)
+    if options.resume and options.force:
+        raise OctarmError("--resume and --force exclude each other")
     if options.out is None:
         raise OctarmError("there is no folder to write to; give --out DIR, or --dry-run")
+    if options.resume and not (options.out.is_dir() and any(options.out.iterdir())):
+        raise OctarmError(f"there is nothing in {options.out} to go on with by --resume")
     _run(spec, options, options.out)
     alike = _record(spec, options, options.out)
     _print_summary(options.out)
@@ -174,6 +179,7 @@ def _run(spec: SweepSpec, options: Options, out: Path) -> None:
                 executor=executor,
                 in_flight=in_flight,
                 resume=options.resume,
+                replace=options.force,
                 progress=bar.update,
                 partial=bar.go_on,
                 say=bar.say,

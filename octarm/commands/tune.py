@@ -14,35 +14,60 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import CONTROLLERS, make_controller
-from controllers.gain_sets import GainSet, read_gain_set, shortest
+from controllers.gain_sets import GainSet, shortest
 from octarm.arm.mjcf import nominal_parameters
 from octarm.declared import Code, short_name
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_text
-from octarm.simulation.engines import check_engine, usual_engine
+from octarm.simulation.engines import usual_engine
 from octarm.sweeps.tune import Budget, SearchState, Space, StateFile, Tuned, settings, versions
 from octarm.sweeps.tune import tune as tune_gains
-from octarm.sweeps.tune_cost import FORMULA, Examination
+from octarm.sweeps.tune_cost import FORMULA, Examination, Rig
 
 
-def tune(
-    controller: str, out: Path, seconds: float, seed: int, resume: bool, engine: str | None
-) -> int:
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """What `octarm tune` is given besides the controller, as the command line has it."""
+
+    out: Path
+    seconds: float
+    seed: int
+    resume: bool
+    force: bool
+    engine: str | None
+    plant_modules: int | None
+    layout: str
+
+    @property
+    def rig(self) -> Rig:
+        """What gains are tried on."""
+        engine = usual_engine() if self.engine is None else self.engine
+        return Rig(engine, self.plant_modules, self.layout)
+
+    def command(self, controller: str) -> str:
+        """The command line that finds the same gains."""
+        words = ["octarm", "tune", controller, "--budget", f"{self.seconds:g}"]
+        words += ["--seed", str(self.seed)]
+        words += ["--engine", self.engine] if self.engine is not None else []
+        if self.plant_modules is not None:
+            words += ["--plant-modules", str(self.plant_modules), "--layout", self.layout]
+        return shlex.join(words)
+
+
+def tune(controller: str, options: Options) -> int:
     """`octarm tune`: gains for one controller, as a TOML file."""
-    budget = Budget.within(seconds)
+    out, budget, rig = options.out, Budget.within(options.seconds), options.rig
+    rig.check()
     _check_knobs(controller)
-    words = ["octarm", "tune", controller, "--budget", f"{seconds:g}", "--seed", str(seed)]
-    command = shlex.join([*words, *(["--engine", engine] if engine is not None else [])])
-    engine = usual_engine() if engine is None else engine
-    check_engine(engine)
-    more = shlex.join(["--out", str(out), "--resume"])
-    tuned = _search(controller, budget, out, seed, engine, resume, f"{command} {more}")
+    if options.force and not options.resume:
+        state_file(out).unlink(missing_ok=True)
+    tuned = _search(controller, budget, options)
     origin = {
-        "command": command,
+        "command": options.command(controller),
         "date": datetime.date.today(),
-        "seed": seed,
-        "budget": seconds,
-        "engine": engine,
+        "seed": options.seed,
+        "budget": options.seconds,
+        **rig.settings(),
     }
     name = short_name(controller)
     write_text(out, gain_set(name, origin, budget, tuned, CONTROLLERS.code(controller)).to_toml())
@@ -54,18 +79,21 @@ def tune(
     return ExitCode.FINE
 
 
-def _search(
-    controller: str, budget: Budget, out: Path, seed: int, engine: str, resume: bool, again: str
-) -> Tuned:
-    """The search, with a bar on its progress and its state on disk; `again` goes on with it."""
+def _search(controller: str, budget: Budget, options: Options) -> Tuned:
+    """The search, with a bar on its progress and its state on disk."""
+    out, resume = options.out, options.resume
     factory = functools.partial(make_controller, controller, gain_set="recommended")
     nominal = nominal_parameters()
     space = Space(factory(nominal), nominal.modules)
+    depends_on = settings(controller, space, budget, options.seed, options.rig)
     code = CONTROLLERS.code(controller)
-    depends = settings(controller, space, budget, seed, engine)
-    depends |= {} if code is None else {"code": code.sha256}
-    file = StateFile(state_file(out), depends)
-    _check_place(out, file, short_name(controller), resume)
+    depends_on |= {} if code is None else {"code": code.sha256}
+    file = StateFile(state_file(out), depends_on)
+    if file.path.exists() and not resume:
+        raise OctarmError(
+            f"{file.path} keeps a search that was interrupted; go on with it by --resume, or "
+            "begin it anew by --force"
+        )
     state = file.read() if resume else None
     bar = tqdm(
         total=budget.seconds, unit=" simulated s", unit_scale=True, disable=None, leave=False
@@ -80,16 +108,17 @@ def _search(
             return tune_gains(
                 factory,
                 budget,
-                seed=seed,
+                seed=options.seed,
                 state=state,
                 keep=keep,
                 progress=bar.update,
-                engine=engine,
+                rig=options.rig,
             )
     except KeyboardInterrupt:
         if not file.path.exists():
             raise KeyboardInterrupt("nothing was written") from None
-        raise KeyboardInterrupt(f"go on by: {again}") from None
+        more = shlex.join(["--out", str(out), "--resume"])
+        raise KeyboardInterrupt(f"go on by: {options.command(controller)} {more}") from None
 
 
 def _check_knobs(controller: str) -> None:
@@ -98,25 +127,6 @@ def _check_knobs(controller: str) -> None:
         raise OctarmError(
             f"{short_name(controller)} has no method knobs; a controllers.law.Law has one, and "
             "octarm.interfaces.Tunable says what it answers"
-        )
-
-
-def _check_place(out: Path, file: StateFile, controller: str, resume: bool) -> None:
-    """Raises OctarmError if something stands where the result shall be.
-
-    An earlier result is replaced.
-    """
-    if out.exists():
-        earlier = read_gain_set(out)
-        if earlier.controller != controller:
-            raise OctarmError(
-                f"{out} holds gains of {earlier.controller}; choose another --out for those of "
-                f"{controller}"
-            )
-    if file.path.exists() and not resume:
-        raise OctarmError(
-            f"{file.path} keeps a search that was interrupted; go on with it by --resume, or "
-            "delete it"
         )
 
 

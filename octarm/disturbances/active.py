@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from octarm.arm.groups import Groups
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.catalogue import DISTURBANCES
 from octarm.disturbances.episode import (
@@ -27,6 +28,7 @@ from octarm.disturbances.episode import (
     numbered,
     occurrences,
 )
+from octarm.disturbances.forces import TipProcess
 from octarm.errors import OctarmError
 
 _SIMULATED = (1e-14, 1e14)  # masses [kg] and inertias [kg m^2]; beyond, MuJoCo divides by zero
@@ -46,7 +48,8 @@ class ActiveDisturbances:
         plant_changes: likewise.
         actuators: likewise.
         sensors: likewise.
-        shares: each force's own share of the last `force`, by name, shape (..., 2N) [N], [N m].
+        shares: each force's own share of the last `force`, by name, shape (..., 2N) [N], [N m]; of
+            a force on the tip of a plant of more modules, what is nearest to it.
         inputs: what came out of each actuator fault in the last `received`, by name, shape
             (..., 2N) [N].
         commanded: the input forces tau that the last `received` was given, shape (..., 2N) [N].
@@ -60,7 +63,7 @@ class ActiveDisturbances:
         self.inputs: dict[str, np.ndarray] = {}
         self.commanded = np.empty(0)
         self.readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        self._total = np.empty(0)
+        self._total = self._measured = np.empty(0)
         families = (Force, PlantChange, ActuatorFault, SensorFault)
         started: dict[str, list[tuple[str, Any]]] = {cls.family: [] for cls in families}
         place = {cls: i for i, cls in enumerate(DISTURBANCES.values())}
@@ -92,19 +95,45 @@ class ActiveDisturbances:
             self.inputs[name] = tau = process(step, tau)
         return tau
 
-    def force(self, step: int, q: np.ndarray) -> np.ndarray:
+    def force(self, step: int, q: np.ndarray, plant_q: np.ndarray | None = None) -> np.ndarray:
         """The generalised force held over a physics step, shape (..., 2N) [N], [N m]; read-only.
 
-        q has the true coordinates at its middle, shape (..., 2N) [m], [rad].
+        Args:
+            step: number of the physics step.
+            q: true coordinates at its middle, shape (..., 2N) [m], [rad].
+            plant_q: those of all modules of the plant, which the force is on; q if not given.
         """
         if not self.forces:
             return np.zeros_like(q)
+        if self.episode.groups is not None and plant_q is not None:
+            return self._force_on(self.episode.groups, step, q, plant_q)
         shares = {name: process(step, q) for name, process in self.forces}
         if not self.shares or not all(map(is_, shares.values(), self.shares.values())):
             self.shares = shares
             self._total = sum(shares.values(), start=np.zeros(()))  # 0.0, never -0.0
             self._total.setflags(write=False)
+            self._measured = self._total
         return self._total
+
+    def measured_force(self) -> np.ndarray:
+        """The last `force` as far as it is measured, the sum of `shares`, shape (..., 2N)."""
+        return self._measured
+
+    def _force_on(
+        self, groups: Groups, step: int, q: np.ndarray, plant_q: np.ndarray
+    ) -> np.ndarray:
+        """The same on a plant of more modules, by virtual work; a tip is pushed where it is."""
+        total = np.zeros_like(plant_q)
+        for name, process in self.forces:
+            if isinstance(process, TipProcess):
+                force = process(step, plant_q)
+                self.shares[name] = groups.mean_force(force)
+            else:
+                self.shares[name] = process(step, q)
+                force = groups.force(self.shares[name])
+            total = total + force
+        self._measured = sum(self.shares.values(), start=np.zeros(()))
+        return total
 
     def plant_changes_at(self, step: int) -> bool:
         """Whether `plant` at this physics step differs from the one before it."""
@@ -131,7 +160,7 @@ class ActiveDisturbances:
     def _changed_plant(self, step: int) -> Plant | None:
         if not self.plant_changes_at(step):
             return None
-        plant = Plant(self.episode.parameters)
+        plant = Plant(self.episode.plant)
         for _, process in self.plant_changes:
             plant = process.apply(step, plant)
         return plant
@@ -139,7 +168,7 @@ class ActiveDisturbances:
     def _survey(self, ranges: Sequence[Sequence[Callable[[Plant], Plant]]]) -> None:
         """Checks the plant at all extremes of all changes, those of several combined."""
         for changes in itertools.product(*ranges):
-            plant = Plant(self.episode.parameters)
+            plant = Plant(self.episode.plant)
             for change in changes:
                 plant = change(plant)
             self._check(plant)

@@ -155,7 +155,7 @@ class Measured(NamedTuple):
         Each of them at some moments, and its extremes, of the parameter's own shape (...).
         """
         arms = [_numbers(plant.parameters, plant.gravity_angle) for plant in self.plants]
-        undisturbed = _numbers(self.episode.parameters, 0.0)
+        undisturbed = _numbers(self.episode.plant, 0.0)
         out: dict[str, dict[str, np.ndarray]] = {}
         for name, original in undisturbed.items():
             values = np.stack([arm[name] for arm in arms])

@@ -24,6 +24,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
+from octarm.arm.groups import Groups
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.delivered import Measured
@@ -74,7 +75,7 @@ class Episode:
     """All that a disturbance may know when an episode starts.
 
     Attributes:
-        parameters: the undisturbed true arm.
+        parameters: the undisturbed true arm, as it is measured.
         timestep: physics step [s].
         reference: the desired motion.
         seeds: of this episode, one for each arm; a single one for a single arm.
@@ -83,6 +84,7 @@ class Episode:
         occurrence: 1, or which one of several disturbances of the same class is started.
         check_arm: raises OctarmError for an arm that cannot be simulated; it is called with every
             arm that the plant may become.
+        groups: of a plant of more modules; None where the plant is the arm itself.
     """
 
     parameters: ArmParameters
@@ -93,6 +95,7 @@ class Episode:
     index: int = 0
     occurrence: int = 1
     check_arm: Callable[[ArmParameters], object] = any_arm
+    groups: Groups | None = None
 
     def __post_init__(self) -> None:
         arms = int(np.prod(self.batch_shape, dtype=int))
@@ -104,6 +107,15 @@ class Episode:
     @property
     def _seeds(self) -> Sequence[np.random.SeedSequence]:
         return [self.seeds] if isinstance(self.seeds, np.random.SeedSequence) else self.seeds
+
+    @property
+    def plant(self) -> ArmParameters:
+        """The undisturbed plant."""
+        return self.parameters if self.groups is None else self.groups.plant
+
+    def each_module(self, values: np.ndarray) -> np.ndarray:
+        """Values for the modules of the arm, shape (..., N), for those of the plant."""
+        return values if self.groups is None else self.groups.each_module(values)
 
     @property
     def coordinates(self) -> int:

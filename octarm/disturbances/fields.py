@@ -55,8 +55,14 @@ class Quantity:
             if not np.all(good):
                 unit = "" if self.unit == "1" else f" {self.unit}"
                 worst = array[~good].flat[0]
-                raise OctarmError(f"{name} is {worst:g}{unit}; it must be {words} {bound:g}{unit}")
+                spelt = f"; in degrees it is spelt {worst:g}deg" if self.unit == "rad" else ""
+                raise OctarmError(
+                    f"{name} is {worst:g}{unit}; it must be {words} {bound:g}{unit}{spelt}"
+                )
         return entry(array)
+
+
+PHASE = Quantity("rad", at_least=-2.0 * np.pi, at_most=2.0 * np.pi)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,7 +13,7 @@ from octarm.arm.kinematics import tip_force
 from octarm.arrays import entry
 from octarm.disturbances.delivered import Measured
 from octarm.disturbances.episode import Episode, Event, Force, ForceProcess
-from octarm.disturbances.fields import Amount, Quantity, Words
+from octarm.disturbances.fields import PHASE, Amount, Quantity, Words
 from octarm.disturbances.streams import NEVER, HeldNoise, in_steps
 from octarm.errors import OctarmError
 
@@ -89,9 +89,14 @@ class _PushForce(Force):
     length: Amount = np.inf
     on: str
 
-    def start(self, episode: Episode) -> _Push:
+    def start(self, episode: Episode) -> ForceProcess:
         """The force of one episode."""
-        return _Push(self._size(episode.values(self), episode.timestep), self.on, episode)
+        size = self._size(episode.values(self), episode.timestep)
+        if self.on not in _TIP:
+            return _Push(size, self.on, episode)
+        x, y = _TIP[self.on]
+        push = functools.partial(_along, size, x, y)
+        return TipProcess(push, episode.plant.entries.tip_length)
 
     def events(self) -> Sequence[Event]:
         """When it begins and ends."""
@@ -123,7 +128,7 @@ class SineForce(_PushForce):
     units: ClassVar[Mapping[str, str]] = {"frequency": "Hz"}
     amplitude: Size
     frequency: Annotated[Amount, Quantity("Hz", above=0.0)] = 1.0
-    phase: Annotated[Amount, Quantity("rad")] = 0.0
+    phase: Annotated[Amount, PHASE] = 0.0
     at: Start = 0.0
     length: Length = np.inf
     on: Place = "theta1"
@@ -196,22 +201,43 @@ class StepForce(_PushForce):
     on: Place = "theta1"
 
 
+def _along(size: Callable[[int], Amount], x: float, y: float, step: int) -> tuple[Amount, Amount]:
+    """A force of a size in a direction."""
+    amount = size(step)
+    return amount * x, amount * y
+
+
+class TipProcess:
+    """A force on the tip, wherever that is: a `ForceProcess` that needs the plant's coordinates.
+
+    Attributes:
+        push: at a physics step, along x and y of the base frame, each of shape () or (n,) [N].
+        tip_length: of the plant, shape () or (n,) [m].
+    """
+
+    def __init__(
+        self, push: Callable[[int], tuple[Amount, Amount]], tip_length: np.ndarray | float
+    ) -> None:
+        self.push, self.tip_length = push, tip_length
+
+    def __call__(self, step: int, q: np.ndarray) -> np.ndarray:
+        """The generalised force of a step, q being that of all modules, shapes (..., 2N)."""
+        return tip_force(q, *self.push(step), self.tip_length)
+
+
 class _Push:
-    """A force on coordinates or on the tip, whose size at a step has shape () or (n,)."""
+    """A force on coordinates, whose size at a step has shape () or (n,)."""
 
     def __init__(self, size: Callable[[int], Amount], on: str, episode: Episode) -> None:
         self._size = size
-        self._tip, self._tip_length = _TIP.get(on), episode.parameters.entries.tip_length
-        self._places = None if on in _TIP else np.flatnonzero(episode.selected(on)).tolist()
+        self._places = np.flatnonzero(episode.selected(on)).tolist()
         self._shape = (*episode.batch_shape, episode.coordinates)
         self._last: Amount | None = None
         self._force = np.empty(0)
 
     def __call__(self, step: int, q: np.ndarray) -> np.ndarray:
+        del q
         size = self._size(step)
-        if self._tip is not None:
-            x, y = self._tip
-            return tip_force(q, size * x, size * y, self._tip_length)
         if size is not self._last:
             force = np.zeros(self._shape, order="F")
             force[..., self._places] = np.asarray(size)[..., None]

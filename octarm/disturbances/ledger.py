@@ -22,6 +22,7 @@ from octarm.disturbances.episode import Disturbance, Plant, numbered, occurrence
 from octarm.disturbances.spelling import from_entry, spelling, to_dict
 
 _NOT_IN_LINES = ("peak", "unexplained")
+_MOST_NUMBERS = 12  # of a parameter or signal in a line; of more, the least and the largest one
 
 
 class _Arm(Protocol):
@@ -163,6 +164,9 @@ def _change(name: str, moments: dict[str, Any]) -> str:
 
 def _number(value: Any) -> str:
     if isinstance(value, list):
+        numbers = np.array(cast("list[Any]", value), dtype=np.float64)
+        if numbers.size > _MOST_NUMBERS:
+            return f"{np.nanmin(numbers):.3g} .. {np.nanmax(numbers):.3g}"
         return "(" + ", ".join(map(_number, cast("list[Any]", value))) + ")"
     return "unknown" if value is None else f"{value:.3g}"
 

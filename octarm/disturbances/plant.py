@@ -15,7 +15,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from octarm.disturbances.episode import Episode, Event, Plant, PlantChange, PlantProcess
-from octarm.disturbances.fields import Amount, Quantity, Words
+from octarm.disturbances.fields import PHASE, Amount, Quantity, Words
 from octarm.disturbances.streams import NEVER, first_step, periods_begun
 
 # The parameters that have factors, and how many axes each has after the batch axes.
@@ -25,7 +25,7 @@ _GRID = 0.01  # [s]; parameters that drift stay as they are for so long, whateve
 
 Factor = Annotated[Amount, Quantity("1", above=0.0, at_most=1e6)]
 Share = Annotated[Amount, Quantity("1", at_least=0.0, below=1.0, usual=(0.0, 0.95))]
-Angle = Annotated[Amount, Quantity("rad", usual=(0.0, 1.5))]
+Angle = Annotated[Amount, Quantity("rad", at_least=-np.pi, at_most=np.pi, usual=(0.0, 1.5))]
 Of = Annotated[str, Words(joined=tuple(SCALABLE))]
 
 
@@ -71,7 +71,8 @@ class RandomMismatch(PlantChange):
     """A true arm with parameters drawn at random, every module and column on its own.
 
     Each parameter is multiplied by 1 + share u with u uniform in -1 .. 1. The draws are the same
-    for any share.
+    for any share. All modules of a group of a finer plant have the draws of the module that the
+    group stands for.
 
     Attributes:
         share: of mass, inertia, stiffness and damping, shape (...) [1].
@@ -82,7 +83,7 @@ class RandomMismatch(PlantChange):
     name: ClassVar[str] = "random-mismatch"
     share: Share
     rest_length: Share = 0.0
-    tilt: Annotated[Amount, Quantity("rad", at_least=0.0)] = 0.0
+    tilt: Annotated[Amount, Quantity("rad", at_least=0.0, at_most=np.pi)] = 0.0
 
     def start(self, episode: Episode) -> PlantProcess:
         """The arms of one episode."""
@@ -95,7 +96,10 @@ class RandomMismatch(PlantChange):
         u = {name: np.stack(rows).reshape((*batch, *rows[0].shape)) for name, rows in drawn.items()}
         value = episode.values(self)
         shares = dict.fromkeys(SCALABLE, value["share"]) | {"rest_length": value["rest_length"]}
-        factors = {name: 1.0 + _spread(name, share) * u[name] for name, share in shares.items()}
+        factors = {
+            name: episode.each_module(1.0 + _spread(name, share) * u[name])
+            for name, share in shares.items()
+        }
         return _from_the_start(factors, value["tilt"] * u["tilt"])
 
 
@@ -226,7 +230,7 @@ class CyclicDrift(PlantChange):
     name: ClassVar[str] = "cyclic-drift"
     share: Share
     period: Annotated[Amount, Quantity("s", at_least=10.0 * _GRID)] = 10.0
-    phase: Annotated[Amount, Quantity("rad")] = 0.0
+    phase: Annotated[Amount, PHASE] = 0.0
     of: Of = "stiffness"
 
     def start(self, episode: Episode) -> PlantProcess:

@@ -25,13 +25,17 @@ from octarm.disturbances.fields import (
     field_kinds,
 )
 from octarm.errors import OctarmError, closest, quoted
+from octarm.units import number
+
+_SEPARATOR = re.compile(r"/(?=[-+.\di])")  # between numbers; units hold a / before a letter
 
 
 def parse_disturbance(text: str) -> Disturbance:
     """A disturbance from its spelling on the command line.
 
     VALUE is that of the first field; a field that may differ between coordinates takes one number
-    for each of them as well, separated by `/`, as in `loss:0/0/0.5/0/0/0`.
+    for each of them as well, separated by `/`, as in `loss:0/0/0.5/0/0/0`. A number may have a
+    unit, as in `payload:100g,at=500ms`.
     """
     word, rest = DISTURBANCES.split(text)
     cls = DISTURBANCES[word]
@@ -131,12 +135,8 @@ def _usage(cls: type[Disturbance]) -> str:
 def _value(text: str, key: str, value: str, kind: Quantity | Words) -> Amount | str:
     if not isinstance(kind, Quantity):
         return value
-    try:
-        numbers = [float(part) for part in value.split("/")]
-    except ValueError:
-        raise OctarmError(
-            f"{quoted(text)} gives {key} the value {quoted(value)}; it must be a number"
-        ) from None
+    of = f"{key} of {quoted(text)}"
+    numbers = [number(of, part, kind.unit) for part in _SEPARATOR.split(value)]
     if len(numbers) > 1 and not kind.each:
         raise OctarmError(f"{quoted(text)} gives {key} {len(numbers)} numbers; it takes one")
     return numbers[0] if len(numbers) == 1 else np.array(numbers)

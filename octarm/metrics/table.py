@@ -22,7 +22,7 @@ from octarm.metrics.metric import SETTLED_AFTER as SETTLED_AFTER
 from octarm.metrics.sliding import ReachingBound, Sliding
 from octarm.metrics.tracking import Overshoot, Settling, TipError, TrackingError
 
-_FIELDS = ("t", "q", "q_d", "tau", "force")
+_FIELDS = ("t", "q", "q_d", "tau", "force", "plant_tip")
 _NUMBERS_A_PART = 50_000  # of a coordinate array; more at a time would leave the caches
 
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from octarm.arm.kinematics import tip
+from octarm.arm.kinematics import arc_tip, tip
 from octarm.interfaces import Rows
 from octarm.metrics.metric import POSITION, STEADY, Accumulator, Metric, Settings
 from octarm.metrics.rows import Extremes, Size, add_rows, filled
@@ -160,6 +160,9 @@ def _percent(reached: np.ndarray, size: np.ndarray, meant: np.ndarray) -> np.nda
 class TipError(Accumulator):
     """Distance between the tip p_N(q) and where the reference wants it, p_N(q_d).
 
+    A plant of more modules has its tip where it is, and the reference wants it at the end of arcs
+    of constant curvature: the end of a module that is not bent between its plates is far from both.
+
     `tip_rms_error` and `tip_peak_error` in the steady regime, each of shape (...) [m]; NaN without
     a row.
     """
@@ -174,9 +177,13 @@ class TipError(Accumulator):
 
     def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
         if steady:
-            q, q_d = rows["q"], rows["q_d"]
+            q_d = rows["q_d"]
             shared = q_d.size == q_d.shape[-1]  # then it is one point, computed with plain numbers
-            (x, y), (x_d, y_d) = tip(q), tip(q_d.reshape(-1) if shared else q_d)
+            q_d = q_d.reshape(-1) if shared else q_d
+            if "plant_tip" in rows:
+                (x, y), (x_d, y_d) = np.moveaxis(rows["plant_tip"], -1, 0), arc_tip(q_d)
+            else:
+                (x, y), (x_d, y_d) = tip(rows["q"]), tip(q_d)
             dx, dy = x - x_d, y - y_d
             self._size.update(np.asarray(dx * dx + dy * dy))
 

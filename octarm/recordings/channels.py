@@ -45,6 +45,8 @@ _MEANINGS = {
     "error": _Meaning(_LENGTH, "error q - q_d", single=True),
     "q_measured": _Meaning(_LENGTH, "measured q", single=True),
     "v_measured": _Meaning(_RATE, "measured q'", single=True),
+    "plant_q": _Meaning(title="coordinates of the plant", single=True),
+    "plant_tip": _Meaning({"": "m"}, "tip of the plant"),
     "s": _Meaning(_RATE, single=True),
     "integral": _Meaning({"m": "m s", "rad": "rad s"}),
     "disturbance": _Meaning(_FORCE, single=True),

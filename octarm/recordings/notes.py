@@ -25,6 +25,9 @@ the controller reports. If the model were exact and nothing disturbed the arm, i
 times the robust part; where it is above, model error or a disturbance feeds V. The error, s and the
 parts of the force have single precision here, E 60 rows a second, and signals with a number for
 each rule are a picture; run.npz has every bit of all of them at every instant."""
+_OF_PLANT = """ The plant has more modules than what is measured of it: the white line is its true
+curve, the red line follows its tip, and the grey line the end of arcs of constant curvature of the
+desired coordinates."""
 
 
 _LONGEST = 200  # characters of a title, a message or a cell
@@ -35,6 +38,8 @@ def title_of(description: Mapping[str, Any]) -> str:
     controller = description.get("controller", {}).get("name", "")
     reference = description.get("reference", {}).get("name", "")
     names = [entry["name"] for entry in description.get("disturbances", [])]
+    plant = description.get("plant")
+    names += [f"a plant of {plant['modules']} modules"] if plant else []
     title = f"{controller} on {reference}" if controller and reference else "a run"
     title = f"{title}, {' + '.join(names)}" if names else title
     episode = description.get("spawn_key")  # of a sweep
@@ -63,7 +68,8 @@ def notes_of(description: Mapping[str, Any]) -> dict[str, str]:
         if table:
             rows = [[name, _text(value)] for name, value in table.items()]
             parts.append(f"## {heading}\n\n{_table(['', ''], rows)}")
-    parts.append(f"## What is drawn\n\n{' '.join(_REMARK.split())}")
+    remark = _REMARK + (_OF_PLANT if description.get("plant") else "")
+    parts.append(f"## What is drawn\n\n{' '.join(remark.split())}")
     pages = {"notes": "\n\n".join(parts)}
     if description.get("disturbances"):
         entries = map(_ledger, description["disturbances"])

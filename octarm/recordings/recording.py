@@ -40,7 +40,7 @@ from octarm.recordings.channels import (
 from octarm.recordings.heat_map import HeatMap
 from octarm.recordings.notes import notes_of, title_of
 from octarm.recordings.rrd import Path, rerun_errors, rrd_file, structures, times
-from octarm.recordings.scene import Scene
+from octarm.recordings.scene import DRAWN, Scene
 from octarm.recordings.shapes import drawable
 from octarm.simulation.trajectory import BLOCK, Trajectory
 
@@ -133,7 +133,12 @@ class RunRecording:
         self._coordinates = coordinates_of(description)
         disturbances = disturbances_of(description)
         self._disturbed = bool(disturbances) if disturbed is None else disturbed
-        self.scene = Scene(parameters, list(disturbances.values()), disturbed=self._disturbed)
+        self.scene = Scene(
+            parameters,
+            list(disturbances.values()),
+            disturbed=self._disturbed,
+            finer=description.get("plant") is not None,
+        )
         self.channels: dict[str, Channel] = {}
         self._heat_maps: dict[str, HeatMap] = {}
         self._lanes: set[str] = set()
@@ -170,7 +175,7 @@ class RunRecording:
             self._log_signals(rows, frames)
             frames &= drawable(rows["q"]) & drawable(rows["q_d"])
             if frames.any():
-                drawn = {x: rows[x][frames] for x in ("t", "q", "q_d", "tau", "disturbance")}
+                drawn = {x: rows[x][frames] for x in DRAWN if x in rows}
                 for entity, columns in self.scene.frames(drawn).items():
                     self._send(entity, drawn["t"], columns)
             for lane, changes in self._phases.changes(rows).items():

@@ -17,6 +17,8 @@ import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
+from octarm.arm.kinematics import arc_tip
+from octarm.arm.mjcf import world_position
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.drawn import Drawn
 from octarm.disturbances.episode import Disturbance
@@ -28,10 +30,14 @@ _PLATE, _BASE = 0xDEE2E8FF, 0x78808CFF
 _TRAIL, _PATH, _GHOST = 0xFF4655FF, 0x8FA3B8FF, 0xC6D6EA22
 _RELAXED, _PULL, _PUSH = (112, 118, 126), (240, 243, 248), (232, 62, 62)
 _DISTURBANCE, _GRAVITY, _PAYLOAD = 0xC58BFFFF, 0xB8C0CCFF, 0xB8A06AFF
+_CURVE = 0xFFFFFFFF  # of a plant of more modules
 _STEEL = 7850.0  # [kg/m^3]; a payload is drawn as a ball of it
 _TRAIL_LENGTH = 1.0  # [s]
 _FINE = 8192.0  # places are rounded to this part of a metre
 _COARSE = 1024.0  # angles and lengths of pieces likewise
+
+# Fields of `Rows` that the scene is made of; the last two are there for a plant of more modules.
+DRAWN = ("t", "q", "q_d", "tau", "disturbance", "plant_q", "plant_tip")
 
 
 def module_colors(count: int) -> np.ndarray:
@@ -54,11 +60,13 @@ class Scene:
         disturbances: Sequence[Disturbance | Drawn],
         *,
         disturbed: bool,
+        finer: bool = False,
     ) -> None:
         """The scene of one arm.
 
         The disturbances of the run say what they carry and how they turn gravity; `disturbed` says
-        whether their force is drawn.
+        whether their force is drawn. With a `finer` plant, of more modules, its true curve is drawn
+        through the arm that its groups make one believe in, and the trail is that of its tip.
         """
         self._modules, self._width = parameters.modules, float(np.median(parameters.width))
         self._length = float(np.sum(parameters.rest_length))
@@ -66,7 +74,7 @@ class Scene:
         self._arrow = 2.0 * self._width  # length of the arrow of the arm's weight [m]
         self._tilt = sum(disturbance.gravity_angle() for disturbance in disturbances)
         self._payloads = [load for d in disturbances if (load := d.carried()) is not None]
-        self._disturbed = disturbed
+        self._disturbed, self._finer = disturbed, finer
         self._last: tuple[np.ndarray, np.ndarray] | None = None  # tip and desired tip
 
     def looks(self) -> dict[str, Any]:
@@ -98,6 +106,8 @@ class Scene:
         }
         if self._payloads:
             looks["world/payload"] = rr.Ellipsoids3D.from_fields(colors=_PAYLOAD, **solid)
+        if self._finer:
+            looks["world/plant"] = lines(colors=_CURVE, radii=0.06 * w)
         if self._disturbed:
             arrows = rr.Arrows3D.from_fields
             looks["world/disturbance"] = arrows(colors=_DISTURBANCE, radii=0.035 * w)
@@ -107,6 +117,9 @@ class Scene:
         """What moves, by entity, as columns with a frame for each of k rows."""
         q, q_d, w = rows["q"], rows["q_d"], self._width
         tip, desired_tip = shapes.tip(q), shapes.tip(q_d)
+        if self._finer:
+            tip = world_position(rows["plant_tip"])
+            desired_tip = world_position(np.stack(arc_tip(q_d), axis=-1))
         last = self._last or (tip[0], desired_tip[0])
         self._last = tip[-1], desired_tip[-1]
         tube, ribs = shapes.backbone(q, shapes.TUBE_PIECES), shapes.backbone(q_d, shapes.RIBS)
@@ -120,7 +133,10 @@ class Scene:
             "world/skeleton": _strips(shapes.skeleton(q)),
         }
         if self._payloads:
-            frames["world/payload"] = self._balls(rows["t"], q)
+            frames["world/payload"] = self._balls(rows["t"], rows["plant_q"] if self._finer else q)
+        if self._finer:
+            curve = np.concatenate([shapes.skeleton(rows["plant_q"]), tip[:, None]], axis=1)
+            frames["world/plant"] = _strips(curve)
         if self._disturbed:
             origins, forces = shapes.force_arrows(q, rows["disturbance"], 0.95 * w)
             vectors = forces * (self._arrow / self._weight)

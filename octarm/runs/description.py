@@ -32,6 +32,13 @@ class _Disturbance(_Named):
     drawn: Drawn | None = None
 
 
+class Plant(_Table):
+    """Which plant of more modules it was, see `octarm.arm.groups`."""
+
+    modules: Annotated[int, Field(ge=1)]
+    layout: str
+
+
 class _Coordinate(_Table):
     name: str
     unit: str
@@ -44,6 +51,7 @@ class _Run(_Table):
     parameters: dict[str, Any]
     reference: _Named
     code: dict[str, Code] = Field(default_factory=dict)
+    plant: Plant | None = None
     spawn_key: Array[Annotated[int, Field(ge=0, lt=2**32)]] = ()
 
 

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from dm_control.rl import control
 
+from octarm.arm.groups import PAPER, Groups
 from octarm.arm.parameters import ArmParameters
 from octarm.declared import Code, word_of
 from octarm.disturbances.episode import Disturbance
@@ -80,6 +81,8 @@ class Experiment:
         actuation: see `octarm.arm.actuation`.
         integrator: see `octarm.load`.
         engine: that steps the arm, see `octarm.simulation.engines`.
+        plant_modules: number of modules of the plant, see `octarm.load`; the arm itself when None.
+        layout: of that plant.
         code: what is not built in by name, and metrics that are measured as well; see
             `octarm.declared.named`.
     """
@@ -98,6 +101,8 @@ class Experiment:
     actuation: str = "f-coeff"
     integrator: str = "rk4"
     engine: str = MUJOCO
+    plant_modules: int | None = None
+    layout: str = PAPER
     code: Mapping[str, Code] = dataclasses.field(default_factory=dict[str, Code])
 
     def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
@@ -120,6 +125,8 @@ class Experiment:
             seed=seed,
             integrator=self.integrator,
             engine=self.engine,
+            plant_modules=self.plant_modules,
+            layout=self.layout,
         )
         controller = word_of(self.controller, self.code)
         return environment, factory(controller, self.nominal, self.gains)
@@ -148,6 +155,7 @@ class Experiment:
             "actuation": self.actuation,
             "integrator": self.integrator,
             "engine": self.engine,
+            **self._plant(physics.groups),
             "metrics": {},
             "status": runs.RUNNING,
             "message": "",
@@ -156,6 +164,14 @@ class Experiment:
             "digest": "",
             "command": _readable(shlex.join(["octarm", *sys.argv[1:]])),
         }
+
+    def _plant(self, groups: Groups | None) -> dict[str, Any]:
+        """What `run.json` says of a plant of more modules, and of what is measured of it."""
+        if groups is None:
+            return {}
+        matrix, offset = groups.matrix.tolist(), groups.offset.tolist()
+        table = {"modules": self.plant_modules, "layout": self.layout}
+        return {"plant": table | {"map": {"matrix": matrix, "offset": offset}}}
 
     @classmethod
     def from_description(cls, description: Mapping[str, Any]) -> Experiment:
@@ -173,7 +189,7 @@ class Experiment:
                 f"not hold{closest(reference, REFERENCES)}"
             )
         numbers = inputs.model_dump(include=_AS_THEY_ARE)
-        gains = inputs.controller.gains
+        gains, plant = inputs.controller.gains, inputs.plant
         return cls(
             controller=inputs.controller.name,
             gains={name.rstrip("_"): value for name, value in gains.items()},
@@ -184,6 +200,8 @@ class Experiment:
                 from_entry(entry.model_dump(), inputs.code) for entry in inputs.disturbances
             ),
             code=inputs.code,
+            plant_modules=plant and plant.modules,
+            layout=plant.layout if plant else PAPER,
             **numbers,
         )
 

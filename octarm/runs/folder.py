@@ -136,7 +136,10 @@ def read_description(folder: Path) -> dict[str, Any]:
     """
     path = folder / DESCRIPTION
     if not os.path.isfile(path):  # nor is what cannot be a file's name
-        raise OctarmError(f"{folder} is not a run folder: it has no {DESCRIPTION}")
+        files = folder.glob(f"*/{DESCRIPTION}") if os.path.isdir(folder) else ()
+        inside = sorted(file.parent.name for file in files)
+        runs = f"; the runs in it are {_listed(inside)}" if inside else ""
+        raise OctarmError(f"{folder} is not a run folder: it has no {DESCRIPTION}{runs}")
     document = formats.read_json(path)
     if "controller" not in document.content:
         raise OctarmError(f"{path} does not describe a run: it has no controller")
@@ -145,6 +148,11 @@ def read_description(folder: Path) -> dict[str, Any]:
     if ArmParameters.from_dict(document.content["parameters"]).batch_shape:
         raise OctarmError(f"{path} has the parameters of several arms; a run is of one")
     return dict(document.content)
+
+
+def _listed(names: list[str]) -> str:
+    """Names as they stand in a sentence; of many the last ones, as those of dated runs are."""
+    return ", ".join(names) if len(names) <= 8 else f"{', '.join(names[-8:])} and others"
 
 
 def read_run(folder: str | Path) -> tuple[Trajectory, dict[str, Any]]:

@@ -101,7 +101,7 @@ class LagrangePhysics(AnyPhysics):
 
     def tip_position(self) -> np.ndarray:
         """Tips in the world frame, shape (..., 3) [m]."""
-        return tip_position(self.q(), self._undisturbed.entries.tip_length)
+        return tip_position(self.plant_q(), self._undisturbed.entries.tip_length)
 
     def plant(self) -> Plant:
         """The arms as they are."""

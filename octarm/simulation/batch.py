@@ -59,7 +59,7 @@ class BatchPhysics(AnyPhysics):
 
     def tip_position(self) -> np.ndarray:
         """Tips in the world frame, shape (n, 3) [m]."""
-        return tip_position(self.q(), self._undisturbed.entries.tip_length)
+        return tip_position(self.plant_q(), self._undisturbed.entries.tip_length)
 
     def step(self, n_sub_steps: int = 1) -> None:
         """Advances by physics steps; see `AnyPhysics.step`."""
@@ -81,7 +81,7 @@ class BatchPhysics(AnyPhysics):
         self.batch.step(None if self._all_intact else np.flatnonzero(self._intact))
 
     def _check_limits(self) -> None:
-        self.freeze(~self.limits.holding(self.q(), self.v()))
+        self.freeze(~self.plant_limits.holding(self.plant_q(), self.plant_v()))
 
     def _follow_inertias(self) -> None:
         self.batch.set_const()

@@ -14,8 +14,9 @@ from dm_control.rl import control
 from dm_env import specs
 
 from octarm.arm.actuation import ACTUATIONS
-from octarm.arm.kinematics import tip_position
-from octarm.arm.mjcf import build_model, build_slim_model, nominal_parameters
+from octarm.arm.groups import PAPER, groups_of
+from octarm.arm.kinematics import arc_tip, last_axis, tip_position
+from octarm.arm.mjcf import build_model, build_slim_model, nominal_parameters, world_position
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import split
 from octarm.disturbances.active import ActiveDisturbances
@@ -59,6 +60,8 @@ def load(
     threads: int = 1,
     integrator: str = "rk4",
     engine: str = MUJOCO,
+    plant_modules: int | None = None,
+    layout: str = PAPER,
 ) -> control.Environment:
     """The arm, hanging at rest, and a motion it shall follow; or a batch of n such arms.
 
@@ -92,6 +95,10 @@ def load(
         integrator: `rk4`, or `implicitfast`, which is of first order, for arms with much damping.
         engine: `mujoco`, or `lagrange`, the analytic arm, which is some fifty times as fast and
             needs the extra `fast`; it steps by RK4 alone.
+        plant_modules: number of modules of the plant, a multiple of N that is at most 100: a chain
+            that stands for the same rod, of which the sums over N groups are measured and moved;
+            see `octarm.arm.groups`. The arm itself when not given.
+        layout: of that plant, `paper` or `centred`.
 
     Returns:
         An environment with the observations q, v, q_d, v_d, a_d, each of shape (2N,), and
@@ -120,34 +127,40 @@ def load(
             f"parameters have batch axes {true.batch_shape}; the environment has "
             f"{'one arm' if batch is None else f'{batch} arms'}"
         )
-    if batch is not None:
-        check_batch(batch, true.modules)
     seeds = _seeds(seed, batch)
+    if plant_modules is not None:
+        plant_modules = whole_number("plant_modules", plant_modules, 1)
+    groups = groups_of(true, plant_modules, layout)
+    plant = true if groups is None else groups.plant
+    if batch is not None:
+        check_batch(batch, plant.modules)
     if isinstance(timestep, str):
         if timestep != AUTO:
             raise OctarmError(f"timestep is {timestep!r}; it must be a number [s], or {AUTO!r}")
         axes = () if batch is None else (batch,)
-        steps = steps_of(true, disturbances, seeds, axes, integrator)
+        steps = steps_of(true, disturbances, seeds, axes, integrator, groups)
         timestep, control_period = fitting_step(float(np.min(steps)), control_period)
     forces = ACTUATIONS[actuation](true.widths)
     if engine == LAGRANGE:
         from octarm.simulation.analytic import LagrangePhysics  # only where numba is installed
 
-        physics = LagrangePhysics(true, batch, forces, timestep=timestep, threads=threads)
+        physics = LagrangePhysics(plant, batch, forces, timestep=timestep, threads=threads)
     elif batch is None:
-        model = build_model(true, timestep)
+        model = build_model(plant, timestep)
         model.opt.integrator = integrator_of(integrator)
         physics = ArmPhysics.from_arm_model(model, forces)
     else:
-        model = build_slim_model(true.arm(0) if true.batch_shape else true, timestep)
+        model = build_slim_model(plant.arm(0) if plant.batch_shape else plant, timestep)
         model.opt.integrator = integrator_of(integrator)
-        physics = BatchPhysics(model, batch, forces, parameters=true, threads=threads)
+        physics = BatchPhysics(model, batch, forces, parameters=plant, threads=threads)
+    if groups is not None:
+        physics.see_through(groups)
     _check_rest(physics)
     step = physics.timestep()
     steps_a_period = 1 if control_period is None else _whole_steps(control_period, step)
-    rest = physics.hanging()
+    rest, plant_rest = physics.hanging(), physics.plant_rest()
     if not true.batch_shape:  # one for all arms that hang alike
-        rest = rest[*[0] * (rest.ndim - 1)]
+        rest, plant_rest = (x[*[0] * (x.ndim - 1)] for x in (rest, plant_rest))
     motion = named_reference(reference, rest) if isinstance(reference, str) else reference
     wanted(motion, 0.0, physics.q().shape)  # before it is used
     limit = None if duration is None else whole_periods(duration, steps_a_period * step)
@@ -157,7 +170,8 @@ def load(
         reference=motion,
         seeds=seeds,
         batch_shape=physics.batch_shape,
-        check_arm=step_check(rest, step, integrator),
+        check_arm=step_check(plant_rest, step, integrator),
+        groups=groups,
     )
     task = TrackingTask(
         episode,
@@ -271,7 +285,7 @@ class TrackingTask(control.Task):
         episode = self._first.later(index)
         self._start_at(0)
         self.random = episode.streams("wrappers")[0]
-        rest = physics.hanging()
+        rest = physics.plant_rest()
         physics.set_motion(rest, np.zeros_like(rest))
         physics.begin(ActiveDisturbances(self.disturbances, episode))
         self.episode, self.next_episode = episode.index, episode.index + 1
@@ -299,7 +313,7 @@ class TrackingTask(control.Task):
         q, v = physics.q(), physics.v()
         if active is not None and active.sensors:  # nothing acts before the first episode
             q, v = active.sensed(physics.steps(), q, v)
-            tip = tip_position(q, self._first.parameters.entries.tip_length)
+            tip = self._seeming_tip(q)
         else:
             tip = physics.tip_position()
         return collections.OrderedDict(
@@ -326,6 +340,14 @@ class TrackingTask(control.Task):
         if physics.all_lost():
             return 0.0
         return 1.0 if self._periods == self._episode_periods else None
+
+    def _seeming_tip(self, q: np.ndarray) -> np.ndarray:
+        """The tip of an arm with these coordinates, shape (..., 3) [m], in the world frame."""
+        length = self._first.parameters.entries.tip_length
+        if self._first.groups is None:
+            return tip_position(q, length)
+        (x, y), (cos, sin) = arc_tip(q), last_axis(q)
+        return world_position(np.stack([x + length * cos, y + length * sin], axis=-1))
 
     def _start_at(self, periods: int) -> None:
         self._periods = periods

@@ -16,6 +16,7 @@ from dm_control.rl import control
 
 from octarm.arm.actuation import Actuation, GroundedActuation
 from octarm.arm.parameters import ArmParameters
+from octarm.arrays import coordinate_names
 from octarm.disturbances.episode import Plant
 from octarm.simulation.stepping import AnyPhysics
 
@@ -28,7 +29,8 @@ with warnings.catch_warnings():  # without a display, glfw complains although no
 logging.getLogger("absl").addFilter(lambda record: record.funcName != "_warning_callback")
 
 _INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION.value
-_EPISODE = ("actuation", "active", "limits", "_undisturbed", "_tau", "_possible", "_received",
+_EPISODE = ("actuation", "active", "limits", "plant_limits", "groups", "coordinates",
+            "_undisturbed", "_input_range", "_limited", "_zero", "_tau", "_possible", "_received",
             "_disturbance", "_steps", "_intact", "_diverged_at", "_all_intact")  # fmt: skip
 
 
@@ -105,7 +107,7 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
         mujoco.mj_step(self.model.ptr, self.data.ptr)
 
     def _check_limits(self) -> None:
-        if not self.limits.hold(self.q(), self.v()):
+        if not self.plant_limits.hold(self.plant_q(), self.plant_v()):
             self.freeze(True)
 
     def _follow_inertias(self) -> None:
@@ -140,4 +142,5 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
     def _wildest(self) -> str:
         """The coordinate that accelerates most; NaN counts as most."""
         acceleration = np.abs(self.data.qacc[self._qvel_index])
-        return self.coordinates.names[int(np.argmax(np.nan_to_num(acceleration, nan=np.inf)))]
+        names = coordinate_names(len(acceleration) // 2)
+        return names[int(np.argmax(np.nan_to_num(acceleration, nan=np.inf)))]

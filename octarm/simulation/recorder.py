@@ -105,6 +105,8 @@ class Recorder:
             "force": instant.command.force,
             "disturbance": instant.disturbance,
         }
+        if instant.plant_q is not None and instant.plant_tip is not None:
+            row |= {"plant_q": instant.plant_q, "plant_tip": instant.plant_tip}
         signals, fields = instant.command.signals, self._fields
         if not (signals.keys().isdisjoint(row) and signals.keys().isdisjoint(Ending._fields)):
             for name, signal in signals.items():

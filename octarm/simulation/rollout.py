@@ -85,6 +85,7 @@ def _episode(
             message = _refusal(physics, command.force, measurement)
             tau = physics.actuation.inputs(measurement.q, command.force)
         q, v = physics.q(), physics.v()
+        plant_q, plant_tip = physics.plant_place()
         if message:
             disturbance = np.zeros_like(q)
         else:
@@ -95,7 +96,9 @@ def _episode(
                 message = physics.divergence() or f"diverged at t = {physics.time():.6g} s: {error}"
             tau = physics.tau()  # what a wrapper made of it
             disturbance = physics.disturbance()
-        instant = Instant(measurement, reference, command, q, v, tau, disturbance)
+        instant = Instant(
+            measurement, reference, command, q, v, tau, disturbance, plant_q, plant_tip
+        )
         for observe in observers:
             observe(instant)
         if message or timestep.last():

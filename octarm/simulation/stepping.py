@@ -18,12 +18,14 @@ import numpy as np
 from dm_control.rl import control
 
 from octarm.arm.actuation import Actuation
+from octarm.arm.groups import Groups
 from octarm.arm.limits import Limits
 from octarm.arm.mjcf import PlantFields, paper_order
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Coordinates, planar_coordinates
 from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Plant
+from octarm.errors import OctarmError, quoted
 from octarm.simulation.exclusive import Exclusive
 
 
@@ -32,13 +34,16 @@ class AnyPhysics(control.Physics):
 
     Arrays of coordinates have shape (..., 2N), where ... is the batch shape: () for one arm, (n,)
     for a batch. Those of a batch are contiguous along the arms: a column of coordinate j is one run
-    of memory. Every method returns copies.
+    of memory. Every method returns copies. A plant of more modules is driven and measured through
+    its groups: its own coordinates are those of the methods `plant_..` and of `set_motion`.
 
     Attributes:
         batch_shape: batch axes of all arrays.
         coordinates: names and units of the coordinates and inputs.
         actuation: how inputs act on the arms.
         limits: beyond which an arm has diverged.
+        groups: through which a plant of more modules is seen; None where every module is measured.
+        plant_limits: the limits of each module of the plant.
         active: the disturbances of this episode; None before the first one.
         watch: called when an episode begins, and after every physics step.
         exclusive: by which `reset`, `set_control` and `step` refuse a second user.
@@ -48,6 +53,8 @@ class AnyPhysics(control.Physics):
     coordinates: Coordinates
     actuation: Actuation
     limits: Limits
+    groups: Groups | None = None
+    plant_limits: Limits
     active: ActiveDisturbances | None = None
     watch: Callable[[AnyPhysics], object] | None = None
     exclusive: Exclusive
@@ -84,14 +91,24 @@ class AnyPhysics(control.Physics):
             rest: the loaded equilibrium of an arm, shape (2N,) [m], [rad].
         """
         self._timestep, self._undisturbed = timestep, undisturbed
-        self.coordinates = planar_coordinates(undisturbed.modules)
-        self.limits = Limits.of(undisturbed)
-        self._input_range = undisturbed.input_bounds(self.batch_shape)
-        self._limited = bool(np.isfinite(self._input_range).any())
+        self.plant_limits = Limits.of(undisturbed)
         self._rest = self._alike(rest)
-        self._zero = np.zeros_like(self._rest)
-        self._zero.setflags(write=False)
         self.exclusive = Exclusive()
+        self._look_at(undisturbed)
+
+    def see_through(self, groups: Groups) -> None:
+        """Measures and drives the plant, which is that of these groups, through them."""
+        self.groups = groups
+        self._look_at(groups.arm)
+
+    def _look_at(self, arm: ArmParameters) -> None:
+        """Takes the coordinates, limits and inputs of what is measured; the arm is undisturbed."""
+        self.coordinates = planar_coordinates(arm.modules)
+        self.limits = Limits.of(arm)
+        self._input_range = arm.input_bounds(self.batch_shape)
+        self._limited = bool(np.isfinite(self._input_range).any())
+        self._zero = self._alike(np.zeros(arm.coordinates))
+        self._zero.setflags(write=False)
         self._forget()
 
     @abc.abstractmethod
@@ -111,16 +128,41 @@ class AnyPhysics(control.Physics):
 
         It is empty for a batch, whose arms diverge one by one, see `intact`.
         """
-        violation = "" if self.batch_shape else self.limits.violation(self.q(), self.v())
+        violation = "" if self.batch_shape else self._violation()
         return f"diverged at t = {self.time():.6g} s: {violation}" if violation else ""
+
+    def _violation(self) -> str:
+        """Which coordinate of one arm has left its limits; empty if none has."""
+        violation = self.limits.violation(self.q(), self.v())
+        if violation or self.groups is None:
+            return violation
+        violation = self.plant_limits.violation(self.plant_q(), self.plant_v())
+        return violation and f"the plant's {violation}"
 
     def q(self) -> np.ndarray:
         """Generalised coordinates, shape (..., 2N) [m], [rad]."""
-        return self._qpos.take(self._qpos_index, 0).T
+        q = self.plant_q()
+        return q if self.groups is None else self.groups.measured(q)
 
     def v(self) -> np.ndarray:
         """Generalised velocities, shape (..., 2N) [m/s], [rad/s]."""
+        v = self.plant_v()
+        return v if self.groups is None else self.groups.rates(v)
+
+    def plant_q(self) -> np.ndarray:
+        """Coordinates of all modules of the plant, shape (..., 2N) [m], [rad]."""
+        return self._qpos.take(self._qpos_index, 0).T
+
+    def plant_v(self) -> np.ndarray:
+        """Velocities of all modules of the plant, shape (..., 2N) [m/s], [rad/s]."""
         return self._qvel.take(self._qvel_index, 0).T
+
+    def plant_place(self) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """`plant_q` and `plant_tip` of an `Instant`, shapes (..., 2K) and (..., 2) [m], [rad]."""
+        if self.groups is None:
+            return None, None
+        q = self.plant_q()
+        return q, self.groups.tip(q)
 
     def tau(self) -> np.ndarray:
         """The input forces being held, shape (..., 2N) [N]."""
@@ -132,7 +174,8 @@ class AnyPhysics(control.Physics):
 
     def added(self) -> np.ndarray:
         """Generalised force that MuJoCo was given in the last physics step, shape (..., 2N)."""
-        return self._added.take(self._qvel_index, 0).T
+        added = self._added.take(self._qvel_index, 0).T
+        return added if self.groups is None else self.groups.mean_force(added)
 
     def disturbance(self) -> np.ndarray:
         """Generalised force that was added, mean over the last `step`, shape (..., 2N)."""
@@ -145,6 +188,10 @@ class AnyPhysics(control.Physics):
 
     def hanging(self) -> np.ndarray:
         """The loaded equilibrium of the undisturbed arms, shape (..., 2N) [m], [rad]."""
+        return self.plant_rest() if self.groups is None else self.groups.measured(self._rest)
+
+    def plant_rest(self) -> np.ndarray:
+        """The same of all modules of the plants, shape (..., 2N) [m], [rad]."""
         return self._rest.copy(order="K")
 
     def intact(self) -> np.ndarray:
@@ -176,14 +223,28 @@ class AnyPhysics(control.Physics):
         return self._timestep
 
     def set_motion(self, q: np.ndarray, v: np.ndarray) -> None:
-        """Places the arms at q, shape (..., 2N) [m], [rad], moving with v [m/s], [rad/s]."""
+        """Places the plants at q, shape (..., 2N) [m], [rad], moving with v [m/s], [rad/s]."""
         self._qpos[self._qpos_index] = q.T
         self._qvel[self._qvel_index] = v.T
 
     def set_control(self, control: np.ndarray) -> None:
-        """Holds the input forces tau, shape (..., 2N) [N], until the next call."""
+        """Holds the input forces tau, shape (..., 2N) [N], until the next call.
+
+        Raises:
+            OctarmError: unless they are numbers of this shape.
+        """
         with self.exclusive:
-            self._tau = np.array(control, dtype=np.float64)
+            try:
+                tau = np.array(control, dtype=np.float64)
+            except (TypeError, ValueError):
+                raise OctarmError(
+                    f"the action is {quoted(control)}; it must be an array of numbers"
+                ) from None
+            if tau.shape != self._zero.shape:
+                raise OctarmError(
+                    f"the action has shape {tau.shape}; it must be {self._zero.shape}"
+                )
+            self._tau = tau
             self._possible = self._within_range(self._tau)
 
     @contextlib.contextmanager
@@ -223,6 +284,9 @@ class AnyPhysics(control.Physics):
             if self.watch is not None:
                 self.watch(self)
             self._check_limits()
+            if self.groups is not None:
+                q, v = np.atleast_2d(self.q(), self.v())
+                self.freeze(~self.limits.holding(q, v).reshape(self.batch_shape))
             if self.all_lost():
                 return
 
@@ -234,17 +298,31 @@ class AnyPhysics(control.Physics):
             if active.actuators:
                 received = self._within_range(active.received(self._steps, received))
             if active.forces:
-                # It is held over the step. Taken at the start, it would be late by half a step:
-                # of first order, and a spring would feed the arm energy. So it is of second order.
-                middle = self.q() + (0.5 * self._timestep) * self.v()
-                force = active.force(self._steps, middle)
-                self._added[self._qvel_index] = force.T
-                mean = force / nstep
+                middle = self._middle()
+                q = middle if self.groups is None else self.groups.measured(middle)
+                self._added[self._qvel_index] = active.force(self._steps, q, middle).T
+                mean = active.measured_force() / nstep
                 if not self._all_intact:
                     mean = np.where(self._intact[..., None], mean, 0.0)
                 self._disturbance = self._disturbance + mean
         self._received = received
-        self._ctrl[...] = self.actuation.ctrl(received)
+        self._ctrl[...] = self._motors(received)
+
+    def _middle(self) -> np.ndarray:
+        """Where the plants will be in the middle of a step, shape (..., 2N) [m], [rad].
+
+        Forces that depend on q are taken there and held over the step. Taken at its start, they
+        would be late by half a step: of first order, and a spring would feed the arm energy. So
+        they are of second order.
+        """
+        return self.plant_q() + (0.5 * self._timestep) * self.plant_v()
+
+    def _motors(self, tau: np.ndarray) -> np.ndarray:
+        """`ctrl` under input forces tau, shapes (..., 4N - 2) and (..., 2N) [N]."""
+        if self.groups is None:
+            return self.actuation.ctrl(tau)
+        q = self.groups.measured(self._middle())
+        return self.groups.ctrl(self.actuation.force(q, tau))
 
     def _within_range(self, tau: np.ndarray) -> np.ndarray:
         """What the actuators can give of the input forces tau, shape (..., 2N) [N]."""

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 import mujoco
 import numpy as np
 
+from octarm.arm.groups import Groups
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import build_slim_model
 from octarm.arm.modes import INTEGRATORS, longest_step, rate_bound, rates
@@ -111,6 +112,7 @@ def steps_of(
     seeds: Sequence[np.random.SeedSequence],
     batch_shape: tuple[int, ...],
     integrator: str,
+    groups: Groups | None = None,
 ) -> np.ndarray:
     """The longest stable step of each arm of an episode, shape (...) [s]; see `check_arms`."""
     longest: list[np.ndarray] = []
@@ -118,7 +120,7 @@ def steps_of(
     def look(rest: np.ndarray, arms: ArmParameters) -> None:
         longest.append(longest_step(arms, rest, integrator))
 
-    _survey(look, arm, disturbances, seeds, batch_shape)
+    _survey(look, arm, disturbances, seeds, batch_shape, groups)
     return functools.reduce(np.minimum, longest, np.full(batch_shape, np.inf))
 
 
@@ -129,6 +131,7 @@ def check_arms(
     batch_shape: tuple[int, ...],
     integrator: str,
     timestep: float | None,
+    groups: Groups | None = None,
 ) -> None:
     """Raises StepError if a step is too long for an arm of an episode.
 
@@ -139,13 +142,14 @@ def check_arms(
         batch_shape: () or (n,).
         integrator: name.
         timestep: physics step [s]; that of `models/octarm.xml` if None.
+        groups: of a plant of more modules.
     """
     step = usual_step() if timestep is None else timestep
 
     def look(rest: np.ndarray, arms: ArmParameters) -> None:
         _check(rest, step, integrator, arms)
 
-    _survey(look, arm, disturbances, seeds, batch_shape)
+    _survey(look, arm, disturbances, seeds, batch_shape, groups)
 
 
 def _survey(
@@ -154,10 +158,12 @@ def _survey(
     disturbances: Sequence[Disturbance],
     seeds: Sequence[np.random.SeedSequence],
     batch_shape: tuple[int, ...],
+    groups: Groups | None,
 ) -> None:
-    """Looks at every arm that an episode may have, with where the undisturbed ones hang."""
-    rest = equilibrium(arm)
-    still = Reference(rest, np.zeros_like(rest), np.zeros_like(rest))
+    """Looks at every plant that an episode may have, with where the undisturbed ones hang."""
+    rest = equilibrium(arm if groups is None else groups.plant)
+    q = rest if groups is None else groups.measured(rest)
+    still = Reference(q, np.zeros_like(q), np.zeros_like(q))
     episode = Episode(
         parameters=arm,
         timestep=usual_step(),
@@ -165,6 +171,7 @@ def _survey(
         seeds=seeds,
         batch_shape=batch_shape,
         check_arm=functools.partial(look, rest),
+        groups=groups,
     )
     ActiveDisturbances([d for d in disturbances if isinstance(d, PlantChange)], episode)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import warnings
@@ -10,6 +11,8 @@ from typing import IO, Any, Literal
 
 import numpy as np
 from numpy.lib import format as npy
+
+from octarm.errors import OctarmError
 
 NUMBER = np.dtype("<f8")  # of all arrays but the texts
 _WORD = "<U"  # how the kinds of texts begin
@@ -67,3 +70,12 @@ def _header(
     if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != size - stream.tell():
         raise ValueError(f"{name} holds another number of values than it says")
     return shape, "F" if fortran else "C", kind
+
+
+def unreadable(path: str | os.PathLike[str], error: Exception) -> OctarmError:
+    """What is said of a file whose arrays cannot be read: cut off, or of another kind."""
+    if isinstance(error, zipfile.BadZipFile):
+        with contextlib.suppress(OSError), open(path, "rb") as file:
+            if file.read(2) == b"PK":  # as every zip file begins
+                return OctarmError(f"{path} is damaged ({error})")
+    return OctarmError(f"{path} is not a trajectory file ({error})")

@@ -13,7 +13,7 @@ import numpy as np
 from octarm.errors import FileError, OctarmError, quoted
 from octarm.files import whole_file
 from octarm.interfaces import Rows
-from octarm.simulation.stored import read_arrays
+from octarm.simulation.stored import read_arrays, unreadable
 
 BLOCK = 5000  # rows: fewer cost space in a recording, more cost memory and what a crash loses
 _ARRAYS = ("t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance")
@@ -150,7 +150,7 @@ class Trajectory:
         except Exception as error:  # damaged bytes raise errors of any kind
             if isinstance(error, OSError) and error.strerror:
                 raise FileError(f"{path} cannot be read: {error.strerror}") from None
-            raise OctarmError(f"{path} is not a trajectory file ({error})") from None
+            raise unreadable(path, error) from None
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Trajectory:

@@ -48,7 +48,8 @@ class TipPaths:
     def __call__(self, instant: Instant) -> None:
         """Takes a control instant."""
         if self._count % self._stride == 0:
-            path = np.stack(tip(instant.q[self._arms]), axis=-1)
+            q = instant.q if instant.plant_q is None else instant.plant_q
+            path = np.stack(tip(q[self._arms]), axis=-1)
             self._rows.append((instant.measurement.t, path))
         self._count += 1
 

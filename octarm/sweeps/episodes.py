@@ -77,6 +77,8 @@ class FinishedSweep:
             actuation=spec.actuation,
             integrator=spec.integrator,
             engine=spec.engine,
+            plant_modules=arms.plant_modules,
+            layout=arms.layout,
             code=spec.code,
         )
 

@@ -52,6 +52,7 @@ def sweep(
     executor: Executor | None = None,
     in_flight: int | Callable[[], int] | None = None,
     resume: bool = False,
+    replace: bool = False,
     progress: Callable[[int], object] = lambda episodes: None,
     partial: Callable[[float], object] = lambda episodes: None,
     say: Callable[[str], object] = lambda sentence: None,
@@ -71,6 +72,7 @@ def sweep(
         in_flight: number of shards that it is given at a time, 0 when it has nobody to run them;
             one a core when not given.
         resume: whether a sweep that was begun in the folder goes on.
+        replace: whether another sweep in the folder is removed first.
         progress: called with the number of episodes that have just been finished, first with that
             of those that were already there.
         partial: called about once a second with how many episodes the finished parts of those at
@@ -92,7 +94,7 @@ def sweep(
     spec = with_step(spec)
     plan = Plan(spec)
     folder = SweepFolder(Path(out), plan)
-    folder.check(resume=resume)
+    folder.check(resume=resume, replace=replace)
     with contextlib.ExitStack() as workers:
         if executor is None:
             # Processes are started one by one, when there is a call for them.
@@ -106,6 +108,8 @@ def sweep(
         if isinstance(failure, WorkersError):
             raise failure.with_traceback(None)
         with folder.locked(), workers.pop_all(), Notes(folder.path / PROGRESS) as notes:
+            if replace and not resume:
+                folder.clear()
             for change in folder.begin(gains):
                 say(change)
             done = set(folder.finished())

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from dm_control.rl import control
 
+from octarm.arm.groups import PAPER
 from octarm.arm.mjcf import nominal_parameters
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_disturbance
@@ -29,6 +30,7 @@ from octarm.simulation.engines import usual_engine
 from octarm.simulation.environment import load
 from octarm.sweeps.progress import arm_seconds
 from octarm.sweeps.shards import measure
+from octarm.units import ANY, number
 
 _POINTS = 3  # values that are tried within a gap at a time
 _SMALLEST = 1e-5  # gap, in shares of the way, that is never made smaller
@@ -165,10 +167,9 @@ _NEVER = ("settling_time", "reaching_time")
 def parse_bound(text: str) -> tuple[str, float]:
     """A metric and what its absolute value may be at most, from METRIC:VALUE."""
     metric, _, value = text.partition(":")
-    try:
-        limit = float(value)
-    except ValueError:
-        raise OctarmError(f"bound is {quoted(text)}; it must read METRIC:VALUE") from None
+    if not value:
+        raise OctarmError(f"bound is {quoted(text)}; it must read METRIC:VALUE")
+    limit = number(f"bound of {metric}", value, ANY)
     if not 0.0 < limit < math.inf:
         raise OctarmError(f"bound of {metric} is {limit:g}; it must be positive and finite")
     return metric, limit
@@ -212,8 +213,10 @@ def is_varied(text: str) -> bool:
     return not first or "=" in first
 
 
-def parse_varied(text: str, low: float | None, high: float | None) -> Varied:
+def parse_varied(text: str, low: float | str | None, high: float | str | None) -> Varied:
     """What varies, from NAME or NAME:KEY=VALUE,..; `low` and `high` are usual ones when None.
+
+    Texts are numbers with a unit, such as "60ms".
 
     Raises:
         OctarmError: for an unknown name or key, or values that are not allowed.
@@ -226,9 +229,16 @@ def parse_varied(text: str, low: float | None, high: float | None) -> Varied:
     usual = usual_range(name)
     if usual is None and None in (low, high):
         raise OctarmError(f"{name} has no usual range; give --low, a value to bear, and --high")
+    of_value = "1" if name == NOMINAL else first_field(DISTURBANCES[name])[1].unit
     low, high = (
-        given if given is not None else default
-        for given, default in zip((low, high), usual or (math.nan, math.nan), strict=True)
+        number(end, given, of_value)
+        if isinstance(given, str)
+        else default
+        if given is None
+        else given
+        for end, given, default in zip(
+            ("low", "high"), (low, high), usual or (math.nan, math.nan), strict=True
+        )
     )
     if not (math.isfinite(low) and math.isfinite(high) and low != high):
         raise OctarmError(f"low is {low:g} and high {high:g}; they must be two finite numbers")
@@ -240,8 +250,7 @@ def parse_varied(text: str, low: float | None, high: float | None) -> Varied:
         return Varied(name=name, low=low, high=high)
     texts = [f"{name}:{value!r}{',' + rest if rest else ''}" for value in (low, high)]
     at_low, _ = (parse_disturbance(text) for text in texts)
-    unit = first_field(type(at_low))[1].unit
-    return Varied(name=at_low.name, low=low, high=high, unit=unit, disturbance=at_low)
+    return Varied(name=at_low.name, low=low, high=high, unit=of_value, disturbance=at_low)
 
 
 def usual_range(name: str) -> tuple[float, float] | None:
@@ -267,6 +276,8 @@ class MarginRuns:
         timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
         control_period: time between control actions [s]; one physics step when None.
         engine: that steps the arms; `lagrange` where it is installed, when not given.
+        plant_modules: number of modules of the plant, see `octarm.load`.
+        layout: of that plant.
         seed: of all that is random.
         threads: that step a batch.
         catalogue: the metrics that are measured.
@@ -283,6 +294,8 @@ class MarginRuns:
     timestep: float | str | None = None
     control_period: float | None = None
     engine: str = dataclasses.field(default_factory=usual_engine)
+    plant_modules: int | None = None
+    layout: str = PAPER
     seed: int = 0
     threads: int = 1
     catalogue: Catalogue = dataclasses.field(default_factory=lambda: METRICS)
@@ -297,7 +310,8 @@ class MarginRuns:
             OctarmError: if a control period at both ends fails.
         """
         ends = np.array([0.0, 1.0])
-        check_batch(9 * seeds, nominal_parameters().modules)  # on the coarse grid
+        modules = self.plant_modules or nominal_parameters().modules
+        check_batch(9 * seeds, modules)  # on the coarse grid
         environment, controller = self._begin(np.repeat(np.arange(seeds), 2), np.tile(ends, seeds))
         period = environment.control_timestep()
         known = measure(environment, controller, period, catalogue=self.catalogue).metrics
@@ -346,6 +360,8 @@ class MarginRuns:
             control_period=self.control_period,
             threads=self.threads,
             engine=self.engine,
+            plant_modules=self.plant_modules,
+            layout=self.layout,
         )
         mismatch = values if self.varied.name == NOMINAL else self.mismatch
         return environment, self.factory(nominal_parameters().mismatched(mismatch))

@@ -10,12 +10,13 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
+from octarm.arm.groups import PAPER
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.fields import Amount, Quantity, field_kinds
 from octarm.disturbances.streams import stream
 from octarm.errors import OctarmError
 from octarm.memory import check_memory
-from octarm.sweeps.spec import SweepSpec
+from octarm.sweeps.spec import LAYOUT, PLANT_MODULES, SweepSpec
 
 _MOST_EPISODES = 10**15
 _MOST_SHARDS = 100_000
@@ -33,6 +34,8 @@ class Arms:
         mismatch: of the nominal model, shape () or (n,) [1].
         disturbances: with fields for each arm where they differ.
         seeds: one for each arm.
+        plant_modules: number of modules of the plant, see `octarm.load`; the arm itself when None.
+        layout: of that plant.
     """
 
     episodes: np.ndarray
@@ -42,6 +45,8 @@ class Arms:
     mismatch: Amount
     disturbances: tuple[Disturbance, ...]
     seeds: list[np.random.SeedSequence]
+    plant_modules: int | None = None
+    layout: str = PAPER
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,8 +84,8 @@ class Plan:
     """Numbers for episodes and shards.
 
     Episode numbers count through the grid, the first axis slowest and the seeds fastest. A shard
-    is a run of numbers with the same controller, reference and words: they share a batch. The
-    partition depends on the spec alone.
+    is a run of numbers with the same controller, reference, plant and words, which share a batch.
+    The partition depends on the spec alone.
 
     Attributes:
         spec: the sweep.
@@ -96,9 +101,9 @@ class Plan:
                 f"the sweep has {self.episodes} episodes; it must be at most {_MOST_EPISODES}, "
                 "so that their numbers are exact"
             )
-        apart = math.prod(len(axis.values) for axis in spec.axes if axis.words)
-        together = self.episodes // apart  # axes of words come first
-        self.shards: Sequence[range] = Shards(apart, together, -(-together // spec.batch))
+        apart = math.prod(len(axis.values) for axis in spec.axes if axis.apart)
+        together = self.episodes // apart  # axes that keep batches apart come first
+        self.shards = Shards(apart, together, -(-together // spec.batch))
         self._known, self._draws = 0, dict[str, np.ndarray]()
 
     @property
@@ -144,6 +149,8 @@ class Plan:
                 np.random.SeedSequence(self.spec.seed, spawn_key=(i,))
                 for i in self.seeds(numbers).tolist()
             ],
+            plant_modules=values.get(PLANT_MODULES),
+            layout=values.get(LAYOUT, PAPER),
         )
 
     def episode(self, number: int) -> Arms:
@@ -163,14 +170,14 @@ class Plan:
 
         Of seeds and drawn values it is a few.
         """
-        words = [len(axis.values) for axis in self.spec.axes if axis.words]
-        shared = self._shape[len(words) : -1]
+        apart = [len(axis.values) for axis in self.spec.axes if axis.apart]
+        shared = self._shape[len(apart) : -1]
         few = min(64, self.spec.episodes) if self.spec.random else 1
         count = np.arange(max(few, *shared))
         turning = [count % length for length in (*shared, self.spec.episodes)]
         return [
             np.ravel_multi_index((*(np.full_like(count, i) for i in group), *turning), self._shape)
-            for group in np.ndindex(*words)
+            for group in np.ndindex(*apart)
         ]
 
     def _disturbances(self, values: dict[str, Any]) -> tuple[Disturbance, ...]:

@@ -135,6 +135,8 @@ def begin(
         actuation=spec.actuation,
         integrator=spec.integrator,
         engine=spec.engine,
+        plant_modules=arms.plant_modules,
+        layout=arms.layout,
     )
     nominal = nominal_parameters().mismatched(arms.mismatch)
     return environment, spec.controller(arms.controller, nominal, factory)

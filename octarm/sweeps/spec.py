@@ -22,6 +22,7 @@ from octarm.metrics.table import Catalogue
 from octarm.simulation.engines import MUJOCO
 
 Value = float | str
+PLANT_MODULES, LAYOUT = "plant_modules", "layout"
 
 
 def which(disturbance: str) -> tuple[str, int]:
@@ -46,12 +47,13 @@ class Axis:
     """Something that varies in a sweep.
 
     Attributes:
-        name: of its column: controller, reference, mismatch, or a disturbance such as `noise`,
-            with the key, `noise.time`, when it is not the disturbance's first one.
+        name: of its column: controller, reference, mismatch, plant_modules, layout, or a
+            disturbance such as `noise`, with the key, `noise.time`, when it is not the
+            disturbance's first one.
         values: all of them, numbers or words; the smallest and the largest one when it is drawn.
         method: how it is drawn for each seed, the same for every controller and grid cell:
             `uniform` for independent draws, `sobol` for evenly spread ones; empty in the grid.
-        disturbance: whose field it is, see `which`; empty for controller, reference and mismatch.
+        disturbance: whose field it is, see `which`; empty for the others.
         field: of the disturbance, as the code spells it.
     """
 
@@ -63,8 +65,13 @@ class Axis:
 
     @property
     def words(self) -> bool:
-        """Whether its values are words: arms that differ in them do not share a batch."""
+        """Whether its values are words."""
         return isinstance(self.values[0], str)
+
+    @property
+    def apart(self) -> bool:
+        """Whether arms that differ in it do not share a batch: words, and sizes of the plant."""
+        return self.words or self.name == PLANT_MODULES
 
 
 SETTINGS = (
@@ -78,7 +85,7 @@ class SweepSpec:
     """A sweep: every controller in every cell of a grid, each with the same seeds.
 
     Attributes:
-        axes: the grid: controller and reference, then axes of words, then the others.
+        axes: the grid: controller and reference, then what keeps batches apart, then the others.
         random: axes that are drawn.
         seed: of all that is random.
         episodes: seeds in each cell of the grid.

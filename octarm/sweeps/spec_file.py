@@ -2,9 +2,10 @@
 
 At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep` (or `"auto"`),
 `control_period` [s], `actuation`, `integrator`, `engine`, `batch` and `gain_set`, and `controller`,
-`reference` and `mismatch` where they have one value. The tables are:
+`reference`, `mismatch`, `plant_modules` and `layout` (of a plant of more modules, see
+`octarm.arm.groups`) where they have one value. The tables are:
 
-- `[grid]`: `controller`, `reference` and `mismatch` as lists;
+- `[grid]`: `controller`, `reference`, `mismatch`, `plant_modules` and `layout` as lists;
 - `[grid.disturbance]`: lists of values of disturbances, spelt as on the command line: `noise` for
   the value that goes without a key there, `noise.time` for one with a key;
 - `[random]` with `mismatch`, and `[random.disturbance]`: what is drawn for each seed,
@@ -12,6 +13,8 @@ At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep`
 - `[disturbance]`: what is the same in all episodes, `noise.time = 0.01`;
 - `[gains.NAME]`: gains of a controller;
 - `[record]`: `episodes`, a list of numbers, `"worst"`, `"median"` and `"diverged"`.
+
+A number may be a text with a unit, such as `"40%"`, `"100 g"`, `"15deg"` or `"60ms"`.
 
 Controllers, references and disturbances may be `MODULE:NAME` or `FILE.py:NAME`, and so may those of
 `metric`, what is measured as well; see `octarm.sweeps.spec_code`.
@@ -27,7 +30,9 @@ part of the spec that the sweep keeps.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+import itertools
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -35,8 +40,10 @@ import pydantic
 from pydantic import AfterValidator, Field, FiniteFloat
 
 from octarm.arm.actuation import ACTUATIONS
+from octarm.arm.groups import MOST_MODULES, PAPER, groups_of
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.modes import INTEGRATORS
+from octarm.arm.rod import LAYOUTS
 from octarm.declared import Code
 from octarm.disturbances.fields import Words, field_defaults, field_keys, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
@@ -45,14 +52,27 @@ from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml
 from octarm.references import REFERENCES
 from octarm.simulation.engines import ENGINES, MUJOCO
 from octarm.simulation.steps import AUTO
-from octarm.sweeps.spec import SETTINGS, Axis, SweepSpec, keys_of, which
+from octarm.sweeps.spec import LAYOUT, PLANT_MODULES, SETTINGS, Axis, SweepSpec, keys_of, which
 from octarm.sweeps.spec_code import with_names
+from octarm.units import number
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
 METHODS = ("uniform", "sobol")
 GAIN_SETS = ("tuned", "recommended")
 
-_OWN = ("controller", "reference", "mismatch")  # axes of every sweep
+_LIKE_A_NUMBER = re.compile(r"\s*[-+.]{0,2}\d")  # how a number begins, with a unit or not
+# The units of what is no field of a disturbance; numbers may be texts with another unit.
+_UNITS = {
+    ("duration",): "s",
+    ("timestep",): "s",
+    ("control_period",): "s",
+    ("mismatch",): "1",
+    ("grid", "mismatch"): "1",
+    ("random", "mismatch"): "1",
+}
+# Axes of every sweep, and those that only some have.
+_USUAL, _MORE = ("controller", "reference", "mismatch"), (LAYOUT, PLANT_MODULES)
+_OWN = ("controller", "reference", *_MORE, "mismatch")  # in their order, slowest first
 
 
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -71,6 +91,8 @@ def _step(value: float | str) -> float | str:
 
 Distinct = AfterValidator(_distinct)
 Mismatch = Annotated[float, Field(gt=-1.0, le=1e6)]
+Layout = Annotated[str, one_of(LAYOUTS)]
+Modules = Annotated[int, Field(ge=1, le=MOST_MODULES)]
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 Step = Annotated[float | str, AfterValidator(_step)]
 Number = Annotated[float, pydantic.AllowInfNan(True)]
@@ -104,6 +126,8 @@ class Grid(Model):
     controller: Annotated[Array[str], Distinct] | None = None
     reference: Annotated[Array[str], Distinct] | None = None
     mismatch: Annotated[Array[Mismatch], Distinct] | None = None
+    plant_modules: Annotated[Array[Modules], Distinct] | None = None
+    layout: Annotated[Array[Layout], Distinct] | None = None
     disturbance: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -136,6 +160,8 @@ class SpecFile(Model):
     reference: str | None = None
     metric: str | Array[str] = ()  # those that are not built in are in `code`
     mismatch: Mismatch | None = None
+    plant_modules: Modules | None = None
+    layout: Layout | None = None
     gain_set: str | dict[str, str] | None = None
     grid: Grid = Grid()
     random: Random = Random()
@@ -176,7 +202,14 @@ def parse_spec(text: str, file: str = "spec.toml") -> SweepSpec:
 def _spec(document: Document) -> SweepSpec:
     kept = document.content.get("code", {})  # of which no code is imported
     document = with_names(document)
+    for keys, unit in _UNITS.items():
+        document = _in_si(document, unit, *keys)
     content = document.read(SpecFile)
+    for place in (("disturbance",), ("grid", "disturbance"), ("random", "disturbance")):
+        for field, keys in list(_fields(document, content.code, *place)):
+            unit = _unit_of(field, content.code)
+            if unit is not None:
+                document = _in_si(document, unit, *keys)
     axes, drawn = _axes(document, content)
     sets, gains = _gains(document, content, [str(value) for value in axes[0].values])
     fixed: dict[str, dict[str, Any]] = {}
@@ -203,19 +236,50 @@ def _spec(document: Document) -> SweepSpec:
     return spec
 
 
+def _in_si(document: Document, unit: str, *keys: str) -> Document:
+    """The document with numbers in place of texts such as "40%" at a key, if there are some."""
+    table: Any = document.content
+    for key in keys:
+        if not isinstance(table, dict) or key not in table:
+            return document
+        table = cast(dict[str, Any], table)[key]
+
+    def converted(value: Any) -> Any:
+        if isinstance(value, list):
+            return [converted(x) for x in cast(list[Any], value)]
+        if isinstance(value, dict):
+            between = {"low", "high"}
+            items = cast(dict[str, Any], value).items()
+            return {key: converted(x) if key in between else x for key, x in items}
+        if not isinstance(value, str) or not _LIKE_A_NUMBER.match(value):
+            return value
+        try:
+            return number(".".join(keys), value, unit)
+        except OctarmError as error:
+            raise document.error(str(error), *keys) from None
+
+    def replaced(content: Any, keys: tuple[str, ...]) -> Any:
+        if not keys:
+            return converted(content)
+        return {**content, keys[0]: replaced(content[keys[0]], keys[1:])}
+
+    return dataclasses.replace(document, content=replaced(document.content, keys))
+
+
 def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tuple[Axis, ...]]:
     """The axes of the grid, and those that are drawn.
 
-    They come in the order in which episodes are counted, the slowest first: those of words,
-    beginning with the controller, and then the others.
+    They come in the order in which episodes are counted, the slowest first: those whose values do
+    not share a batch, beginning with the controller, and then the others.
     """
-    axes, code = [_own_axis(name, document, content) for name in _OWN], content.code
-    kinds = [*DISTURBANCES, *sorted(code)]
+    axes = [axis for name in _OWN if (axis := _own_axis(name, document, content)) is not None]
+    _check_plants(document, content, axes)
+    code, kinds = content.code, [*DISTURBANCES, *sorted(content.code)]
     for field, keys in _fields(document, code, "grid", "disturbance"):
         values = document.read(cast(Any, Annotated[Array[Number] | Array[str], Distinct]), *keys)
         axes.append(dataclasses.replace(field, values=values))
     for field, keys in _fields(document, code, "random", "disturbance"):
-        if _is_of_words(field, code):
+        if _unit_of(field, code) is None:
             raise document.error(f"{field.name} is made of words: it cannot be drawn", *keys)
         if field.name in [axis.name for axis in axes]:
             raise document.error(f"{field.name} is an axis of the grid, too", *keys)
@@ -223,9 +287,9 @@ def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tupl
 
     def rank(axis: Axis) -> tuple[bool, int, int, str]:
         if axis.name in _OWN:
-            return not axis.words, _OWN.index(axis.name) - len(_OWN), 0, ""
+            return not axis.apart, _OWN.index(axis.name) - len(_OWN), 0, ""
         kind, place = which(axis.disturbance)
-        return not axis.words, kinds.index(kind), place, axis.field
+        return not axis.apart, kinds.index(kind), place, axis.field
 
     axes.sort(key=rank)
     return tuple(a for a in axes if not a.method), tuple(a for a in axes if a.method)
@@ -235,8 +299,25 @@ def _drawn(axis: Axis, bounds: Bounds) -> Axis:
     return dataclasses.replace(axis, values=(bounds.low, bounds.high), method=bounds.method)
 
 
-def _own_axis(name: str, document: Document, content: SpecFile) -> Axis:
-    """Controller, reference or mismatch: in the grid, one value at the top, or drawn."""
+def _check_plants(document: Document, content: SpecFile, axes: Sequence[Axis]) -> None:
+    """Raises OctarmError for plants of more modules that cannot be made."""
+    values = {axis.name: axis.values for axis in axes}
+    sizes: Any = values.get(PLANT_MODULES, (None,))
+    name = PLANT_MODULES if PLANT_MODULES in values else LAYOUT
+    once = content.layout if name == LAYOUT else content.plant_modules
+    for modules, layout in itertools.product(sizes, values.get(LAYOUT, (PAPER,))):
+        try:
+            groups_of(nominal_parameters(), modules, str(layout))
+        except OctarmError as error:
+            keys = ("grid", name) if once is None else (name,)
+            raise document.error(str(error), *keys) from None
+
+
+def _own_axis(name: str, document: Document, content: SpecFile) -> Axis | None:
+    """Controller, reference and so on: in the grid, one value at the top, or drawn.
+
+    It is None if there is none, and needs to be none.
+    """
     single = getattr(content, name)
     places = {
         ("grid", name): getattr(content.grid, name),
@@ -248,6 +329,8 @@ def _own_axis(name: str, document: Document, content: SpecFile) -> Axis:
         raise document.error(f"{name} is given twice, here and elsewhere", *next(iter(given)))
     if not given and name == "controller":
         raise document.error("there is no controller; [grid] needs controller = [...]", "grid")
+    if not given and name in _MORE:
+        return None
     value = next(iter(given.values()), ("sine",) if name == "reference" else (0.0,))
     if name == "reference":
         known = (*REFERENCES, *content.code)
@@ -260,12 +343,14 @@ def _own_axis(name: str, document: Document, content: SpecFile) -> Axis:
     return dataclasses.replace(axis, values=value)
 
 
-def _is_of_words(axis: Axis, code: Mapping[str, Code]) -> bool:
+def _unit_of(axis: Axis, code: Mapping[str, Code]) -> str | None:
+    """The unit of a field of a disturbance; None if it is of words."""
     kind = which(axis.disturbance)[0]
     if kind in code:
-        said = code[kind].declares.values()
-        return any(field["field"] == axis.field and not field["number"] for field in said)
-    return isinstance(field_kinds(DISTURBANCES[kind])[axis.field], Words)
+        said = {field["field"]: field for field in code[kind].declares.values()}[axis.field]
+        return str(said["unit"]) if said["number"] else None
+    declared = field_kinds(DISTURBANCES[kind])[axis.field]
+    return None if isinstance(declared, Words) else declared.unit
 
 
 def _fields(

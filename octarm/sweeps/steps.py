@@ -11,6 +11,7 @@ import dataclasses
 
 import numpy as np
 
+from octarm.arm.groups import groups_of
 from octarm.arm.mjcf import nominal_parameters
 from octarm.disturbances.episode import PlantChange
 from octarm.errors import OctarmError
@@ -35,7 +36,8 @@ def with_step(spec: SweepSpec, *, probes: bool = False) -> SweepSpec:
     first = range(len(plan.shards) // alike)
     shards = plan.probes() if probes else (np.array(plan.shards[i]) for i in first)
     if not any(issubclass(spec.class_of(name), PlantChange) for name in spec.disturbances):
-        shards = [np.array([0])]  # all arms are alike
+        first = range(0, len(plan.shards) // alike, plan.shards.pieces)
+        shards = (np.array(plan.shards[i][:1]) for i in first)  # all arms of a plant are alike
     longest = min(_longest(spec, plan.arms(shard)) for shard in shards)
     if spec.timestep != AUTO:
         return spec
@@ -47,10 +49,11 @@ def _longest(spec: SweepSpec, arms: Arms) -> float:
     """The longest stable step of some arms [s], or infinity for a given step that suits them."""
     arm = nominal_parameters()
     given = arm, arms.disturbances, arms.seeds, (len(arms.seeds),), spec.integrator
+    groups = groups_of(arm, arms.plant_modules, arms.layout)
     if isinstance(spec.timestep, str):
-        return float(np.min(steps_of(*given)))
+        return float(np.min(steps_of(*given, groups)))
     try:
-        check_arms(*given, spec.timestep)
+        check_arms(*given, spec.timestep, groups)
     except StepError as error:
         episode = arms.episodes[error.arm or 0]
         raise OctarmError(f"episode {episode}: {error.sentence}") from None

@@ -12,6 +12,7 @@ import datetime
 import hashlib
 import io
 import json
+import shutil
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -105,11 +106,12 @@ class SweepFolder:
         self._plan = plan
         self._manifest: dict[str, Any] = {}
 
-    def check(self, *, resume: bool) -> None:
+    def check(self, *, resume: bool, replace: bool = False) -> None:
         """Raises OctarmError if the folder holds something else, or a sweep that may not go on.
 
         Args:
             resume: whether the same sweep, begun there, may go on.
+            replace: whether another sweep may be there, which is to be cleared.
         """
         if self.path.exists() and not self.path.is_dir():
             raise OctarmError(f"{self.path} is not a folder; choose another --out")
@@ -119,10 +121,12 @@ class SweepFolder:
             if names - {LOCK, PROGRESS, SPEC, EPISODES}:
                 raise OctarmError(f"{self.path} exists and is not a sweep; choose another --out")
             return
+        if replace:
+            return
         if not resume:
             raise OctarmError(
-                f"{self.path} holds a sweep already; go on with it by --resume, or choose another "
-                "--out"
+                f"{self.path} holds a sweep already; go on with it by --resume, replace it by "
+                "--force, or choose another --out"
             )
         before, now = read_manifest(self.path)["spec"], self._plan.spec.content()
         for key in (*before, *now):
@@ -152,6 +156,14 @@ class SweepFolder:
             yield
         finally:
             lock.release()
+
+    def clear(self) -> None:
+        """Removes the sweep that is there; to be called while the folder is locked."""
+        (self.path / MANIFEST).unlink(missing_ok=True)  # without it there is no sweep
+        for name in (EPISODES, RECORDED):
+            shutil.rmtree(self.path / name, ignore_errors=True)
+        (self.path / SPEC).unlink(missing_ok=True)
+        (self.path / EPISODES).mkdir()
 
     def begin(self, gains: Mapping[str, Any]) -> list[str]:
         """Writes what the sweep is, or notes that it goes on.

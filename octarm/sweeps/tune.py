@@ -29,7 +29,7 @@ from octarm.files import write_text
 from octarm.formats import Model, read_json, to_json
 from octarm.interfaces import Controller, Knob, Tunable
 from octarm.runs import versions as origin
-from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, Examination, costs
+from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, Examination, Rig, costs
 
 _PACKAGES = ("python", "octarm", "mujoco", "dm-control", "numpy", "scipy")
 _LARGEST = 1e8  # [s] of simulated time
@@ -197,7 +197,7 @@ def tune(
     state: SearchState | None = None,
     keep: Callable[[SearchState], object] = lambda state: None,
     progress: Callable[[float], object] = lambda seconds: None,
-    engine: str | None = None,
+    rig: Rig | None = None,
 ) -> Tuned:
     """Searches gains; the same bits for the same arguments, wherever it went on from.
 
@@ -209,7 +209,7 @@ def tune(
         state: where an earlier search stopped; the beginning when not given.
         keep: called with the state after every generation.
         progress: called with simulated seconds as they pass, see `tune_cost.costs`.
-        engine: that steps the arms, see `tune_cost.costs`.
+        rig: what they are tried on, see `tune_cost.costs`.
 
     Raises:
         OctarmError: if the controller cannot be made, or has no gain that can be tuned.
@@ -222,7 +222,7 @@ def tune(
         return factory(nominal, {**fixed, **gains})
 
     def tried(examination: Examination, candidates: np.ndarray) -> np.ndarray:
-        return costs(examination, make, space.turned(candidates), progress, engine)
+        return costs(examination, make, space.turned(candidates), progress, rig)
 
     def cost(candidates: np.ndarray) -> np.ndarray:
         return tried(budget.short, candidates).mean(axis=1)
@@ -339,14 +339,12 @@ class StateFile:
         return SearchState(content.generation, population, costs)
 
 
-def settings(
-    controller: str, space: Space, budget: Budget, seed: int, engine: str
-) -> dict[str, Any]:
+def settings(controller: str, space: Space, budget: Budget, seed: int, rig: Rig) -> dict[str, Any]:
     """All that a search depends on, ready for JSON."""
     return {
         "controller": controller,
         "seed": seed,
-        "engine": engine,
+        **rig.settings(),
         "budget": dataclasses.asdict(budget),
         "gains": {name: gain.tolist() for name, gain in space.gains.items()},
         "range": [knob._asdict() for knob in space.knobs],

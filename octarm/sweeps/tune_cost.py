@@ -31,9 +31,11 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
+from octarm.arm.groups import PAPER, groups_of
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
@@ -44,10 +46,11 @@ from octarm.metrics.chattering import Chattering
 from octarm.metrics.metric import Settings
 from octarm.metrics.tracking import TrackingError
 from octarm.references import named_reference
-from octarm.simulation.engines import usual_engine
+from octarm.simulation.engines import check_engine, usual_engine
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import simulate
 from octarm.simulation.stepping import AnyPhysics
+from octarm.simulation.steps import AUTO
 from octarm.sweeps.progress import arm_seconds
 
 SLIDE_SCALE = 0.0175  # A [m]
@@ -126,12 +129,44 @@ SHORT = Examination()
 LONG = Examination(begin=2.0, duration=10.0, noise=1)
 
 
+@dataclasses.dataclass(frozen=True)
+class Rig:
+    """What controllers are tried on.
+
+    Attributes:
+        engine: that steps the arms.
+        plant_modules: number of modules of the plant, see `octarm.load`; the arm itself when None.
+        layout: of that plant.
+    """
+
+    engine: str = dataclasses.field(default_factory=usual_engine)
+    plant_modules: int | None = None
+    layout: str = PAPER
+
+    def check(self) -> None:
+        """Raises OctarmError if there is no such engine or plant."""
+        check_engine(self.engine)
+        groups_of(nominal_parameters(), self.plant_modules, self.layout)
+
+    def settings(self) -> dict[str, Any]:
+        """What the result depends on, ready for JSON and TOML."""
+        if self.plant_modules is None:
+            return {"engine": self.engine}
+        return dataclasses.asdict(self)
+
+    def rest(self) -> np.ndarray:
+        """Where the arm hangs, shape (2N,) [m], [rad]."""
+        arm = nominal_parameters()
+        groups = groups_of(arm, self.plant_modules, self.layout)
+        return equilibrium(arm) if groups is None else groups.measured(equilibrium(groups.plant))
+
+
 def costs(
     examination: Examination,
     factory: ControllerFactory,
     candidates: Mapping[str, np.ndarray],
     progress: Callable[[float], object] = lambda seconds: None,
-    engine: str | None = None,
+    rig: Rig | None = None,
 ) -> np.ndarray:
     """The cost of each candidate in each scenario, shape (n, scenarios) [1]; J is its mean.
 
@@ -144,8 +179,9 @@ def costs(
         candidates: gains with a row for each of them, shapes (n, 1) or (n, 2N).
         progress: called with the seconds that have been simulated since the last call, all arms
             counted.
-        engine: that steps the arms; `lagrange` where it is installed, when not given.
+        rig: what they are tried on; the arm itself on the usual engine when not given.
     """
+    rig = rig or Rig()
     n, scenarios = len(next(iter(candidates.values()))), examination.scenarios
 
     def each(values: Sequence[float]) -> np.ndarray:
@@ -154,7 +190,7 @@ def costs(
 
     true = nominal_parameters()
     names = list(dict.fromkeys(s.reference for s in scenarios))
-    motions = [named_reference(name, equilibrium(true)) for name in names]
+    motions = [named_reference(name, rest) for rest in [rig.rest()] for name in names]
     environment = load(
         EachItsOwn(motions, each([names.index(s.reference) for s in scenarios])),
         disturbances=[
@@ -162,7 +198,8 @@ def costs(
         ],
         batch=n * len(scenarios),
         seed=examination.seeds() * n,
-        engine=usual_engine() if engine is None else engine,
+        timestep=None if rig.plant_modules is None else AUTO,
+        **dataclasses.asdict(rig),
     )
     nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
     gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}

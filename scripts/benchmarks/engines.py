@@ -32,7 +32,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
 from octarm.simulation.engines import ENGINES, LAGRANGE, usual_engine
 from octarm.sweeps.tune import Budget, Space
-from octarm.sweeps.tune_cost import Examination, costs
+from octarm.sweeps.tune_cost import Examination, Rig, costs
 from octarm.sweeps.workers import WorkerProcesses
 
 MODULES = {3: None, 10: None, 15: 10.0, 30: None}  # and how much faster the engine shall be
@@ -125,9 +125,10 @@ def tuning(settings: Settings) -> list[Row]:
     examination = Examination(begin=whole, duration=3.0 * whole)
 
     def evaluation(engine: str) -> Callable[[], object]:
-        return lambda: costs(examination, factory, candidates, engine=engine)
+        return lambda: costs(examination, factory, candidates, rig=Rig(engine))
 
-    costs(Examination(begin=1e-3, duration=2e-3), factory, candidates, engine=LAGRANGE)  # compiles
+    compiling = Examination(begin=1e-3, duration=2e-3)
+    costs(compiling, factory, candidates, rig=Rig(LAGRANGE))
     wall, computed = np.min(
         [[duration_of(evaluation(engine)) for engine in ENGINES] for _ in range(_TIMES)], axis=0
     ).T

@@ -1,0 +1,252 @@
+"""A plant of more modules than its controller's model, and what is measured and moved of it.
+
+The arm of M modules, which a controller knows, stands for a rod whose properties are the same
+within a module. The plant is a chain of N = n M modules of that rod, n to a group, in one of the
+layouts of `octarm.arm.rod`. For coordinates q_N of the plant the controller is given
+
+    q_M = B q_N + offset,    v_M = B v_N
+
+the sums over the groups. In the layout `centred` a slide leads from the middle of an element to the
+middle of the next one, so that half of it counts for the group on either side of a border:
+
+    s_1 = s_(1) + .. + s_(n) + s_(n+1)/2
+    s_2 = s_(n+1)/2 + s_(n+2) + .. + s_(2n) + s_(2n+1)/2, and so on
+
+and the rigid piece beyond the last hinge belongs to the last group. `offset` makes the lengths of
+the unloaded groups those of the modules: half an element for the last one.
+
+Forces act on the plant by virtual work: Q_M does the work Q_M^T v_M, hence Q_N = B^T Q_M, which is
+a tension and a moment through each group, one muscle on each side. Input forces give
+Q_N = B^T F_coeff(q_M) tau. The motors on the columns of the plant exert it exactly.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+import numpy as np
+
+from octarm.arm.actuation import InternalActuation
+from octarm.arm.kinematics import last_axis, tip
+from octarm.arm.parameters import ArmParameters
+from octarm.arm.rod import LAYOUTS
+from octarm.arrays import Entry, split
+from octarm.errors import OctarmError, closest
+
+PAPER, CENTRED = LAYOUTS
+MOST_MODULES = 100
+
+_Rows = tuple[tuple[tuple[int, float], ...], ...]  # of a matrix: places and values that are not 0
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Groups:
+    """A plant of N modules in M groups; see this module.
+
+    Attributes:
+        arm: the arm of M modules that the groups stand for.
+        plant: the chain of N modules, of one arm or of the batch that `arm` is.
+        layout: of the chain, `paper` or `centred`.
+        matrix: B, shape (2M, 2N) [1].
+        offset: shape (..., 2M) [m], [rad].
+    """
+
+    arm: ArmParameters
+    plant: ArmParameters
+    layout: str
+    matrix: np.ndarray
+    offset: np.ndarray
+
+    @classmethod
+    def of(cls, arm: ArmParameters, modules: int, layout: str = PAPER) -> Groups:
+        """The plant of so many modules that the arm stands for.
+
+        Args:
+            arm: of M modules, each of the same rod all along; its batch axes are the plant's.
+            modules: N, a multiple of M up to 100.
+            layout: `paper` or `centred`.
+
+        Raises:
+            OctarmError: for another layout or number of modules.
+        """
+        if layout not in LAYOUTS:
+            raise OctarmError(f"unknown layout {layout!r}{closest(layout, LAYOUTS)}")
+        groups = arm.modules
+        if not groups <= modules <= MOST_MODULES or modules % groups:
+            raise OctarmError(
+                f"the plant is to have {modules} modules; it must be a multiple of the arm's "
+                f"{groups}, at most {MOST_MODULES}"
+            )
+        n = modules // groups
+        sums = np.repeat(np.eye(groups), n, axis=1)
+        slides = sums if layout == PAPER else _halved_at_borders(sums)
+        none = np.zeros_like(sums)
+        matrix = np.block([[slides, none], [none, sums]])
+        plant = _elements(arm, n) if layout == PAPER else _centred(_elements(arm, n))
+        offset = np.zeros((*arm.rest_length.shape[:-1], 2 * groups))
+        if layout == CENTRED:
+            sums_of_rest = _product(_rows(slides), plant.rest_length)
+            offset[..., :groups] = arm.rest_length - sums_of_rest
+        return cls(arm, plant, layout, matrix, offset)
+
+    def measured(self, q: np.ndarray) -> np.ndarray:
+        """q_M of the plant's coordinates, shapes (..., 2M) and (..., 2N) [m], [rad]."""
+        return _product(self._sums, q) + self.offset
+
+    def rates(self, v: np.ndarray) -> np.ndarray:
+        """v_M of the plant's velocities, shapes (..., 2M) and (..., 2N) [m/s], [rad/s]."""
+        return _product(self._sums, v)
+
+    def force(self, force: np.ndarray) -> np.ndarray:
+        """Q_N = B^T Q_M, shapes (..., 2N) and (..., 2M) [N], [N m]."""
+        return _product(self._shares, force)
+
+    def mean_force(self, force: np.ndarray) -> np.ndarray:
+        """The Q_M whose B^T Q_M is nearest to a force on the plant, shape (..., 2M) [N], [N m].
+
+        It is the inverse of `force`: in the paper's layout, the mean over each group.
+        """
+        return _product(self._means, force)
+
+    def ctrl(self, force: np.ndarray) -> np.ndarray:
+        """`ctrl` of the plant's model that exerts B^T Q_M, shape (..., 4N - 2) [N]."""
+        on_plant = self.force(force)
+        return self._columns.ctrl(self._columns.inputs(on_plant, on_plant))
+
+    def tip(self, q: np.ndarray) -> np.ndarray:
+        """The end of the last group, given q_N of shape (..., 2N), shape (..., 2) [m].
+
+        In the base frame: x along the hanging arm, y across it.
+        """
+        (x, y), (cos, sin) = tip(q), last_axis(q)
+        return _joined([x + self._beyond * cos, y + self._beyond * sin], q)
+
+    def each_module(self, values: np.ndarray) -> np.ndarray:
+        """Values of the arm's modules, shape (..., M), for those of the plant, shape (..., N)."""
+        return np.repeat(values, self.plant.modules // self.arm.modules, axis=-1)
+
+    @functools.cached_property
+    def _sums(self) -> _Rows:
+        return _rows(self.matrix)
+
+    @functools.cached_property
+    def _shares(self) -> _Rows:
+        return _rows(self.matrix.T)
+
+    @functools.cached_property
+    def _means(self) -> _Rows:
+        return _rows(np.linalg.pinv(self.matrix.T))
+
+    @functools.cached_property
+    def _columns(self) -> InternalActuation:
+        return InternalActuation(self.plant.widths)
+
+    @functools.cached_property
+    def _beyond(self) -> np.ndarray:
+        """The rigid piece that belongs to the last group, shape (...) [m]."""
+        return self.plant.tip_length - self.arm.tip_length
+
+
+def groups_of(arm: ArmParameters, plant_modules: int | None, layout: str) -> Groups | None:
+    """The groups of a plant of so many modules, if that is another one than the arm itself.
+
+    Raises:
+        OctarmError: if there is no such plant, or a layout is given without a number of modules.
+    """
+    groups = Groups.of(arm, arm.modules if plant_modules is None else plant_modules, layout)
+    if plant_modules is None and layout != PAPER:
+        raise OctarmError(
+            f"layout is {layout!r}, that of a plant of more modules; plant_modules must say of how "
+            "many"
+        )
+    return None if layout == PAPER and groups.plant.modules == arm.modules else groups
+
+
+def _halved_at_borders(sums: np.ndarray) -> np.ndarray:
+    """The sums over groups, shape (M, N), with a half of the first slide of all but one of them."""
+    out = sums.copy()
+    for group in range(1, len(sums)):
+        first = int(np.argmax(sums[group]))
+        out[group - 1 : group + 1, first] = 0.5
+    return out
+
+
+def _elements(arm: ArmParameters, n: int) -> ArmParameters:
+    """Every module cut into n alike ones in a row, which share its mass and its compliance.
+
+    The inverse of `octarm.arm.rod.arm_from_rod` in the paper's layout, for a rod whose properties
+    are the same within a module: rho A = m / L, rho I = I / L, EA = (k_1 + k_2) L and
+    EI = EA l^2 / 4 for a module of length L.
+    """
+    shared = {name: np.repeat(getattr(arm, name) / n, n, axis=-1) for name in _SHARED}
+    stiffer = {name: np.repeat(getattr(arm, name) * n, n, axis=-1) for name in _IN_SERIES}
+    width = np.repeat(arm.widths, n, axis=-1)
+    return dataclasses.replace(arm, **shared, **stiffer, width=width, input_range=(-np.inf, np.inf))
+
+
+_SHARED = ("mass", "inertia", "rest_length")
+_IN_SERIES = ("stiffness", "damping")
+
+
+def _centred(p: ArmParameters) -> ArmParameters:
+    """The layout `centred` of elements that are given as modules in the paper's layout.
+
+    A slide has the compliance of the half elements on both sides of a border, a hinge that of its
+    own element. Where elements differ, dampers combine like springs: exact if all have the same
+    ratio of damping to stiffness.
+    """
+    rest, slide, damper = p.rest_length.copy(), 2.0 * p.stiffness, 2.0 * p.damping
+    rest[..., 1:] = 0.5 * (p.rest_length[..., :-1] + p.rest_length[..., 1:])
+    rest[..., 0] *= 0.5
+    slide[..., 1:], damper[..., 1:] = _in_series(slide), _in_series(damper)
+    inertia = 0.5 * p.inertia  # a plate turns with the half elements on both sides of it
+    inertia[..., :-1] += 0.5 * p.inertia[..., 1:]
+    bending = np.sum(p.stiffness, axis=-2) / np.sum(slide, axis=-2)
+    return dataclasses.replace(
+        p,
+        rest_length=rest,
+        stiffness=slide,
+        damping=damper,
+        inertia=inertia,
+        width=p.widths * np.sqrt(bending),
+        tip_length=p.tip_length + 0.5 * p.rest_length[..., -1],
+    )
+
+
+def _in_series(halves: np.ndarray) -> np.ndarray:
+    """Springs or dampers of half elements, each in series with the next, shape (..., N - 1)."""
+    first, second = halves[..., :-1], halves[..., 1:]
+    both = first + second
+    return np.where(both > 0.0, first * second / np.where(both > 0.0, both, 1.0), 0.0)
+
+
+def _rows(matrix: np.ndarray) -> _Rows:
+    """What is not zero of each row."""
+    return tuple(
+        tuple((j, x) for j, x in enumerate(row) if abs(x) > 1e-12) for row in matrix.tolist()
+    )
+
+
+def _product(rows: _Rows, x: np.ndarray) -> np.ndarray:
+    """A matrix times x, elementwise along the batch, shape (..., k)."""
+    entries = split(x)
+    return _joined([_sum(row, entries) for row in rows], x)
+
+
+def _sum(row: Sequence[tuple[int, float]], entries: Sequence[Entry]) -> Entry:
+    total: Entry = 0.0
+    for j, weight in row:
+        total = total + (entries[j] if weight == 1.0 else weight * entries[j])
+    return total
+
+
+def _joined(entries: Sequence[Entry], like: np.ndarray) -> np.ndarray:
+    """The entries as the last axis, in memory ordered like an array of shape (..., k)."""
+    if like.ndim == 1:
+        return np.array(entries)
+    out = np.empty_like(like, shape=(*like.shape[:-1], len(entries)))
+    for i, value in enumerate(entries):
+        out[..., i] = value
+    return out
