@@ -16,15 +16,11 @@ from __future__ import annotations
 
 import collections
 import contextlib
-import functools
-import hashlib
 import importlib
 import importlib.metadata
-import inspect
 import operator
 import os
 import re
-import sys
 import types
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -32,8 +28,19 @@ from typing import Any, Literal, NamedTuple, TypeVar
 
 from pydantic import Field
 
-from octarm.errors import FileError, OctarmError, closest, quoted
+from octarm.errors import OctarmError, closest, quoted
 from octarm.formats import Model
+from octarm.importing import (
+    ALLOWED,
+    content_of,
+    distribution_of,
+    entry_points,
+    is_module,
+    loaded,
+    located,
+    public_names,
+    sha256_of,
+)
 
 T = TypeVar("T")
 Kind = Literal["controller", "reference", "disturbance", "metric"]
@@ -42,7 +49,6 @@ _NAME = r"[A-Za-z_][\w.]*"
 # The file or module, the name in it, and what follows, such as the numbers of a disturbance.
 _PATH = re.compile(rf"(.+\.py|[A-Za-z_]\w*(?:\.\w+)*):({_NAME})(?::(.*))?", re.DOTALL)
 _PARTS = re.compile(r"[^/:.]+")
-_ALLOWED = "it must be a known name, MODULE:NAME, or FILE.py:NAME"
 
 
 class Code(Model):
@@ -122,7 +128,7 @@ class Declared(collections.UserDict[str, T]):
         """The word with which a text begins, and the rest: `noise:0.4`, `./gust.py:Gust:5,at=1`."""
         name, _, rest = text.partition(":")
         match = None if name in self or name in self._points() else _PATH.fullmatch(text)
-        if match is None or not ("/" in name or "." in name or _is_module(name)):
+        if match is None or not ("/" in name or "." in name or is_module(name)):
             return Spelt(name, rest)
         return Spelt(f"{match[1]}:{match[2]}", match[3] or "")
 
@@ -145,7 +151,7 @@ class Declared(collections.UserDict[str, T]):
 
     def _points(self) -> dict[str, importlib.metadata.EntryPoint]:
         """The entry points of installed packages, by name."""
-        return {point.name: point for point in _entry_points(f"octarm.{self.kind}s")}
+        return {point.name: point for point in entry_points(f"octarm.{self.kind}s")}
 
     def _found(self, word: str) -> tuple[T, str, str, str]:
         """A thing that is not built in, its import path or file, SHA-256 and distribution."""
@@ -154,21 +160,22 @@ class Declared(collections.UserDict[str, T]):
         match = _PATH.fullmatch(path)
         if match is None or match[3] is not None:
             if word.endswith(".py") or ":" in word:
-                raise OctarmError(f"{self.kind} is {quoted(word)}; {_ALLOWED}")
+                raise OctarmError(f"{self.kind} is {quoted(word)}; {ALLOWED}")
             known = closest(word, self.names())
             raise OctarmError(f"unknown {self.kind} {quoted(word)}{known}")
         source, name = match[1], match[2]
-        module, sha256 = _loaded(source)
+        module, sha256 = loaded(source)
         try:
             thing: Any = operator.attrgetter(name)(module)
         except AttributeError:
-            known = closest(name, _public(module))
-            raise OctarmError(f"{source} holds no {quoted(name)}{known}") from None
+            known = public_names(module)
+            hint = closest(name, known) if known else ""
+            raise OctarmError(f"{source} holds no {quoted(name)}{hint}") from None
         if lacks := self._check(thing):
             raise OctarmError(f"{path} is no {self.kind} of octarm: it {lacks}")
         if point is not None and point.dist is not None:
             return thing, path, sha256, point.dist.name
-        return thing, path, sha256, "" if source.endswith(".py") else _distribution(source)
+        return thing, path, sha256, "" if source.endswith(".py") else distribution_of(source)
 
 
 def absolute(word: str, folder: Path | None = None) -> str:
@@ -230,7 +237,7 @@ def word_of(name: str, code: Mapping[str, Code]) -> str:
     path, sha256 = code[name].path, code[name].sha256
     match = _PATH.fullmatch(path)
     try:
-        now = "" if match is None else _sha256(_content(match[1]))
+        now = "" if match is None else sha256_of(content_of(match[1]))
     except OctarmError as error:
         raise CodeChanged(f"{name} cannot be run again: {error}") from None
     if now != sha256:
@@ -247,7 +254,7 @@ def file_of(path: str) -> Path:
     Raises:
         OctarmError: if there is no such module.
     """
-    return Path(_located(path.rpartition(":")[0]))
+    return Path(located(path.rpartition(":")[0]))
 
 
 def distributions(code: Mapping[str, Code]) -> dict[str, str]:
@@ -267,109 +274,3 @@ def _short(path: str, others: set[str], taken: set[str]) -> str:
         if name not in taken and all(other[-k:] != parts[-k:] for other in rest):
             return name
     return path
-
-
-@functools.cache
-def _entry_points(group: str) -> tuple[importlib.metadata.EntryPoint, ...]:
-    return tuple(importlib.metadata.entry_points(group=group))
-
-
-def _loaded(source: str) -> tuple[types.ModuleType, str]:
-    """A module, or a file as a module of its own, and the SHA-256 of its file.
-
-    Raises:
-        OctarmError: if there is no such module or file, or it cannot be imported.
-    """
-    content = _content(source)
-    sha256 = _sha256(content)
-    try:
-        if source.endswith(".py"):
-            return _module_of(source, content), sha256
-        return importlib.import_module(source), sha256
-    except (Exception, SystemExit) as error:  # whatever a user's file may do
-        what = f"{type(error).__name__}: {error}"
-        raise OctarmError(f"{source} cannot be imported: {what}") from error
-
-
-def _module_of(file: str, content: bytes) -> types.ModuleType:
-    """The module that these bytes of a file are, made once."""
-    name = f"octarm_file_{_sha256(file.encode() + content)[:16]}"
-    if name in sys.modules:
-        return sys.modules[name]
-    module = types.ModuleType(name)
-    module.__file__ = file
-    sys.modules[name] = module  # where dataclasses look up annotations
-    try:
-        exec(compile(content, file, "exec"), vars(module))
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
-
-
-def _content(source: str) -> bytes:
-    """The bytes of a file, or of that of a module; nothing is imported."""
-    file = _located(source)
-    try:
-        return Path(file).read_bytes()
-    except OSError as error:
-        raise FileError(f"{file} cannot be read: {error.strerror}") from None
-
-
-def _located(source: str) -> str:
-    """A file, or that of a module; modules may also be in the working folder.
-
-    Packages above it are not imported, unlike by `importlib.util.find_spec`.
-    """
-    if source.endswith(".py"):
-        return source
-    top, *parts = source.split(".")
-    spec = _spec(top, None)
-    if spec is None and any(map(os.path.exists, (top, f"{top}.py"))):
-        sys.path.append(os.getcwd())  # as `python -m` does; processes that are started inherit it
-        spec = _spec(top, None)
-    name = top
-    for part in parts:
-        name = f"{name}.{part}"
-        places = None if spec is None else spec.submodule_search_locations
-        spec = None if places is None else _spec(name, places)
-    if spec is None:
-        raise OctarmError(f"there is no module {quoted(name)}; {_ALLOWED}")
-    if not spec.has_location or spec.origin is None:
-        raise OctarmError(f"module {quoted(name)} has no file; {_ALLOWED}")
-    return spec.origin
-
-
-def _is_module(name: str) -> bool:
-    with contextlib.suppress(OctarmError):
-        return bool(_located(name))
-    return False
-
-
-def _spec(name: str, places: Any) -> Any:
-    for finder in sys.meta_path:
-        spec = finder.find_spec(name, places)
-        if spec is not None:
-            return spec
-    return None
-
-
-def _distribution(module: str) -> str:
-    """The installed package that a module belongs to; empty if it is not known."""
-    top = module.partition(".")[0]
-    return next(iter(importlib.metadata.packages_distributions().get(top, ())), "")
-
-
-def _public(module: types.ModuleType) -> list[str]:
-    """The classes and functions that a module itself defines."""
-    return [
-        name
-        for name, thing in vars(module).items()
-        if (inspect.isclass(thing) or inspect.isfunction(thing))
-        and thing.__module__ == module.__name__
-        and not name.startswith("_")
-    ]
-
-
-def _sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()

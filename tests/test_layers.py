@@ -15,7 +15,7 @@ CONTROLLERS = Path(controllers.__file__).parent
 LAYERS = [
     "errors interrupts tolerances",
     "arrays files memory",
-    "formats units",
+    "formats importing units",
     "declared",
     "interfaces",
     "arm",

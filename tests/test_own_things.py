@@ -17,7 +17,7 @@ from own_things import GUST, LAW, MOTION, write_things
 import octarm
 from controllers import CONTROLLERS, make_controller
 from controllers.law import gain_fields
-from octarm import declared
+from octarm import importing
 from octarm.commands import cli
 from octarm.declared import Code, CodeChanged, named, word_of
 from octarm.disturbances.catalogue import DISTURBANCES
@@ -79,7 +79,7 @@ def test_a_run_records_what_it_used_and_is_verified(things: Path, capsys):
     }  # fmt: skip
     assert code["Damper"]["path"] == f"{things}/damper.py:Damper"
     for name, file in (("Damper", "damper.py"), ("gust", "gust.py")):
-        assert code[name]["sha256"] == declared._sha256(Path(file).read_bytes())
+        assert code[name]["sha256"] == importing.sha256_of(Path(file).read_bytes())
     assert cli.main(["verify", "run"]) == 0
     assert "identical" in capsys.readouterr().out
 
@@ -267,7 +267,7 @@ def test_a_module_is_hashed_before_any_part_of_its_package_is_imported(things: P
     wrong = Code(kind="controller", path=word, sha256="0" * 64)
     with pytest.raises(CodeChanged, match=f"{word} was changed since"):
         word_of("Damper", {"Damper": wrong})
-    right = Code(kind="controller", path=word, sha256=declared._sha256(LAW.encode()))
+    right = Code(kind="controller", path=word, sha256=importing.sha256_of(LAW.encode()))
     assert word_of("Damper", {"Damper": right}) == word
     assert "my_loud_lab" not in sys.modules
     with pytest.raises(OctarmError, match="SystemError: my_loud_lab was imported"):
@@ -298,7 +298,7 @@ def test_an_installed_package_brings_names(things: Path, tmp_path: Path, monkeyp
         "[octarm.metrics]\nreach = site_lab.reach:Reach\n"
     )
     monkeypatch.setattr(sys, "path", [*sys.path, str(site)])
-    declared._entry_points.cache_clear()
+    importing.entry_points.cache_clear()
     importlib.invalidate_caches()
     try:
         assert CONTROLLERS.names()[-1] == "damper" and CONTROLLERS.names().count("pd") == 1
@@ -325,7 +325,7 @@ def test_an_installed_package_brings_names(things: Path, tmp_path: Path, monkeyp
         )
         assert {*read_spec("named.toml").code} == {"swing", "gust", "reach"}
     finally:
-        declared._entry_points.cache_clear()
+        importing.entry_points.cache_clear()
 
 
 def test_any_frozen_dataclass_is_a_controller_and_its_fields_are_its_gains():
