@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from controllers.adaptive_fuzzy import AdaptiveConsequents as AdaptiveConsequents
@@ -33,9 +34,11 @@ from controllers.super_twisting import SuperTwisting as SuperTwisting
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import read_only
-from octarm.declared import Declared, short_name
+from octarm.declared import Declared, lacking, short_name
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import NominalModel, Tunable
+
+_MISSING = dataclasses.MISSING
 
 
 def _lacks(thing: Any) -> str:
@@ -44,9 +47,8 @@ def _lacks(thing: Any) -> str:
         return "is no dataclass; octarm.interfaces.Controller says what a controller is"
     if not vars(thing)["__dataclass_params__"].frozen:
         return "is no frozen dataclass, although a controller keeps nothing between calls"
-    methods = {name for base in thing.__mro__ for name in vars(base)}
-    missing = [name for name in ("initial_state", "__call__") if name not in methods]
-    return f"has no method {missing[0]}" if missing else ""
+    call = ("state", "measurement", "reference")
+    return lacking(thing, initial_state=["batch_shape"], __call__=call)
 
 
 _BUILT_IN: dict[str, type] = {
@@ -111,25 +113,39 @@ def make_controller(
             raise OctarmError(f"{name} has no gain {quoted(gain)}{closest(gain, fields)}")
         values[fields[gain]] = value
     if not issubclass(law, Law):  # which checks its gains itself
-        for field, value in values.items():
-            values[field] = _checked(declared.get(field), field, value, model)
-    needed = [f.name for f in dataclasses.fields(law) if f.init and not _has_default(f)]
+        for field in dataclasses.fields(law):
+            if field.name in values:
+                gain = declared.get(field.name)
+                values[field.name] = _checked(gain, field, values[field.name], model)
+    needed = [f.name for f in dataclasses.fields(law) if f.init and _default(f) is _MISSING]
     if missing := [spelled(f) for f in needed if f not in values and f != "nominal"]:
         raise OctarmError(f"{name} needs the gain {missing[0]}; it recommends no value")
     made: Any = law(**values, **({"nominal": model} if "nominal" in known else {}))
     return made
 
 
-def _checked(field: GainField | None, name: str, value: Any, model: NominalModel) -> Any:
+def _checked(
+    gain: GainField | None, field: dataclasses.Field[Any], value: Any, model: NominalModel
+) -> Any:
     """A gain of a class that does not check it: a number or a read-only array."""
-    if field is not None:
-        return field.checked(spelled(name), value, model)
+    name = spelled(field.name)
+    if gain is not None:
+        return gain.checked(name, value, model)
     if isinstance(value, str | bool | int):
         return value
-    array = read_only(spelled(name), value)
+    array = read_only(name, value)
+    default = _default(field)
+    like = () if default is _MISSING else np.shape(default)
+    if array.ndim and array.shape[-1] not in (1, model.coordinates) and array.shape != like:
+        raise OctarmError(
+            f"{name} has {array.shape[-1]} values; it needs 1 or {model.coordinates}, one for each "
+            "coordinate"
+        )
     return array if array.ndim else array.item()
 
 
-def _has_default(field: dataclasses.Field[Any]) -> bool:
-    missing = dataclasses.MISSING
-    return field.default is not missing or field.default_factory is not missing
+def _default(field: dataclasses.Field[Any]) -> Any:
+    """The default of a field; `_MISSING` if it has none."""
+    if field.default_factory is not _MISSING:
+        return field.default_factory()
+    return field.default

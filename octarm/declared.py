@@ -18,11 +18,12 @@ import collections
 import contextlib
 import importlib
 import importlib.metadata
+import inspect
 import operator
 import os
 import re
 import types
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -176,6 +177,24 @@ class Declared(collections.UserDict[str, T]):
         if point is not None and point.dist is not None:
             return thing, path, sha256, point.dist.name
         return thing, path, sha256, "" if source.endswith(".py") else distribution_of(source)
+
+
+def lacking(cls: type, **methods: Sequence[str]) -> str:
+    """Which of some methods a class lacks, or has with other arguments; empty if none.
+
+    Args:
+        cls: the class.
+        methods: names of the arguments of each, which are given by their place, but `self`.
+    """
+    held = {name: value for base in reversed(cls.__mro__) for name, value in vars(base).items()}
+    for name, arguments in methods.items():
+        if name not in held or name in vars(cls).get("__abstractmethods__", ()):
+            return f"has no method {name}"
+        try:
+            inspect.signature(held[name]).bind(cls, *arguments)
+        except TypeError:
+            return f"has a method {name} that does not take ({', '.join(('self', *arguments))})"
+    return ""
 
 
 def absolute(word: str, folder: Path | None = None) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from own_things import GUST, LAW, MOTION, write_things
+from own_things import GUST, LAW, MOTION, REACH, write_things
 
 import octarm
 from controllers import CONTROLLERS, make_controller
@@ -146,6 +146,11 @@ def test_a_folder_cannot_name_code_that_it_does_not_record(capsys):
         ("--controller ./leaves.py:Law", "leaves.py cannot be imported: SystemExit: 3"),
         ("--controller ./thawed.py:Damper", "is no frozen dataclass, although"),
         ("--controller ./needy.py:Damper", "Damper needs the gain pull; it recommends no value"),
+        ("--controller ./misfit.py:Damper", "has a method initial_state that does not take (self, b"),
+        ("--controller ./damper.py:Damper --gain pull:1,2,3", "pull has 3 values; it needs 1 or 6"),
+        ("--disturbance ./idle.py:Gust:5", "Gust is no disturbance of octarm: it has no method st"),
+        ("--metric ./idler.py:Reach", "Reach is no metric of octarm: it has no method result"),
+        ("--controller ./damper.txt:Damper", "it must be a known name, MODULE:NAME, or FILE.py:NAME"),
         ("--controller damper", "unknown controller 'damper'; known are pd, "),
         ("--reference ./gust.py:Gust", "Gust is no reference of octarm: it cannot"),
         ("--reference ./rests.py:rest", "makes array("),
@@ -171,6 +176,9 @@ def test_what_is_wrong_is_one_sentence(things: Path, words: str, sentence: str, 
         "leaves.py": "raise SystemExit(3)",
         "thawed.py": LAW.replace("frozen=True, ", ""),
         "needy.py": LAW.replace("pull: float = 200.0", "pull: float"),
+        "misfit.py": LAW.replace("(self, batch_shape=())", "(self)"),
+        "idle.py": GUST.replace("def start", "def begin"),
+        "idler.py": REACH.replace("def result", "def results"),
         "rests.py": "def rest(q):\n    return q\n\n\ndef late(q):\n    return lambda t: 1.0\n",
         "noise.py": GUST.replace('"gust"', '"noise"'),
         "second.py": GUST.replace('"gust"', '"gust-2"'),

@@ -7,11 +7,10 @@ name and its fields.
 
 from __future__ import annotations
 
-import inspect
 import re
 from typing import Any
 
-from octarm.declared import Declared
+from octarm.declared import Declared, lacking
 from octarm.disturbances import actuators, forces, plant, sensors
 from octarm.disturbances.episode import (
     ActuatorFault,
@@ -31,8 +30,8 @@ def _lacks(thing: Any) -> str:
     """What a class of a user lacks of a disturbance; empty if nothing."""
     if not (isinstance(thing, type) and issubclass(thing, _FAMILIES)):
         return f"is no {', '.join(f.__name__ for f in _FAMILIES)} of octarm.disturbances.episode"
-    if inspect.isabstract(thing):
-        return "has no method start"
+    if misses := lacking(thing, start=["episode"]):
+        return misses
     name: Any = getattr(thing, "name", None)
     if not (isinstance(name, str) and _NAME.fullmatch(name)):
         return f"has the name {quoted(name)}; it must be lower-case letters, digits and hyphens"

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, Literal, cast
 
-from octarm.declared import Code, Declared, word_of
+from octarm.declared import Code, Declared, lacking, word_of
 from octarm.errors import printable, quoted
 from octarm.formats import Array, Document, Model
 from octarm.metrics.metric import Accumulator, Metric
@@ -17,9 +17,10 @@ def _lacks(thing: Any) -> str:
     """What a class of a user lacks of an accumulator; empty if nothing."""
     if not (isinstance(thing, type) and issubclass(thing, Accumulator)):
         return "is no Accumulator of octarm.metrics.metric"
-    missing = sorted(vars(thing).get("__abstractmethods__", ()))
-    if missing:
-        return f"has no method {missing[0]}"
+    if misses := lacking(
+        thing, __init__=["first", "settings"], update=["rows", "steady"], result=[]
+    ):
+        return misses
     metrics: Any = getattr(thing, "metrics", None)
     if not isinstance(metrics, Mapping) or not metrics:
         return "declares no metrics, a table of Metric by name"
