@@ -18,6 +18,7 @@ from octarm.references import REFERENCES
 GROUPS = {
     "one run": ["run", "replay", "record", "plot", "video"],
     "many runs": ["sweep", "report", "margin", "tune"],
+    "an arm": ["arm"],
     "your own": ["new"],
     "checks": ["validate", "verify"],
     "this machine": ["doctor", "completion"],
@@ -29,9 +30,18 @@ COMMANDS = [name for names in GROUPS.values() for name in names]
 OPERANDS = {
     "replay": "RUN ..", "record": "RUN", "plot": "RUN", "video": "RUN", "sweep": "SPEC.toml",
     "report": "SWEEP", "margin": "CONTROLLER ..", "tune": "CONTROLLER", "verify": "RUN ..",
-    "completion": "SHELL", "new": "KIND NAME",
+    "completion": "SHELL", "arm": "ARM ..", "new": "KIND NAME",
 }  # fmt: skip
 OPTIONS: dict[str, dict[str, dict[str, str]]] = {
+    "arm": {
+        "another source of the arm": {"--from-rod": "KEY=VALUE,.."},
+        "output": {"--write": "FILE.toml", "--out": "FILE.png", "--force": ""},
+        "stability of the sampled loop": {
+            "--controller": "CONTROLLER ..",
+            "--gains": "GAINS",
+            "--control-period": "S",
+        },
+    },
     "run": {
         "the experiment": {
             "--controller": "CONTROLLER smc-boundary",
@@ -42,6 +52,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--seed": "N 0",
         },
         "the arm, and the model that the controller believes": {
+            "--arm": "ARM",
             "--mismatch": "X 0",
             "--nominal": "NAME:FACTOR ..",
             "--parameter": "NAME:VALUES ..",
@@ -110,6 +121,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--gains": "GAINS",
             "--seed": "N 0",
             "--engine": "ENGINE",
+            "--arm": "ARM",
             "--plant-modules": "N",
             "--layout": "LAYOUT paper",
         },
@@ -123,6 +135,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--resume": "",
             "--force": "",
             "--engine": "ENGINE",
+            "--arm": "ARM",
             "--plant-modules": "N",
             "--layout": "LAYOUT paper",
         }
@@ -131,11 +144,14 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
         "options": {
             "--controllers": "",
             "--engines": "",
+            "--arm": "ARM",
+            "--rod": "",
             "--modules": "N 3",
             "--random-parameters": "N 0",
             "--states": "N",
             "--seed": "N 0",
             "--json": "FILE",
+            "--out": "DIR",
             "--force": "",
         }
     },
@@ -267,6 +283,8 @@ def test_an_option_takes_one_value_and_a_flag_none(
 @pytest.mark.parametrize("command", OPERANDS)
 def test_operands_are_needed_and_counted(command: str):
     kind, *others = OPERANDS[command].split()
+    if command == "arm":  # the nominal one when none is given
+        return
     if others != [".."]:
         assert refused(command).startswith(f"octarm {command} needs {kind}, ")
         assert "'y'" in refused(command, "x", *others, "y")

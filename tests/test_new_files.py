@@ -23,7 +23,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 def test_a_file_is_commented_short_and_never_written_over(kind: str, capsys):
     assert cli.main(["new", kind, "My-law_2b"]) == 0
     (file,) = Path().iterdir()
-    assert file.name == f"my_law_2b.{'toml' if kind == 'experiment' else 'py'}"
+    assert file.name == f"my_law_2b.{'toml' if kind in ('arm', 'experiment') else 'py'}"
     assert f"wrote {file.name}" in capsys.readouterr().out
     text = file.read_text()
     assert "{{" not in text and text.count("#") >= (1 if kind == "metric" else 2)
@@ -73,6 +73,17 @@ def test_the_motion_has_exact_derivatives(tmp_path: Path):
         before, now, after = (motion(t + d) for d in (-h, 0.0, h))
         np.testing.assert_allclose((after.q - before.q) / (2 * h), now.v, atol=1e-6)
         np.testing.assert_allclose((after.v - before.v) / (2 * h), now.a, atol=1e-5)
+
+
+def test_the_arm_is_one_that_hangs_and_is_controlled(capsys):
+    assert cli.main(["new", "arm", "mine"]) == 0
+    assert "try it: octarm run --arm mine.toml" in capsys.readouterr().out
+    arm = octarm.read_arm("mine.toml")
+    np.testing.assert_allclose(arm.mass, [0.3, 0.25, 0.2])
+    assert cli.main(["arm", "mine.toml"]) == 0
+    assert cli.main(["run", "--arm", "mine.toml", "--duration", "2.1", "--out", "run"]) == 0
+    rms = json.loads(Path("run/run.json").read_text())["metrics"]["rms_error"]
+    assert max(rms[3:]) < 0.02 * 0.25
 
 
 def test_the_experiment_is_a_spec_that_can_be_swept(capsys):

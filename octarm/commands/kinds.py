@@ -21,7 +21,7 @@ Work = Callable[[], int]  # what a command does, once it begins; returns the exi
 
 Shell = Literal["bash", "zsh", "fish"]
 SHELLS: tuple[Shell, ...] = get_args(Shell)
-STARTS = ("controller", "disturbance", "reference", "metric", "experiment")  # of octarm new
+STARTS = ("controller", "disturbance", "reference", "metric", "arm", "experiment")  # of octarm new
 
 
 # Where the words of a kind of value stand that has a list of them.
@@ -42,11 +42,19 @@ _WORDS = {
 def known_words(kind: str) -> list[str]:
     """The words that a kind of value can be, such as CONTROLLER; imports what holds them."""
     if kind == "GAINS":
-        return ["tuned", "recommended", *map(str, sorted(Path().glob("*.toml")))]
+        return ["tuned", "recommended", *_files()]
+    if kind == "ARM":
+        from octarm.arm.file import shipped_arms
+
+        return [*shipped_arms(), *_files()]
     from octarm.declared import Declared
 
     words = pkgutil.resolve_name(_WORDS[kind])
     return words.names() if isinstance(words, Declared) else list(words)
+
+
+def _files() -> list[str]:
+    return list(map(str, sorted(Path().glob("*.toml"))))
 
 
 def text(metavar: str) -> Parameter:
@@ -173,7 +181,7 @@ CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
 )
 ACTUATION, INTEGRATOR, ENGINE = map(_word, ("ACTUATION", "INTEGRATOR", "ENGINE"))
 LAYOUT = _word("LAYOUT")
-GAINS, SHELL, KIND = map(_word, ("GAINS", "SHELL", "KIND"))
+GAINS, SHELL, KIND, ARM = map(_word, ("GAINS", "SHELL", "KIND", "ARM"))
 
 
 def heading(name: str) -> Parameter:
@@ -184,6 +192,8 @@ def heading(name: str) -> Parameter:
 EXPERIMENT = heading("the experiment")
 MODEL = heading("the arm, and the model that the controller believes")
 GAIN = heading("gains")
+SOURCE = heading("another source of the arm")
+LOOP = heading("stability of the sampled loop")
 SIMULATION = heading("simulation")
 SOUGHT = heading("what is sought")
 RUNS = heading("the runs, as in octarm run")

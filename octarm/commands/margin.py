@@ -13,6 +13,8 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import CONTROLLERS, make_controller
+from octarm.arm.file import read_arm
+from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.declared import Code, named
 from octarm.disturbances.catalogue import DISTURBANCES
@@ -60,6 +62,7 @@ class Settings:
     gains: str | None
     seed: int
     engine: str
+    arm: str | None
     plant_modules: int | None
     layout: str
 
@@ -102,6 +105,7 @@ class Settings:
             timestep=self.timestep,
             control_period=self.control_period,
             engine=self.engine,
+            parameters=nominal_parameters() if self.arm is None else read_arm(self.arm),
             plant_modules=self.plant_modules,
             layout=self.layout,
             seed=self.seed,
@@ -196,6 +200,7 @@ def _heading(settings: Settings, varied: Varied, reference: str) -> list[str]:
     bounds = " and ".join(settings.bound).replace(":", " <= ")
     around = [f"{reference}, {settings.duration:g} s"]
     around += [f"nominal model wrong by {settings.mismatch:g}"] if settings.mismatch else []
+    around += [f"the arm {settings.arm}"] if settings.arm is not None else []
     if settings.plant_modules is not None:
         around += [f"a plant of {settings.plant_modules} modules, {settings.layout}"]
     around += [spelling(parse_disturbance(text)) for text in settings.fixed]

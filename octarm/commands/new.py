@@ -18,6 +18,7 @@ _NEXT = {
     "reference": "octarm run --reference {word}",
     "disturbance": "octarm run --disturbance {word}:5",
     "metric": "octarm run --metric {word}",
+    "arm": "octarm run --arm {file}",
     "experiment": "octarm sweep {file} --out runs/{name}",
 }
 

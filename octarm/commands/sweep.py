@@ -14,7 +14,6 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import CONTROLLERS, make_controller
-from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import ExitCode, OctarmError, printable, sentence_of
 from octarm.formats import read_toml
 from octarm.memory import check_batch
@@ -119,7 +118,8 @@ def _checked_spec(options: Options) -> SweepSpec:
             code = None if name in spec.code else CONTROLLERS.code(name)
             if code is not None:  # an entry point of an installed package
                 spec = dataclasses.replace(spec, code={**spec.code, name: code}, text="")
-            spec.controller(name, nominal_parameters(), make_controller)
+            for arm in spec.all_arms():
+                spec.controller(name, arm, make_controller)
     plan = Plan(spec)
     for episode in spec.record:
         if isinstance(episode, int):
@@ -200,7 +200,7 @@ def _pool(options: Options, plan: Plan) -> Generator[tuple[Executor, int | Calla
             yield cluster
         return
     workers = min(workers, len(plan.shards))
-    check_batch(len(plan.shards[0]), nominal_parameters().modules, workers)
+    check_batch(len(plan.shards[0]), plan.spec.most_modules, workers)
     with WorkerProcesses(workers) as processes:
         yield processes, workers
 

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from controllers import CONTROLLERS, make_controller
 from controllers.gain_sets import GainSet, shortest
-from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.file import read_arm
 from octarm.declared import Code, short_name
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_text
@@ -35,6 +35,7 @@ class Options:
     resume: bool
     force: bool
     engine: str | None
+    arm: str | None
     plant_modules: int | None
     layout: str
 
@@ -42,13 +43,15 @@ class Options:
     def rig(self) -> Rig:
         """What gains are tried on."""
         engine = usual_engine() if self.engine is None else self.engine
-        return Rig(engine, self.plant_modules, self.layout)
+        arm = None if self.arm is None else read_arm(self.arm)
+        return Rig(engine, self.plant_modules, self.layout, arm)
 
     def command(self, controller: str) -> str:
         """The command line that finds the same gains."""
         words = ["octarm", "tune", controller, "--budget", f"{self.seconds:g}"]
         words += ["--seed", str(self.seed)]
         words += ["--engine", self.engine] if self.engine is not None else []
+        words += ["--arm", self.arm] if self.arm is not None else []
         if self.plant_modules is not None:
             words += ["--plant-modules", str(self.plant_modules), "--layout", self.layout]
         return shlex.join(words)
@@ -69,8 +72,9 @@ def tune(controller: str, options: Options) -> int:
         "budget": options.seconds,
         **rig.settings(),
     }
-    name = short_name(controller)
-    write_text(out, gain_set(name, origin, budget, tuned, CONTROLLERS.code(controller)).to_toml())
+    name, modules = short_name(controller), rig.arm().modules
+    code = CONTROLLERS.code(controller)
+    write_text(out, gain_set(name, modules, origin, budget, tuned, code).to_toml())
     state_file(out).unlink(missing_ok=True)
     _print_summary(name, budget, tuned)
     print(f"wrote {printable(str(out))}")
@@ -83,7 +87,7 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
     """The search, with a bar on its progress and its state on disk."""
     out, resume = options.out, options.resume
     factory = functools.partial(make_controller, controller, gain_set="recommended")
-    nominal = nominal_parameters()
+    nominal = options.rig.arm()
     space = Space(factory(nominal), nominal.modules)
     depends_on = settings(controller, space, budget, options.seed, options.rig)
     code = CONTROLLERS.code(controller)
@@ -137,6 +141,7 @@ def state_file(out: Path) -> Path:
 
 def gain_set(
     controller: str,
+    modules: int,
     origin: Mapping[str, Any],
     budget: Budget,
     tuned: Tuned,
@@ -155,7 +160,7 @@ def gain_set(
     return GainSet.model_validate(
         {
             "controller": controller,
-            "modules": nominal_parameters().modules,
+            "modules": modules,
             "gains": {name: shortest(gain) for name, gain in tuned.gains.items()},
             "tuning": tuning,
             **({} if code is None else {"code": code.model_dump()}),

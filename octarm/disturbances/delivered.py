@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -167,6 +168,7 @@ class Measured(NamedTuple):
 
 def _numbers(parameters: ArmParameters, gravity_angle: Any) -> dict[str, np.ndarray]:
     """Parameters that may change by name, with the angle of gravity [rad] for its size."""
-    numbers = parameters.to_dict() | {"gravity_angle": gravity_angle}
+    numbers = vars(parameters) | {"gravity_angle": gravity_angle}
+    names = [field.name for field in dataclasses.fields(parameters)]
     fixed = ("gravity", "input_range")
-    return {name: np.asarray(x) for name, x in numbers.items() if name not in fixed}
+    return {n: np.asarray(numbers[n]) for n in (*names, "gravity_angle") if n not in fixed}

@@ -20,6 +20,7 @@ from dm_control.rl import control
 
 from octarm.arm.groups import PAPER
 from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_disturbance
 from octarm.errors import OctarmError, closest, quoted
@@ -276,6 +277,7 @@ class MarginRuns:
         timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
         control_period: time between control actions [s]; one physics step when None.
         engine: that steps the arms; `lagrange` where it is installed, when not given.
+        parameters: the true arm, and the controller's model of it but for the mismatch.
         plant_modules: number of modules of the plant, see `octarm.load`.
         layout: of that plant.
         seed: of all that is random.
@@ -294,6 +296,7 @@ class MarginRuns:
     timestep: float | str | None = None
     control_period: float | None = None
     engine: str = dataclasses.field(default_factory=usual_engine)
+    parameters: ArmParameters = dataclasses.field(default_factory=nominal_parameters)
     plant_modules: int | None = None
     layout: str = PAPER
     seed: int = 0
@@ -310,7 +313,7 @@ class MarginRuns:
             OctarmError: if a control period at both ends fails.
         """
         ends = np.array([0.0, 1.0])
-        modules = self.plant_modules or nominal_parameters().modules
+        modules = self.plant_modules or self.parameters.modules
         check_batch(9 * seeds, modules)  # on the coarse grid
         environment, controller = self._begin(np.repeat(np.arange(seeds), 2), np.tile(ends, seeds))
         period = environment.control_timestep()
@@ -360,8 +363,9 @@ class MarginRuns:
             control_period=self.control_period,
             threads=self.threads,
             engine=self.engine,
+            parameters=self.parameters,
             plant_modules=self.plant_modules,
             layout=self.layout,
         )
         mismatch = values if self.varied.name == NOMINAL else self.mismatch
-        return environment, self.factory(nominal_parameters().mismatched(mismatch))
+        return environment, self.factory(self.parameters.mismatched(mismatch))
