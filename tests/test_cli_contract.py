@@ -34,7 +34,11 @@ OPERANDS = {
 }  # fmt: skip
 OPTIONS: dict[str, dict[str, dict[str, str]]] = {
     "arm": {
-        "another source of the arm": {"--from-rod": "KEY=VALUE,.."},
+        "another source of the arm": {
+            "--from-rod": "KEY=VALUE,..",
+            "--fit-modules": "N",
+            "--layout": "LAYOUT paper",
+        },
         "output": {"--write": "FILE.toml", "--out": "FILE.png", "--force": ""},
         "stability of the sampled loop": {
             "--controller": "CONTROLLER ..",

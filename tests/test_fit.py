@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 from octarm.arm import lagrange
 from octarm.arm.behaviour import behaviour_of
+from octarm.arm.file import read_arm
 from octarm.arm.fit import fit_modules
 from octarm.arm.kinematics import tip_force, tip_position
 from octarm.arm.lumping import lumped
@@ -15,6 +16,7 @@ from octarm.arm.modes import state_matrix
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
 from octarm.checks import rod_motion, rod_study
+from octarm.commands import cli
 from octarm.errors import OctarmError
 
 ROD = Rod()
@@ -217,3 +219,31 @@ def test_what_cannot_be_fitted_is_refused():
     standing = dataclasses.replace(arm_from_rod(ROD, 6), gravity=-100.0)
     with pytest.raises(OctarmError, match="hang stably"):
         fit_modules(standing)
+
+
+def test_a_backbone_and_bends_without_force_are_lumped():
+    p = arm_from_rod(ROD, 6)
+    give = np.diag(lagrange.stiffness_matrix(p))[6:]
+    q = dataclasses.replace(
+        p,
+        rest_angle=np.linspace(0.01, 0.06, 6),
+        backbone_stiffness=[np.sum(p.stiffness, axis=0), 3.0 * give],
+    )
+    few = lumped(q, 3)
+    np.testing.assert_allclose(few.rest_angle, [0.03, 0.07, 0.11], rtol=1e-13)
+    plain = np.diag(lagrange.stiffness_matrix(lumped(p, 3)))
+    expected = plain * np.repeat([2.0, 4.0], 3)
+    np.testing.assert_allclose(np.diag(lagrange.stiffness_matrix(few)), expected, rtol=1e-12)
+
+
+def test_the_command_writes_the_fitted_arm(tmp_path, capsys):
+    file = tmp_path / "few.toml"
+    words = ["arm", "--from-rod", "modules=9", "--fit-modules", "3", "--write", str(file)]
+    assert cli.main(words) == 0
+    out = capsys.readouterr().out
+    assert "statics, rms of all" in out
+    assert "3 modules for a rod of 9 modules" in out
+    fit = fit_modules(arm_from_rod(ROD, 9), 3)
+    assert_alike(read_arm(file), fit.parameters, 1e-10)  # it has 12 digits
+    assert cli.main([*words[:4], "4"]) == 2
+    assert "4 groups were to be made of 9 modules" in capsys.readouterr().err

@@ -12,10 +12,12 @@ from octarm.errors import OctarmError
 def lumped(plant: ArmParameters, modules: int, layout: str = "paper") -> ArmParameters:
     """A chain of few modules that has the sums of a finer one's groups.
 
-    Masses, inertias and lengths add up, as do compliances; dampers take what the group dissipates
-    under a force. Where a rigid tip piece follows the plant, groups end between hinges, and share
-    the slide there in halves. From a chain that stands for a rod without tapering it makes the one
-    of `octarm.arm.rod` in the layout `paper`, up to what the rigid piece does not stretch.
+    Masses, inertias, lengths and bends without force add up, as do compliances; dampers take what
+    the group dissipates under a force. Only columns remain: what the finer chain has in a backbone
+    goes into their stiffness and width. Where a rigid tip piece follows the plant, groups end
+    between hinges, and share the slide there in halves. From a chain that stands for a rod without
+    tapering it makes the one of `octarm.arm.rod` in the layout `paper`, up to what the rigid piece
+    does not stretch.
 
     Args:
         plant: the finer chain, one arm.
@@ -67,6 +69,7 @@ def lumped(plant: ArmParameters, modules: int, layout: str = "paper") -> ArmPara
         stiffness=springs / give,
         damping=dampers * lost / give**2,
         rest_length=length,
+        rest_angle=hinges @ np.broadcast_to(plant.rest_angle, n),
         gravity=plant.gravity,
         tip_length=tip,
         input_range=bounds if bounds.shape == (2, 1) else (-np.inf, np.inf),

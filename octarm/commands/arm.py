@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from controllers import make_controller
+from controllers import CONTROLLERS, make_controller
 from octarm.arm.file import Arm, arm_toml, cannot_hang, read_arm_file
+from octarm.arm.fit import fit_modules
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
 from octarm.arm.summary import ArmSummary
 from octarm.checks.stability import Stability, check_period
+from octarm.declared import named
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
 from octarm.files import write_files, write_text
 from octarm.simulation.steps import usual_step
@@ -38,30 +40,57 @@ class LoopOptions:
             return None
         period = usual_step() if self.period is None else self.period
         check_period(period)
-        made = {name: make_controller(name, p, gain_set=self.gains) for name in names}
+        short, _ = named((CONTROLLERS, word) for word in names)
+        laws = [make_controller(word, p, gain_set=self.gains) for word in names]
+        made = dict(zip(short, laws, strict=True))
         return Stability(p, made, period)
 
 
-def _arms(names: Sequence[str], rod: str | None) -> list[Arm]:
-    """The arms that a command line means.
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """Which arms are meant, as the command line has it."""
 
-    Raises:
-        OctarmError: if one of them is none, or cannot hang.
-    """
-    if rod is None:
-        if not names:
-            return [Arm(nominal_parameters(), "the nominal arm")]
-        return [read_arm_file(name) for name in names]
-    if names:
-        raise OctarmError(f"--from-rod is given, and so is {quoted(names[0])}; one or the other")
-    return [_from_rod(rod)]
+    names: Sequence[str]
+    rod: str | None
+    fitted: int | None
+    layout: str
+
+    def arms(self) -> list[Arm]:
+        """The arms; of fitted ones it prints what error remains.
+
+        Raises:
+            OctarmError: if one of them is none, cannot hang, or cannot be fitted.
+        """
+        given = self._given()
+        return given if self.fitted is None else [self._fit(each, self.fitted) for each in given]
+
+    def _given(self) -> list[Arm]:
+        if self.rod is None:
+            if not self.names:
+                return [Arm(nominal_parameters(), "the nominal arm")]
+            return [read_arm_file(name) for name in self.names]
+        if self.names:
+            raise OctarmError(
+                f"--from-rod is given, and so is {quoted(self.names[0])}; one or the other"
+            )
+        return [_from_rod(self.rod)]
+
+    def _fit(self, given: Arm, modules: int) -> Arm:
+        """The arm of fewer modules that stands best for one."""
+        fit = fit_modules(given.parameters, modules, self.layout)
+        print(
+            f"{printable(given.name)}, fitted by {modules} modules, layout {self.layout}\n{fit}\n"
+        )
+        return Arm(
+            fit.parameters,
+            f"{modules} modules for {given.name}",
+            converted=(f"all numbers fitted to {given.name}, layout {self.layout}",),
+        )
 
 
-def arm(
-    names: Sequence[str], rod: str | None, loop: LoopOptions, write: Path | None, out: Path | None
-) -> int:
+def arm(source: Source, loop: LoopOptions, write: Path | None, out: Path | None) -> int:
     """`octarm arm`: prints what arms are; draws and writes one."""
-    several = _arms(names, rod)
+    several = source.arms()
     if (write or out) and len(several) != 1:
         raise OctarmError(f"{len(several)} arms are given; --write and --out take one")
     stable = True

@@ -65,7 +65,11 @@ def validate(
     given = [name for name, flag in flags.items() if flag]
     if len(given) > 1:
         raise OctarmError(f"{' and '.join(given)} are given; one check at a time")
+    if arm is not None and (modules != 3 or random_parameters):
+        raise OctarmError("--arm is given, and so are --modules or --random-parameters")
     if rod:
+        if arm is not None:
+            raise OctarmError("--arm is given, and so is --rod, which has its own chains")
         job = partial(rods.validate_rod, out, json)
         return job if json is None and out is None else surviving_output(job)
     if out is not None:

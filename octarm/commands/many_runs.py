@@ -124,8 +124,8 @@ def margin(
 
     One --disturbance goes without its VALUE: the one whose largest value is sought, by bisection,
     for every seed at once, the same seeds for all controllers. The others act as octarm run has
-    them. The margin is what a share of the seeds bears within the error bounds, with a bootstrap
-    interval over seeds.
+    them. The margin is what a share of the seeds bears within the error bounds, with an exact 95 %
+    interval of order statistics; fewer than 36 seeds have no lower end of it at a share of 0.9.
 
     Args:
         controllers: controllers to compare

@@ -14,6 +14,8 @@ from octarm.commands.terminal import surviving_output
 def arm(
     *arms: Annotated[str, kinds.ARM],
     from_rod: Annotated[str | None, kinds.text("KEY=VALUE,.."), kinds.SOURCE] = None,
+    fit_modules: Annotated[int | None, kinds.whole(1, 60), kinds.SOURCE] = None,
+    layout: Annotated[str, kinds.LAYOUT, kinds.SOURCE] = "paper",
     write: Annotated[Path | None, kinds.file(".toml"), kinds.OUTPUT] = None,
     out: Annotated[Path | None, kinds.file(".png"), kinds.OUTPUT] = None,
     force: Annotated[bool, kinds.OUTPUT] = False,
@@ -36,6 +38,9 @@ def arm(
         from_rod: a chain of modules that stands for a rod, with the keys modules, layout (paper or
             centred), length [m], EA [N], EI [N m^2], density [kg/m], rotary_inertia [kg m],
             damping_time [s] and gravity [m/s^2]; BASE:TIP for a property that tapers
+        fit_modules: go on with the arm of so many modules that stands best for this one, and say
+            what error remains in statics, modes and transients
+        layout: of the fitted modules, paper or centred
         write: write the arm to this file, in SI units
         out: draw the arm into this file
         force: replace files that are there
@@ -46,6 +51,7 @@ def arm(
     Examples:
       octarm arm my-arm.toml --out my-arm.png
       octarm arm --from-rod length=.36,EA=240,EI=.384:.2,modules=15 --write rod.toml
+      octarm arm --from-rod modules=30 --fit-modules 3 --write fitted.toml
       octarm arm eth --controller smc-boundary --controller afsmc \
         --control-period 0.001
     """
@@ -53,4 +59,5 @@ def arm(
     from octarm.commands import arm as work
 
     loop = work.LoopOptions(controller, gains, control_period)
-    return surviving_output(partial(work.arm, arms, from_rod, loop, write, out))
+    source = work.Source(arms, from_rod, fit_modules, layout)
+    return surviving_output(partial(work.arm, source, loop, write, out))

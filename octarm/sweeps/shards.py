@@ -180,11 +180,11 @@ class Observer:
     def __call__(self, instant: Instant) -> None:
         """Takes a control instant."""
         if self._measured is None:
-            bounds, layer = self._physics.input_range(), instant.command.layer
             metrics = Metrics(
                 control_period=self._period,
-                input_range=bounds,
-                layer=layer,
+                input_range=self._physics.reachable_inputs(),
+                layer=instant.command.layer,
+                actuation=self._physics.actuation,
                 catalogue=self._catalogue,
             )
             # Without a cycle of references, so that the arms' memory is free when the run is over.
