@@ -6,7 +6,8 @@ units, what is allowed, its recommended value and its tuning; any frozen datacla
 what `octarm.interfaces.Controller` says. Its fields but `nominal` are its gains.
 
 Tuned gains take the place of recommended ones where `controllers/gains/` holds some for the
-controller and for arms of as many modules. `octarm tune` finds gains.
+controller. Both are scaled by the nominal model, see `controllers.scaling`. `octarm tune` finds
+gains.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from controllers.feedback import ComputedTorque as ComputedTorque
 from controllers.feedback import ProportionalDerivative as ProportionalDerivative
 from controllers.fuzzy_rules import FuzzyController as FuzzyController
 from controllers.fuzzy_rules import FuzzySlidingMode as FuzzySlidingMode
-from controllers.gain_sets import starting_gains
+from controllers.gain_sets import gain_set_of
 from controllers.integral_sliding_mode import IntegralSlidingMode as IntegralSlidingMode
 from controllers.law import GainField, Law, gain_fields, spelled
 from controllers.sliding_mode import BoundaryLayer as BoundaryLayer
@@ -66,12 +67,18 @@ _BUILT_IN: dict[str, type] = {
 CONTROLLERS = Declared("controller", _BUILT_IN, _lacks)
 
 
+def limits_text() -> str:
+    """For help pages: the laws that do not bear what all others do, a line each; may be empty."""
+    limits = {name: law.bears.limits() for name, law in CONTROLLERS.items() if issubclass(law, Law)}
+    return "\n".join(f"  {name}: up to {text}" for name, text in limits.items() if text)
+
+
 def make_controller(
     name: str,
     nominal: ArmParameters | NominalModel,
     gains: Mapping[str, npt.ArrayLike] | None = None,
     *,
-    gain_set: str | Path | None = None,
+    gain_set: str | Path | Mapping[str, Any] | None = None,
 ) -> Tunable:
     """A controller by name, with the nominal model it believes.
 
@@ -79,11 +86,12 @@ def make_controller(
         name: of a built-in controller or of an installed package's, MODULE:NAME, or FILE.py:NAME.
         nominal: the model of the arm that the controller is given; parameters stand for the
             analytic model with them.
-        gains: gains by name, each a number or an array that broadcasts to (..., 2N), unless the
-            gain's field says otherwise; those of the gain set where not given. `lambda` stands for
-            the field `lambda_`, as Python keeps the former word for itself.
-        gain_set: `tuned`, `recommended`, or a file NAME.toml of `octarm tune`; tuned gains where
-            there are any for such an arm, else recommended ones, when not given.
+        gains: gains by name in SI, each a number or an array that broadcasts to (..., 2N), unless
+            the gain's field says otherwise; those of the gain set where not given. `lambda` stands
+            for the field `lambda_`, as Python keeps the former word for itself.
+        gain_set: `tuned`, `recommended`, or a file NAME.toml of `octarm tune`, or what such a file
+            holds; tuned gains where there are any, else recommended ones, when not given. They are
+            scaled by the nominal model.
 
     Raises:
         OctarmError: for an unknown name or gain set, or a gain that is unknown or invalid.
@@ -93,7 +101,7 @@ def make_controller(
         name = short_name(name)
         if gain_set == "tuned":
             raise OctarmError(f"{name} comes without tuned gains; `octarm tune` finds some")
-        gain_set = gain_set or "recommended"
+        gain_set = "recommended" if gain_set is None else gain_set
     model = LagrangeModel(nominal) if isinstance(nominal, ArmParameters) else nominal
     given, declared = dict(gains or {}), gain_fields(law)
     known = [field.name for field in dataclasses.fields(law) if field.init]
@@ -103,7 +111,10 @@ def make_controller(
         for gain, field in fields.items()
         if field in declared and declared[field].recommended is not None
     }
-    starting |= starting_gains(name, model.modules, gain_set)
+    _, tuned = gain_set_of(name, gain_set)
+    for gain, value in ({} if tuned is None else tuned.gains).items():
+        scaled_by = declared.get(fields.get(gain, ""))
+        starting[gain] = value if scaled_by is None else scaled_by.scaled(value, model)
     for gain, field in fields.items():
         if field in declared and declared[field].replaced_by in given:
             starting.pop(gain, None)
@@ -113,10 +124,10 @@ def make_controller(
             raise OctarmError(f"{name} has no gain {quoted(gain)}{closest(gain, fields)}")
         values[fields[gain]] = value
     if not issubclass(law, Law):  # which checks its gains itself
-        for field in dataclasses.fields(law):
-            if field.name in values:
-                gain = declared.get(field.name)
-                values[field.name] = _checked(gain, field, values[field.name], model)
+        for each in dataclasses.fields(law):
+            if each.name in values:
+                of = declared.get(each.name)
+                values[each.name] = _checked(of, each, values[each.name], model)
     needed = [f.name for f in dataclasses.fields(law) if f.init and _default(f) is _MISSING]
     if missing := [spelled(f) for f in needed if f not in values and f != "nominal"]:
         raise OctarmError(f"{name} needs the gain {missing[0]}; it recommends no value")

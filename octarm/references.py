@@ -220,6 +220,20 @@ def _multi_sine(rest: np.ndarray) -> MultiSine:
     )
 
 
+def _fast_sine(rest: np.ndarray) -> MultiSine:
+    """Two tones near the lowest mode of the nominal arm, large: inertia counts in all coordinates.
+
+    Inertial and Coriolis forces are more than 20 % of each coordinate's Q there, in rms.
+    """
+    big = _first_two(rest, slides=(0.015, 0.012), bends=(0.6, 0.5))
+    return MultiSine(
+        tones=(
+            Sine(center=rest, amplitude=big, frequency=1.6),
+            Sine(center=0.0 * rest, amplitude=0.5 * big, frequency=1.6 * 2**0.5, phase=1.0),
+        )
+    )
+
+
 def _smooth_step(rest: np.ndarray) -> SmoothStep:
     """From rest to a bent and stretched pose within 1 s, beginning at 0.5 s."""
     goal = rest + _first_two(rest, slides=(0.01, 0.01), bends=(0.35, 0.25))
@@ -248,6 +262,7 @@ _BUILT_IN: dict[str, Callable[[np.ndarray], Motion]] = {
     "sine": _paper_sine,
     "sine-slides": _slide_sine,
     "multi-sine": _multi_sine,
+    "fast-sine": _fast_sine,
     "smooth-step": _smooth_step,
     "set-point": _set_point,
 }

@@ -9,7 +9,10 @@ import dataclasses
 from typing import Annotated
 
 from controllers.law import GainField
+from controllers.scaling import unit
 from octarm.interfaces import Command, Knob, NominalModel
+
+UNITS = "N s/m, N m s/rad"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -17,7 +20,7 @@ class Damper:
     """Q = G^(q_d) - K_v e' - pull e."""
 
     nominal: NominalModel
-    K_v: Annotated[object, GainField("damping", "N s/m, N m s/rad", 4.0, Knob("K_v"))]
+    K_v: Annotated[object, GainField("damping", UNITS, lambda model: 4.0, Knob("K_v"))]
     pull: float = 200.0
 
     def initial_state(self, batch_shape=()):
@@ -25,6 +28,9 @@ class Damper:
 
     def knobs(self):
         return (Knob("K_v", gains=("K_v",)),)
+
+    def scales(self):
+        return {"K_v": unit(UNITS, self.nominal), "pull": 1.0}
 
     def __call__(self, state, measurement, reference):
         weight = self.nominal.potential_force(reference.q)

@@ -147,10 +147,13 @@ def check_free(force: bool, *files: Path | None) -> None:
             )
 
 
-def check_folder(folder: Path, file: str, what: str) -> None:
-    """Raises OctarmError, before what takes long to import, for a folder that is not `what`."""
-    if not os.path.isfile(folder / file):
+def refusal(folder: Path, file: str, what: str) -> Work | None:
+    """What refuses a folder that is not `what`, before anything that takes long is imported."""
+
+    def refuse() -> int:
         raise OctarmError(f"{folder} is not {what}: it has no {file}")
+
+    return None if os.path.isfile(folder / file) else refuse
 
 
 def whole(least: int, most: int) -> Parameter:

@@ -89,7 +89,8 @@ def report(
     Examples:
       octarm report runs/noise --baseline smc-boundary --metric tip_rms_error
     """
-    kinds.check_folder(sweep, "manifest.json", "a sweep")
+    if (refuse := kinds.refusal(sweep, "manifest.json", "a sweep")) is not None:
+        return refuse
     kinds.check_free(force, (out or sweep / "report") / "report.html")
     from octarm.commands import report as work
 
@@ -202,8 +203,14 @@ def tune(
     """Find gains for one controller.
 
     The search and its budget are the same for every controller. Writes a small TOML file: the
-    gains, what they cost by the measure that all controllers are tuned for, and how they were
-    found. octarm run --gains FILE.toml uses them.
+    gains, as numbers in the scales of the nominal model that suit all similar arms, what they cost
+    by the measure that all controllers are tuned for, and how they were found. octarm run --gains
+    FILE.toml uses them.
+
+    The measure holds two control periods, late and slow inputs, a payload, a fast motion, wrong
+    models and noise: the list TRAINING of octarm/sweeps/scenarios.py. What the gains are worth is
+    then measured on the list EVALUATION there: desired motions, noises, faults and model errors
+    that the search never saw.
 
     Args:
         controller: controller to tune

@@ -16,7 +16,8 @@ from controllers import CONTROLLERS, make_controller
 from octarm.arm.file import read_arm
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
-from octarm.declared import Code, named
+from octarm.commands.gain_notes import print_unsuited
+from octarm.declared import Code, named, short_name
 from octarm.disturbances.catalogue import DISTURBANCES
 from octarm.disturbances.spelling import parse_disturbance, spelling
 from octarm.errors import ExitCode, OctarmError
@@ -142,6 +143,9 @@ def margin(
     varied = settings.varied(low, high)
     short, code = settings.named(controllers)
     runs = {short[word]: settings.runs(word, varied) for word in controllers}
+    for word in controllers:
+        believed, step = nominal_parameters(), settings.timestep
+        print_unsuited(short_name(word), settings.gains, believed, step, settings.control_period)
     runs = {name: run.rehearse(settings.seeds) for name, run in runs.items()}
     rows: list[Mapping[str, Any]] = []
     for name, run in runs.items():

@@ -58,9 +58,9 @@ def run(
         plant_modules: modules of the true arm, a multiple of the model's: a chain of the same rod,
             of which the controller knows groups; the model's modules when not given
         layout: of such a chain: paper, or centred with hinges in the middle of elements
-        gains: those to start from: tuned (for a control period of 0.0005 s), recommended (set by
-            hand, lower), or a file NAME.toml of octarm tune; tuned ones when not given
-        gain: one gain, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
+        gains: those to start from, scaled by the controller's model: tuned, recommended (set by
+            hand), or a file NAME.toml of octarm tune; tuned ones when not given
+        gain: one gain in SI, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
         timestep: physics step [s]; that of models/octarm.xml, 0.0005 s, when not given; auto is the
             longest part of the control period that suits the fastest mode of the arm
         control_period: time between control actions [s], whole physics steps; one step when not
@@ -80,6 +80,12 @@ def run(
       octarm run --controller ./mine.py:Law --disturbance ./mine.py:Gust:5,at=1
       octarm run --arm eth --controller afsmc
       octarm run --plant-modules 15 --timestep auto --control-period 0.0001
+
+    With tuned gains, 40 % noise and a model wrong by 30 %, laws are to keep the
+    nominal arm up to a control period of 2 ms, inputs late by 1.5 ms, and inputs
+    that lag by 5 ms; those that end sooner:
+
+    {limits}
 
     Disturbances, by what they act on; keys with their defaults:
 

@@ -63,6 +63,10 @@ def page(app: App, name: str) -> str:
         from octarm.disturbances.spelling import help_text
 
         examples = examples.replace("{disturbances}", help_text())
+    if "{limits}" in examples:
+        from controllers import limits_text
+
+        examples = examples.replace("{limits}", limits_text() or "  none")
     return "\n".join([*lines, "", "examples:", examples.rstrip()])
 
 

@@ -14,6 +14,8 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import CONTROLLERS, make_controller
+from octarm.commands.gain_notes import print_unsuited
+from octarm.declared import short_name, word_of
 from octarm.errors import ExitCode, OctarmError, printable, sentence_of
 from octarm.formats import read_toml
 from octarm.memory import check_batch
@@ -118,8 +120,11 @@ def _checked_spec(options: Options) -> SweepSpec:
             code = None if name in spec.code else CONTROLLERS.code(name)
             if code is not None:  # an entry point of an installed package
                 spec = dataclasses.replace(spec, code={**spec.code, name: code}, text="")
+            period, gains = spec.control_period, spec.gain_sets.get(name)
             for arm in spec.all_arms():
                 spec.controller(name, arm, make_controller)
+                label = short_name(word_of(name, spec.code))
+                print_unsuited(label, gains, arm, spec.timestep, period)
     plan = Plan(spec)
     for episode in spec.record:
         if isinstance(episode, int):

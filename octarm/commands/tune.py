@@ -16,13 +16,16 @@ from tqdm import tqdm
 from controllers import CONTROLLERS, make_controller
 from controllers.gain_sets import GainSet, shortest
 from octarm.arm.file import read_arm
-from octarm.declared import Code, short_name
+from octarm.arm.nominal import LagrangeModel
+from octarm.arm.parameters import ArmParameters
+from octarm.declared import Code, lacking, short_name
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_text
 from octarm.simulation.engines import usual_engine
+from octarm.sweeps.scenarios import Scenario
 from octarm.sweeps.tune import Budget, SearchState, Space, StateFile, Tuned, settings, versions
 from octarm.sweeps.tune import tune as tune_gains
-from octarm.sweeps.tune_cost import FORMULA, Examination, Rig
+from octarm.sweeps.tune_cost import FORMULA, LARGEST, Examination, Rig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,9 +75,8 @@ def tune(controller: str, options: Options) -> int:
         "budget": options.seconds,
         **rig.settings(),
     }
-    name, modules = short_name(controller), rig.arm().modules
-    code = CONTROLLERS.code(controller)
-    write_text(out, gain_set(name, modules, origin, budget, tuned, code).to_toml())
+    name, code = short_name(controller), CONTROLLERS.code(controller)
+    write_text(out, gain_set(name, rig.arm(), origin, budget, tuned, code).to_toml())
     state_file(out).unlink(missing_ok=True)
     _print_summary(name, budget, tuned)
     print(f"wrote {printable(str(out))}")
@@ -127,9 +129,9 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
 
 def _check_knobs(controller: str) -> None:
     """Raises OctarmError for a law that does not say what tuning may turn."""
-    if not any("knobs" in vars(base) for base in CONTROLLERS[controller].__mro__):
+    if misses := lacking(CONTROLLERS[controller], knobs=[], scales=[]):
         raise OctarmError(
-            f"{short_name(controller)} has no method knobs; a controllers.law.Law has one, and "
+            f"{short_name(controller)} {misses}; a controllers.law.Law has it, and "
             "octarm.interfaces.Tunable says what it answers"
         )
 
@@ -141,7 +143,7 @@ def state_file(out: Path) -> Path:
 
 def gain_set(
     controller: str,
-    modules: int,
+    arm: ArmParameters,
     origin: Mapping[str, Any],
     budget: Budget,
     tuned: Tuned,
@@ -160,28 +162,37 @@ def gain_set(
     return GainSet.model_validate(
         {
             "controller": controller,
-            "modules": modules,
             "gains": {name: shortest(gain) for name, gain in tuned.gains.items()},
+            "arm": _described(arm, budget),
             "tuning": tuning,
             **({} if code is None else {"code": code.model_dump()}),
             "versions": versions(),
             "search": _outcome(budget.short, tuned.short, tuned.short_by_hand),
             "long_trial": _outcome(budget.long, tuned.long, tuned.long_by_hand),
+            "evaluation": _outcome(budget.unseen, tuned.unseen, tuned.unseen_by_hand),
         }
     )
+
+
+def _described(arm: ArmParameters, budget: Budget) -> dict[str, float]:
+    """The arm that gains are tuned for, and the longest control period, in its time scale."""
+    model = LagrangeModel(arm)
+    longest = max(scenario.period for scenario in budget.short.scenarios)
+    numbers = {**model.descriptors, "control_period": longest / model.time_scale}
+    return {name: float(f"{float(x):.4g}") for name, x in numbers.items()}
 
 
 def _outcome(examination: Examination, tuned: np.ndarray, by_hand: np.ndarray) -> dict[str, Any]:
     """What the gains cost, in all and in each scenario."""
     rows = [
-        {**dataclasses.asdict(scenario), "cost": cost, "recommended": other}
+        {**_unusual(scenario), "cost": cost, "recommended": other}
         for scenario, cost, other in zip(
             examination.scenarios, tuned.tolist(), by_hand.tolist(), strict=True
         )
     ]
     return {
-        "cost": tuned.mean().item(),
-        "recommended": by_hand.mean().item(),
+        "cost": examination.mean(tuned).item(),
+        "recommended": examination.mean(by_hand).item(),
         "measured_from": examination.begin,
         "duration": examination.duration,
         "scenarios": rows,
@@ -194,10 +205,26 @@ def _print_summary(controller: str, budget: Budget, tuned: Tuned) -> None:
         f"{budget.seconds:.0f} simulated s"
     )
     print("  cost                     tuned  recommended")
-    for name, duration, cost, other in (
-        ("search", budget.short.duration, tuned.short, tuned.short_by_hand),
-        ("long trial", budget.long.duration, tuned.long, tuned.long_by_hand),
+    for name, trial, cost, other in (
+        ("search", budget.short, tuned.short, tuned.short_by_hand),
+        ("long trial", budget.long, tuned.long, tuned.long_by_hand),
+        ("unseen", budget.unseen, tuned.unseen, tuned.unseen_by_hand),
     ):
-        print(f"  {name:<10} of {duration:>4g} s {cost.mean():>11.5f} {other.mean():>12.5f}")
+        means = f"{trial.mean(cost):>11.5f} {trial.mean(other):>12.5f}"
+        print(f"  {name:<10} of {trial.duration:>4g} s {means}")
+    lost = [s for s, cost in zip(budget.long.scenarios, tuned.long, strict=True) if cost >= LARGEST]
+    for scenario in lost:
+        print(f"  lost: {_words(scenario)}")
     if tuned.at_bounds:
         print(f"  as small or large as allowed: {', '.join(tuned.at_bounds)}")
+
+
+def _words(scenario: Scenario) -> str:
+    """A scenario in words."""
+    return ", ".join(f"{name} {value}" for name, value in _unusual(scenario).items())
+
+
+def _unusual(scenario: Scenario) -> dict[str, Any]:
+    """What of a scenario is not as usual, and its reference, by the names of its fields."""
+    usual = dataclasses.asdict(Scenario(reference=""))
+    return {name: x for name, x in dataclasses.asdict(scenario).items() if x != usual[name]}

@@ -99,9 +99,9 @@ class SweepSpec:
         batch: largest number of arms that are stepped together.
         integrator: see `octarm.load`.
         fixed: fields of disturbances that are the same in all episodes, by disturbance.
-        gain_sets: `tuned` or `recommended`, by controller; tuned gains where there are any, else
-            recommended ones, for the others.
-        gains: where they are not those of the set, by controller.
+        gain_sets: `tuned`, `recommended` or the content of a file of gains, by controller; tuned
+            gains where there are any, else recommended ones, for the others.
+        gains: where they are not those of the set, by controller [SI].
         arms: their parameters, as `ArmParameters.to_dict` has them, by the values of the axis
             `arm`; the nominal arm has no such axis.
         record: episodes to record, by number or by a word.
@@ -121,7 +121,7 @@ class SweepSpec:
     batch: int = 1024
     integrator: str = "rk4"
     fixed: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
-    gain_sets: Mapping[str, str] = dataclasses.field(default_factory=dict[str, str])
+    gain_sets: Mapping[str, Any] = dataclasses.field(default_factory=dict[str, Any])
     gains: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
     arms: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
     record: tuple[int | str, ...] = ()

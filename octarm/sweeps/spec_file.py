@@ -11,7 +11,7 @@ At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep`
 - `[random]` with `mismatch`, and `[random.disturbance]`: what is drawn for each seed,
   `payload = { low = 0.0, high = 0.2, method = "sobol" }`; `uniform` is the usual method;
 - `[disturbance]`: what is the same in all episodes, `noise.time = 0.01`;
-- `[gains.NAME]`: gains of a controller;
+- `[gains.NAME]`: gains of a controller [SI];
 - `[arm]`: the arm, as in a file of one (`octarm.arm.file`), instead of `arm = "my-arm.toml"`;
 - `[record]`: `episodes`, a list of numbers, `"worst"`, `"median"` and `"diverged"`.
 
@@ -28,7 +28,7 @@ A further disturbance of the same class has its number behind its name, from 2 o
 `noise-2.time`. It has columns and random numbers of its own.
 
 The gain set is `"tuned"`, `"recommended"` or a file of `octarm tune`, beside the spec, for all
-controllers; or there is a table `[gain_set]` with one of these for each. Gains of a file become
+controllers; or there is a table `[gain_set]` with one of these for each. What is in a file becomes
 part of the spec that the sweep keeps.
 """
 
@@ -51,7 +51,7 @@ from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.modes import INTEGRATORS
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import LAYOUTS
-from octarm.declared import Code
+from octarm.declared import Code, short_name, word_of
 from octarm.disturbances.fields import Words, field_defaults, field_keys, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError, OctarmError, closest, quoted
@@ -161,6 +161,16 @@ class Record(Model):
     episodes: Array[Annotated[int, Field(ge=0)] | Annotated[str, one_of(RECORDED)]] = ()
 
 
+class GainFile(Model):
+    """What a sweep reads of a file of `octarm tune`."""
+
+    model_config = pydantic.ConfigDict(extra="ignore")
+
+    controller: str
+    gains: dict[str, Gain]
+    arm: dict[str, float]
+
+
 class SpecFile(Model):
     """The whole file; fields of disturbances are read in `_fields`."""
 
@@ -179,7 +189,7 @@ class SpecFile(Model):
     mismatch: Mismatch | None = None
     plant_modules: Modules | None = None
     layout: Layout | None = None
-    gain_set: str | dict[str, str] | None = None
+    gain_set: str | dict[str, str | GainFile] | None = None
     grid: Grid = Grid()
     random: Random = Random()
     disturbance: dict[str, Any] = Field(default_factory=dict)
@@ -188,16 +198,6 @@ class SpecFile(Model):
     arms: dict[str, dict[str, Any]] = Field(default_factory=dict)
     record: Record = Record()
     code: dict[str, Code] = Field(default_factory=dict)
-
-
-class GainFile(Model):
-    """What a sweep reads of a file of `octarm tune`."""
-
-    model_config = pydantic.ConfigDict(extra="ignore")
-
-    controller: str
-    modules: int
-    gains: dict[str, Gain]
 
 
 def read_spec(path: str | Path) -> SweepSpec:
@@ -232,26 +232,28 @@ def _spec(document: Document) -> SweepSpec:
     axes, drawn = _axes(document, content)
     arms = _arms(document, content, axes)
     _check_plants(document, content, axes, arms)
-    sizes = {arm.modules for arm in arms.values()} or {nominal_parameters().modules}
-    sets, gains = _gains(document, content, [str(value) for value in axes[0].values], sizes)
+    sets = _gain_sets(document, content, [str(value) for value in axes[0].values])
     fixed: dict[str, dict[str, Any]] = {}
     for field, keys in _fields(document, content.code, "disturbance"):
         if field.name in [axis.name for axis in (*axes, *drawn)]:
             raise document.error(f"{field.name} is an axis, too", *keys)
         value = document.read(cast(Any, Number | str | list[Number]), *keys)
         fixed.setdefault(field.disturbance, {})[field.field] = value
-    files = [choice for choice in sets.values() if choice not in GAIN_SETS]
+    asked = content.gain_set or {}
+    files = {asked} if isinstance(asked, str) else {x for x in asked.values() if isinstance(x, str)}
     spec = SweepSpec(
         axes=axes,
         random=drawn,
         **{name: getattr(content, name) for name in SETTINGS},
         fixed=fixed,
-        gain_sets={name: "recommended" if c in files else c for name, c in sets.items()},
-        gains=gains,
+        gain_sets=sets,
+        gains=content.gains,
         arms={name: arm.to_dict() for name, arm in arms.items()},
         record=content.record.episodes,
         code=content.code,
-        text="" if files or content.code or _other_files(content, arms) else document.text,
+        text=""
+        if files - {*GAIN_SETS} or content.code or _other_files(content, arms)
+        else document.text,
     )
     for name in spec.disturbances:
         if which(name)[0] not in kept:
@@ -440,10 +442,10 @@ def _fields(
             yield Axis(name=column, disturbance=name, field=fields[key]), keys
 
 
-def _gains(
-    document: Document, content: SpecFile, controllers: list[str], sizes: set[int]
-) -> tuple[dict[str, str], dict[str, dict[str, Any]]]:
-    """The gain set of each controller, and the gains that differ from it or come from a file."""
+def _gain_sets(
+    document: Document, content: SpecFile, controllers: list[str]
+) -> dict[str, str | dict[str, Any]]:
+    """The gain set of each controller: a word, or what a file holds that the spec names."""
     sets = content.gain_set or {}
     if isinstance(sets, str):
         sets = dict.fromkeys(controllers, sets)
@@ -452,33 +454,33 @@ def _gains(
             hint = closest(name, controllers)
             message = f"gains of {quoted(name)}, which is no controller of this sweep{hint}"
             raise document.error(message, table, name)
-    gains: dict[str, dict[str, Any]] = {}
+    known: dict[str, str | dict[str, Any]] = {}
     for name, choice in sets.items():
-        if choice.endswith(".toml"):
+        if isinstance(choice, GainFile):
+            known[name] = choice.model_dump()
+        elif choice in GAIN_SETS:
+            known[name] = choice
+        elif choice.endswith(".toml"):
             try:
-                gains[name] = _gains_of_file(Path(document.file).parent / choice, name, sizes)
+                label = short_name(word_of(name, content.code)) if name in content.code else name
+                known[name] = _content_of(Path(document.file).parent / choice, label)
             except FileError as error:
                 raise document.error(str(error), "gain_set", name) from None
-        elif choice not in GAIN_SETS:
-            known = ", ".join(GAIN_SETS)
-            message = f"unknown gain_set {spelt(choice)}; known are {known}, or NAME.toml"
+        else:
+            words = ", ".join(GAIN_SETS)
+            message = f"unknown gain_set {spelt(choice)}; known are {words}, or NAME.toml"
             raise document.error(message, "gain_set", name)
-    for name, own in content.gains.items():
-        gains[name] = gains.get(name, {}) | own
-    return sets, gains
+    return known
 
 
-def _gains_of_file(path: Path, controller: str, sizes: set[int]) -> dict[str, Any]:
-    """The gains in a file of `octarm tune`, for arms of these numbers of modules."""
+def _content_of(path: Path, controller: str) -> dict[str, Any]:
+    """What a file of `octarm tune` holds of gains."""
     document = read_toml(path)
     file = document.read(GainFile)
     if file.controller != controller:
         message = f"holds gains of {spelt(file.controller)}, not of {controller}"
         raise document.error(message, "controller")
-    for modules in sizes - {file.modules}:
-        message = f"is for an arm of {file.modules} modules; this one has {modules}"
-        raise document.error(message, "modules")
-    return file.gains
+    return file.model_dump()
 
 
 def _try(spec: SweepSpec, name: str, document: Document) -> None:
