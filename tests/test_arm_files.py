@@ -134,7 +134,7 @@ def test_a_module_has_the_axial_and_bending_stiffness_that_the_file_gives(column
     ("lines", "said"),
     [
         ({"width": "0.08"}, r'line \d+: width is 0\.08; it must be given with a unit'),
-        ({"width": '"80 mn"'}, r'line \d+: width is "80 mn"; it must be in m, cm, mm or um, which are'),
+        ({"width": '"80 mn"'}, r'line \d+: width is "80 mn"; it must be in m, cm, mm or um'),
         ({"width": '"80xm"'}, r'width is "80xm"; it must be in m, cm, mm or um'),
         ({"width": '"80 N"'}, r"width is .*; it must be in m, cm, mm or um"),
         ({"width": "true"}, r"width is true; it must be"),
