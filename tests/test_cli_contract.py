@@ -134,7 +134,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
     "tune": {
         "options": {
             "--out": "FILE.toml",
-            "--budget": "S 8000",
+            "--budget": "S 16000",
             "--seed": "N 0",
             "--resume": "",
             "--force": "",

@@ -191,7 +191,7 @@ def tune(
     /,
     *,
     out: Annotated[Path | None, kinds.file(".toml")] = None,
-    budget: Annotated[float, kinds.S] = 8000.0,
+    budget: Annotated[float, kinds.S] = 16000.0,
     seed: Annotated[int, kinds.N] = 0,
     resume: bool = False,
     force: bool = False,
@@ -215,7 +215,7 @@ def tune(
     Args:
         controller: controller to tune
         out: file to write; CONTROLLER.toml when not given; the search keeps its state beside it
-        budget: what the search may simulate, all arms counted [s]; 8000 s take minutes
+        budget: what the search may simulate, all arms counted [s]; 16000 s take minutes
         seed: seed of the search
         resume: go on with the search that was interrupted
         force: replace gains that are there, and begin an interrupted search anew
