@@ -16,6 +16,7 @@ def run(
     controller: Annotated[str, kinds.CONTROLLER, kinds.EXPERIMENT] = "smc-boundary",
     reference: Annotated[str, kinds.REFERENCE, kinds.EXPERIMENT] = "sine",
     disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = (),
+    metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.EXPERIMENT] = (),
     duration: Annotated[float, kinds.S, kinds.EXPERIMENT] = 10.0,
     seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
     arm: Annotated[str | None, kinds.ARM, kinds.MODEL] = None,
@@ -44,6 +45,7 @@ def run(
         reference: the desired motion
         disturbance: NAME:VALUE[,KEY=VALUE..], what acts on the arm unknown to the controller; see
             below
+        metric: what is measured as well, FILE.py:NAME or MODULE:NAME
         duration: length of the run [s]
         seed: seed of all that is random; an undisturbed run has nothing random
         arm: the true arm and the controller's model of it: a file NAME.toml, or an arm that comes
@@ -75,6 +77,7 @@ def run(
       octarm run --controller afsmc --mismatch -0.3 --out runs/adaptive
       octarm run --disturbance noise:0.4 --disturbance payload:0.2,at=3
       octarm run --controller smc --gain lambda:20 --parameter mass:0.4,0.3,0.2
+      octarm run --controller ./mine.py:Law --disturbance ./mine.py:Gust:5,at=1
       octarm run --arm eth --controller afsmc
       octarm run --plant-modules 15 --timestep auto --control-period 0.0001
 
@@ -94,25 +97,32 @@ def run(
     from octarm.runs.experiment import Experiment
 
     true = work.true_arm(parameter, arm)
-    factors = work.named_values("--nominal", nominal)
-    experiment = Experiment(
-        controller=controller,
-        gains=work.gain_values(gain),
-        nominal=true.mismatched(mismatch).scaled(**factors),
-        parameters=true,
-        reference=reference,
-        disturbances=tuple(map(parse_disturbance, disturbance)),
-        seed=seed,
-        duration=duration,
-        timestep=timestep,
-        control_period=control_period,
-        actuation=actuation,
-        integrator=integrator,
-        engine=engine,
-        plant_modules=plant_modules,
-        layout=layout,
-    )
-    return surviving_output(partial(work.run, experiment, gains, out, view))
+    nominal_arm = true.mismatched(mismatch).scaled(**work.named_values("--nominal", nominal))
+    own_gains = work.gain_values(gain)
+
+    def job() -> int:
+        names, code = work.named_words(controller, reference, disturbance, metric)
+        experiment = Experiment(
+            controller=names[0],
+            gains=own_gains,
+            nominal=nominal_arm,
+            parameters=true,
+            reference=names[1],
+            disturbances=tuple(map(parse_disturbance, disturbance)),
+            seed=seed,
+            duration=duration,
+            timestep=timestep,
+            control_period=control_period,
+            actuation=actuation,
+            integrator=integrator,
+            engine=engine,
+            plant_modules=plant_modules,
+            layout=layout,
+            code=code,
+        )
+        return work.run(experiment, gains, out, view)
+
+    return surviving_output(job)
 
 
 def replay(

@@ -17,16 +17,20 @@ import numpy.typing as npt
 from dm_control.rl import control
 from tqdm import tqdm
 
-from controllers import make_controller
+from controllers import CONTROLLERS, make_controller
 from octarm.arm.file import read_arm
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.modes import growth_rate
 from octarm.arm.parameters import ArmParameters
 from octarm.commands.gain_notes import print_unsuited
 from octarm.commands.summary import Swing, summary
+from octarm.declared import Code, named, short_name, word_of
+from octarm.disturbances.catalogue import DISTURBANCES
 from octarm.disturbances.episode import Disturbance
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
+from octarm.metrics.declared import ACCUMULATORS
 from octarm.recordings.recording import run_recording
+from octarm.references import REFERENCES
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
@@ -40,7 +44,8 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
     )
     announced = experiment.announcement(environment, controller)
     period = environment.control_timestep()
-    far = print_unsuited(experiment.controller, gain_set, experiment.nominal, None, period)
+    label = short_name(word_of(experiment.controller, experiment.code))
+    far = print_unsuited(label, gain_set, experiment.nominal, None, period)
     periods = whole_periods(experiment.duration, period)
     for sentence in late_events(experiment.disturbances, experiment.duration):
         print(f"octarm: {sentence}", file=sys.stderr)
@@ -57,7 +62,7 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
             keep=swing.add,
         )
     elapsed = time.perf_counter() - started
-    print(summary(len(trajectory), swing.amplitude(), description, elapsed))
+    print(summary(len(trajectory), swing.amplitude(), description, elapsed, experiment.code))
     print(f"wrote {printable(str(out))}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt(f"{out} holds the run up to t = {trajectory.t[-1]:.6g} s")
@@ -71,6 +76,27 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
     else:
         print(f"see it: octarm replay {printable(shlex.quote(str(out)))}")
     return ExitCode.FINE
+
+
+def named_words(
+    controller: str, reference: str, disturbances: Sequence[str], metrics: Sequence[str]
+) -> tuple[list[str], dict[str, Code]]:
+    """The names of what an experiment is made of, given the words of the command line.
+
+    Those of the controller, the reference, the disturbances and the metrics, and the code of what
+    is not built in.
+
+    Raises:
+        OctarmError: for a word that means nothing.
+    """
+    return named(
+        [
+            (CONTROLLERS, controller),
+            (REFERENCES, reference),
+            *((DISTURBANCES, DISTURBANCES.split(text).word) for text in disturbances),
+            *((ACCUMULATORS, word) for word in metrics),
+        ]
+    )
 
 
 def late_events(disturbances: Sequence[Disturbance], duration: float) -> Iterator[str]:

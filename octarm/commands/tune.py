@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from controllers import make_controller
+from controllers import CONTROLLERS, make_controller
 from controllers.gain_sets import GainSet, shortest
 from octarm.arm.file import read_arm
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
+from octarm.declared import Code, lacking, short_name
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_text
 from octarm.simulation.engines import usual_engine
@@ -63,6 +64,7 @@ def tune(controller: str, options: Options) -> int:
     """`octarm tune`: gains for one controller, as a TOML file."""
     out, budget, rig = options.out, Budget.within(options.seconds), options.rig
     rig.check()
+    _check_knobs(controller)
     if options.force and not options.resume:
         state_file(out).unlink(missing_ok=True)
     tuned = _search(controller, budget, options)
@@ -73,12 +75,13 @@ def tune(controller: str, options: Options) -> int:
         "budget": options.seconds,
         **rig.settings(),
     }
-    write_text(out, gain_set(controller, rig.arm(), origin, budget, tuned).to_toml())
+    name, code = short_name(controller), CONTROLLERS.code(controller)
+    write_text(out, gain_set(name, rig.arm(), origin, budget, tuned, code).to_toml())
     state_file(out).unlink(missing_ok=True)
-    _print_summary(controller, budget, tuned)
+    _print_summary(name, budget, tuned)
     print(f"wrote {printable(str(out))}")
-    gains = printable(shlex.quote(str(out)))
-    print(f"try it: octarm run --controller {controller} --gains {gains}")
+    gains, word = (printable(shlex.quote(str(each))) for each in (out, controller))
+    print(f"try it: octarm run --controller {word} --gains {gains}")
     return ExitCode.FINE
 
 
@@ -89,6 +92,8 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
     nominal = options.rig.arm()
     space = Space(factory(nominal), nominal.modules)
     depends_on = settings(controller, space, budget, options.seed, options.rig)
+    code = CONTROLLERS.code(controller)
+    depends_on |= {} if code is None else {"code": code.sha256}
     file = StateFile(state_file(out), depends_on)
     if file.path.exists() and not resume:
         raise OctarmError(
@@ -122,15 +127,29 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
         raise KeyboardInterrupt(f"go on by: {options.command(controller)} {more}") from None
 
 
+def _check_knobs(controller: str) -> None:
+    """Raises OctarmError for a law that does not say what tuning may turn."""
+    if misses := lacking(CONTROLLERS[controller], knobs=[], scales=[]):
+        raise OctarmError(
+            f"{short_name(controller)} {misses}; a controllers.law.Law has it, and "
+            "octarm.interfaces.Tunable says what it answers"
+        )
+
+
 def state_file(out: Path) -> Path:
     """Where the state of the search is kept that ends in a file."""
     return out.with_name(out.name + ".state")
 
 
 def gain_set(
-    controller: str, arm: ArmParameters, origin: Mapping[str, Any], budget: Budget, tuned: Tuned
+    controller: str,
+    arm: ArmParameters,
+    origin: Mapping[str, Any],
+    budget: Budget,
+    tuned: Tuned,
+    code: Code | None = None,
 ) -> GainSet:
-    """The result, with all that is needed to find it again."""
+    """The result, with all that is needed to find it again; `code` if it is not built in."""
     tuning = {
         **origin,
         "candidates": budget.generations * budget.population,
@@ -146,6 +165,7 @@ def gain_set(
             "gains": {name: shortest(gain) for name, gain in tuned.gains.items()},
             "arm": _described(arm, budget),
             "tuning": tuning,
+            **({} if code is None else {"code": code.model_dump()}),
             "versions": versions(),
             "search": _outcome(budget.short, tuned.short, tuned.short_by_hand),
             "long_trial": _outcome(budget.long, tuned.long, tuned.long_by_hand),

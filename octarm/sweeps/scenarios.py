@@ -74,6 +74,8 @@ SCENARIOS = (
     Scenario(reference="fast-sine", mismatch=0.3, noise=0.4, lag=0.005),
     # The arm carries something.
     Scenario(reference="sine", payload=0.2),
+    # The arm is not its model: three modules to each one of the controller's.
+    Scenario(reference="sine", mismatch=-0.3, plant_modules=9, period=0.0002),
 )
 
 EVALUATION = (

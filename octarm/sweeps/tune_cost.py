@@ -256,7 +256,10 @@ class _Observer:
         steady = instant.measurement.t > self._examination.begin - 0.5 * self._period
         with np.errstate(all="ignore"):  # an arm that is lost may hold anything
             self._chattering.update({"force": instant.tau[None]}, steady)
-            error = (instant.q - instant.reference.q)[None]
+            within = instant.within  # errors count at every physics step
+            error = (
+                (instant.q - instant.reference.q)[None] if within is None else within.q - within.q_d
+            )
             self._error.update({"error": error, "squared_error": error * error}, steady)
 
     def costs(self, true: ArmParameters) -> np.ndarray:
