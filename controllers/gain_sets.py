@@ -142,7 +142,8 @@ def unsuited(
 
     Args:
         controller: its name.
-        choice: see `gain_set_of`; recommended gains were set for the arm of the tuned ones.
+        choice: see `gain_set_of`; recommended gains were set for the arm of the tuned ones, and
+            are for no control period in particular.
         nominal: the model of one arm.
         control_period: time between control actions [s].
 
@@ -153,7 +154,8 @@ def unsuited(
         OctarmError: if there is no such set.
     """
     source, gains = gain_set_of(controller, choice)
-    gains = shipped(controller) if gains is None else gains
+    if gains is None:
+        gains, control_period = shipped(controller), 0.0
     far = "" if gains is None else gains.unsuited(nominal, control_period)
     return far and f"{source} were found for another arm or control period: {far}"
 

@@ -221,9 +221,13 @@ def test_gains_for_another_arm_say_so():
         (P, 0.02, "control period times the fastest mode 3.07 instead of"),
         (P.scaled(mass=0.001, inertia=0.001), STEP, "control period times the fastest mode"),
     ):
-        for choice in (None, "tuned", "recommended"):
+        for choice in (None, "tuned", *["recommended"] * ("period" not in words)):
             sentence = unsuited("smc", choice, LagrangeModel(arm), period)
             assert words in sentence and "\n" not in sentence
+
+
+def test_recommended_gains_are_for_no_control_period_in_particular():
+    assert unsuited("smc", "recommended", LagrangeModel(P), 0.02) == ""
 
 
 def test_a_run_says_that_its_gains_are_for_another_arm(tmp_path, monkeypatch, capsys):

@@ -206,7 +206,7 @@ def _costs(
         batch=n * len(scenarios),
         control_period=scenarios[0].period,
         seed=[seeds[i] for i in places] * n,
-        timestep=None if rig.plant_modules is None else AUTO,
+        timestep=None if rig.plant_modules in (None, true.modules) else AUTO,
         parameters=true,
         engine=rig.engine,
         plant_modules=rig.plant_modules,
