@@ -409,7 +409,7 @@ def test_the_command_writes_gains_and_how_they_were_found(capsys):
     longest = max(values(SCENARIOS, "period")) / LagrangeModel(P).time_scale
     assert content["arm"]["control_period"] == pytest.approx(longest, rel=1e-3)
     tuning = content["tuning"]
-    assert tuning["command"] == "octarm tune smc --budget 8000 --seed 5"
+    assert tuning["command"] == "octarm tune smc --budget 16000 --seed 5"
     assert tuning["date"] == datetime.date.today()
     assert (tuning["seed"], tuning["candidates"]) == (5, 20)
     assert tuning["objective"].startswith(
@@ -456,7 +456,7 @@ def test_an_interrupted_command_goes_on(capsys, monkeypatch):
     assert cli.main(arguments) == 130
     assert capsys.readouterr().err == (
         "octarm: interrupted; go on by: "
-        "octarm tune smc --budget 8000 --seed 5 --out smc.toml --resume\n"
+        "octarm tune smc --budget 16000 --seed 5 --out smc.toml --resume\n"
     )
     assert [path.name for path in Path().iterdir()] == ["smc.toml.state"]
     assert cli.main(arguments) == 2
@@ -477,9 +477,9 @@ def test_an_interrupted_command_goes_on(capsys, monkeypatch):
     ("arguments", "sentence"),
     [
         (["smcc"], "unknown controller 'smcc', did you mean 'smc'?"),
-        (["smc", "--budget", "1"], "budget is 1 s; it must be at least 1080 s, one generation"),
-        (["smc", "--budget", "nan"], "budget is nan s; it must be at least 1080 s, one generation"),
-        (["smc", "--budget", "inf"], "it must be at least 1080 s, one generation, and finite"),
+        (["smc", "--budget", "1"], "budget is 1 s; it must be at least 1152 s, one generation"),
+        (["smc", "--budget", "nan"], "budget is nan s; it must be at least 1152 s, one generation"),
+        (["smc", "--budget", "inf"], "it must be at least 1152 s, one generation, and finite"),
         (["smc", "--seed", "-1"], "seed is -1; it must be at least 0"),
         (["smc", "--out", "gains.txt"], "--out is 'gains.txt'; its name must end in .toml"),
         (["smc", "--out", "no/x.toml"], "no/x.toml cannot be written: there is no folder for it"),
