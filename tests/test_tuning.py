@@ -103,6 +103,8 @@ def test_the_cost_is_the_declared_formula(scenario: Scenario):
         scenario.reference,
         disturbances=[parse_disturbance(text) for text, size in acting.items() if size],
         control_period=scenario.period,
+        timestep="auto" if scenario.plant_modules else None,
+        plant_modules=scenario.plant_modules or None,
         seed=trial.seeds()[1],
         engine="lagrange",
     )
@@ -141,7 +143,7 @@ def values(scenarios: tuple[Scenario, ...], field: str) -> set[Any]:
 def test_the_scenarios_hold_what_they_have_to():
     """Two control periods, a delay, a lag, a payload, wrong models and noise."""
     assert len(set(SCENARIOS)) == len(SCENARIOS)
-    assert values(SCENARIOS, "period") == {0.0005, 0.002}
+    assert values(SCENARIOS, "period") >= {0.0005, 0.002}
     assert values(SCENARIOS, "mismatch") == {-0.3, 0.0, 0.3}
     assert 0.4 in values(SCENARIOS, "noise") and 0.2 in values(SCENARIOS, "payload")
     assert 0.0015 in values(SCENARIOS, "delay") and 0.005 in values(SCENARIOS, "lag")
