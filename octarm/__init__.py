@@ -6,9 +6,12 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from octarm.arm.file import read_arm as read_arm
     from octarm.arm.mjcf import build_model as build_model
     from octarm.arm.mjcf import nominal_parameters as nominal_parameters
     from octarm.arm.parameters import ArmParameters as ArmParameters
+    from octarm.arm.rod import Rod as Rod
+    from octarm.arm.rod import arm_from_rod as arm_from_rod
     from octarm.interfaces import Command as Command
     from octarm.interfaces import Controller as Controller
     from octarm.interfaces import Measurement as Measurement
@@ -31,6 +34,9 @@ _HOMES = {
     "build_model": "arm.mjcf",
     "nominal_parameters": "arm.mjcf",
     "ArmParameters": "arm.parameters",
+    "Rod": "arm.rod",
+    "arm_from_rod": "arm.rod",
+    "read_arm": "arm.file",
     "rollout": "simulation.rollout",
     "sweep": "sweeps.execute",
     "read_run": "runs.folder",

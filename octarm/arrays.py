@@ -46,6 +46,12 @@ def join(entries: Sequence[Entry], like: np.ndarray, *shapes: tuple[int, ...]) -
     return out
 
 
+def stacked(row: np.ndarray, count: int) -> np.ndarray:
+    """Memory for rows like this one, each contiguous along the arms, shape (count, ...)."""
+    backwards = np.empty((count, *row.shape[::-1]), dtype=row.dtype)
+    return backwards.transpose(0, *range(row.ndim, 0, -1))
+
+
 def cos_sin(angle: Entry) -> tuple[Entry, Entry]:
     """Cosine and sine [1] of a number or an array of shape (...) [rad].
 

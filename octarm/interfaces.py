@@ -77,6 +77,24 @@ class Command(NamedTuple):
     layer: np.ndarray | None = None
 
 
+class Within(NamedTuple):
+    """What happened at the m physics steps of one control period.
+
+    Attributes:
+        q: true coordinates when each step began, shape (m, ..., 2N) [m], [rad].
+        q_d: desired coordinates then, broadcasts to the same shape [m], [rad].
+        received: input forces that reached the arm in each step, shape (m, ..., 2N) [N]: those
+            that were asked for, after the input range and all that is wrong with the actuators.
+        plant_tip: as in `Instant` when each step began, shape (m, ..., 2) [m]; None where the plant
+            is the arm itself, or there is one step.
+    """
+
+    q: np.ndarray
+    q_d: np.ndarray
+    received: np.ndarray
+    plant_tip: np.ndarray | None = None
+
+
 class Instant(NamedTuple):
     """One control instant as the loop hands it to its observers.
 
@@ -93,6 +111,7 @@ class Instant(NamedTuple):
             [rad]; None where the plant is the arm itself.
         plant_tip: where its tip is in the base frame, x along the hanging arm, y across, shape
             (..., 2) [m]; likewise.
+        within: the physics steps of the period; None if they are not known.
     """
 
     measurement: Measurement
@@ -104,14 +123,18 @@ class Instant(NamedTuple):
     disturbance: np.ndarray
     plant_q: np.ndarray | None = None
     plant_tip: np.ndarray | None = None
+    within: Within | None = None
 
 
 # k consecutive control instants as named fields, each of shape (k, ...): `t`, `q`, `v`, `q_d`,
 # `v_d`, `tau`, `force` and `disturbance` as in `Instant`, `plant_q` and `plant_tip` where there are
 # any, the controller's signals by name, and `q_measured` and `v_measured` where one arm is recorded
-# while sensors act.
+# while sensors act. Those of `WITHIN` have shape (k, m, ...) for the m physics steps of a control
+# period, see `Within`; but for `received` they are there only if m > 1, since for m = 1 they are
+# `q`, `q_d` and `plant_tip`.
 # The arrays are read-only for whoever gets them, and their memory may be used again afterwards.
 Rows = Mapping[str, np.ndarray]
+WITHIN = ("received", "q_steps", "q_d_steps", "plant_tip_steps")
 
 
 class NominalModel(Protocol):

@@ -105,15 +105,38 @@ def test_cross_correlation_peaks_at_the_delay_for_any_timestep(delay: float, tim
     assert lags[np.argmax(peak)] * timestep == pytest.approx(delay)
 
 
-def test_the_achieved_delay_is_whole_physics_steps_for_each_arm():
-    asked = np.array([0.0, 0.0002, 0.0003, 0.0014, 0.0375])
-    process = ActuationDelay(delay=asked).start(episode(5))
-    np.testing.assert_allclose(process.delay, [0.0, 0.0, 0.0005, 0.0015, 0.0375])
-    tau = held(100, 4, (5, 6))
+def test_what_arrives_is_exact_in_its_integral_for_any_delay_of_each_arm():
+    asked = np.array([0.0, 0.0002, 0.0003, 0.00125, 0.0014, 0.0375])
+    process = ActuationDelay(delay=asked).start(episode(6))
+    np.testing.assert_allclose(process.delay, asked, rtol=1e-12)
+    tau = held(100, 4, (6, 6))
     out = np.stack([process(k, tau[k]) for k in range(100)])
-    for i, late in enumerate(np.rint(process.delay / STEP).astype(int)):
+    t = STEP * np.arange(101)
+    zero = np.zeros((1, 6, 6))
+    given, come = (STEP * np.cumsum(np.concatenate([zero, x]), axis=0) for x in (tau, out))
+    for i, j in np.ndindex(6, 6):
+        expected = np.interp(t - asked[i], t, given[:, i, j])  # 0 before the start
+        np.testing.assert_allclose(come[:, i, j], expected, rtol=0, atol=1e-14)
+    for i, late in ((0, 0), (5, 75)):  # whole steps lose no bit
         np.testing.assert_array_equal(out[late:, i], tau[: 100 - late, i])
-        np.testing.assert_array_equal(out[:late, i], 0.0)
+
+
+def test_a_delay_of_a_fraction_of_a_step_changes_no_bit_of_another_arm():
+    tau = held(100, 4, (3, 6))
+    delays = [0.002, 0.00125, 0.0007]
+    process = ActuationDelay(delay=delays).start(episode(3))
+    together = np.stack([process(k, tau[k]) for k in range(100)])
+    for i, delay in enumerate(delays):
+        alone = received(ActuationDelay(delay=delay), tau[:, i])
+        np.testing.assert_array_equal(bits(alone), bits(together[:, i]))
+
+
+def test_a_delay_between_two_steps_is_between_their_responses():
+    """The audit's case: 1.25 ms, which was 1.0 ms when delays were rounded."""
+    tau = np.zeros((8, 6))
+    tau[2:] = 4.0
+    out = received(ActuationDelay(delay=0.00125), tau)[:, 0]
+    np.testing.assert_allclose(out, [0, 0, 0, 0, 2, 4, 4, 4], atol=1e-15)
 
 
 def test_memory_is_as_long_as_the_longest_delay():

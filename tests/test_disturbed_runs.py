@@ -337,7 +337,7 @@ def test_slow_inputs_follow_as_fast_as_they_can():
         np.testing.assert_allclose(received, y, atol=1e-13)
 
 
-@pytest.mark.parametrize(("delay", "late"), [(0.0, 0), (0.0034, 7), (0.0125, 25), (0.02, 40)])
+@pytest.mark.parametrize(("delay", "late"), [(0.0, 0), (0.0035, 7), (0.0125, 25), (0.02, 40)])
 def test_inputs_are_as_late_as_asked_also_between_control_instants(delay: float, late: int):
     found = run([f"actuation-delay:{delay}"], 400, law=shaking, period=4)
     assert best_lag(found.received, found.asked, 100) == late
@@ -345,10 +345,28 @@ def test_inputs_are_as_late_as_asked_also_between_control_instants(delay: float,
     np.testing.assert_allclose(found.received[late:], found.asked[: 400 - late], atol=1e-13)
 
 
+@pytest.mark.parametrize("kind", ["actuation-delay", "measurement-delay"])
+def test_a_delay_of_a_fraction_of_a_step_is_that_of_finer_steps(kind):
+    """Ten times as fine, 1.25 ms are whole steps; the error of the coarse ones is of 2nd order."""
+
+    def tip(delay: float, timestep: float) -> np.ndarray:
+        environment = load(
+            disturbances=[parse_disturbance(f"{kind}:{delay}")],
+            timestep=timestep,
+            control_period=2e-3,
+        )
+        law = make_controller("pd", P, gain_set="recommended")
+        return rollout(environment, law, 1.0).q
+
+    fine = tip(0.00125, 5e-5)
+    off = [np.max(np.abs(tip(delay, 5e-4) - fine)) for delay in (0.001, 0.00125, 0.0015)]
+    assert off[1] < 0.03 * min(off[0], off[2])
+
+
 # The readings: what the controller was called with
 
 
-@pytest.mark.parametrize(("delay", "late"), [(0.0, 0), (0.0034, 7), (0.0125, 25), (0.02, 40)])
+@pytest.mark.parametrize(("delay", "late"), [(0.0, 0), (0.0035, 7), (0.0125, 25), (0.02, 40)])
 def test_readings_are_as_late_as_asked_from_the_first_on(delay: float, late: int):
     found = run([f"measurement-delay:{delay}"], 400, law=shaking, period=4)
     shown, true = found.readings()

@@ -3,6 +3,7 @@
 # (mujoco ships no type stubs)
 
 import builtins
+import dataclasses
 import importlib.util
 import pickle
 import sys
@@ -19,9 +20,15 @@ from test_disturbed_runs import ALL
 from controllers import make_controller
 from octarm.arm import lagrange
 from octarm.arm.actuation import ACTUATIONS
-from octarm.arm.mjcf import build_model, build_slim_model, nominal_parameters
+from octarm.arm.mjcf import build_model, build_slim_model, nominal_parameters, paper_order
 from octarm.arm.parameters import ArmParameters
 from octarm.checks import free_motion
+from octarm.checks.mechanics import (
+    lagrange_mechanics,
+    mujoco_mechanics,
+    random_states,
+    relative_error,
+)
 from octarm.checks.validation import arm_with, random_arm
 from octarm.disturbances.episode import Plant
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
@@ -86,6 +93,59 @@ def test_arms_that_share_their_parameters_have_the_bits_of_those_that_do_not():
 
 def fields(p: ArmParameters) -> dict[str, np.ndarray]:
     return {name: np.asarray(x) for name, x in p.to_dict().items()}
+
+
+def any_arm(modules: int, seed: int = 0) -> ArmParameters:
+    """Modules that are bent without force, and have a backbone beside their columns."""
+    draw = np.random.default_rng([seed, modules])
+    arm = random_arm(draw, modules)
+    along, turning = draw.uniform(0.0, 400.0, modules), draw.uniform(0.0, 0.5, modules)
+    return dataclasses.replace(
+        arm,
+        width=draw.uniform(0.06, 0.1, modules),
+        rest_angle=draw.uniform(-0.2, 0.2, modules),
+        backbone_stiffness=[along, turning],
+        backbone_damping=[0.01 * along, 0.01 * turning],
+    )
+
+
+@pytest.mark.parametrize("modules", [1, 3, 7])
+def test_mujoco_is_the_analytic_model_for_any_backbone_and_any_bend_without_force(modules: int):
+    arm = any_arm(modules)
+    model, states = build_model(arm), random_states(arm, 50, np.random.default_rng(1))
+    by_mujoco, by_lagrange = mujoco_mechanics(model, arm, states), lagrange_mechanics(arm, states)
+    for name in by_mujoco:
+        assert relative_error(by_mujoco[name], by_lagrange[name]) < 1e-12, name
+    read = ArmParameters.from_model(model)
+    for name, value in fields(arm).items():
+        np.testing.assert_array_equal(getattr(read, name), value)
+    rest = lagrange.equilibrium(arm)
+    assert np.abs(rest[modules:]).max() > 0.01  # it hangs bent
+    np.testing.assert_allclose(model.key("hanging").qpos[paper_order(model)[0]], rest, atol=1e-12)
+
+
+@pytest.mark.parametrize("disturbance", ["mismatch:0.2", "mismatch:0,damping=0", "drift:0.2"])
+@pytest.mark.parametrize("engine", ["lagrange", "mujoco"])
+def test_arms_with_a_backbone_move_alike_in_batches_and_under_changes(disturbance, engine):
+    arms = [any_arm(3, seed) for seed in range(3)]
+    each = ArmParameters(**{k: [fields(a)[k] for a in arms] for k in fields(arms[0])})
+    change = [parse_disturbance(disturbance)]
+    alone = [load(parameters=a, disturbances=change, engine="mujoco") for a in arms]
+    together = load(parameters=each, batch=3, disturbances=change, engine=engine)
+    push = 5.0 * np.random.default_rng(0).normal(size=(3, 6))
+    for environment, tau in zip([*alone, together], [*push, push], strict=True):
+        environment.reset()
+        for _ in range(50):
+            environment.step(tau)
+    q = np.stack([environment.physics.q() for environment in alone])
+    exact = engine == "mujoco"
+    np.testing.assert_allclose(together.physics.q(), q, rtol=0, atol=0.0 if exact else 1e-12)
+    plants = [environment.physics.plant().parameters for environment in alone]
+    changed = together.physics.plant().parameters if engine == "lagrange" else None
+    if changed is not None:
+        for i, plant in enumerate(plants):
+            for name, value in fields(plant).items():
+                np.testing.assert_allclose(getattr(changed.arm(i), name), value, rtol=1e-14)
 
 
 @pytest.mark.parametrize("actuation", ACTUATIONS)

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from controllers import CONTROLLERS, make_controller
 from octarm.checks import verify
-from octarm.commands import margin, report, run, sweep, tune, validate
+from octarm.commands import margin, report, rod, run, sweep, tune, validate
 from octarm.commands.app import APP
 from octarm.commands.cli import main
 from octarm.commands.pages import arguments_of, commands, is_operand, spelling
@@ -113,6 +113,7 @@ def place(made, tmp_path_factory):
             patch.setattr(sweep, name, not_run)
         for name in ("plant", "ledger", "engines"):
             patch.setattr(validate, name, not_run)
+        patch.setattr(rod, "study", not_run)
         patch.setattr(report, "pictures", lambda _: [])
         patch.setattr(verify, "perform", short)
         patch.setattr(plots.NewFigure, "savefig", lambda *_, **__: None)
@@ -186,6 +187,7 @@ VALUES = {
     "REFERENCE": st.sampled_from([*REFERENCES]),
     "DISTURBANCE": DISTURBANCE,
     "ACTUATION": st.sampled_from(["f-coeff", "internal"]),
+    "ARM": st.sampled_from(["octarm", "eth", "fabric"]) | FILES,
     "GAINS": st.sampled_from(["tuned", "recommended"]) | FILES,
     "N": COUNTS,
     "METRIC": st.sampled_from(["rms_error", "effort", "rms_error_theta1"]),

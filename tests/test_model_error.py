@@ -72,6 +72,30 @@ def test_the_bound_covers_every_arm_of_the_box_and_one_at_a_vertex_attains_it(mo
         np.testing.assert_allclose(attained, bound[:, i], rtol=1e-9)
 
 
+def test_the_bound_counts_backbone_and_bend_without_force():
+    """The worst of all vertices, of which one parameter after another is taken off."""
+    draw = np.random.default_rng(5)
+    arm = dataclasses.replace(
+        P, rest_angle=[0.2, -0.1, 0.3], backbone_stiffness=draw.uniform(0.1, 300.0, (2, 3)),
+        backbone_damping=draw.uniform(0.1, 3.0, (2, 3)),
+    )  # fmt: skip
+    (_, q, v), (_, v_r, a_r) = random_instant(20, arm)
+    bound = LagrangeModel(arm).largest_error(np.array(U), q, v, a_r, v_r)
+    worst = np.zeros((2, *q.shape))
+    total = inverse_dynamics(arm, q, v, a_r, v_r)
+    for name in (*UNCERTAIN, "backbone_stiffness", "backbone_damping"):
+        share = 0.5 * U if name.endswith("stiffness") else U
+        for index in np.ndindex(getattr(arm, name).shape):
+            less = np.array(getattr(arm, name))
+            less[index] *= 0.5  # not 0, which is no mass
+            part = 2.0 * (
+                total - inverse_dynamics(dataclasses.replace(arm, **{name: less}), q, v, a_r, v_r)
+            )
+            sides = [(1.0 - 1.0 / (1.0 + share * side)) * part for side in (-1.0, 1.0)]
+            worst += [np.minimum(*sides), np.maximum(*sides)]
+    np.testing.assert_allclose(bound, np.abs(worst).max(axis=0), rtol=1e-9)
+
+
 @pytest.mark.parametrize("mismatch", [-U, -0.1, 0.2, U])
 def test_the_uncertainty_is_what_a_mismatch_does(mismatch: float):
     (_, q, v), (_, v_r, a_r) = random_instant(3000)

@@ -26,6 +26,9 @@ def fields(**changed: Any) -> dict[str, Any]:
         "gravity": 9.81,
         "tip_length": 0.02,
         "input_range": [[-20.0, -20.0, 0.0, -9.0], [20.0, 0.0, 20.0, 9.0]],
+        "rest_angle": [0.1, -0.2],
+        "backbone_stiffness": [[300.0, 0.0], [0.2, 0.5]],
+        "backbone_damping": [[3.0, 2.0], [0.01, 0.0]],
     }
     return valid | changed
 
@@ -127,8 +130,10 @@ def test_scaled_multiplies_the_named_fields_and_no_other():
     p = ArmParameters(**fields())
     scaled = p.scaled(mass=2.0, stiffness=[[1.0, 0.5], [2.0, 3.0]])
     expected = fields(mass=[0.6, 0.4], stiffness=[[1200.0, 500.0], [2200.0, 2700.0]])
+    # The backbone follows the mean of a module's columns.
+    expected["backbone_stiffness"] = [[450.0, 0.0], [0.2 * 1.5, 0.5 * 1.75]]
     for name in FIELDS:
-        np.testing.assert_array_equal(getattr(scaled, name), expected[name])
+        np.testing.assert_allclose(getattr(scaled, name), expected[name], rtol=1e-15)
     np.testing.assert_array_equal(p.mass, [0.3, 0.2])
 
 
@@ -156,6 +161,7 @@ def test_mismatch_scales_mass_inertia_damping_by_1_plus_x_and_stiffness_by_half_
     wrong = p.mismatched(x)
     for name in FIELDS:
         factor = {"mass": 1 + x, "inertia": 1 + x, "damping": 1 + x, "stiffness": 1 + x / 2}
+        factor |= {f"backbone_{kind}": factor[kind] for kind in ("damping", "stiffness")}
         expected = getattr(p, name) * factor.get(name, 1.0)
         np.testing.assert_array_equal(getattr(wrong, name), expected)
 
@@ -181,3 +187,20 @@ def test_a_dictionary_with_a_missing_or_an_unknown_field_is_refused():
         ArmParameters.from_dict(missing)
     with pytest.raises(ValueError, match=r"missing or unknown: colour$"):
         ArmParameters.from_dict(fields(colour="red"))
+
+
+def test_the_bend_without_force_and_the_backbone_follow_what_they_belong_to():
+    p = ArmParameters(**fields()).scaled(rest_length=2.0, damping=[[1.0, 2.0], [3.0, 4.0]])
+    np.testing.assert_allclose(p.rest_angle, [0.2, -0.4])
+    np.testing.assert_allclose(p.backbone_damping, [[6.0, 6.0], [0.02, 0.0]])
+    straight = ArmParameters(**fields(rest_angle=0.0, backbone_stiffness=0.0))
+    assert not straight.scaled(stiffness=[[2.0], [1.0]]).backbone_stiffness.any()
+
+
+def test_an_arm_that_is_straight_without_force_takes_any_number_of_modules():
+    p = ArmParameters(**fields(rest_angle=0.0, backbone_stiffness=0.0, backbone_damping=0.0))
+    two = {"stiffness": p.stiffness[:, :1], "damping": p.damping[:, :1]}
+    one = {name: getattr(p, name)[:1] for name in ("mass", "inertia", "rest_length")}
+    cut = dataclasses.replace(p, **one, **two, input_range=(-1.0, 1.0))
+    assert cut.rest_angle.shape == (1,)
+    assert not {"rest_angle", "backbone_damping"} & cut.to_dict().keys()

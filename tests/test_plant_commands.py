@@ -106,9 +106,13 @@ def test_the_tip_error_is_that_of_the_true_tip_against_arcs():
     run = rollout(environment, FACTORY("computed-torque", ARM), 2.2)
     metrics = Metrics(control_period=1e-3)
     metrics.update(dict(run.arrays()))
-    steady = run.t >= 2.0
-    x, y = arc_tip(run.q_d[steady])
-    distance = np.hypot(*(run.signals["plant_tip"][steady] - np.stack([x, y], -1)).T)
+    tips, q_d = (run.signals[f"{name}_steps"] for name in ("plant_tip", "q_d"))
+    np.testing.assert_array_equal(tips[:, 0], run.signals["plant_tip"])
+    steps = tips.shape[1]
+    assert steps * environment.physics.timestep() == pytest.approx(1e-3)
+    first = 2000 * steps  # of the steady regime, which begins at 2 s
+    x, y = arc_tip(q_d.reshape(-1, 6)[first:])
+    distance = np.hypot(*(tips.reshape(-1, 2)[first:] - np.stack([x, y], -1)).T)
     assert metrics.result()["tip_peak_error"] == pytest.approx(np.max(distance), rel=1e-12)
 
 

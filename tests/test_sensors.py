@@ -111,14 +111,36 @@ def test_cross_correlation_peaks_at_the_delay_for_any_timestep(delay: float, tim
         assert np.argmax(peak) * timestep == pytest.approx(delay)
 
 
-def test_the_achieved_delay_is_whole_physics_steps_for_each_arm():
-    asked = np.array([0.0, 0.0002, 0.0003, 0.0014, 0.0375])
+def test_readings_between_two_steps_are_those_of_a_cubic_motion_for_each_arm():
+    asked = np.array([0.0, 0.0002, 0.0003, 0.00125, 0.0014, 0.0375])
     fault = MeasurementDelay(delay=asked)
-    achieved = fault.start(episode(SeedSequence(0).spawn(5))).delay
-    np.testing.assert_allclose(achieved, [0.0, 0.0, 0.0005, 0.0015, 0.0375])
-    q, v = motion(100, (5, 6))
-    then = np.maximum(np.arange(100)[:, None] - np.rint(achieved / STEP).astype(int), 0)
-    same(readings(fault, (q, v)), (q[then, np.arange(5)], v[then, np.arange(5)]))
+    achieved = fault.start(episode(SeedSequence(0).spawn(6))).delay
+    np.testing.assert_allclose(achieved, asked, rtol=1e-12)
+    a, b, c, d = np.random.default_rng(3).normal(size=(4, 6, 6))
+
+    def true(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        t = t[..., None]
+        return a + t * (b + t * (c + t * d)), b + t * (2.0 * c + t * 3.0 * d)
+
+    t = np.repeat(STEP * np.arange(100)[:, None], 6, axis=1)
+    read = readings(fault, true(t))
+    begun = t - asked >= 0.0
+    for found, expected in zip(read, true(t - asked), strict=True):
+        np.testing.assert_allclose(found[begun], expected[begun], rtol=0, atol=1e-11)
+    whole = np.array([0, 5])
+    then = np.maximum(np.arange(100)[:, None] - np.array([0, 75]), 0)
+    same(
+        [x[:, whole] for x in read],
+        [x[then, whole] for x in true(t)],
+    )
+
+
+def test_readings_before_the_delay_has_passed_are_those_of_the_start():
+    q, v = motion(5)
+    read = readings(MeasurementDelay(delay=0.0013), (q, v))
+    for found, true in zip(read, (q, v), strict=True):
+        np.testing.assert_array_equal(found[:3], true[[0, 0, 0]])
+        assert np.all(found[3] != true[0])
 
 
 def test_memory_is_as_long_as_the_longest_delay():

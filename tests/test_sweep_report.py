@@ -29,7 +29,8 @@ from octarm.reports.comparisons import compare, partners
 from octarm.reports.consistency import remarks
 from octarm.reports.figures import COLORS, inline_svg
 from octarm.reports.frame import read_episodes
-from octarm.reports.page import number
+from octarm.reports.page import Tables, number
+from octarm.reports.statistics import adjusted, binomial
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spec import Axis, SweepSpec
 from octarm.sweeps.spec_file import parse_spec
@@ -400,6 +401,41 @@ def test_the_page_is_well_formed_and_needs_nothing_else(written):
         elif not target.startswith("data:image/png;base64,"):
             assert (written / target).is_file()
     assert inside <= set(links.ids)
+
+
+def test_fewer_than_six_seeds_have_ranges_and_nothing_is_coloured(tmp_path):
+    folder = write_sweep(tmp_path / "few", columns(seeds=4))
+    numbers = compare(read_episodes(folder))
+    cells = [c for row in Tables(numbers).medians(None).rows for c in row]
+    assert any(line.endswith(" range") for cell in cells for line in cell.small)
+    cells = [c for row in Tables(numbers).differences(None).rows for c in row]
+    assert "even" in {c.kind for c in cells} and not {"good", "bad"} & {c.kind for c in cells}
+    assert "medians have the range of their seeds; an interval needs 6" in told(folder)
+
+
+def test_differences_are_coloured_after_benjamini_and_hochberg(known, written):
+    numbers = compare(read_episodes(known))
+    groups = [g for g in numbers.groups if g.difference is not None]
+    raw = np.array([g.difference.measured.chance for g in groups])
+    own = np.array([g.difference.chance for g in groups])
+    signs = np.array([measure.sign for measure in numbers.episodes.measures])
+    assert np.isnan(own[:, signs == 0]).all()
+    raw = np.where(signs == 0, np.nan, raw)
+    np.testing.assert_allclose(own, adjusted(raw))
+    assert np.nanmin(own - raw) >= 0.0
+    kinds = {c.kind for row in Tables(numbers).differences(None).rows for c in row}
+    assert {"good", "bad"} <= kinds
+    page = (written / "report.html").read_text(encoding="utf-8")
+    assert "Benjamini and Hochberg" in page and "Korn and Graubard" in page
+    assert " range</small>" not in page
+
+
+def test_shares_over_cells_of_the_same_seeds_are_no_surer_than_the_seeds(tmp_path):
+    table = columns()
+    diverge(table, table["seed"] == 0)  # in every cell
+    (whole, *_) = compare(read_episodes(write_sweep(tmp_path / "lost", table))).of(None)
+    assert (whole.episodes, whole.failed) == (36, 6)
+    np.testing.assert_allclose(whole.failures, binomial(1, 6), rtol=1e-12)
 
 
 def test_names_are_escaped(written):

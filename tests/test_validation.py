@@ -265,6 +265,32 @@ def test_one_module_oscillates_as_two_springs_on_a_mass():
     np.testing.assert_allclose(rates.real.min(), -0.5 * c / p.mass[0], rtol=1e-12)
 
 
+def test_slow_modes_are_measured_with_steps_that_the_fastest_mode_bears():
+    p = arm_with(2).scaled(stiffness=np.array([1.0, 3e3]))
+    frequencies, _ = free_motion.undamped_modes(p)
+    # A 200th of the longest period is beyond what RK4 bears of the shortest one.
+    assert 2.0 * np.pi / frequencies[0] / 200 > np.sqrt(8.0) / frequencies[-1]
+    measured = free_motion.measured_frequencies(build_model(p), p)
+    np.testing.assert_allclose(measured, frequencies, rtol=1e-6)
+
+
+@pytest.mark.parametrize("factor", [10.0, 40.0])
+def test_the_energy_balance_holds_however_strong_the_dampers_are(factor: float):
+    p = arm_with(2).scaled(damping=factor)
+    model, rng = build_model(p, 0.5e-4), np.random.default_rng(2)
+    q, v = free_motion.initial_motion(p, rng)
+    tau = rng.uniform(-5.0, 5.0, 4)
+    assert free_motion.energy_imbalance(model, p, q, v, tau, 1e-4) < 1e-4
+    assert free_motion.energy_imbalance(model, p, q, v, 2.0 * tau, 1e-6) < 1e-6
+
+
+def test_a_step_too_long_for_the_reference_is_taken_back():
+    p = arm_with(3).scaled(damping=20.0)
+    q, v = free_motion.initial_motion(p, np.random.default_rng(1))
+    times = np.linspace(0.0, 0.2, 3)
+    assert np.isfinite(free_motion.reference_motion(p, q, v, times=times)).all()
+
+
 def test_the_reference_of_one_module_is_the_closed_form():
     p = arm_with(1).scaled(damping=0.0)
     still = lagrange.equilibrium(p)

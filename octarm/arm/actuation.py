@@ -106,7 +106,7 @@ class GroundedActuation(Actuation):
         fx = fy = moment = 0.0  # that module i carries
         for i in reversed(range(n)):
             if i + 1 < n:
-                moment = _carried(moment, s[i + 1], axes[i + 1], fx, fy)
+                moment = carried_moment(moment, s[i + 1], axes[i + 1], fx, fy)
             cos, sin = axes[i]
             left, right = inputs[2 * i], inputs[2 * i + 1]
             push = left + right
@@ -130,7 +130,7 @@ class GroundedActuation(Actuation):
                 (cos, sin), (cos_above, sin_above) = axes[i], axes[i - 1]
                 fx, fy = fx + push * cos, fy + push * sin
                 along = cos_above * fx + sin_above * fy
-                carried = _carried(wanted[n + i], s[i], axes[i], fx, fy)
+                carried = carried_moment(wanted[n + i], s[i], axes[i], fx, fy)
         return self._joined(out, q, force)
 
     def ctrl(self, tau: np.ndarray) -> np.ndarray:
@@ -138,10 +138,13 @@ class GroundedActuation(Actuation):
         return np.concatenate([tau, tau[..., 2:]], axis=-1)
 
 
-def _carried(
+def carried_moment(
     moment: Entry, length: Entry, axis: tuple[Entry, Entry], fx: Entry, fy: Entry
 ) -> Entry:
-    """The moment [N m] at the beginning of a module, of a moment and a force at its end."""
+    """The moment [N m] at the beginning of a module, of a moment and a force at its end.
+
+    Entries of shape (...): moment [N m], length [m], the module's axis (cos, sin), force [N].
+    """
     cos, sin = axis
     return moment + length * (cos * fy - sin * fx)
 

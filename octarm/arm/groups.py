@@ -186,8 +186,8 @@ def _elements(arm: ArmParameters, n: int) -> ArmParameters:
     return dataclasses.replace(arm, **shared, **stiffer, width=width, input_range=(-np.inf, np.inf))
 
 
-_SHARED = ("mass", "inertia", "rest_length")
-_IN_SERIES = ("stiffness", "damping")
+_SHARED = ("mass", "inertia", "rest_length", "rest_angle")
+_IN_SERIES = ("stiffness", "damping", "backbone_stiffness", "backbone_damping")
 
 
 def _centred(p: ArmParameters) -> ArmParameters:
@@ -201,6 +201,12 @@ def _centred(p: ArmParameters) -> ArmParameters:
     rest[..., 1:] = 0.5 * (p.rest_length[..., :-1] + p.rest_length[..., 1:])
     rest[..., 0] *= 0.5
     slide[..., 1:], damper[..., 1:] = _in_series(slide), _in_series(damper)
+    backbone = {
+        name: getattr(p, name).copy() for name in ("backbone_stiffness", "backbone_damping")
+    }
+    for each in backbone.values():  # bending belongs to an element, as does that of the columns
+        along = 2.0 * each[..., :1, :]
+        each[..., :1, :], each[..., :1, 1:] = along, _in_series(along)
     inertia = 0.5 * p.inertia  # a plate turns with the half elements on both sides of it
     inertia[..., :-1] += 0.5 * p.inertia[..., 1:]
     bending = np.sum(p.stiffness, axis=-2) / np.sum(slide, axis=-2)
@@ -211,6 +217,7 @@ def _centred(p: ArmParameters) -> ArmParameters:
         damping=damper,
         inertia=inertia,
         width=p.widths * np.sqrt(bending),
+        **backbone,
         tip_length=p.tip_length + 0.5 * p.rest_length[..., -1],
     )
 

@@ -4,8 +4,11 @@ With the ends of the modules p_i and the angles phi_i = theta_1 + .. + theta_i o
 `octarm.arm.kinematics`:
 
     T = 1/2 sum m_i |p_i'|^2 + I_i phi_i'^2
-    V = -g u(0).sum m_i p_i + 1/2 sum k_ai (L_ai - s0_i)^2      gravity along the hanging arm
+    V = -g u(0).sum m_i p_i + 1/2 sum k_ai (L_ai - L0_ai)^2     gravity along the hanging arm
     R = 1/2 sum c_ai L_ai'^2,    L_1i, L_2i = s_i +- (l_i/2) theta_i
+
+L0 being L at the rest length and the rest angle of a module, mostly 0. A backbone adds the terms of
+a spring and a damper on s_i, and of others on theta_i, that relax there, too.
 
 Pure functions that never see MuJoCo: they are what it is checked against, and what the controllers
 use as their nominal model. `inverse_dynamics` is the recursion that runs in the control loop; the
@@ -121,13 +124,19 @@ def coriolis_matrix(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarra
 
 
 def damping_matrix(p: ArmParameters) -> np.ndarray:
-    """The c terms of eq (4): B = T diag(c) T^T, shape (..., 2N, 2N) [N s/m] to [N m s]."""
-    return _column_matrix(p, p.damping)
+    """The c terms of eq (4): B = T diag(c) T^T, shape (..., 2N, 2N) [N s/m] to [N m s].
+
+    The dampers of the backbone stand on the diagonal.
+    """
+    return _column_matrix(p, p.damping, p.backbone_damping)
 
 
 def stiffness_matrix(p: ArmParameters) -> np.ndarray:
-    """The k terms of eq (5): K = T diag(k) T^T, shape (..., 2N, 2N) [N/m] to [N m]."""
-    return _column_matrix(p, p.stiffness)
+    """The k terms of eq (5): K = T diag(k) T^T, shape (..., 2N, 2N) [N/m] to [N m].
+
+    The springs of the backbone stand on the diagonal.
+    """
+    return _column_matrix(p, p.stiffness, p.backbone_stiffness)
 
 
 def potential_force(p: ArmParameters, q: np.ndarray) -> np.ndarray:
@@ -174,10 +183,12 @@ def energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, 
         p.mass * np.sum(velocity * velocity, axis=-1) + p.inertia * rate * rate, axis=-1
     )
     height = np.sum(p.mass * positions(q)[..., 0], axis=-1)
-    bend = 0.5 * p.widths * q[..., n:]
-    lengths = np.stack([q[..., :n] + bend, q[..., :n] - bend], axis=-2)  # L_ai
-    stretch = lengths - np.asarray(p.rest_length)[..., None, :]
+    length, turn = q[..., :n] - p.rest_length, q[..., n:] - p.rest_angle
+    bend = 0.5 * p.widths * turn
+    stretch = np.stack([length + bend, length - bend], axis=-2)  # L_ai - L0_ai
     springs = 0.5 * np.sum(p.stiffness * stretch * stretch, axis=(-2, -1))
+    along, turning = p.backbone_stiffness[..., 0, :], p.backbone_stiffness[..., 1, :]
+    springs = springs + 0.5 * np.sum(along * length * length + turning * turn * turn, axis=-1)
     return kinetic, springs - p.gravity * height
 
 
@@ -205,7 +216,7 @@ def equilibrium(p: ArmParameters) -> np.ndarray:
     By Newton's method from the unloaded arm; see `newton` for errors.
     """
     q = np.zeros((*p.batch_shape, p.coordinates))
-    q[..., : p.modules] = p.rest_length
+    q[..., : p.modules], q[..., p.modules :] = p.rest_length, p.rest_angle
     return newton(lambda q: (potential_force(p, q), potential_hessian(p, q)), q, 1e-10)
 
 
@@ -277,26 +288,37 @@ def _column_forces(
     """Forces on s_i and couples on theta_i of the springs and dampers, from unstacked q and v."""
     n, half, rest = p.modules, p.entries.half_width, p.entries.rest_length
     (k1, k2), (c1, c2) = p.entries.stiffness, p.entries.damping
+    turns = q[n:] if p.entries.plain else turned(p, q)
     pushes: list[Entry] = []
     couples: list[Entry] = []
     for i in range(n):
-        stretch, bend = q[i] - rest[i], half[i] * q[n + i]
+        stretch, bend = q[i] - rest[i], half[i] * turns[i]
         rate, bend_rate = v[i], half[i] * v[n + i]
         first = k1[i] * (stretch + bend) + c1[i] * (rate + bend_rate)
         second = k2[i] * (stretch - bend) + c2[i] * (rate - bend_rate)
         pushes.append(first + second)
         couples.append(half[i] * (first - second))
+    if not p.entries.plain:
+        (k_s, k_t), (c_s, c_t) = p.entries.backbone_stiffness, p.entries.backbone_damping
+        for i in range(n):
+            pushes[i] = pushes[i] + (k_s[i] * (q[i] - rest[i]) + c_s[i] * v[i])
+            couples[i] = couples[i] + (k_t[i] * turns[i] + c_t[i] * v[n + i])
     return pushes, couples
 
 
-def _column_matrix(p: ArmParameters, coefficient: np.ndarray) -> np.ndarray:
-    """T diag(coefficient) T^T with T the constant moments of the columns."""
+def turned(p: ArmParameters, q: Sequence[Entry]) -> Sequence[Entry]:
+    """By how much modules are bent more than without force, from 2N entries, N entries [rad]."""
+    return [x - rest for x, rest in zip(q[p.modules :], p.entries.rest_angle, strict=True)]
+
+
+def _column_matrix(p: ArmParameters, coefficient: np.ndarray, backbone: np.ndarray) -> np.ndarray:
+    """T diag(coefficient) T^T with T the constant moments of the columns, and the backbone."""
     n = p.modules
     half = 0.5 * p.widths
     first, second = coefficient[..., 0, :], coefficient[..., 1, :]
     out = np.zeros((*p.batch_shape, 2 * n, 2 * n))
     i = np.arange(n)
-    out[..., i, i] = first + second
+    out[..., i, i] = first + second + backbone[..., 0, :]
     out[..., i, n + i] = out[..., n + i, i] = half * (first - second)
-    out[..., n + i, n + i] = half * half * (first + second)
+    out[..., n + i, n + i] = half * half * (first + second) + backbone[..., 1, :]
     return out

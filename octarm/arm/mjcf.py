@@ -158,8 +158,8 @@ def _compiled(spec: mujoco.MjSpec, parameters: ArmParameters) -> mujoco.MjModel:
         qpos[order] = q
         return residual(qpos)[order], potential_hessian(parameters, q)
 
-    straight = np.concatenate([parameters.rest_length, np.zeros(parameters.modules)])
-    rest = newton(linearised, straight, 1e-13)
+    unloaded = np.concatenate([parameters.rest_length, parameters.rest_angle])
+    rest = newton(linearised, unloaded, 1e-13)
     if np.max(np.abs(rest)) > _FARTHEST:
         raise OctarmError(NO_EQUILIBRIUM)
     model.key("hanging").qpos[order] = rest
@@ -191,6 +191,9 @@ class PlantFields:
         self._reactions = [
             [model.actuator(f"reaction_{a}_{i}").id for i in modules[1:]] for a in (1, 2)
         ]
+        springs = model.jnt_stiffness, model.dof_damping, model.qpos_spring
+        self._plain = not any(map(np.any, springs))
+        self._qpos, self._dof = (x.reshape(2, -1) for x in paper_order(model))
         self._field = field
 
     def write(self, p: ArmParameters, gravity_angle: np.ndarray | float = 0.0) -> bool:
@@ -219,10 +222,24 @@ class PlantFields:
             lever = _COLUMN_SIDES[a][1] * 0.5 * p.widths
             self._field("tendon_stiffness")[..., column] = p.stiffness[..., a, :]
             self._field("tendon_damping")[..., column] = p.damping[..., a, :]
-            self._field("tendon_lengthspring")[..., column, :] = p.rest_length[..., None]
+            length = p.rest_length if p.entries.plain else p.rest_length + lever * p.rest_angle
+            self._field("tendon_lengthspring")[..., column, :] = length[..., None]
             self._field("wrap_prm")[..., bends] = lever
             self._field("actuator_gear")[..., reactions, 5] = lever[..., 1:]
+        self._plain &= p.entries.plain
+        if not self._plain:
+            self._write_backbone(p)
         return bool(changed)
+
+    def _write_backbone(self, p: ArmParameters) -> None:
+        """What the joints have of springs and dampers, and where all springs are relaxed."""
+        stiffness, damping, relaxed = map(
+            self._field, ("jnt_stiffness", "dof_damping", "qpos_spring")
+        )
+        for row, free in enumerate((p.rest_length, p.rest_angle)):
+            stiffness[..., self._dof[row]] = p.backbone_stiffness[..., row, :]
+            damping[..., self._dof[row]] = p.backbone_damping[..., row, :]
+            relaxed[..., self._qpos[row]] = free
 
 
 def _set_modules(spec: mujoco.MjSpec, modules: int) -> None:

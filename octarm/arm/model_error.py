@@ -22,7 +22,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from octarm.arm.lagrange import inertial_forces
+from octarm.arm.lagrange import inertial_forces, turned
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Entry, entry, join, split
 
@@ -54,9 +54,13 @@ def largest_error(
     n, entries = nominal.modules, nominal.entries
     x, rates = split(q), split(v_r)
     stretches = [x[i] - rest for i, rest in enumerate(entries.rest_length)]
+    turns = x[n:] if entries.plain else turned(nominal, x)
     inertial = _inertial_terms(x, *inertial_forces(nominal, x, split(v), split(a_r), rates))
     damping = _column_terms(entries.half_width, entries.damping, rates[:n], rates[n:])
-    elastic = _column_terms(entries.half_width, entries.stiffness, stretches, x[n:])
+    elastic = _column_terms(entries.half_width, entries.stiffness, stretches, turns)
+    if not entries.plain:
+        damping = _with_backbone(damping, entries.backbone_damping, rates)
+        elastic = _with_backbone(elastic, entries.backbone_stiffness, [*stretches, *turns])
     u = entry(uncertainty[..., 0] if uncertainty.ndim else uncertainty)
     middle, half_width = _interval(u)
     middle_k, half_width_k = _interval(0.5 * u)  # stiffness is known twice as well
@@ -115,6 +119,15 @@ def _column_terms(
     ]
     levers = [lever * size for lever, size in zip(half, sizes, strict=True)]
     return pushes + couples, sizes + levers
+
+
+def _with_backbone(
+    columns: _Terms, coefficients: tuple[Sequence[Entry], Sequence[Entry]], along: Sequence[Entry]
+) -> _Terms:
+    """The terms of the columns, and those of the backbone's springs or dampers."""
+    forces = [k * x for k, x in zip((*coefficients[0], *coefficients[1]), along, strict=True)]
+    sums = [a + b for a, b in zip(columns[0], forces, strict=True)]
+    return sums, [a + abs(b) for a, b in zip(columns[1], forces, strict=True)]
 
 
 def straight_inertia(p: ArmParameters, q: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ damping, none was faster by more than 0.1 %.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,6 +47,39 @@ def input_matrix(p: ArmParameters, q: np.ndarray) -> np.ndarray:
 def rates(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     """The eigenvalues of `state_matrix`, complex, shape (..., 4N) [1/s]."""
     return np.linalg.eigvals(state_matrix(p, q))
+
+
+class Mode(NamedTuple):
+    """A motion in which the arm would swing about q without dampers.
+
+    Attributes:
+        frequency: of that [Hz]; NaN for a mode that grows instead.
+        damping_ratio: x^T B_c x / (2 w x^T D x) with w = 2 pi frequency [1]; from 1 on the mode
+            does not swing. It is exact where dampers are in proportion to springs, and close where
+            damping is light. NaN for a mode that grows.
+        shape: x, with x^T D x = 1, shape (2N,).
+        slides: share of the slides in the kinetic energy, cross terms aside [1].
+    """
+
+    frequency: float
+    damping_ratio: float
+    shape: np.ndarray
+    slides: float
+
+
+def modes(p: ArmParameters, q: np.ndarray) -> list[Mode]:
+    """The modes of one arm at q, shape (2N,), by ascending frequency."""
+    inertia, damper = lagrange.mass_matrix(p, q), lagrange.damping_matrix(p)
+    root = np.linalg.inv(np.linalg.cholesky(inertia))
+    squares, turned = np.linalg.eigh(root @ lagrange.potential_hessian(p, q) @ root.T)
+    shapes = root.T @ turned
+    ascending: list[Mode] = []
+    for square, x in zip(squares.tolist(), shapes.T, strict=True):
+        w = float(np.sqrt(square)) if square > 0.0 else np.nan
+        energy = np.diagonal(inertia) * x * x
+        slides = float(energy[: p.modules].sum() / energy.sum())
+        ascending.append(Mode(w / (2.0 * np.pi), float(x @ damper @ x) / (2.0 * w), x, slides))
+    return ascending
 
 
 def rate_bound(p: ArmParameters, q: np.ndarray) -> np.ndarray:

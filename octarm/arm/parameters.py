@@ -27,9 +27,20 @@ _RULES: dict[str, tuple[int, float, bool]] = {
     "gravity": (0, -np.inf, True),
     "tip_length": (0, 0.0, True),
     "input_range": (2, -np.inf, True),
+    "rest_angle": (1, -np.inf, True),
+    "backbone_stiffness": (2, 0.0, True),
+    "backbone_damping": (2, 0.0, True),
+}
+_MOSTLY_ZERO = ("rest_angle", "backbone_stiffness", "backbone_damping")
+# What a factor on a parameter multiplies as well.
+_FOLLOWING = {
+    "stiffness": "backbone_stiffness",
+    "damping": "backbone_damping",
+    "rest_length": "rest_angle",
 }
 
 _UNLIMITED: Any = (-np.inf, np.inf)
+_NOTHING: Any = 0.0
 
 
 class Entries(NamedTuple):
@@ -44,8 +55,13 @@ class Entries(NamedTuple):
         stiffness: for columns 1 and 2, N entries each.
         damping: for columns 1 and 2, N entries each.
         rest_length: N entries.
+        rest_angle: N entries.
+        backbone_stiffness: along and in bending, N entries each.
+        backbone_damping: along and in bending, N entries each.
         gravity: one entry.
         tip_length: one entry.
+        plain: whether all modules are straight without force, and have no springs or dampers but
+            their columns.
     """
 
     mass: Sequence[Entry]
@@ -54,8 +70,12 @@ class Entries(NamedTuple):
     stiffness: tuple[Sequence[Entry], Sequence[Entry]]
     damping: tuple[Sequence[Entry], Sequence[Entry]]
     rest_length: Sequence[Entry]
+    rest_angle: Sequence[Entry]
+    backbone_stiffness: tuple[Sequence[Entry], Sequence[Entry]]
+    backbone_damping: tuple[Sequence[Entry], Sequence[Entry]]
     gravity: Entry
     tip_length: Entry
+    plain: bool
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,6 +102,11 @@ class ArmParameters:
             (..., 2, 2N), or (..., 2, 1) where all columns of an arm are alike [N]. A pair (low,
             high) stands for all columns of all arms. The lowest is 0 for columns that only push,
             the highest for those that only pull; without a range, inputs are not limited.
+        rest_angle: bend of each module without force, shape (..., N) [rad]; columns 1 and 2 are
+            then rest_length +- (width / 2) rest_angle long.
+        backbone_stiffness: what a module has beside its columns, shape (..., 2, N): along it [N/m]
+            in row 0, in bending [N m/rad] in row 1.
+        backbone_damping: likewise [N s/m], [N m s/rad].
 
     Raises:
         OctarmError: if a field has the wrong shape, sign, or a value that is not finite, or if
@@ -97,6 +122,9 @@ class ArmParameters:
     gravity: np.ndarray
     tip_length: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(()))
     input_range: np.ndarray = _UNLIMITED
+    rest_angle: np.ndarray = _NOTHING
+    backbone_stiffness: np.ndarray = _NOTHING
+    backbone_damping: np.ndarray = _NOTHING
 
     if TYPE_CHECKING:  # the constructor takes anything array-like
 
@@ -112,6 +140,9 @@ class ArmParameters:
             gravity: npt.ArrayLike,
             tip_length: npt.ArrayLike = 0.0,
             input_range: npt.ArrayLike = ...,
+            rest_angle: npt.ArrayLike = 0.0,
+            backbone_stiffness: npt.ArrayLike = 0.0,
+            backbone_damping: npt.ArrayLike = 0.0,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -124,6 +155,8 @@ class ArmParameters:
                 shape = (2, modules)[2 - axes :]
                 if name == "width" and value.shape[-1:] in ((), (1,)):
                     shape = (1,)
+                if name in _MOSTLY_ZERO and not np.any(value):
+                    value = np.zeros(())  # for any number of modules
                 if modules and not value.ndim:
                     value = read_only(name, np.full(shape, value))
                 _check_shape(name, value, shape)
@@ -164,11 +197,15 @@ class ArmParameters:
             mass=split(self.mass),
             inertia=split(self.inertia),
             half_width=split(0.5 * self.widths),
-            stiffness=(split(self.stiffness[..., 0, :]), split(self.stiffness[..., 1, :])),
-            damping=(split(self.damping[..., 0, :]), split(self.damping[..., 1, :])),
+            stiffness=_two_rows(self.stiffness),
+            damping=_two_rows(self.damping),
             rest_length=split(self.rest_length),
+            rest_angle=split(self.rest_angle),
+            backbone_stiffness=_two_rows(self.backbone_stiffness),
+            backbone_damping=_two_rows(self.backbone_damping),
             gravity=entry(self.gravity),
             tip_length=entry(self.tip_length),
+            plain=not any(np.any(getattr(self, name)) for name in _MOSTLY_ZERO),
         )
 
     @functools.cached_property
@@ -194,24 +231,32 @@ class ArmParameters:
     def scaled(self, **factors: npt.ArrayLike) -> ArmParameters:
         """A copy with the named fields multiplied.
 
+        What the backbone has of stiffness or damping follows the mean of a module's columns, and
+        the bend without force follows the rest length.
+
         Args:
             **factors: field name to factor [1], anything that broadcasts against the field.
 
         Raises:
             OctarmError: for an unknown field, or a factor that makes a field invalid.
         """
-        changed = {}
+        changed: dict[str, Any] = {}
         for name, factor in factors.items():
             if name not in _RULES:
                 raise OctarmError(f"unknown parameter {quoted(name)}{closest(name, _RULES)}")
             by, field = read_only(f"factor of {name}", factor), getattr(self, name)
             _check_bound(f"factor of {name}", by, *_RULES[name][1:])
             try:
-                changed[name] = field * by
+                changed[name] = changed.get(name, field) * by
             except ValueError:
                 raise OctarmError(
                     f"factor of {name} has shape {by.shape}, which does not fit {field.shape}"
                 ) from None
+            other = _FOLLOWING.get(name, "")
+            if other and np.any(getattr(self, other)):
+                rows = by.ndim > 1 and by.shape[-2] == 2 and other != "rest_angle"
+                mean = 0.5 * (by[..., :1, :] + by[..., 1:, :]) if rows else by
+                changed[other] = changed.get(other, getattr(self, other)) * mean
         return dataclasses.replace(self, **changed)
 
     def mismatched(self, mismatch: npt.ArrayLike) -> ArmParameters:
@@ -235,8 +280,12 @@ class ArmParameters:
         return ArmParameters(**{n: np.array(x, order="F") for n, x in arm._fields().items()})
 
     def to_dict(self) -> dict[str, Any]:
-        """The fields as numbers and nested lists, ready for JSON."""
-        return {name: plain(value) for name, value in self._fields().items()}
+        """The fields as numbers and nested lists, ready for JSON.
+
+        Of the last three those that are 0 throughout are left out.
+        """
+        fields = self._fields().items()
+        return {n: plain(x) for n, x in fields if n not in _MOSTLY_ZERO or np.any(x)}
 
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any]) -> ArmParameters:
@@ -245,7 +294,8 @@ class ArmParameters:
         Raises:
             OctarmError: if a field is missing, unknown or invalid.
         """
-        wrong = (set(fields) ^ set(_RULES)) - {"tip_length"}  # which has a default
+        optional = {"tip_length", *_MOSTLY_ZERO}  # have defaults
+        wrong = (set(fields) ^ set(_RULES)) - optional
         if wrong:
             raise OctarmError(
                 f"parameters need exactly the fields {', '.join(_RULES)}; "
@@ -265,17 +315,28 @@ class ArmParameters:
         widths = [2.0 * model.wrap_prm[model.tendon_adr[column.id] + 1] for column in columns[0]]
         pushes = [model.actuator(f"push_{a}_{i}").ctrlrange for i in modules for a in (1, 2)]
         alike = all(np.array_equal(push, pushes[0]) for push in pushes)
+        rest = [model.tendon_lengthspring[c.id, 0] for c in columns[0]]
+        joints = [[model.joint(f"{kind}_{i}") for i in modules] for kind in ("s", "theta")]
+        free = [[model.qpos_spring[j.qposadr[0]] for j in row] for row in joints]
         return cls(
             mass=[body.mass[0] for body in bodies],
             inertia=[body.inertia[2] for body in bodies],
             width=widths[:1] if len(set(widths)) == 1 else widths,
             stiffness=[[model.tendon_stiffness[c.id] for c in row] for row in columns],
             damping=[[model.tendon_damping[c.id] for c in row] for row in columns],
-            rest_length=[model.tendon_lengthspring[c.id, 0] for c in columns[0]],
+            rest_length=free[0] if np.any(free) else rest,
             gravity=-model.opt.gravity[2],
             tip_length=model.site("tip").pos[0],
             input_range=np.transpose(pushes[:1] if alike else pushes),
+            rest_angle=free[1],
+            backbone_stiffness=[[model.jnt_stiffness[j.id] for j in row] for row in joints],
+            backbone_damping=[[model.dof_damping[j.dofadr[0]] for j in row] for row in joints],
         )
+
+
+def _two_rows(x: np.ndarray) -> tuple[Sequence[Entry], Sequence[Entry]]:
+    """The entries of both rows of an array of shape (..., 2, N)."""
+    return split(x[..., 0, :]), split(x[..., 1, :])
 
 
 def _check_shape(name: str, value: np.ndarray, expected: tuple[int, ...]) -> None:

@@ -67,7 +67,9 @@ def references(p: ArmParameters) -> np.ndarray:
         out[neighbours] = between[sample]
         sine = np.sin(2.0 * np.pi * _FREQUENCY * t)
         on_tip = sizes @ [0.0, 1.0, float(sample in _PULSE), sine]
-        out[len(DRIVEN) :] += tip_force(q[len(DRIVEN) :], along * on_tip, (1.0 - along) * on_tip)
+        out[len(DRIVEN) :] += tip_force(
+            q[len(DRIVEN) :], along * on_tip, (1.0 - along) * on_tip, p.entries.tip_length
+        )
         return out
 
     mass = np.tile(p.mass, (tau.shape[1], 1))
@@ -104,6 +106,7 @@ def disturbed_orders(p: ArmParameters, reference: np.ndarray) -> dict[str, float
     tau = np.tile(inputs(p)[0, 0], (len(DISTURBED), 1))
     coarse = int(np.ceil(hold * fastest_rate(p) / 0.2))
     errors: list[np.ndarray] = []
+    p = dataclasses.replace(p, input_range=(-np.inf, np.inf))  # as in the references
     for count in (coarse, 2 * coarse):
         environment = load(
             parameters=p,
@@ -123,6 +126,12 @@ def disturbed_orders(p: ArmParameters, reference: np.ndarray) -> dict[str, float
 
 
 def _push(p: ArmParameters) -> tuple[float, str]:
-    """The force on the tip [N], and its direction; one module does not move sideways."""
+    """The force on the tip [N], and its direction; one module does not move sideways.
+
+    It is no more than what bends an arm a little that is soft in bending alone.
+    """
+    bending = np.diagonal(lagrange.stiffness_matrix(p))[p.modules :]
     size = 0.04 * float(np.mean(p.stiffness * p.rest_length))
+    length = float(np.sum(p.rest_length) + p.tip_length)
+    size = min(size, 0.6 * float(np.mean(bending)) / length)
     return size, "tip-y" if p.modules > 1 else "tip-x"

@@ -85,7 +85,7 @@ def lagrange_mechanics(p: ArmParameters, states: States) -> dict[str, np.ndarray
     q, v, a, tau = states
     coefficients = lagrange.force_coefficients(p, q)
     force = np.einsum("nij,nj->ni", coefficients, tau)
-    rest = np.concatenate([p.rest_length, np.zeros(p.modules)])
+    rest = np.concatenate([p.rest_length, p.rest_angle])
     springs = -(q - rest) @ lagrange.stiffness_matrix(p)
     potential_force = lagrange.potential_force(p, q)
     moments = InternalActuation(p.widths).force(q[0], np.eye(p.coordinates)).T

@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from octarm.arm.mjcf import nominal_parameters
 from octarm.checks.differences import ABSENT, Difference, compare
 from octarm.checks.run_files import checksum_differences
 from octarm.errors import OctarmError
@@ -35,7 +34,8 @@ def sweep_differences(sweep: FinishedSweep, factory: ControllerFactory) -> list[
         OctarmError: if a controller cannot be made.
     """
     spec = sweep.plan.spec
-    made = {name: spec.controller(name, nominal_parameters(), factory) for name in spec.controllers}
+    first = spec.all_arms()[0]
+    made = {name: spec.controller(name, first, factory) for name in spec.controllers}
     gains = {name: runs.gains_of(controller) for name, controller in made.items()}
     recorded = sorted((sweep.path / RECORDED).glob("*"))
     return [

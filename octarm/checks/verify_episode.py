@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from octarm.arm.mjcf import nominal_parameters
 from octarm.checks.differences import Comparison, Difference, compare, listed, origin
 from octarm.interfaces import ControllerFactory
 from octarm.runs import folder as runs
@@ -78,7 +77,8 @@ def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory
     was, now = (values.pop("checkpoints") for values in (stored, again))
     for values in (stored, again):  # that an episode alone does not show again
         values.pop(engine_check.COLUMN, None)
-    controller = sweep.plan.spec.controller(arms.controller, nominal_parameters(), factory)
+    spec = sweep.plan.spec
+    controller = spec.controller(arms.controller, spec.all_arms()[0], factory)
     gains = runs.gains_of(controller)
     return EpisodeCheck(
         episode=episode,

@@ -15,44 +15,69 @@ def validate(
     *,
     controllers: bool = False,
     engines: bool = False,
+    arm: Annotated[str | None, kinds.ARM] = None,
+    rod: bool = False,
     modules: Annotated[int, kinds.whole(1, 60)] = 3,
     random_parameters: Annotated[int, kinds.whole(0, 10_000)] = 0,
     states: Annotated[int | None, kinds.whole(1, 1_000_000)] = None,
     seed: Annotated[int, kinds.N] = 0,
     json: Annotated[Path | None, kinds.file()] = None,
+    out: Annotated[Path | None, kinds.DIR] = None,
     force: bool = False,
 ) -> Work:
     """Check MuJoCo against the analytic model.
 
     Or, with --controllers, the controllers against their proofs; with --engines, the engines
-    against each other. Prints a report; exit code 1 when a check failed.
+    against each other; with --rod, chains of modules against rod theory. Prints a report; exit
+    code 1 when a check failed.
 
     Args:
         controllers: check instead that each controller's Lyapunov function falls as its proof
             says, and that the misprints of the paper are noticed
         engines: check instead that mujoco and lagrange move the arm alike for 10 s, with every
             controller and under every disturbance; it takes minutes
+        arm: check this arm, a file NAME.toml or one that comes with octarm, instead of the nominal
+            one
+        rod: check instead how chains of 1 to 40 modules converge to the extensible rod that they
+            stand for: statics, frequencies, motion, and PyElastica where it is installed
         modules: number of modules of the arm, at most 60; the time grows with its cube
         random_parameters: check so many arms with random parameters instead of the nominal one
         states: random states that each comparison runs over; 10000, of controllers 3000, when not
             given
         seed: seed of the random states and parameters
         json: also write the report to this file
-        force: replace a file that is there
+        out: of --rod: also draw its figures in this folder
+        force: replace files that are there
 
     Examples:
       octarm validate --modules 5 --json report.json
       octarm validate --controllers
+      octarm validate --rod --out convergence
     """
-    kinds.check_free(force, json)
+    kinds.check_free(force, json, out and out / "convergence.png")
+    from octarm.commands import rod as rods
     from octarm.commands import validate as work
     from octarm.errors import OctarmError
 
-    if controllers and engines:
-        raise OctarmError("--controllers and --engines are given; one check at a time")
+    if arm is not None and (modules != 3 or random_parameters):
+        raise OctarmError("--arm is given, and so are --modules or --random-parameters")
+    flags = {"--controllers": controllers, "--engines": engines, "--rod": rod}
+    given = [name for name, flag in flags.items() if flag]
+    if len(given) > 1:
+        raise OctarmError(f"{' and '.join(given)} are given; one check at a time")
+    if arm is not None and (modules != 3 or random_parameters):
+        raise OctarmError("--arm is given, and so are --modules or --random-parameters")
+    if rod:
+        if arm is not None:
+            raise OctarmError("--arm is given, and so is --rod, which has its own chains")
+        job = partial(rods.validate_rod, out, json)
+        return job if json is None and out is None else surviving_output(job)
+    if out is not None:
+        raise OctarmError("--out is given without --rod, which alone draws figures")
     states = (3000 if controllers else 10_000) if states is None else states
     compare = work.ledger if controllers else work.engines if engines else work.plant
-    job = partial(work.validate, compare, modules, random_parameters, states, seed, json)
+    arms = work.arms(arm, modules, random_parameters, seed)
+    job = partial(work.validate, compare, arms, states, seed, json)
     return job if json is None else surviving_output(job)
 
 

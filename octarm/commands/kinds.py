@@ -39,8 +39,16 @@ _WORDS = {
 def known_words(kind: str) -> list[str]:
     """The words that a kind of value can be, such as CONTROLLER; imports what holds them."""
     if kind == "GAINS":
-        return ["tuned", "recommended", *map(str, sorted(Path().glob("*.toml")))]
+        return ["tuned", "recommended", *_files()]
+    if kind == "ARM":
+        from octarm.arm.file import shipped_arms
+
+        return [*shipped_arms(), *_files()]
     return list(pkgutil.resolve_name(_WORDS[kind]))
+
+
+def _files() -> list[str]:
+    return list(map(str, sorted(Path().glob("*.toml"))))
 
 
 def text(metavar: str) -> Parameter:
@@ -153,7 +161,7 @@ RUN, DIR = text("RUN"), text("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE = map(_word, ("CONTROLLER", "REFERENCE", "DISTURBANCE"))
 ACTUATION, INTEGRATOR, ENGINE = map(_word, ("ACTUATION", "INTEGRATOR", "ENGINE"))
 LAYOUT = _word("LAYOUT")
-GAINS, SHELL = map(_word, ("GAINS", "SHELL"))
+GAINS, SHELL, ARM = map(_word, ("GAINS", "SHELL", "ARM"))
 
 
 def heading(name: str) -> Parameter:
@@ -164,6 +172,8 @@ def heading(name: str) -> Parameter:
 EXPERIMENT = heading("the experiment")
 MODEL = heading("the arm, and the model that the controller believes")
 GAIN = heading("gains")
+SOURCE = heading("another source of the arm")
+LOOP = heading("stability of the sampled loop")
 SIMULATION = heading("simulation")
 SOUGHT = heading("what is sought")
 RUNS = heading("the runs, as in octarm run")

@@ -112,6 +112,7 @@ def margin(
     gains: Annotated[str | None, kinds.GAINS, kinds.RUNS] = None,
     seed: Annotated[int, kinds.N, kinds.RUNS] = 0,
     engine: Annotated[str | None, kinds.ENGINE, kinds.RUNS] = None,
+    arm: Annotated[str | None, kinds.ARM, kinds.RUNS] = None,
     plant_modules: Annotated[int | None, kinds.COUNT, kinds.RUNS] = None,
     layout: Annotated[str, kinds.LAYOUT, kinds.RUNS] = "paper",
     csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
@@ -122,8 +123,8 @@ def margin(
 
     One --disturbance goes without its VALUE: the one whose largest value is sought, by bisection,
     for every seed at once, the same seeds for all controllers. The others act as octarm run has
-    them. The margin is what a share of the seeds bears within the error bounds, with a bootstrap
-    interval over seeds.
+    them. The margin is what a share of the seeds bears within the error bounds, with an exact 95 %
+    interval of order statistics; fewer than 36 seeds have no lower end of it at a share of 0.9.
 
     Args:
         controllers: controllers to compare
@@ -143,6 +144,7 @@ def margin(
         seed: seed of all that is random
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
             given
+        arm: the arm, a file NAME.toml or one that comes with octarm; the nominal one when not given
         plant_modules: modules of the true arm; the model's when not given
         layout: of that arm, paper or centred
         csv: also write the table to this file
@@ -172,6 +174,7 @@ def margin(
         gains=gains,
         seed=seed,
         engine=usual_engine() if engine is None else engine,
+        arm=arm,
         plant_modules=plant_modules,
         layout=layout,
     )
@@ -189,6 +192,7 @@ def tune(
     resume: bool = False,
     force: bool = False,
     engine: Annotated[str | None, kinds.ENGINE] = None,
+    arm: Annotated[str | None, kinds.ARM] = None,
     plant_modules: Annotated[int | None, kinds.COUNT] = None,
     layout: Annotated[str, kinds.LAYOUT] = "paper",
 ) -> Work:
@@ -207,6 +211,7 @@ def tune(
         force: replace gains that are there, and begin an interrupted search anew
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
             given
+        arm: the arm, a file NAME.toml or one that comes with octarm; the nominal one when not given
         plant_modules: modules of the true arm; the model's when not given
         layout: of that arm, paper or centred
 
@@ -218,5 +223,5 @@ def tune(
     kinds.check_free(force or resume, out)
     from octarm.commands import tune as work
 
-    options = work.Options(out, budget, seed, resume, force, engine, plant_modules, layout)
+    options = work.Options(out, budget, seed, resume, force, engine, arm, plant_modules, layout)
     return surviving_output(partial(work.tune, controller, options))

@@ -13,6 +13,8 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import make_controller
+from octarm.arm.file import read_arm
+from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.spelling import parse_disturbance, spelling
 from octarm.errors import ExitCode, OctarmError
@@ -32,6 +34,7 @@ from octarm.sweeps.margin import (
     parse_bound,
     parse_varied,
     search,
+    seeds_needed,
 )
 from octarm.sweeps.workers import cores
 
@@ -54,6 +57,7 @@ class Settings:
     gains: str | None
     seed: int
     engine: str
+    arm: str | None
     plant_modules: int | None
     layout: str
 
@@ -96,6 +100,7 @@ class Settings:
             timestep=self.timestep,
             control_period=self.control_period,
             engine=self.engine,
+            parameters=nominal_parameters() if self.arm is None else read_arm(self.arm),
             plant_modules=self.plant_modules,
             layout=self.layout,
             seed=self.seed,
@@ -124,7 +129,7 @@ def margin(
         if len(rows) == 1:  # not before it is known that there is something to say
             print("\n".join(_heading(settings, varied)))
         print(_line(rows[-1], varied), flush=True)
-    _print_notes(rows, varied, settings.seeds)
+    _print_notes(rows, varied, settings)
     if csv_file is not None:
         write_text(csv_file, _csv(rows))
     if json_file is not None:
@@ -176,6 +181,7 @@ def _heading(settings: Settings, varied: Varied) -> list[str]:
     bounds = " and ".join(settings.bound).replace(":", " <= ")
     around = [f"{settings.reference}, {settings.duration:g} s"]
     around += [f"nominal model wrong by {settings.mismatch:g}"] if settings.mismatch else []
+    around += [f"the arm {settings.arm}"] if settings.arm is not None else []
     if settings.plant_modules is not None:
         around += [f"a plant of {settings.plant_modules} modules, {settings.layout}"]
     around += [spelling(parse_disturbance(text)) for text in settings.fixed]
@@ -192,7 +198,7 @@ def _heading(settings: Settings, varied: Varied) -> list[str]:
 def _line(row: Mapping[str, Any], varied: Varied) -> str:
     """A row of the table."""
     value, low, high, least, median, most = (_spelt(row[key], varied) for key in _NUMBERS)
-    interval = "" if math.isnan(row["interval_low"]) else f"{low} .. {high}"
+    interval = "" if low == high == "?" else f"{low} .. {high}"
     mark = "  *" if row["met_again"] else ""
     return (
         f"{row['controller']:<18}{value:>10}  {interval:<24}{least:>10}{median:>10}{most:>10}{mark}"
@@ -200,13 +206,16 @@ def _line(row: Mapping[str, Any], varied: Varied) -> str:
 
 
 def _spelt(value: float, varied: Varied) -> str:
+    if math.isnan(value):
+        return "?"
     if math.isinf(value):
         return f"> {varied.high:g}" if value > 0.0 else "fails"
     return f"{value:.4g}"
 
 
-def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, seeds: int) -> None:
+def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, settings: Settings) -> None:
     """What a reader of the table has to know."""
+    seeds = settings.seeds
     ends = [row[key] for row in rows for key in _NUMBERS]
     if math.inf in ends:
         print(f"> {varied.high:g}: the bound is met there, too; a further --high finds the margin")
@@ -214,6 +223,8 @@ def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, seeds: int) 
         print(f"fails: the bound is broken at {varied.low:g} already")
     if any(row["alike"] for row in rows):
         print("no interval: nothing random acts, all seeds are the same; --disturbance noise:0.4?")
+    if not all(row["alike"] for row in rows):
+        _print_missing_ends(settings.share, seeds)
     print(
         "taken for granted between the values that were tried: what breaks the bound breaks it "
         "further on, too"
@@ -224,6 +235,16 @@ def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, seeds: int) 
                 f"* {row['controller']}: not so, {row['met_again']} of {seeds} seeds meet "
                 "the bound again further on; the margin is that of the first failure"
             )
+
+
+def _print_missing_ends(share: float, seeds: int) -> None:
+    """Which ends of intervals the seeds cannot carry, and how many could."""
+    for end, needed in zip(("lower", "upper"), seeds_needed(share), strict=True):
+        if needed > seeds:
+            enough = (
+                f"it needs {needed} seeds" if needed < math.inf else "no number of seeds has one"
+            )
+            print(f"?: {seeds} seeds have no {end} end of a 95 % interval at {share:.0%}; {enough}")
 
 
 def _csv(rows: Sequence[Mapping[str, Any]]) -> str:

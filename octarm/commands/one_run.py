@@ -18,6 +18,7 @@ def run(
     disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = (),
     duration: Annotated[float, kinds.S, kinds.EXPERIMENT] = 10.0,
     seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
+    arm: Annotated[str | None, kinds.ARM, kinds.MODEL] = None,
     mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0,
     nominal: Annotated[tuple[str, ...], kinds.text("NAME:FACTOR"), kinds.MODEL] = (),
     parameter: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.MODEL] = (),
@@ -45,6 +46,8 @@ def run(
             below
         duration: length of the run [s]
         seed: seed of all that is random; an undisturbed run has nothing random
+        arm: the true arm and the controller's model of it: a file NAME.toml, or an arm that comes
+            with octarm, see octarm arm --help; the nominal arm when not given
         mismatch: error of the controller's model: mass, inertia and damping times 1 + X,
             stiffness times 1 + X/2
         nominal: a further factor on a parameter of the controller's model, e.g. mass:0.7
@@ -72,6 +75,7 @@ def run(
       octarm run --controller afsmc --mismatch -0.3 --out runs/adaptive
       octarm run --disturbance noise:0.4 --disturbance payload:0.2,at=3
       octarm run --controller smc --gain lambda:20 --parameter mass:0.4,0.3,0.2
+      octarm run --arm eth --controller afsmc
       octarm run --plant-modules 15 --timestep auto --control-period 0.0001
 
     Disturbances, by what they act on; keys with their defaults:
@@ -83,7 +87,7 @@ def run(
     from octarm.disturbances.spelling import parse_disturbance
     from octarm.runs.experiment import Experiment
 
-    true = work.true_arm(parameter)
+    true = work.true_arm(parameter, arm)
     factors = work.named_values("--nominal", nominal)
     experiment = Experiment(
         controller=controller,

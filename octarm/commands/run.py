@@ -18,6 +18,7 @@ from dm_control.rl import control
 from tqdm import tqdm
 
 from controllers import make_controller
+from octarm.arm.file import read_arm
 from octarm.arm.mjcf import nominal_parameters, template_model
 from octarm.arm.modes import growth_rate
 from octarm.arm.parameters import ArmParameters
@@ -80,18 +81,18 @@ def late_events(disturbances: Sequence[Disturbance], duration: float) -> Iterato
                 )
 
 
-def true_arm(changes: Sequence[str]) -> ArmParameters:
-    """The nominal arm with other parameters, each spelt NAME:VALUES.
+def true_arm(changes: Sequence[str], arm: str | None = None) -> ArmParameters:
+    """The nominal arm, or that of a file, with other parameters, each spelt NAME:VALUES.
 
     Raises:
-        OctarmError: if there is no such parameter, or its values are not allowed.
+        OctarmError: if there is no such arm or parameter, or values are not allowed.
     """
     values = named_values("--parameter", changes)
     known = [field.name for field in dataclasses.fields(ArmParameters)]
     for name in values:
         if name not in known:
             raise OctarmError(f"unknown parameter {quoted(name)}{closest(name, known)}")
-    nominal = nominal_parameters()
+    nominal = nominal_parameters() if arm is None else read_arm(arm)
     try:
         return dataclasses.replace(nominal, **values)
     except OctarmError:

@@ -14,7 +14,6 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import make_controller
-from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import ExitCode, OctarmError, printable, sentence_of
 from octarm.formats import read_toml
 from octarm.memory import check_batch
@@ -117,7 +116,8 @@ def _checked_spec(options: Options) -> SweepSpec:
     for name in spec.controllers:
         keys = ("gain_set", name) if name in spec.gain_sets else ("grid", "controller")
         with _in_file(options.spec, *(("gains", name) if name in spec.gains else keys)):
-            spec.controller(name, nominal_parameters(), make_controller)
+            for arm in spec.all_arms():
+                spec.controller(name, arm, make_controller)
     for episode in spec.record:
         if isinstance(episode, int):
             with _in_file(options.spec, "record", "episodes"):
@@ -197,7 +197,7 @@ def _pool(options: Options, plan: Plan) -> Generator[tuple[Executor, int | Calla
             yield cluster
         return
     workers = min(workers, len(plan.shards))
-    check_batch(len(plan.shards[0]), nominal_parameters().modules, workers)
+    check_batch(len(plan.shards[0]), plan.spec.most_modules, workers)
     with WorkerProcesses(workers) as processes:
         yield processes, workers
 

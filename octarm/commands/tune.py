@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from controllers import make_controller
 from controllers.gain_sets import GainSet, shortest
-from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.file import read_arm
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_text
 from octarm.simulation.engines import usual_engine
@@ -34,6 +34,7 @@ class Options:
     resume: bool
     force: bool
     engine: str | None
+    arm: str | None
     plant_modules: int | None
     layout: str
 
@@ -41,13 +42,15 @@ class Options:
     def rig(self) -> Rig:
         """What gains are tried on."""
         engine = usual_engine() if self.engine is None else self.engine
-        return Rig(engine, self.plant_modules, self.layout)
+        arm = None if self.arm is None else read_arm(self.arm)
+        return Rig(engine, self.plant_modules, self.layout, arm)
 
     def command(self, controller: str) -> str:
         """The command line that finds the same gains."""
         words = ["octarm", "tune", controller, "--budget", f"{self.seconds:g}"]
         words += ["--seed", str(self.seed)]
         words += ["--engine", self.engine] if self.engine is not None else []
+        words += ["--arm", self.arm] if self.arm is not None else []
         if self.plant_modules is not None:
             words += ["--plant-modules", str(self.plant_modules), "--layout", self.layout]
         return shlex.join(words)
@@ -67,7 +70,7 @@ def tune(controller: str, options: Options) -> int:
         "budget": options.seconds,
         **rig.settings(),
     }
-    write_text(out, gain_set(controller, origin, budget, tuned).to_toml())
+    write_text(out, gain_set(controller, rig.arm().modules, origin, budget, tuned).to_toml())
     state_file(out).unlink(missing_ok=True)
     _print_summary(controller, budget, tuned)
     print(f"wrote {printable(str(out))}")
@@ -80,7 +83,7 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
     """The search, with a bar on its progress and its state on disk."""
     out, resume = options.out, options.resume
     factory = functools.partial(make_controller, controller, gain_set="recommended")
-    nominal = nominal_parameters()
+    nominal = options.rig.arm()
     space = Space(factory(nominal), nominal.modules)
     depends_on = settings(controller, space, budget, options.seed, options.rig)
     file = StateFile(state_file(out), depends_on)
@@ -121,7 +124,9 @@ def state_file(out: Path) -> Path:
     return out.with_name(out.name + ".state")
 
 
-def gain_set(controller: str, origin: Mapping[str, Any], budget: Budget, tuned: Tuned) -> GainSet:
+def gain_set(
+    controller: str, modules: int, origin: Mapping[str, Any], budget: Budget, tuned: Tuned
+) -> GainSet:
     """The result, with all that is needed to find it again."""
     tuning = {
         **origin,
@@ -135,7 +140,7 @@ def gain_set(controller: str, origin: Mapping[str, Any], budget: Budget, tuned: 
     return GainSet.model_validate(
         {
             "controller": controller,
-            "modules": nominal_parameters().modules,
+            "modules": modules,
             "gains": {name: shortest(gain) for name, gain in tuned.gains.items()},
             "tuning": tuning,
             "versions": versions(),

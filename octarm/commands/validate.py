@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from controllers import CONTROLLERS, make_controller
 from controllers.proofs.ledger import ledger as ledger
+from octarm.arm.file import read_arm
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.engines import compare_engines
 from octarm.checks.validation import arm_with, random_arm
@@ -23,7 +24,7 @@ SWITCHING = ("smc", "super-twisting")  # laws with sgn(s)
 
 Compare = Callable[[ArmParameters, int, int, Callable[[str], None]], CheckTable]
 
-__all__ = ["engines", "ledger", "plant", "validate"]
+__all__ = ["arms", "engines", "ledger", "plant", "validate"]
 
 
 def engines(
@@ -36,12 +37,18 @@ def engines(
     )
 
 
+def arms(file: str | None, modules: int, random_arms: int, seed: int) -> list[ArmParameters]:
+    """The arms to check: that of a file, random ones, or the nominal one with N modules."""
+    if file is not None:
+        return [read_arm(file)]
+    draw = np.random.default_rng(seed)
+    return [random_arm(draw, modules) for _ in range(random_arms)] or [arm_with(modules)]
+
+
 def validate(
-    compare: Compare, modules: int, random_arms: int, states: int, seed: int, file: Path | None
+    compare: Compare, arms: Sequence[ArmParameters], states: int, seed: int, file: Path | None
 ) -> int:
     """`octarm validate`: MuJoCo and the analytic model, or the controllers' Lyapunov ledger."""
-    draw = np.random.default_rng(seed)
-    arms = [random_arm(draw, modules) for _ in range(random_arms)] or [arm_with(modules)]
     reports: list[CheckTable] = []
     for arm in arms:
         with tqdm(bar_format="checking {desc}", disable=None, leave=False) as line:

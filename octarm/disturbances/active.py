@@ -54,11 +54,14 @@ class ActiveDisturbances:
             (..., 2N) [N].
         commanded: the input forces tau that the last `received` was given, shape (..., 2N) [N].
         readings: what came out of each sensor fault in the last `sensed`, by name.
+        input_bounds: what |tau| is limited to by disturbances, each broadcasts to (..., 2N) [N].
     """
 
     def __init__(self, disturbances: Sequence[Disturbance], episode: Episode) -> None:
         """Starts them all; `OctarmError` if one does not suit the episode or another one."""
         self.episode = episode
+        bounds = (disturbance.input_bound() for disturbance in disturbances)
+        self.input_bounds = [bound for bound in bounds if bound is not None]
         self.shares: dict[str, np.ndarray] = {}
         self.inputs: dict[str, np.ndarray] = {}
         self.commanded = np.empty(0)

@@ -31,8 +31,7 @@ class Delay(Disturbance):
     """What passes arrives late.
 
     Attributes:
-        delay: rounded to whole physics steps, which need not be whole control periods, shape (...)
-            [s].
+        delay: which need not be whole control periods, nor whole physics steps, shape (...) [s].
     """
 
     units: ClassVar[Mapping[str, str]] = {"delay": "s"}
@@ -40,17 +39,21 @@ class Delay(Disturbance):
 
     def delivered(self, measured: Measured) -> dict[str, Any]:
         """How much it changed what passes, and how late this arrived."""
-        return measured.signal.sizes() | {"delay": measured.signal.delay()}
+        return measured.signal.sizes() | {"delay": measured.signal.delay(float(self.delay))}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class ActuationDelay(Delay, ActuatorFault):
-    """Input forces that arrive late; none, until the delay has passed once."""
+    """Input forces that arrive late; none, until the delay has passed once.
+
+    Inputs that change within a physics step act in it by their mean: what the arm receives is right
+    to the instant in its integral over time, and the motion is of second order in the step.
+    """
 
     name: ClassVar[str] = "actuation-delay"
 
     def start(self, episode: Episode) -> _LateInputs:
-        """The delay in one episode; its attribute `delay` is what it really is."""
+        """The delay in one episode."""
         return _LateInputs(episode.value(self, "delay"), episode.timestep, episode.batch_shape)
 
 
@@ -60,7 +63,10 @@ class _LateInputs(DelayLine):
     def __call__(self, step: int, tau: np.ndarray) -> np.ndarray:
         self.put(step, tau)
         (late,) = self.take(step - self.steps)
-        return late
+        if not self.fractions:
+            return late
+        (earlier,), rest = self.take(step - self.steps - 1), self.rest[..., None]
+        return np.where(rest > 0.0, late + rest * (earlier - late), late)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,7 +107,7 @@ class Saturation(ActuatorFault):
         return functools.partial(_limited, _columns(self, "limit", episode))
 
     def input_bound(self) -> Amount:
-        """The limit, broadcasts to (2N,) [N]; infinite where there is none."""
+        """The limit, broadcasts to (..., 2N) [N]; infinite where there is none."""
         return self.limit
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from octarm.disturbances.episode import Episode, Plant
 
 _WINDOW = 65_536  # physics steps
+_UNLIKE = 0.01  # share of the changes of a signal by which a late one may differ from it
 _HOLDS = 40  # a noise of fewer numbers does not show its spectrum
 
 
@@ -66,8 +68,12 @@ class Record:
         first, last = self._active
         return {"from": self._timestep * first, "until": self._timestep * (last + 1)}
 
-    def delay(self) -> float:
-        """The time after which it repeats its source exactly [s]; NaN if there is none."""
+    def delay(self, asked: float) -> float:
+        """The time after which it repeats its source [s]; NaN if there is none.
+
+        It is one after which it repeats it exactly, if there is one, else the one between two
+        physics steps, next to the delay that was asked for [s], by which it does so best.
+        """
         assert self._source is not None
         original, rows = np.stack(self._source._rows), np.stack(self._rows)
         at = np.array(self._steps) - self._source._steps[0]
@@ -81,7 +87,7 @@ class Record:
             repeated = original[at[late] - delay]
             if np.array_equal(rows[late], repeated) and np.any(np.ptp(repeated, axis=0) > 0.0):
                 return self._timestep * float(delay)
-        return math.nan
+        return self._timestep * _between(original, rows, at, math.floor(asked / self._timestep))
 
     def band(self) -> dict[str, float]:
         """`hold`, the mean time between changes [s], and `corner`, the band of half density [Hz].
@@ -133,6 +139,26 @@ class Record:
         return {"frequency": peak / (self._timestep * len(rows)), "share_in_line": share}
 
 
+def _between(original: np.ndarray, rows: np.ndarray, at: np.ndarray, steps: int) -> float:
+    """The delay of rows between so many steps and one more [1]; NaN if they do not fit to any.
+
+    Args:
+        original: the source at steps 0, 1, .., shape (n, k).
+        rows: what came of it, shape (m, k).
+        at: the steps of the rows, shape (m,).
+        steps: whole ones of the delay.
+    """
+    late = at > steps
+    one, other = original[at[late] - steps], original[at[late] - steps - 1]
+    change, gone = other - one, rows[late] - one
+    size = float(np.sum(change * change))
+    if not size > 0.0:
+        return math.nan
+    rest = float(np.sum(gone * change)) / size
+    left = float(np.sum((gone - rest * change) ** 2)) / size
+    return steps + rest if 0.0 < rest < 1.0 and left < _UNLIKE else math.nan
+
+
 class Measured(NamedTuple):
     """What was measured of one disturbance during an episode of one arm.
 
@@ -167,6 +193,7 @@ class Measured(NamedTuple):
 
 def _numbers(parameters: ArmParameters, gravity_angle: Any) -> dict[str, np.ndarray]:
     """Parameters that may change by name, with the angle of gravity [rad] for its size."""
-    numbers = parameters.to_dict() | {"gravity_angle": gravity_angle}
+    numbers = vars(parameters) | {"gravity_angle": gravity_angle}
+    names = [field.name for field in dataclasses.fields(parameters)]
     fixed = ("gravity", "input_range")
-    return {name: np.asarray(x) for name, x in numbers.items() if name not in fixed}
+    return {n: np.asarray(numbers[n]) for n in (*names, "gravity_angle") if n not in fixed}

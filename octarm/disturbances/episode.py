@@ -262,7 +262,7 @@ class Disturbance(abc.ABC):
         return None
 
     def input_bound(self) -> Amount | None:
-        """Bound on |tau| to be drawn, broadcasts to (2N,) [N]; None if it sets none."""
+        """Bound on |tau|, broadcasts to (..., 2N) [N]; None if it sets none."""
         return None
 
     def gravity_angle(self) -> float:

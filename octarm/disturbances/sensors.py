@@ -13,6 +13,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from octarm.arrays import Entry
 from octarm.disturbances.actuators import Delay
 from octarm.disturbances.delivered import Measured
 from octarm.disturbances.episode import Episode, SensorFault, SensorProcess
@@ -28,27 +29,50 @@ _FINEST = 1e-18  # [m], [rad] and per second: steps finer than this are beyond a
 class MeasurementDelay(Delay, SensorFault):
     """Readings that show the arm as it was a while ago; at first, as it was at the start.
 
-    It reads the true motion, so it has to be the first of several sensor faults.
+    It reads the true motion, so it has to be the first of several sensor faults. Between two
+    physics steps q is the cubic that has their coordinates and velocities, and v is its rate.
     """
 
     name: ClassVar[str] = "measurement-delay"
     instead_of_two: ClassVar[str] = "give the sum of both delays"
 
     def start(self, episode: Episode) -> _LateReadings:
-        """The delay in one episode; its attribute `delay` is what it really is."""
+        """The delay in one episode."""
         return _LateReadings(episode.value(self, "delay"), episode.timestep, episode.batch_shape)
 
 
 class _LateReadings(DelayLine):
     """The motion of a while ago."""
 
+    def __init__(self, delay: Entry, timestep: float, batch_shape: tuple[int, ...]) -> None:
+        super().__init__(delay, timestep, batch_shape)
+        self._timestep = timestep
+
     def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
         self.put(step, q, v)
 
     def __call__(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         del q, v
-        then_q, then_v = self.take(np.maximum(step - self.steps, 0))
-        return then_q, then_v
+        then = step - self.steps
+        then_q, then_v = self.take(np.maximum(then, 0))
+        if not self.fractions:
+            return then_q, then_v
+        before_q, before_v = self.take(np.maximum(then - 1, 0))
+        between = ((self.rest > 0.0) & (then > 0))[..., None]
+        late_q, late_v = _cubic(
+            1.0 - self.rest[..., None], self._timestep, before_q, before_v, then_q, then_v
+        )
+        return np.where(between, late_q, then_q), np.where(between, late_v, then_v)
+
+
+def _cubic(
+    x: np.ndarray, h: float, q: np.ndarray, v: np.ndarray, q_end: np.ndarray, v_end: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """q and its rate at a share x of the way through a time h [s], from those at both ends."""
+    y, way = 1.0 - x, q_end - q
+    late_q = q + x * x * (3.0 - 2.0 * x) * way + h * (x * y) * (y * v - x * v_end)
+    late_v = 6.0 * (x * y) * (way / h) + y * (1.0 - 3.0 * x) * v + x * (3.0 * x - 2.0) * v_end
+    return late_q, late_v
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

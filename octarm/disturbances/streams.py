@@ -138,20 +138,28 @@ class HeldNoise:
 class DelayLine:
     """The last rows, as many as the longest delay takes; before the first row all are zero.
 
+    A delay is `steps` whole physics steps and a `rest`, a fraction of one more.
+
     Attributes:
-        delay: of each arm, whole physics steps, shape (...) [s].
-        steps: the same in physics steps, shape (...) of integers.
+        delay: of each arm, shape (...) [s].
+        steps: whole steps in it, shape (...) of integers.
+        rest: what is left, in physics steps, shape (...) [1]; 0 where there are whole steps only.
+        fractions: whether there is a rest for some arm.
     """
 
     delay: Entry
     steps: np.ndarray
+    rest: np.ndarray
+    fractions: bool
 
     def __init__(self, delay: Entry, timestep: float, batch_shape: tuple[int, ...]) -> None:
-        """An empty line; the delay, shape () or the batch's [s], is rounded to whole steps."""
-        steps = np.rint(in_steps(delay, timestep)).astype(np.int64)
-        self.steps = np.broadcast_to(steps, batch_shape)
-        self.delay = entry(self.steps * timestep)
-        self._length = int(np.max(self.steps)) + 1
+        """An empty line; the delay has shape () or the batch's [s], the physics step is in [s]."""
+        steps = np.broadcast_to(in_steps(delay, timestep), batch_shape)
+        self.steps = np.floor(steps).astype(np.int64)
+        self.rest = steps - self.steps
+        self.delay = entry(steps * timestep)
+        self.fractions = bool(np.any(self.rest > 0.0))
+        self._length = int(np.max(np.ceil(steps))) + 1
         self._ring = np.empty(0)
         self._place = np.empty(0, dtype=np.int64)
 

@@ -1,4 +1,4 @@
-"""Chattering of a force that is held from one control instant to the next."""
+"""Chattering of a force that is held from one physics step to the next."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import ClassVar
 import numpy as np
 
 from octarm.interfaces import Rows
-from octarm.metrics.metric import FORCE, STEADY, Accumulator, Metric, Settings
+from octarm.metrics.metric import FORCE, STEADY, Accumulator, Asked, Metric, Settings, asked
 from octarm.metrics.rows import Before, add_rows
 
 
 class Chattering(Accumulator):
-    """How restless the generalised force Q is in the steady regime.
+    """How restless the generalised force Q that the arm received is in the steady regime.
 
     `chattering` is the root mean square of what passes a high-pass filter [N], [N m],
 
@@ -21,7 +21,7 @@ class Chattering(Accumulator):
 
     so that half of an oscillation at the corner counts, practically all of a faster one, and of
     the motion itself, at 0.5 Hz, only 1e-4. The filter runs in continuous time on the held force,
-    and its square is integrated over each period, both in closed form: the measure belongs to
+    and its square is integrated over each physics step, both in closed form: the measure belongs to
     that staircase, not to samples of it. It converges when the control period is halved, also
     for a force that switches at every instant.
 
@@ -48,8 +48,8 @@ class Chattering(Accumulator):
     }
 
     def __init__(self, first: Rows, settings: Settings) -> None:
-        like, self._period = first["force"], settings.control_period
-        x = 2.0 * math.pi * settings.corner * self._period
+        like, self._settings = first["force"], settings
+        x = 2.0 * math.pi * settings.corner * settings.step
         self._decay = math.exp(-x)
         self._weights = _mean_square(x)
         self._rows = 0
@@ -84,19 +84,26 @@ class Chattering(Accumulator):
         return ys, zs
 
     def result(self) -> dict[str, np.ndarray]:  # noqa: D102
-        rows = self._rows or math.nan
+        rows, settings = self._rows or math.nan, self._settings
         yy, yz, zz = self._weights
         square = (yy * self._yy + yz * self._yz + zz * self._zz) / rows
         return {
             "chattering": np.sqrt(np.maximum(square, 0.0)),  # rounding may go below zero
-            "total_variation": self._variation / (rows * self._period),
-            "switching_activity": self._variation / rows,
-            "control_rate": np.asarray(1.0 / self._period),
+            "total_variation": self._variation / (rows * settings.step),
+            "switching_activity": self._variation / (rows / settings.steps),
+            "control_rate": np.asarray(1.0 / settings.control_period),
         }
 
 
+class AskedChattering(Asked):
+    """`chattering` of the generalised force that the controller asked for."""
+
+    of = Chattering
+    metrics = asked({"chattering": Chattering.metrics["chattering"]})
+
+
 def _step(y: np.ndarray, z: np.ndarray, decay: float, jump: np.ndarray) -> None:
-    """One period, and the jump at its end."""
+    """One physics step, and the jump at its end."""
     z += y
     z *= decay
     y *= decay

@@ -8,22 +8,23 @@ from typing import ClassVar
 import numpy as np
 
 from octarm.interfaces import Rows
-from octarm.metrics.metric import FORCE, Accumulator, Metric, Settings
+from octarm.metrics.metric import FORCE, Accumulator, Asked, Metric, Settings, asked
 from octarm.metrics.rows import Before, Count, Size, add_rows, filled
 
 
 class InputUse(Accumulator):
-    """How much of the input forces tau is asked for, over the whole run.
+    """How large the input forces tau are that the arm received, over the whole run.
 
     `effort`, the root mean square, and `peak_input` = max |tau|, both [N]; `saturation_share`, the
-    share of control periods in which tau is at an end of its range or beyond [1]. Each has the
-    shape (..., 2N), in the order of the columns of eq (2).
+    share of physics steps in which tau is at an end of its range or beyond [1]. The range is that
+    of the arm, narrowed by a disturbance that limits the inputs. Each has the shape (..., 2N), in
+    the order of the columns of eq (2).
     """
 
     metrics: ClassVar = {
         "effort": Metric("input", ("N",), "root mean square of the input forces", together="rms"),
         "peak_input": Metric("input", ("N",), "largest absolute input force", together="max"),
-        "saturation_share": Metric("input", ("1",), "share of periods at the input limit"),
+        "saturation_share": Metric("input", ("1",), "share of time at the input limit"),
     }
 
     def __init__(self, first: Rows, settings: Settings) -> None:
@@ -48,15 +49,22 @@ class InputUse(Accumulator):
         }
 
 
-class ForceUse(Accumulator):
-    """Size and work of the controller's generalised force Q, over the whole run.
+class AskedInputUse(Asked):
+    """The same of the input forces that were asked for, which may be beyond their range."""
 
-    `force_effort` is its root mean square [N], [N m]. The work that Q_j does during a period is
-    taken to be Q_j times the change of q_j: exactly so for a Q that is held; where tau is held and
-    the arm turns, up to terms that vanish with the period.
+    of = InputUse
+    metrics = asked(InputUse.metrics)
+
+
+class ForceUse(Accumulator):
+    """Size and work of the generalised force Q of the inputs that the arm received.
+
+    `force_effort` is its root mean square [N], [N m]. The work that Q_j does during a physics step
+    is taken to be Q_j times the change of q_j: exactly so for a Q that is held; where tau is held
+    and the arm turns, up to terms that vanish with the step.
     `work` is the sum, what the arm was given net; `energy` is the sum of the absolute values,
-    the integral of |Q_j q_j'| dt as long as q_j' keeps its sign during a period [J]. Each has the
-    shape (..., 2N). The period that begins at the last instant is not counted in these two, as
+    the integral of |Q_j q_j'| dt as long as q_j' keeps its sign during a step [J]. Each has the
+    shape (..., 2N) and is of the whole run. The last physics step is not counted in these two, as
     nothing is known about its end.
     """
 
@@ -86,3 +94,10 @@ class ForceUse(Accumulator):
             "energy": self._absolute.copy(),
             "work": self._net.copy(),
         }
+
+
+class AskedForceUse(Asked):
+    """The same of the generalised force that the controller asked for."""
+
+    of = ForceUse
+    metrics = asked(ForceUse.metrics)

@@ -64,6 +64,7 @@ class Settings:
 
     Attributes:
         control_period: time between two control instants [s].
+        steps: number of physics steps between two control instants.
         input_range: lowest and highest tau, each broadcasts to (..., 2N) [N].
         layer: half width phi of the boundary layer, broadcasts to (..., 2N) [m/s], [rad/s]; None
             where there is none.
@@ -77,6 +78,7 @@ class Settings:
     """
 
     control_period: float
+    steps: int = 1
     input_range: tuple[npt.ArrayLike, npt.ArrayLike] = (-math.inf, math.inf)
     layer: npt.ArrayLike | None = None
     band: npt.ArrayLike | None = None
@@ -87,7 +89,7 @@ class Settings:
             if not np.all(sign * np.asarray(bound, dtype=np.float64) >= 0.0):
                 raise OctarmError(f"input range is {self.input_range}; it must hold 0")
         for name, value in vars(self).items():
-            if name == "input_range":
+            if name in ("input_range", "steps"):
                 continue
             array = np.asarray(1.0 if value is None else value, dtype=np.float64)
             least = 0.0 if name == "layer" else np.finfo(float).tiny
@@ -95,6 +97,11 @@ class Settings:
                 allowed = "at least 0" if name == "layer" else "above 0"
                 bad = f"{name.replace('_', ' ')} holds {array[~good].flat[0]:g}"
                 raise OctarmError(f"{bad}; it must be {allowed} and finite")
+
+    @property
+    def step(self) -> float:
+        """Physics step [s]."""
+        return self.control_period / self.steps
 
     def band_of(self, coordinates: int) -> npt.ArrayLike:
         """The settling band, broadcasts to (..., coordinates) [m], [rad]."""
@@ -105,10 +112,17 @@ class Settings:
 class Accumulator(abc.ABC):
     """Takes a run a few rows at a time, and gives the metrics that its class declares.
 
-    Rows have the fields `t`, `q`, `q_d`, `tau` and `force` of `octarm.interfaces.Rows`, the signals
-    named in `signals`, and `error` = q - q_d and `squared_error`, shape (k, ..., 2N) [m], [rad] and
-    their squares. The arrays are only read and never kept. Results must not depend on how the run
-    is cut, see `octarm.metrics.rows`.
+    There is a row for every physics step; for an accumulator that needs signals, which exist at
+    control instants only, there is one for every control instant. Rows have the fields `t`, `q` and
+    `q_d` of `octarm.interfaces.Rows`, `error` = q - q_d and `squared_error`, and
+
+    - `tau`, the input forces that the arm received in the step, and `force`, the generalised force
+      that they exert where the step begins;
+    - `asked_tau` and `asked_force`, what the controller asked for and the loop held;
+    - the signals named in `signals`.
+
+    Each has shape (k, ..., 2N) but `t` and signals. The arrays are only read and never kept.
+    Results must not depend on how the run is cut, see `octarm.metrics.rows`.
 
     Attributes:
         metrics: the metrics that it gives, by name.
@@ -129,3 +143,36 @@ class Accumulator(abc.ABC):
     @abc.abstractmethod
     def result(self) -> dict[str, np.ndarray]:
         """The metrics so far, each of shape (..., 2N), or (...) for a metric of the arm."""
+
+
+class Asked(Accumulator):
+    """The metrics of an accumulator of what the arm received, of what was asked for instead.
+
+    Attributes:
+        of: the class of that accumulator.
+    """
+
+    of: ClassVar[type[Accumulator]]
+
+    def __init__(self, first: Rows, settings: Settings) -> None:
+        """The accumulator, for other rows."""
+        self._of = self.of(first, settings)
+
+    def update(self, rows: Rows, steady: bool) -> None:
+        """Takes rows; see `Accumulator`."""
+        asked = {"tau": rows["asked_tau"], "force": rows["asked_force"]}
+        self._of.update({**rows, **asked}, steady)
+
+    def result(self) -> dict[str, np.ndarray]:
+        """The metrics that are declared, by names that begin with `asked_`."""
+        results = {f"asked_{name}": values for name, values in self._of.result().items()}
+        return {name: results[name] for name in self.metrics}
+
+
+def asked(metrics: Mapping[str, Metric]) -> dict[str, Metric]:
+    """The declarations of `Asked`, for those of coordinates and inputs."""
+    return {
+        f"asked_{name}": metric._replace(text=f"{metric.text}, of what was asked for")
+        for name, metric in metrics.items()
+        if metric.of != "arm"
+    }

@@ -6,6 +6,7 @@ for an arm alone and as a row of a batch, bit for bit.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -13,16 +14,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from octarm.arm.actuation import Actuation
+from octarm.arrays import stacked
 from octarm.errors import OctarmError
-from octarm.interfaces import Rows
-from octarm.metrics.chattering import Chattering
-from octarm.metrics.inputs import ForceUse, InputUse
+from octarm.interfaces import WITHIN, Rows
+from octarm.metrics.chattering import AskedChattering, Chattering
+from octarm.metrics.inputs import AskedForceUse, AskedInputUse, ForceUse, InputUse
 from octarm.metrics.metric import CORNER, Accumulator, Metric, Settings
 from octarm.metrics.metric import SETTLED_AFTER as SETTLED_AFTER
 from octarm.metrics.sliding import ReachingBound, Sliding
 from octarm.metrics.tracking import Overshoot, Settling, TipError, TrackingError
 
 _FIELDS = ("t", "q", "q_d", "tau", "force", "plant_tip")
+_FORCES = ("tau", "force", "asked_tau", "asked_force")
 _NUMBERS_A_PART = 50_000  # of a coordinate array; more at a time would leave the caches
 
 
@@ -49,12 +53,12 @@ class Catalogue(Mapping[str, Metric]):
     def fields(self) -> tuple[str, ...]:
         """Names of the fields of rows that are measured, signals included; for a recorder."""
         signals = [name for each in self.accumulators for name in each.signals]
-        return (*_FIELDS, *dict.fromkeys(signals))
+        return (*_FIELDS, *WITHIN, *dict.fromkeys(signals))
 
 
 METRICS = Catalogue(
-    TrackingError, Overshoot, Settling, TipError, InputUse, ForceUse, Chattering, Sliding,
-    ReachingBound,
+    TrackingError, Overshoot, Settling, TipError, InputUse, AskedInputUse, ForceUse, AskedForceUse,
+    Chattering, AskedChattering, Sliding, ReachingBound,
 )  # fmt: skip
 
 
@@ -73,19 +77,27 @@ class Metrics:
         layer: npt.ArrayLike | None = None,
         band: npt.ArrayLike | None = None,
         corner: float = CORNER,
+        actuation: Actuation | None = None,
     ) -> None:
-        """Metrics of arms of any number and batch shape; the arguments are those of `Settings`."""
+        """Metrics of arms of any number and batch shape; the arguments are those of `Settings`.
+
+        The actuation turns the inputs that the arm received into a generalised force. Without it,
+        that is taken to be the one that was asked for.
+        """
         self._settings = Settings(
             control_period=control_period, input_range=input_range, layer=layer, band=band,
             corner=corner,
         )  # fmt: skip
+        self._actuation = actuation
         self._accumulators: list[Accumulator] = []
         self._sum: np.ndarray | float = 0.0  # not finite where something was not
 
     def update(self, rows: Rows) -> None:
         """Takes the next control instants: `t`, `q`, `q_d`, `tau`, `force`, and signals.
 
-        The arms of a batch may share their q_d, of shape (k, 1, 2N) then.
+        The fields of `octarm.interfaces.WITHIN` say what happened at the physics steps. Without
+        them a control period is one step, and what was asked for arrived. The arms of a batch may
+        share their q_d, of shape (k, 1, 2N) then.
 
         Raises:
             OctarmError: if a limit, the layer or the band does not fit the arms.
@@ -94,23 +106,54 @@ class Metrics:
             return
         rows = {name: rows[name] for name in METRICS.fields if name in rows}
         if not self._accumulators:
-            first = {name: array[0] for name, array in rows.items()}
-            self._accumulators = [
-                make(first, self._settings)
-                for make in METRICS.accumulators
-                if set(make.signals) <= set(rows)
-            ]
+            self._begin(rows)
+        steps = self._settings.steps
+        if steps == 1:
+            received = rows["received"][:, 0] if "received" in rows else rows["tau"]
+            self._take({**rows, "received": received}, self._accumulators)
+            return
+        by_step = [each for each in self._accumulators if not each.signals]
+        self._take(_within(rows, self._settings), by_step)
+        by_instant = [each for each in self._accumulators if each.signals]
+        self._take({**rows, "received": rows["received"][:, 0]}, by_instant)
+
+    def _begin(self, rows: Rows) -> None:
+        """Makes the accumulators, for arms like those of these rows."""
+        steps = rows["received"].shape[1] if "received" in rows else 1
+        self._settings = dataclasses.replace(self._settings, steps=steps)
+        first = {name: array[0] for name, array in rows.items()}
+        self._accumulators = [
+            make(first, self._settings)
+            for make in METRICS.accumulators
+            if set(make.signals) <= set(rows)
+        ]
+
+    def _take(self, rows: Rows, accumulators: Sequence[Accumulator]) -> None:
+        """Hands rows, whose `received` is that of one step, to accumulators, a few at a time."""
         most = max(1, _NUMBERS_A_PART // rows["q"][0].size)
         settled, count = int(np.searchsorted(rows["t"], SETTLED_AFTER)), len(rows["t"])
         starts = [*range(0, settled, most), *range(settled, count, most)]
         with np.errstate(all="ignore"):  # a diverged arm may hold anything
             for start, end in itertools.pairwise([*starts, count]):
-                part, steady = {k: x[start:end] for k, x in rows.items()}, start >= settled
-                error = part["q"] - part["q_d"]
-                self._sum = self._sum + np.sum(part["q"] + part["tau"] + part["force"], axis=0)
-                complete = {**part, "error": error, "squared_error": error * error}
-                for accumulator in self._accumulators:
-                    accumulator.update(complete, steady)
+                part = self._complete({k: x[start:end] for k, x in rows.items()})
+                forces = sum(part[name] for name in _FORCES)
+                self._sum = self._sum + np.sum(part["q"] + forces, axis=0)
+                for accumulator in accumulators:
+                    accumulator.update(part, start >= settled)
+
+    def _complete(self, rows: Rows) -> Rows:
+        """Rows as accumulators take them, see `octarm.metrics.metric.Accumulator`."""
+        q, tau, force = rows["q"], rows["received"], rows["force"]
+        error = q - rows["q_d"]
+        return {
+            **rows,
+            "error": error,
+            "squared_error": error * error,
+            "tau": tau,
+            "force": force if self._actuation is None else self._actuation.force(q, tau),
+            "asked_tau": rows["tau"],
+            "asked_force": force,
+        }
 
     def result(self, diverged: npt.ArrayLike = False) -> dict[str, np.ndarray]:
         """The metrics so far, each of shape (..., 2N), or (...) for those of the arm.
@@ -135,6 +178,34 @@ class Metrics:
             name: np.where(lost if name in arm else lost[..., None], np.nan, values)
             for name, values in results.items()
         }
+
+
+def _within(rows: Rows, settings: Settings) -> Rows:
+    """The physics steps of control instants as rows, under the names of the fields of instants."""
+    steps = settings.steps
+    number = np.rint(rows["t"] / settings.step)[:, None] + np.arange(steps)
+    tips = {"plant_tip": _flat(rows["plant_tip_steps"])} if "plant_tip" in rows else {}
+    return {
+        "t": number.ravel() * settings.step,
+        "q": _flat(rows["q_steps"]),
+        "q_d": _flat(rows["q_d_steps"]),
+        "received": _flat(rows["received"]),
+        "tau": _held(rows["tau"], steps),
+        "force": _held(rows["force"], steps),
+        **tips,
+    }
+
+
+def _flat(rows: np.ndarray) -> np.ndarray:
+    """Rows of shape (k, m, ...) one after another, shape (k m, ...)."""
+    return rows.reshape(-1, *rows.shape[2:])
+
+
+def _held(rows: np.ndarray, steps: int) -> np.ndarray:
+    """Each of the rows, shape (k, ...), so many times, with the memory order of a row."""
+    out = stacked(rows[0], len(rows) * steps)
+    out.reshape(len(rows), steps, *rows.shape[1:])[...] = rows[:, None]
+    return out
 
 
 def as_json(results: Mapping[str, np.ndarray]) -> dict[str, Any]:

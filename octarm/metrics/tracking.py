@@ -70,7 +70,7 @@ class Settling(Accumulator):
     }
 
     def __init__(self, first: Rows, settings: Settings) -> None:
-        like, self._period = first["q"], settings.control_period
+        like, self._step = first["q"], settings.step
         band = settings.band_of(like.shape[-1])
         self._limit = np.square(filled("settling band", band, like))
         self._rows = 0
@@ -90,8 +90,8 @@ class Settling(Accumulator):
 
     def result(self) -> dict[str, np.ndarray]:  # noqa: D102
         inside = self._rows - 1.0 - self._last_outside  # rows at the end of the run
-        settled = inside * self._period >= DWELL * (1.0 - 1e-9)
-        time = (self._last_outside + 1.0) * self._period
+        settled = inside * self._step >= DWELL * (1.0 - 1e-9)
+        time = (self._last_outside + 1.0) * self._step
         return {
             "settling_time": np.where(settled, time, np.nan),
             "settled": np.where(settled, 1.0, 0.0),

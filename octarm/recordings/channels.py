@@ -21,10 +21,10 @@ import numpy as np
 from octarm.arrays import Coordinates, planar_coordinates
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import from_entry
-from octarm.interfaces import Rows
+from octarm.interfaces import WITHIN, Rows
 
 # The fields of `Rows` that the loop itself provides; all others are the controller's signals.
-_LOOP = ("t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance")
+_LOOP = ("t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance", *WITHIN)
 
 
 class _Meaning(NamedTuple):

@@ -12,6 +12,7 @@ from octarm.reports import figures
 from octarm.reports.comparisons import Cells, Comparisons
 from octarm.reports.figures import COLORS, MARKERS, Axes, Figure, Picture
 from octarm.reports.frame import Episodes, Factor
+from octarm.reports.statistics import FEWEST
 
 _MOST_MAPS = 6
 _BOXES = (
@@ -55,6 +56,8 @@ def pictures(comparisons: Comparisons) -> Iterator[Picture]:
     with figures.figure_style():
         for factor in episodes.factors:
             caption = f"Median over {which} at each {factor.name}, with its 95 % interval."
+            if _any_range(comparisons):
+                caption += f" It is a range where fewer than {FEWEST} seeds have a value."
             if diverged:
                 caption += " A curve ends where half of the episodes diverge."
             if unfinished:
@@ -75,8 +78,13 @@ def pictures(comparisons: Comparisons) -> Iterator[Picture]:
             name = f"map-{cells.first.name}-{cells.second.name}"
             yield figures.save_figure(name, caption, _map(comparisons, cells))
         if diverged:
-            caption = "Share of episodes that diverged, with its 95 % interval (Wilson)."
+            caption = "Share of episodes that diverged, with its 95 % interval."
             yield figures.save_figure("failures", caption, _failures(comparisons))
+
+
+def _any_range(comparisons: Comparisons) -> bool:
+    """Whether the ends of some median are those of a range, as there are too few seeds."""
+    return any(bool(np.any(group.seeds < FEWEST)) for group in comparisons.groups)
 
 
 def _degradation(comparisons: Comparisons, factor: Factor) -> Figure:

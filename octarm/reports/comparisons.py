@@ -6,14 +6,23 @@ import csv
 import io
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from octarm.errors import OctarmError, closest, quoted
 from octarm.reports.frame import Episodes, Factor, Measure
-from octarm.reports.statistics import Interval, Paired, binomial, medians, paired
+from octarm.reports.statistics import (
+    FEWEST,
+    Interval,
+    Paired,
+    adjusted,
+    medians,
+    paired,
+    seeds_with_values,
+    share,
+)
 
 TABLES = ("medians.csv", "failures.csv", "differences.csv", "cells.csv")
 
@@ -28,6 +37,8 @@ class Difference(NamedTuple):
         other: those of which only the baseline's did.
         both: those of which both did.
         unpaired: episodes whose partner is not finished.
+        chance: `measured.chance`, adjusted for all comparisons of the report, see `adjusted`,
+            shape (M,) [1]; NaN where neither less nor more is better.
     """
 
     measured: Paired
@@ -36,6 +47,7 @@ class Difference(NamedTuple):
     other: int
     both: int
     unpaired: int
+    chance: np.ndarray
 
 
 class Group(NamedTuple):
@@ -49,6 +61,8 @@ class Group(NamedTuple):
         failed: number of those that diverged.
         failures: their share.
         medians: of the measures, arrays of shape (M,).
+        seeds: that have a value of each measure, shape (M,); with fewer than `FEWEST` the interval
+            of the median is a range.
         difference: from the baseline; None for the baseline itself.
     """
 
@@ -59,6 +73,7 @@ class Group(NamedTuple):
     failed: int
     failures: Interval
     medians: Interval
+    seeds: np.ndarray
     difference: Difference | None
 
     @property
@@ -128,9 +143,14 @@ def compare(episodes: Episodes, baseline: str | None = None) -> Comparisons:
         failed, difference = int(np.sum(episodes.diverged[rows])), None
         if partner is not None and name != selected:
             difference = _difference(episodes, rows, partner[rows])
-        shares = binomial(failed, len(rows))
-        middles = medians(episodes.values[rows], episodes.seed[rows])
-        groups.append(Group(factor, level, name, len(rows), failed, shares, middles, difference))
+        shares = share(episodes.diverged[rows], episodes.seed[rows])
+        own = episodes.values[rows], episodes.seed[rows]
+        group = Group(
+            factor, level, name, len(rows), failed, shares, medians(*own), seeds_with_values(*own),
+            difference,
+        )  # fmt: skip
+        groups.append(group)
+    groups = _adjusted(groups)
     pairs = itertools.combinations(factors, 2)
     pairs = ((b, a) if b.drawn and not a.drawn else (a, b) for a, b in pairs)  # long labels first
     cells = tuple(_cells(episodes, first, second) for first, second in pairs)
@@ -142,15 +162,31 @@ def _difference(episodes: Episodes, rows: np.ndarray, partner: np.ndarray) -> Di
     zero_best = [measure.declared.zero_best for measure in episodes.measures]
     compared = np.where(zero_best, np.abs(episodes.values), episodes.values)
     fell, partner_fell = episodes.diverged[mine], episodes.diverged[other]
-    signs = [measure.sign for measure in episodes.measures]
+    signs = np.array([measure.sign for measure in episodes.measures])
+    measured = paired(compared[mine], compared[other], episodes.seed[mine], signs)
     return Difference(
-        measured=paired(compared[mine], compared[other], episodes.seed[mine], signs),
+        measured=measured,
         pairs=len(mine),
         alone=int(np.sum(fell & ~partner_fell)),
         other=int(np.sum(~fell & partner_fell)),
         both=int(np.sum(fell & partner_fell)),
         unpaired=len(rows) - len(mine),
+        chance=np.where(signs == 0, np.nan, measured.chance),
     )
+
+
+def _adjusted(groups: Sequence[Group]) -> list[Group]:
+    """The groups, with the chances of their differences adjusted for their number."""
+    known = [group.difference for group in groups if group.difference is not None]
+    if not known:
+        return list(groups)
+    chances = iter(adjusted([difference.chance for difference in known]))
+    return [
+        group
+        if group.difference is None
+        else group._replace(difference=group.difference._replace(chance=next(chances)))
+        for group in groups
+    ]
 
 
 def partners(episodes: Episodes, controller: str) -> np.ndarray:
@@ -196,9 +232,9 @@ def _medians(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
     for group in comparisons.groups:
         counts = {"episodes": group.episodes, "diverged": group.failed}
         for j, measure in enumerate(comparisons.episodes.measures):
-            numbers = dict(
-                zip(("median", "low", "high"), [x[j] for x in group.medians], strict=True)
-            )
+            median, low, high = (x[j] for x in group.medians)
+            ends = _ends(low, group.seeds[j])
+            numbers = {"median": median, "low": low, "high": high, "ends": ends}
             yield _where(group) | _name(measure) | counts | numbers
 
 
@@ -219,14 +255,21 @@ def _differences(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
         for j, measure in enumerate(comparisons.episodes.measures):
             pairs, won, lost = (x[j] for x in d.measured[:3])
             median, low, high = (x[j] for x in d.measured.difference)
+            ends = _ends(low, d.measured.seeds[j])
             if not measure.sign:  # there is nothing to win
                 won = lost = ""
             yield _where(group) | {"baseline": comparisons.baseline} | _name(measure) | {
                 "pairs": d.pairs, "compared": pairs, "won": won, "lost": lost,
                 "median_difference": median, "low": low, "high": high,
+                "ends": ends, "p": d.measured.chance[j], "adjusted_p": d.chance[j],
                 "only_this_diverged": d.alone, "only_baseline_diverged": d.other,
                 "both_diverged": d.both, "unpaired": d.unpaired,
             }  # fmt: skip
+
+
+def _ends(low: float, seeds: int) -> str:
+    """What `low` and `high` are the ends of; nothing where there are none."""
+    return "" if math.isnan(low) else "range" if seeds < FEWEST else "95 % interval"
 
 
 def _cell_medians(comparisons: Comparisons) -> Iterator[dict[str, Any]]:

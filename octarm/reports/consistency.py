@@ -9,6 +9,7 @@ import numpy as np
 
 from octarm.reports.comparisons import partners
 from octarm.reports.frame import Episodes, Factor
+from octarm.reports.statistics import FEWEST
 from octarm.sweeps.engine_check import LIMIT, sentence
 
 _FEW = 8  # seeds, below which intervals are rough
@@ -144,7 +145,11 @@ def _seeds(episodes: Episodes) -> Iterator[Remark]:
         seeds = "one seed" if count == 1 else f"{count} seeds"
         if count < planned:
             seeds = f"finished episodes of {count} of its {planned} seeds"
-        what = "there are no intervals" if count == 1 else "intervals are rough"
+        what = "intervals are rough"
+        if count < FEWEST:
+            what = f"medians have the range of their seeds; an interval needs {FEWEST}"
+        if count == 1:
+            what = "there are no intervals"
         yield Remark(False, f"The sweep has {seeds} a cell: {what}.")
     cell = episodes.cell() * len(episodes.controllers) + episodes.controller
     order = np.argsort(cell, kind="stable")

@@ -15,11 +15,11 @@ from markupsafe import Markup
 from octarm.errors import printable
 from octarm.metrics.metric import SETTLED_AFTER
 from octarm.reports.charts import Scale, scales_of
-from octarm.reports.comparisons import Comparisons, Group
+from octarm.reports.comparisons import Comparisons, Difference, Group
 from octarm.reports.consistency import Remark
 from octarm.reports.figures import COLORS, Picture
 from octarm.reports.frame import Factor
-from octarm.reports.statistics import RESAMPLES, Interval
+from octarm.reports.statistics import CONFIDENCE, FEWEST, Interval
 
 
 class Source(NamedTuple):
@@ -110,7 +110,7 @@ def page(
             pictures=list(pictures),
             source=source,
             seeds=len(np.unique(comparisons.episodes.seed)),
-            resamples=RESAMPLES,
+            fewest=FEWEST,
             settled_after=f"{SETTLED_AFTER:g}",
             machines="; ".join(dict.fromkeys(machines)),
             gains="\n".join(gains),
@@ -139,7 +139,7 @@ class Tables:
         head = self._head(factor, Cell("episodes"), Cell("diverged", ["95 % interval"]))
         rows: list[list[Cell]] = []
         for group in groups:
-            _, low, high = (100.0 * x for x in group.failures)
+            low, high = (100.0 * x for x in group.failures[1:])
             failed = Cell(str(group.failed), [f"{low:.1f} .. {high:.1f} %"])
             counts = [Cell(str(group.episodes)), failed]
             if not group.episodes:
@@ -148,7 +148,7 @@ class Tables:
             row = [*self._where(group), *counts]
             for j, scale in enumerate(self._scales):
                 kind = "best" if group.medians.value[j] == best[j] else ""
-                row.append(Cell(*_estimate(group.medians, j, scale), kind))
+                row.append(Cell(*_estimate(group.medians, group.seeds, j, scale), kind))
             rows.append(row)
         return Table(head, rows, len(self._names))
 
@@ -163,14 +163,14 @@ class Tables:
             fell = f"{d.alone}, {d.other}, {d.both}{missing}"
             cells = [*self._where(group), Cell(str(d.pairs), [fell])]
             for j, (measure, scale) in enumerate(zip(self._measures, self._scales, strict=True)):
-                text, small = _estimate(d.measured.difference, j, scale, signed=True)
+                text, small = _estimate(
+                    d.measured.difference, d.measured.seeds, j, scale, signed=True
+                )
                 pairs, won, lost = (x[j] for x in d.measured[:3])
                 if measure.sign and pairs:
                     even = f", {ties} even" if (ties := pairs - won - lost) else ""
                     small = [*small, f"won {won} of {pairs}{even}"]
-                ends = [measure.sign * end[j] for end in d.measured.difference[1:]]
-                better, worse = max(ends) < 0.0, min(ends) > 0.0
-                cells.append(Cell(text, small, "good" if better else "bad" if worse else "even"))
+                cells.append(Cell(text, small, _judged(d, j, measure.sign)))
             rows.append(cells)
         return Table(head, rows, len(self._names) - 1)
 
@@ -211,14 +211,24 @@ class Tables:
 
 
 def _estimate(
-    interval: Interval, j: int, scale: Scale, *, signed: bool = False
+    interval: Interval, seeds: np.ndarray, j: int, scale: Scale, *, signed: bool = False
 ) -> tuple[str, list[str]]:
-    """A value, and a line with its interval if there is one."""
+    """A value of so many seeds, and a line with its interval or range if there is one."""
     value, low, high = (scale.factor * float(x[j]) for x in interval)
     text = number(value, signed=signed)
     if math.isnan(low) or math.isnan(high) or (math.isinf(value) and low == high):
         return text, []
-    return text, ["no spread" if low == value == high else f"{number(low)} .. {number(high)}"]
+    ends = f"{number(low)} .. {number(high)}"
+    return text, [
+        "no spread" if low == value == high else ends + " range" * bool(seeds[j] < FEWEST)
+    ]
+
+
+def _judged(difference: Difference, j: int, sign: int) -> str:
+    """The style of a difference, which is better or worse when it is unlikely to be chance."""
+    sure = difference.chance[j] <= 1.0 - CONFIDENCE + 1e-12  # not for NaN
+    value = sign * difference.measured.difference.value[j]
+    return "even" if not sure or value == 0.0 else "good" if value < 0.0 else "bad"
 
 
 def number(value: float, *, signed: bool = False) -> str:

@@ -1,31 +1,43 @@
 """Medians, shares and paired differences, each with its interval; all of it repeatable.
 
 What is drawn at random in a sweep is its seeds. Episodes of one seed in several cells of the grid
-share their random numbers, so that they are drawn, and here resampled, together: the grid is taken
-as it is. With one cell this is the usual bootstrap over episodes.
+share their random numbers, so that a seed, not an episode, is one observation: the grid is taken as
+it is.
+
+The interval of a median is that of a sign test over seeds. A seed's balance is the number of its
+values below a limit, less half of all its values. If the limit is the true median, a balance is as
+likely to be positive as negative, and the sum of all of them is compared with what it would be had
+chance flipped their signs. Limits that this does not refute make up the interval. With one value a
+seed it is the interval of order statistics, which is exact for any distribution; with several the
+balances are taken to be symmetric. It needs 6 seeds: fewer are too often all on one side by chance.
 """
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import binomtest
+from scipy.stats import beta, false_discovery_control, t
 
 from octarm.errors import OctarmError
 
 CONFIDENCE = 0.95
-RESAMPLES = 2000
+FEWEST = 6  # seeds with which a median has an interval: 2 / 2^6 <= 1 - CONFIDENCE < 2 / 2^5
 
-_SEED = 20_250_101  # of the resampling: a report depends on the sweep alone
-_NUMBERS = 1_000_000  # that are worked on at a time
+_SEED = 20_250_101  # of the signs: a report depends on the sweep alone
+_ALL_SIGNS = 12  # balances of which all combinations of signs are tried; of more, as many as of 12
+_MOST = 64  # balances; more are added up, which leaves the test what it is
 
 
 class Interval(NamedTuple):
     """An estimate, and an interval that holds the true value in `CONFIDENCE` of all samples.
+
+    Of a median of fewer than `FEWEST` seeds it is no interval, but the range from the smallest to
+    the largest value of a seed.
 
     Attributes:
         value: the estimate.
@@ -38,50 +50,83 @@ class Interval(NamedTuple):
     high: Any
 
 
-def binomial(count: int, total: int, confidence: float = CONFIDENCE) -> Interval:
-    """The share of a count with Wilson's interval, for independent trials; NaN without a trial."""
+def binomial(count: float, total: float, confidence: float = CONFIDENCE) -> Interval:
+    """The share of a count with the exact interval of Clopper and Pearson; NaN without a trial.
+
+    Trials are independent. Their number need not be whole, see `share`.
+
+    Raises:
+        OctarmError: for a count that is not between 0 and the total.
+    """
     if total == 0 and count == 0:
         return Interval(np.nan, np.nan, np.nan)
     if not 0 <= count <= total:
         raise OctarmError(f"the count is {count}; it must be between 0 and the total, {total}")
-    bounds = binomtest(count, total).proportion_ci(confidence, method="wilson")
-    return Interval(count / total, float(bounds.low), float(bounds.high))
+    tail = 0.5 * (1.0 - confidence)
+    low = beta.ppf(tail, count, total - count + 1.0) if count > 0 else 0.0
+    high = beta.ppf(1.0 - tail, count + 1.0, total - count) if count < total else 1.0
+    return Interval(count / total, float(low), float(high))
+
+
+def share(true: npt.ArrayLike, seeds: npt.ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+    """The share of rows that are true, with an interval that holds however alike a seed's rows are.
+
+    It is that of `binomial` for as many independent trials as the rows are worth: p (1 - p) over
+    the variance of the share, with Student's t for that of few seeds (Korn and Graubard, 1998), but
+    no more than there are rows, and no less than there are seeds. The variance is the one between
+    seeds, and to one part in m + 1 the largest that there can be, that of seeds whose rows are all
+    alike: m is the number of seeds with a true row, or with a false one if they are fewer. So it is
+    the latter alone where nothing was seen of a variance.
+
+    Args:
+        true: of the rows, shape (n,) of bool.
+        seeds: likewise, shape (n,).
+        confidence: of the interval.
+    """
+    rows = np.asarray(true, dtype=np.float64)
+    owner = np.unique(np.asarray(seeds), return_inverse=True)[1]
+    size, count = np.bincount(owner), np.bincount(owner, rows)
+    n, seeds_there = len(rows), len(size)
+    if not n:
+        return binomial(0, 0)
+    p, worth = float(np.sum(count)) / n, float(seeds_there)
+    if seeds_there > 1 and 0.0 < p < 1.0:
+        off = count - p * size
+        between = float(np.sum(off * off)) / n**2 * seeds_there / (seeds_there - 1)
+        largest = p * (1.0 - p) * float(np.sum(size * size)) / n**2
+        part = 1.0 / (1.0 + min(np.count_nonzero(count), np.count_nonzero(size - count)))
+        variance = between + part * (largest - between)
+        tail = 0.5 * (1.0 - confidence)
+        narrower = float(t.ppf(tail, n - 1) / t.ppf(tail, seeds_there - 1))
+        worth = min(max(p * (1.0 - p) / variance * narrower**2, worth), n)
+    return binomial(p * worth, worth, confidence)._replace(value=p)
 
 
 def medians(
-    values: npt.ArrayLike,
-    seeds: npt.ArrayLike,
-    *,
-    confidence: float = CONFIDENCE,
-    resamples: int = RESAMPLES,
+    values: npt.ArrayLike, seeds: npt.ArrayLike, *, confidence: float = CONFIDENCE
 ) -> Interval:
-    """Medians of columns, with percentile bootstrap intervals over seeds.
+    """Medians of columns, with the intervals of a sign test over seeds.
 
     A value may be infinite: it counts as larger, or smaller, than all others.
 
     Args:
         values: a row an episode, shape (n, M); NaN where there is no value.
-        seeds: of the rows, shape (n,); rows of one seed are drawn together.
+        seeds: of the rows, shape (n,).
         confidence: of the intervals.
-        resamples: their number.
 
     Returns:
-        Three arrays of shape (M,); NaN where a column has no value, and for intervals over fewer
-        than two seeds.
+        Three arrays of shape (M,); NaN where a column has no value, and for intervals where fewer
+        than two seeds have one. See `seeds_with_values` for which of them are ranges.
     """
-    rows = np.asarray(values, dtype=np.float64)
-    owners, owner = np.unique(np.asarray(seeds), return_inverse=True)
-    columns = [_Column(rows[:, j], owner, len(owners)) for j in range(rows.shape[1])]
-    value = np.array([column.medians(np.ones((1, len(owners))))[0] for column in columns])
-    if len(owners) < 2:
-        return Interval(value, np.full_like(value, np.nan), np.full_like(value, np.nan))
-    drawn = np.empty((resamples, len(columns)))
-    width = max(len(owners), math.isqrt(len(rows)))
-    for part, weights in _resampled(len(owners), resamples, width):
-        for j, column in enumerate(columns):
-            drawn[part, j] = column.medians(weights)
-    low, high = _percentiles(drawn, confidence)
-    return Interval(value, low, high)
+    rows, owner = np.asarray(values, dtype=np.float64), np.asarray(seeds)
+    found = [_median(rows[:, j], owner, confidence) for j in range(rows.shape[1])]
+    return Interval(*np.array(found).reshape(-1, 3).T)
+
+
+def seeds_with_values(values: npt.ArrayLike, seeds: npt.ArrayLike) -> np.ndarray:
+    """How many seeds have a value in each column, for rows as `medians` takes them, shape (M,)."""
+    rows, owner = np.asarray(values, dtype=np.float64), np.asarray(seeds)
+    return np.array([len(np.unique(owner[~np.isnan(column)])) for column in rows.T], dtype=int)
 
 
 class Paired(NamedTuple):
@@ -93,12 +138,17 @@ class Paired(NamedTuple):
         lost: those in which the partner's is.
         difference: median of own less partner's value, with its interval. A pair in which both are
             infinite has no difference.
+        seeds: of these pairs that have a difference.
+        chance: probability of a sum of balances this far from zero if the true median of the
+            differences were zero [1]; NaN without a pair.
     """
 
     pairs: np.ndarray
     won: np.ndarray
     lost: np.ndarray
     difference: Interval
+    seeds: np.ndarray
+    chance: np.ndarray
 
 
 def paired(
@@ -126,71 +176,103 @@ def paired(
         won=np.sum(sign * np.sign(difference) < 0, axis=0),
         lost=np.sum(sign * np.sign(difference) > 0, axis=0),
         difference=medians(difference, seeds, **options),
+        seeds=seeds_with_values(difference, seeds),
+        chance=np.array([_chance(column, seeds) for column in difference.T]),
     )
 
 
-class _Column:
-    """The values that there are in a column, sorted, and the seed that each belongs to.
+def adjusted(chances: npt.ArrayLike) -> np.ndarray:
+    """Probabilities, shape (...), adjusted by Benjamini and Hochberg for the number of them.
 
-    Blocks of neighbours are counted first, so that a resample costs one block and not the column.
+    Of the comparisons whose adjusted probability is at most 5 %, at most 5 % are expected to be
+    without a difference. NaN stays so and does not count.
     """
-
-    def __init__(self, values: np.ndarray, owner: np.ndarray, seeds: int) -> None:
-        """The values of a column, shape (n,), and the seeds 0 .. seeds - 1 of the rows."""
-        known = np.flatnonzero(~np.isnan(values))
-        order = known[np.argsort(values[known], kind="stable")]
-        blocks = max(16, min(math.isqrt(len(order)), _NUMBERS // max(1, seeds)))
-        self._values, self._size = values[order], max(16, -(-len(order) // blocks))
-        self._blocks = -(-len(order) // self._size)
-        missing = self._blocks * self._size - len(order)
-        self._owner = np.pad(owner[order], (0, missing), constant_values=seeds)
-        block = np.arange(len(self._owner)) // self._size
-        share = np.bincount(block * (seeds + 1) + self._owner, minlength=self._blocks * (seeds + 1))
-        self._share = share.reshape(self._blocks, seeds + 1).T[:-1].astype(np.float64)
-
-    def medians(self, weights: np.ndarray) -> np.ndarray:
-        """Medians when seeds occur so many times, shape (k, S); NaN when no value does."""
-        if not self._values.size:
-            return np.full(len(weights), np.nan)
-        count = np.cumsum(weights @ self._share, axis=1)  # whole numbers, so exact
-        total = count[:, -1]
-        padded = np.pad(weights, ((0, 0), (0, 1)))  # no weight for what fills the last block
-        with np.errstate(invalid="ignore"):  # halfway between two infinities
-            middle = 0.5 * (
-                self._value_at(np.floor(0.5 * (total - 1.0)), count, padded)
-                + self._value_at(np.floor(0.5 * total), count, padded)
-            )
-        return np.where(total > 0.0, middle, np.nan)
-
-    def _value_at(self, rank: np.ndarray, count: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """The values that have so many before them, shape (k,)."""
-        rows = np.arange(len(rank))
-        block = np.minimum(np.sum(count <= rank[:, None], axis=1), self._blocks - 1)
-        before = np.where(block > 0, count[rows, block - 1], 0.0)
-        place = block[:, None] * self._size + np.arange(self._size)
-        inside = before[:, None] + np.cumsum(weights[rows[:, None], self._owner[place]], axis=1)
-        first = block * self._size + np.sum(inside <= rank[:, None], axis=1)
-        return self._values[np.minimum(first, len(self._values) - 1)]
+    out = np.array(chances, dtype=np.float64)
+    known = ~np.isnan(out)
+    if known.any():
+        out[known] = false_discovery_control(out[known])
+    return out
 
 
-def _resampled(seeds: int, resamples: int, width: int) -> Iterator[tuple[slice, np.ndarray]]:
-    """How often each seed occurs in each resample, shape (k, S), some resamples at a time."""
-    generator = np.random.default_rng(_SEED)
-    step = max(1, _NUMBERS // width)
-    for begin in range(0, resamples, step):
-        k = min(step, resamples - begin)
-        drawn = generator.integers(seeds, size=(k, seeds)) + seeds * np.arange(k)[:, None]
-        weights = np.bincount(drawn.ravel(), minlength=k * seeds).reshape(k, seeds)
-        yield slice(begin, begin + k), weights.astype(np.float64)
-
-
-def _percentiles(drawn: np.ndarray, confidence: float) -> tuple[np.ndarray, np.ndarray]:
-    """The values that cut off both tails, without interpolation as they may be infinite."""
-    ordered = np.sort(drawn, axis=0)  # NaN last
-    known = np.sum(~np.isnan(drawn), axis=0)
+def _median(column: np.ndarray, seeds: np.ndarray, confidence: float) -> tuple[float, float, float]:
+    """The fields of the `Interval` of one column, shape (n,)."""
+    known = ~np.isnan(column)
+    order = np.argsort(column[known], kind="stable")
+    values = column[known][order]
+    owners, owner = np.unique(seeds[known], return_inverse=True)
+    owner, n = owner[order], len(values)
+    if not n:
+        return math.nan, math.nan, math.nan
+    value = _middle(values)
+    if len(owners) < 2:
+        return value, math.nan, math.nan
     tail = 0.5 * (1.0 - confidence)
-    last = np.maximum(known - 1, 0)
-    columns = np.arange(int(drawn.shape[1]))
-    low = ordered[np.floor(tail * last + 1e-9).astype(int), columns]
-    high = ordered[np.ceil((1.0 - tail) * last - 1e-9).astype(int), columns]
-    return low, high
+    if 0.5 ** len(owners) > tail:
+        each = [_middle(values[owner == k]) for k in range(len(owners))]
+        return value, min(each), max(each)
+    low, high = _places(owner, tail), n - 1 - _places(owner[::-1], tail)
+    return value, float(values[low]), float(values[high])
+
+
+def _middle(values: np.ndarray) -> float:
+    """The median of values that rise, of which there is at least one, shape (n,)."""
+    n = len(values)
+    with np.errstate(invalid="ignore"):  # halfway between two infinities
+        return float(0.5 * (values[(n - 1) // 2] + values[n // 2]))
+
+
+def _places(owner: np.ndarray, tail: float) -> int:
+    """The first of values that rise which is not refuted as their median, given their seeds."""
+    half = 0.5 * np.bincount(owner)
+    refuted, kept = -1, len(owner) // 2  # half of the values or more are up to the latter
+    while kept - refuted > 1:
+        place = (refuted + kept) // 2
+        balance = np.bincount(owner[: place + 1], minlength=len(half)) - half
+        if _below(balance, tail):
+            refuted = place
+        else:
+            kept = place
+    return kept
+
+
+def _below(balance: np.ndarray, tail: float) -> bool:
+    """Whether signs flipped by chance give at most the sum of balances with at most this share."""
+    total, square = float(np.sum(balance)), float(np.sum(balance * balance))
+    if total >= 0.0:
+        return False
+    if total * total > -2.0 * math.log(tail) * square:  # by Hoeffding's bound
+        return True
+    return _shares(balance)[0] <= tail
+
+
+def _shares(balance: np.ndarray) -> tuple[float, float]:
+    """How often flipped signs give at most, and at least, the sum of balances, shape (S,) [1]."""
+    if len(balance) > _MOST:
+        balance = np.bincount(np.arange(len(balance)) % _MOST, balance)
+    sums, total = _signs(len(balance)) @ balance, float(np.sum(balance))
+    rounding = 1e-9 * float(np.sum(np.abs(balance)))
+    return float(np.mean(sums <= total + rounding)), float(np.mean(sums >= total - rounding))
+
+
+@functools.cache
+def _signs(count: int) -> np.ndarray:
+    """Combinations of so many signs, shape (R, count): all of them, or some, always the same ones.
+
+    With each there is its opposite, and those that are all alike are among them.
+    """
+    if count <= _ALL_SIGNS:
+        return np.array(list(itertools.product((-1.0, 1.0), repeat=count)))
+    drawn = np.random.default_rng(_SEED).integers(2, size=(2 ** (_ALL_SIGNS - 1), _MOST))
+    half = 2.0 * drawn[:, :count] - 1.0
+    half[0] = 1.0
+    return np.concatenate([half, -half])
+
+
+def _chance(column: np.ndarray, seeds: npt.ArrayLike) -> float:
+    """See `Paired.chance`, of one column of differences, shape (n,)."""
+    known = ~np.isnan(column)
+    if not known.any():
+        return math.nan
+    owner = np.unique(np.asarray(seeds)[known], return_inverse=True)[1]
+    balance = np.bincount(owner, np.sign(column[known]))
+    return min(1.0, 2.0 * min(_shares(balance)))

@@ -299,9 +299,13 @@ def _perform(
     def take_up(rows: Rows) -> None:
         keep(rows, recorder.layer)
         if not measured:
-            period, bounds = environment.control_timestep(), physics.input_range()
-            layer = recorder.layer
-            measured.append(Metrics(control_period=period, input_range=bounds, layer=layer))
+            metrics = Metrics(
+                control_period=environment.control_timestep(),
+                input_range=physics.reachable_inputs(),
+                layer=recorder.layer,
+                actuation=physics.actuation,
+            )
+            measured.append(metrics)
         measured[0].update(rows)
 
     recorder = ArmRecorder(environment, take_up)

@@ -8,6 +8,7 @@ the same bits whatever the batch, the threads and the processor.
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -179,9 +180,14 @@ class PlantRows:
 
         def module(i: int) -> list[Entry]:
             (k1, k2), (c1, c2) = ([x[i] for x in pair] for pair in (of.stiffness, of.damping))
-            columns = [part for a, b in ((k1, k2), (c1, c2)) for part in _columns(a, b, half[i])]
+            springs, dampers = _columns(k1, k2, half[i]), _columns(c1, c2, half[i])
             bounds = [bound[i] for bound in self._limits]
-            return [of.mass[i], of.inertia[i], *columns, of.rest_length[i], half[i], *bounds]
+            return [
+                of.mass[i], of.inertia[i],
+                *(a + b for a, b in zip(springs, _backbone(of.backbone_stiffness, i), strict=True)),
+                *(a + b for a, b in zip(dampers, _backbone(of.backbone_damping, i), strict=True)),
+                of.rest_length[i], of.rest_angle[i], half[i], *bounds,
+            ]  # fmt: skip
 
         rows = np.stack([_stacked(module(i)) for i in range(p.modules)], axis=0)
         self.rows = np.ascontiguousarray(rows)
@@ -194,6 +200,11 @@ def _columns(first: Entry, second: Entry, half: Entry) -> tuple[Entry, Entry, En
     """What two columns do to s, to s by theta, and to theta; half their distance is given."""
     both, odd = first + second, half * (first - second)
     return both, odd, half * half * both
+
+
+def _backbone(of: tuple[Sequence[Entry], Sequence[Entry]], i: int) -> tuple[Entry, Entry, Entry]:
+    """The same of what a module has beside its columns."""
+    return of[0][i], 0.0, of[1][i]
 
 
 def _stacked(entries: list[Entry]) -> np.ndarray:

@@ -267,6 +267,15 @@ class TrackingTask(control.Task):
         """Time since the start of the episode [s]: whole control periods times their length."""
         return self._periods * self._period
 
+    def desired_steps(self, step: float, count: int) -> np.ndarray:
+        """q_d at the physics steps of the present period, shape (count, ..., 2N) [m], [rad].
+
+        The step is given in seconds. As in the answers of the reference, (count, 2N) will do.
+        """
+        later = range(self._periods * count + 1, (self._periods + 1) * count)
+        rows = [wanted(self.reference, i * step, self._shape).q for i in later]
+        return np.stack([self._desired.q, *rows])
+
     def initialize_episode(self, physics: AnyPhysics) -> None:
         """The arm hangs still, as it does undisturbed; what changes it acts from here on.
 

@@ -36,18 +36,19 @@ LANES = 16
 
 _FIELDS = (
     "S T VS VT S0 T0 VS0 VT0 DS DT DVS DVT "  # state of the stage, at the start, mean derivative
-    "MASS INERTIA KS KD KT CS CD CT REST HALF "  # the plant: see `rk4_step`
+    "MASS INERTIA KS KD KT CS CD CT REST_S REST_T HALF "  # the plant: see `rk4_step`
     "LOW_S LOW_T HIGH_S HIGH_T FAST_S FAST_T INSIDE "  # its limits, and whether they hold
     "FS FT RS RT "  # force and couple that are held, and the parts of them that act on the ground
     "QS QT C SN W P E MU BETA A0 A1 AX AY ALPHA AS AT"  # of a stage; AS and AT are s'' and theta''
 ).split()
-PLANT_ROWS = 16
+PLANT_ROWS = 17
 
 _place = {name: np.uint64(i * LANES) for i, name in enumerate(_FIELDS)}
 S, T, VS, VT = (_place[name] for name in ("S", "T", "VS", "VT"))
 S0, T0, VS0, VT0 = (_place[name] for name in ("S0", "T0", "VS0", "VT0"))
 DS, DT, DVS, DVT = (_place[name] for name in ("DS", "DT", "DVS", "DVT"))
-MASS, INERTIA, REST, HALF = (_place[name] for name in ("MASS", "INERTIA", "REST", "HALF"))
+MASS, INERTIA, HALF = (_place[name] for name in ("MASS", "INERTIA", "HALF"))
+REST_S, REST_T = (_place[name] for name in ("REST_S", "REST_T"))
 KS, KD, KT, CS, CD, CT = (_place[name] for name in ("KS", "KD", "KT", "CS", "CD", "CT"))
 LOW_S, LOW_T, HIGH_S, HIGH_T = (_place[name] for name in ("LOW_S", "LOW_T", "HIGH_S", "HIGH_T"))
 FAST_S, FAST_T, INSIDE = (_place[name] for name in ("FAST_S", "FAST_T", "INSIDE"))
@@ -117,7 +118,7 @@ def _accelerate(w, n):
         at = i * _RECORD
         before = at - _RECORD
         for k in range(_LANES):
-            stretch, bend = w[at + S + k] - w[at + REST + k], w[at + T + k]
+            stretch, bend = w[at + S + k] - w[at + REST_S + k], w[at + T + k] - w[at + REST_T + k]
             vs, vt = w[at + VS + k], w[at + VT + k]
             spring = w[at + KS + k] * stretch + w[at + KD + k] * bend
             damper = w[at + CS + k] * vs + w[at + CD + k] * vt
@@ -318,8 +319,8 @@ def rk4_step(q, v, ctrl, added, plant, gravity, alive, outside, h, w, first, las
         added: generalised forces in addition, shape (2N, n) [N], [N m].
         plant: shape (N, PLANT_ROWS, n), or (N, PLANT_ROWS, 1) if all arms are the same; of each
             module mass, inertia, the stiffness and the damping of s, of s with theta, and of theta,
-            rest length, half width, and limits: lowest s and theta, highest s and theta, largest
-            speed of s and theta.
+            rest length, rest angle, half width, and limits: lowest s and theta, highest s and
+            theta, largest speed of s and theta.
         gravity: acceleration of the ground against gravity along x and y, shape (2, n) or (2, 1)
             [m/s^2].
         alive: shape (n,) of bool.

@@ -6,8 +6,9 @@ from collections.abc import Callable, Collection
 
 import numpy as np
 
+from octarm.arrays import stacked
 from octarm.errors import OctarmError, quoted
-from octarm.interfaces import Instant, Rows
+from octarm.interfaces import WITHIN, Instant, Rows
 from octarm.interrupts import held_interrupts
 from octarm.simulation.trajectory import Ending
 
@@ -59,8 +60,9 @@ class Recorder:
             return
         row = self.row(instant)
         if not self._columns:
-            self._size = size = self._rows or max(1, NUMBERS_A_BLOCK // instant.q.size)
-            self._columns = {name: _stacked(np.asarray(x), size) for name, x in row.items()}
+            numbers = instant.q.size * (1 if instant.within is None else len(instant.within.q))
+            self._size = size = self._rows or max(1, NUMBERS_A_BLOCK // numbers)
+            self._columns = {name: _column(name, np.asarray(x), size) for name, x in row.items()}
             layer = instant.command.layer
             self.layer = None if layer is None else np.broadcast_to(layer, instant.q.shape)
         place = self._used
@@ -107,6 +109,13 @@ class Recorder:
         }
         if instant.plant_q is not None and instant.plant_tip is not None:
             row |= {"plant_q": instant.plant_q, "plant_tip": instant.plant_tip}
+        if (within := instant.within) is not None:
+            row["received"] = within.received
+            if len(within.q) > 1:
+                row["q_steps"], q_d = within.q, within.q_d
+                row["q_d_steps"] = q_d[:, None] if q_d.ndim < within.q.ndim else q_d
+                if within.plant_tip is not None:
+                    row["plant_tip_steps"] = within.plant_tip
         signals, fields = instant.command.signals, self._fields
         if not (signals.keys().isdisjoint(row) and signals.keys().isdisjoint(Ending._fields)):
             for name, signal in signals.items():
@@ -128,7 +137,8 @@ class Recorder:
         row[name] = value
 
 
-def _stacked(row: np.ndarray, count: int) -> np.ndarray:
-    """Memory for rows like this one, each contiguous along the arms, shape (count, ...)."""
-    backwards = np.empty((count, *row.shape[::-1]), dtype=row.dtype)
-    return backwards.transpose(0, *range(row.ndim, 0, -1))
+def _column(name: str, row: np.ndarray, count: int) -> np.ndarray:
+    """Memory for a field of so many instants, shape (count, ...)."""
+    if name not in WITHIN:
+        return stacked(row, count)
+    return stacked(row[0], count * len(row)).reshape(count, *row.shape)

@@ -15,7 +15,7 @@ import numpy as np
 from dm_control.rl import control
 
 from octarm.errors import OctarmError
-from octarm.interfaces import Controller, Instant, Measurement, Reference, Rows
+from octarm.interfaces import Controller, Instant, Measurement, Reference, Rows, Within
 from octarm.simulation.arguments import check_simulation, commanded
 from octarm.simulation.environment import TrackingTask, whole_periods
 from octarm.simulation.physics import ArmPhysics
@@ -70,6 +70,8 @@ def _episode(
     """See `simulate`; the arms can be moved within `with turn:` alone."""
     physics: AnyPhysics = environment.physics
     task: TrackingTask = environment.task
+    step = physics.timestep()
+    steps = round(environment.control_timestep() / step)
     with turn:
         timestep = environment.reset()
     state = controller.initial_state(physics.batch_shape)
@@ -86,8 +88,10 @@ def _episode(
             tau = physics.actuation.inputs(measurement.q, command.force)
         q, v = physics.q(), physics.v()
         plant_q, plant_tip = physics.plant_place()
+        q_d_steps = task.desired_steps(step, steps) if steps > 1 else q_d[None]
         if message:
             disturbance = np.zeros_like(q)
+            within = _still(steps, q, q_d_steps, plant_tip)
         else:
             try:
                 with turn:
@@ -96,14 +100,25 @@ def _episode(
                 message = physics.divergence() or f"diverged at t = {physics.time():.6g} s: {error}"
             tau = physics.tau()  # what a wrapper made of it
             disturbance = physics.disturbance()
+            if steps > 1:
+                q_steps, received, tip_steps = physics.within()
+                within = Within(q_steps, q_d_steps, received, tip_steps)
+            else:
+                within = Within(q[None], q_d_steps, physics.received()[None])
         instant = Instant(
-            measurement, reference, command, q, v, tau, disturbance, plant_q, plant_tip
+            measurement, reference, command, q, v, tau, disturbance, plant_q, plant_tip, within
         )
         for observe in observers:
             observe(instant)
         if message or timestep.last():
             break
     return message or physics.divergence()
+
+
+def _still(steps: int, q: np.ndarray, q_d: np.ndarray, plant_tip: np.ndarray | None) -> Within:
+    """A period whose steps are not taken, the arms being at q, shape (..., 2N) [m], [rad]."""
+    tip = None if plant_tip is None else plant_tip[None].repeat(steps, 0)
+    return Within(q[None].repeat(steps, 0), q_d, np.zeros((steps, *q.shape)), tip)
 
 
 def rollout(

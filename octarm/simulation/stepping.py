@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import abc
 import contextlib
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 
 import mujoco
 import numpy as np
@@ -22,7 +22,7 @@ from octarm.arm.groups import Groups
 from octarm.arm.limits import Limits
 from octarm.arm.mjcf import PlantFields, paper_order
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import Coordinates, planar_coordinates
+from octarm.arrays import Coordinates, planar_coordinates, stacked
 from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Plant
 from octarm.errors import OctarmError, quoted
@@ -172,6 +172,27 @@ class AnyPhysics(control.Physics):
         """The input forces that reached the arms in the last physics step, shape (..., 2N) [N]."""
         return self._received.copy(order="K")
 
+    def within(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """The physics steps of the last `step`, of which there were several.
+
+        Returns:
+            `q`, `received` and `plant_tip` of an `octarm.interfaces.Within`, shapes (m, ..., 2N),
+            (m, ..., 2N) and (m, ..., 2) [m], [rad], [N]. A step that was not taken any more, as no
+            arm was left, is like the last one.
+        """
+        q, received, *tip = self._within
+        return q, received, tip[0] if tip else None
+
+    def reachable_inputs(self) -> tuple[np.ndarray, np.ndarray]:
+        """The input range, narrowed by what this episode's disturbances limit the inputs to.
+
+        The lowest and the highest input forces, each of shape (..., 2N) [N].
+        """
+        low, high = self.input_range()
+        for bound in () if self.active is None else self.active.input_bounds:
+            low, high = np.maximum(low, -np.asarray(bound)), np.minimum(high, bound)
+        return low, high
+
     def added(self) -> np.ndarray:
         """Generalised force that MuJoCo was given in the last physics step, shape (..., 2N)."""
         added = self._added.take(self._qvel_index, 0).T
@@ -275,8 +296,15 @@ class AnyPhysics(control.Physics):
         An arm stops at its first state outside the limits. It ends early when no arm is left.
         """
         self._disturbance = self._zero
-        for _ in range(n_sub_steps):
+        within: Sequence[np.ndarray] = ()
+        if n_sub_steps > 1:
+            within = self._within = self._memory(n_sub_steps)
+        for i in range(n_sub_steps):
             self._receive(n_sub_steps)
+            if within:
+                within[0][i], within[1][i] = self.q(), self._received
+                if self.groups is not None:
+                    within[2][i] = self.groups.tip(self.plant_q())
             self._advance()
             self._steps += 1
             if self.active is not None and self.active.sensors:
@@ -288,7 +316,14 @@ class AnyPhysics(control.Physics):
                 q, v = np.atleast_2d(self.q(), self.v())
                 self.freeze(~self.limits.holding(q, v).reshape(self.batch_shape))
             if self.all_lost():
+                for rows in within:
+                    rows[i + 1 :] = rows[i]
                 return
+
+    def _memory(self, steps: int) -> list[np.ndarray]:
+        """Memory for what `within` returns of so many steps."""
+        like = [self._zero] * 2 + [self._zero[..., :2]] * (self.groups is not None)
+        return [stacked(row, steps) for row in like]
 
     def _receive(self, nstep: int) -> None:
         """What acts during the next physics step."""
@@ -348,6 +383,7 @@ class AnyPhysics(control.Physics):
             self._write(Plant(self._undisturbed))
         self.active = None
         self._tau = self._possible = self._received = self._disturbance = self._zero
+        self._within = self._memory(1)
         self._steps = 0
         self._intact = np.ones(self.batch_shape, dtype=bool)
         self._diverged_at = np.full(self.batch_shape, np.nan)

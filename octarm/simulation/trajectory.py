@@ -57,8 +57,10 @@ class Trajectory:
         tau: input forces held during the period that begins at t, shape (T, 2N) [N].
         force: generalised force Q the controller asked for, shape (T, 2N) [N], [N m].
         disturbance: generalised force that disturbances added, shape (T, 2N) [N], [N m].
-        signals: the controller's own quantities by name, each of shape (T, k); and `q_measured` and
-            `v_measured`, the readings, when sensors act.
+        signals: the controller's own quantities by name, each of shape (T, k); `q_measured` and
+            `v_measured`, the readings, when sensors act; and for the m physics steps of each
+            control period `received`, the input forces that reached the arm in them, shape
+            (T, m, 2N) [N], and if m > 1 `q_steps` and `q_d_steps`, q and q_d when they began.
         layer: half width of the boundary layer around s = 0, shape (2N,) [m/s], [rad/s]; None when
             the controller has none.
         status: `ok`, or `diverged` or `interrupted` when the run ended before its time.

@@ -12,7 +12,6 @@ import numpy as np
 import pyarrow as pa
 from dm_control.rl import control
 
-from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import OctarmError
 from octarm.interfaces import Controller, ControllerFactory
 from octarm.runs import folder as runs
@@ -34,7 +33,7 @@ class FinishedSweep:
         path: the folder.
         plan: of its episodes.
         manifest: content of `manifest.json`.
-        gains: of each controller for the nominal arm when the sweep was begun.
+        gains: of each controller for the first arm when the sweep was begun.
     """
 
     def __init__(self, path: Path) -> None:
@@ -61,7 +60,7 @@ class FinishedSweep:
         """An episode as a run of one arm, whose factory is that of the sweep's controllers."""
         spec, arms = self.plan.spec, self.plan.episode(episode)
         (seed,) = arms.seeds
-        nominal = nominal_parameters()
+        nominal = spec.arm(arms.arm)
         return Experiment(
             controller=arms.controller,
             gains=spec.gains.get(arms.controller, {}),

@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory, Instant
 from octarm.memory import check_batch
@@ -226,10 +225,12 @@ def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
     """Runs a control period of every controller with every value of every axis.
 
     Returns:
-        The gains of each controller for the nominal arm, ready for JSON.
+        The gains of each controller for the first arm, ready for JSON.
     """
-    nominal = nominal_parameters()
-    check_batch(len(plan.shards[0]), nominal.modules)  # no shard is larger by more than one arm
+    nominal = plan.spec.all_arms()[0]
+    check_batch(
+        len(plan.shards[0]), plan.spec.most_modules
+    )  # no shard is larger by more than one arm
     gains: dict[str, object] = {
         name: runs.gains_of(plan.spec.controller(name, nominal, factory))
         for name in plan.spec.controllers

@@ -17,9 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 from dm_control.rl import control
+from scipy.stats import binom
 
 from octarm.arm.groups import PAPER
 from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_disturbance
 from octarm.errors import OctarmError, closest, quoted
@@ -33,7 +35,6 @@ from octarm.units import ANY, number
 
 _POINTS = 3  # values that are tried within a gap at a time
 _SMALLEST = 1e-5  # gap, in shares of the way, that is never made smaller
-_DRAWS = 9999  # of the bootstrap
 
 
 class Attempt(NamedTuple):
@@ -124,8 +125,8 @@ class Margin(NamedTuple):
 
     Attributes:
         value: the largest that so many of the seeds bear.
-        low: lower end of its confidence interval; NaN when all seeds are alike.
-        high: upper end.
+        low: lower end of its confidence interval; NaN where the seeds cannot carry one.
+        high: upper end, likewise.
     """
 
     value: float
@@ -134,10 +135,14 @@ class Margin(NamedTuple):
 
 
 def margin_of(brackets: Brackets, share: float, confidence: float = 0.95) -> Margin:
-    """The largest value that a share of the seeds bears, with a bootstrap interval over seeds.
+    """The largest value that a share of the seeds bears, with an interval of order statistics.
 
-    The interval holds the middle of what samples of as many seeds, drawn with replacement, give.
-    It says nothing of the gap of the search, which `resolution` bounds.
+    The margin is a quantile of those of the seeds: of n of them, Bin(n, 1 - share) are below it,
+    whatever their distribution. So the r-th smallest is above it with P(Bin <= r - 1), the s-th
+    below it with P(Bin >= s), and the ends are those two that leave at most half of what is missing
+    in the confidence on either side. The interval holds the margin in at least `confidence` of all
+    samples. There is no end where `seeds_needed` is larger than the number of seeds, and none when
+    all of them are alike. It says nothing of the gap of the search, which `resolution` bounds.
 
     Args:
         brackets: of the seeds.
@@ -145,15 +150,29 @@ def margin_of(brackets: Brackets, share: float, confidence: float = 0.95) -> Mar
         confidence: of the interval [1].
     """
     margins = np.sort(brackets.margins)
-    n = len(margins)
-    place = n - max(1, math.ceil(share * n - 1e-9))
-    if brackets.alike or n == 1:
-        return Margin(float(margins[place]), math.nan, math.nan)
-    draws = np.random.default_rng(0).integers(n, size=(_DRAWS, n))
-    values = np.sort(np.partition(margins[draws], place, axis=1)[:, place])
-    tail = 0.5 * (1.0 - confidence) * (_DRAWS - 1)
-    ends = values[math.floor(tail)], values[math.ceil(_DRAWS - 1 - tail)]
-    return Margin(float(margins[place]), float(ends[0]), float(ends[1]))
+    n, tail = len(margins), 0.5 * (1.0 - confidence)
+    value = float(margins[n - max(1, math.ceil(share * n - 1e-9))])
+    if brackets.alike:
+        return Margin(value, math.nan, math.nan)
+    ranks = np.arange(1, n + 1)
+    allowed = tail * (1.0 + 1e-12)  # up to rounding
+    lows = margins[binom.cdf(ranks - 1, n, 1.0 - share) <= allowed]
+    highs = margins[binom.sf(ranks - 1, n, 1.0 - share) <= allowed]
+    low, high = (float(x[i]) if len(x) else math.nan for x, i in ((lows, -1), (highs, 0)))
+    return Margin(value, low, high)
+
+
+def seeds_needed(share: float, confidence: float = 0.95) -> tuple[float, float]:
+    """Numbers of seeds from which an interval of `margin_of` has a lower and an upper end [1].
+
+    Infinite where no number is enough.
+    """
+    tail = 0.5 * (1.0 - confidence)
+    low, high = (
+        math.inf if part == 1.0 else max(1, math.ceil(math.log(tail) / math.log(part) - 1e-9))
+        for part in (share, 1.0 - share or tail)
+    )
+    return low, high
 
 
 NOMINAL = "nominal-mismatch"  # of the controller's model, as --mismatch of octarm run
@@ -275,6 +294,7 @@ class MarginRuns:
         timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
         control_period: time between control actions [s]; one physics step when None.
         engine: that steps the arms; `lagrange` where it is installed, when not given.
+        parameters: the true arm, and the controller's model of it but for the mismatch.
         plant_modules: number of modules of the plant, see `octarm.load`.
         layout: of that plant.
         seed: of all that is random.
@@ -292,6 +312,7 @@ class MarginRuns:
     timestep: float | str | None = None
     control_period: float | None = None
     engine: str = dataclasses.field(default_factory=usual_engine)
+    parameters: ArmParameters = dataclasses.field(default_factory=nominal_parameters)
     plant_modules: int | None = None
     layout: str = PAPER
     seed: int = 0
@@ -307,7 +328,7 @@ class MarginRuns:
             OctarmError: if a control period at both ends fails.
         """
         ends = np.array([0.0, 1.0])
-        modules = self.plant_modules or nominal_parameters().modules
+        modules = self.plant_modules or self.parameters.modules
         check_batch(9 * seeds, modules)  # on the coarse grid
         environment, controller = self._begin(np.repeat(np.arange(seeds), 2), np.tile(ends, seeds))
         known = measure(environment, controller, environment.control_timestep()).metrics
@@ -354,8 +375,9 @@ class MarginRuns:
             control_period=self.control_period,
             threads=self.threads,
             engine=self.engine,
+            parameters=self.parameters,
             plant_modules=self.plant_modules,
             layout=self.layout,
         )
         mismatch = values if self.varied.name == NOMINAL else self.mismatch
-        return environment, self.factory(nominal_parameters().mismatched(mismatch))
+        return environment, self.factory(self.parameters.mismatched(mismatch))

@@ -16,7 +16,7 @@ from octarm.disturbances.fields import Amount, Quantity, field_kinds
 from octarm.disturbances.streams import stream
 from octarm.errors import OctarmError
 from octarm.memory import check_memory
-from octarm.sweeps.spec import LAYOUT, PLANT_MODULES, SweepSpec, class_of
+from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec, class_of
 
 _MOST_EPISODES = 10**15
 _MOST_SHARDS = 100_000
@@ -34,6 +34,7 @@ class Arms:
         mismatch: of the nominal model, shape () or (n,) [1].
         disturbances: with fields for each arm where they differ.
         seeds: one for each arm.
+        arm: name of the arm; empty for the nominal one.
         plant_modules: number of modules of the plant, see `octarm.load`; the arm itself when None.
         layout: of that plant.
     """
@@ -45,6 +46,7 @@ class Arms:
     mismatch: Amount
     disturbances: tuple[Disturbance, ...]
     seeds: list[np.random.SeedSequence]
+    arm: str = ""
     plant_modules: int | None = None
     layout: str = PAPER
 
@@ -149,6 +151,7 @@ class Plan:
                 np.random.SeedSequence(self.spec.seed, spawn_key=(i,))
                 for i in self.seeds(numbers).tolist()
             ],
+            arm=values.get(ARM, ""),
             plant_modules=values.get(PLANT_MODULES),
             layout=values.get(LAYOUT, PAPER),
         )

@@ -12,10 +12,9 @@ import numpy as np
 import pyarrow as pa
 from dm_control.rl import control
 
-from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.nominal import LagrangeModel
 from octarm.interfaces import Controller, ControllerFactory, Instant
-from octarm.metrics.table import METRICS, Column, Metrics, columns
+from octarm.metrics.table import METRICS, Metrics, columns
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.folder import gains_of
 from octarm.runs.versions import host, versions
@@ -39,7 +38,7 @@ def run_shard(
 
     Some episodes of the analytic arm are run again on MuJoCo, see `octarm.sweeps.engine_check`. The
     metadata of the table's schema say where the rows were made, `host` and `versions`, and with
-    which `gains` for the nominal arm.
+    which `gains` for the first arm.
     """
     plan = Plan(spec)
     arms = plan.arms(plan.shards[shard])
@@ -48,7 +47,7 @@ def run_shard(
         table = _checked_rows(plan, arms, again, factory, *observers)
     else:
         table = run_arms(plan, arms, factory, *observers)
-    controller = spec.controller(arms.controller, nominal_parameters(), factory)
+    controller = spec.controller(arms.controller, spec.all_arms()[0], factory)
     origin = {
         "host": host(),
         "versions": versions(spec.engine),
@@ -122,8 +121,10 @@ def begin(
     Raises:
         OctarmError: if an arm, a disturbance or a controller cannot be made.
     """
+    arm = spec.arm(arms.arm)
     environment = load(
         arms.reference,
+        parameters=arm,
         disturbances=arms.disturbances,
         batch=arms.batch,
         seed=arms.seeds[0] if arms.batch is None else arms.seeds,
@@ -135,7 +136,7 @@ def begin(
         plant_modules=arms.plant_modules,
         layout=arms.layout,
     )
-    nominal = nominal_parameters().mismatched(arms.mismatch)
+    nominal = arm.mismatched(arms.mismatch)
     return environment, spec.controller(arms.controller, nominal, factory)
 
 
@@ -174,8 +175,12 @@ class Observer:
     def __call__(self, instant: Instant) -> None:
         """Takes a control instant."""
         if self._measured is None:
-            bounds, layer = self._physics.input_range(), instant.command.layer
-            metrics = Metrics(control_period=self._period, input_range=bounds, layer=layer)
+            metrics = Metrics(
+                control_period=self._period,
+                input_range=self._physics.reachable_inputs(),
+                layer=instant.command.layer,
+                actuation=self._physics.actuation,
+            )
             # Without a cycle of references, so that the arms' memory is free when the run is over.
             self._measured = metrics, Recorder(metrics.update, fields=METRICS.fields)
         self._digest(instant)
@@ -197,7 +202,7 @@ class Observer:
         results = metrics.result(diverged=diverged if batch else diverged[0])
         values = {
             column.name: results[column.metric].reshape(n, -1)[:, column.place]
-            for column in _metric_columns()
+            for column in columns(physics.coordinates.names, physics.coordinates.units)
             if column.metric in results
         }
         return Outcome(diverged_at, values, *self._digest.result())
@@ -239,7 +244,8 @@ def schema(spec: SweepSpec) -> pa.Schema:
     for axis in (*spec.axes, *spec.random):
         if axis.name != "controller":
             fields.append(pa.field(axis.name, word if axis.words else number))
-    for column in _metric_columns():
+    arm = LagrangeModel(max(spec.all_arms(), key=lambda arm: arm.modules))
+    for column in columns(arm.names, arm.units):
         fields.append(pa.field(column.name, number, metadata=column.metadata))
     if spec.engine == LAGRANGE:
         fields.append(pa.field(COLUMN, number, metadata={"unit": "m"}))
@@ -249,12 +255,6 @@ def schema(spec: SweepSpec) -> pa.Schema:
         pa.field("checkpoints", _MARKS),
     ]
     return pa.schema(fields)
-
-
-def _metric_columns() -> list[Column]:
-    """The columns of all metrics."""
-    arm = LagrangeModel(nominal_parameters())
-    return columns(arm.names, arm.units)
 
 
 def _column(values: Any, kind: pa.DataType, count: int) -> pa.Array:

@@ -9,6 +9,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.parameters import ArmParameters
 from octarm.arrays import plain
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.fields import field_keys
@@ -18,7 +20,7 @@ from octarm.interfaces import Controller, ControllerFactory
 from octarm.simulation.engines import MUJOCO
 
 Value = float | str
-PLANT_MODULES, LAYOUT = "plant_modules", "layout"
+ARM, PLANT_MODULES, LAYOUT = "arm", "plant_modules", "layout"
 
 
 def which(disturbance: str) -> tuple[str, int]:
@@ -40,7 +42,7 @@ class Axis:
     """Something that varies in a sweep.
 
     Attributes:
-        name: of its column: controller, reference, mismatch, plant_modules, layout, or a
+        name: of its column: controller, reference, arm, mismatch, plant_modules, layout, or a
             disturbance such as `noise`, with the key, `noise.time`, when it is not the
             disturbance's first one.
         values: all of them, numbers or words; the smallest and the largest one when it is drawn.
@@ -93,6 +95,8 @@ class SweepSpec:
         gain_sets: `tuned` or `recommended`, by controller; tuned gains where there are any, else
             recommended ones, for the others.
         gains: where they are not those of the set, by controller.
+        arms: their parameters, as `ArmParameters.to_dict` has them, by the values of the axis
+            `arm`; the nominal arm has no such axis.
         record: episodes to record, by number or by a word.
         text: the file that says all of it; empty where it names other files.
     """
@@ -111,6 +115,7 @@ class SweepSpec:
     fixed: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
     gain_sets: Mapping[str, str] = dataclasses.field(default_factory=dict[str, str])
     gains: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
+    arms: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
     record: tuple[int | str, ...] = ()
     text: str = dataclasses.field(default="", compare=False)
 
@@ -129,6 +134,19 @@ class SweepSpec:
         """Those that act in all episodes, if only with a neutral value; first ones come first."""
         varied = (axis.disturbance for axis in (*self.axes, *self.random) if axis.disturbance)
         return tuple(sorted(dict.fromkeys((*varied, *self.fixed)), key=lambda n: which(n)[1]))
+
+    def arm(self, name: str) -> ArmParameters:
+        """The arm of this name; the nominal one for an empty name."""
+        return ArmParameters.from_dict(self.arms[name]) if name else nominal_parameters()
+
+    def all_arms(self) -> list[ArmParameters]:
+        """The arms of the axis `arm`, in its order, or the nominal one."""
+        return [*map(self.arm, self.arms)] or [nominal_parameters()]
+
+    @property
+    def most_modules(self) -> int:
+        """The number of modules of the largest arm."""
+        return max(arm.modules for arm in self.all_arms())
 
     def controller(self, name: str, nominal: Any, factory: ControllerFactory) -> Controller:
         """The controller of this name, with the gains of the spec.
@@ -149,6 +167,7 @@ class SweepSpec:
         content |= {f"grid.{axis.name}": axis.values for axis in self.axes}
         content |= {f"random.{a.name}": (*a.values, a.method) for a in self.random}
         content |= {f"gain_set.{name}": choice for name, choice in self.gain_sets.items()}
+        content |= {f"arms.{name}": arm for name, arm in self.arms.items()}
         for heading, tables in (("disturbance", self.fixed), ("gains", self.gains)):
             content |= {f"{heading}.{n}.{k}": v for n, t in tables.items() for k, v in t.items()}
         return {key: plain(value) for key, value in content.items()}
@@ -171,6 +190,7 @@ class SweepSpec:
         content: dict[str, Any] = {name: getattr(self, name) for name in SETTINGS}
         content |= {"grid": grid, "random": drawn, "disturbance": fixed}
         content |= {"gain_set": self.gain_sets, "gains": self.gains}
+        content |= {"arms": self.arms}
         content |= {"record": {"episodes": self.record}}
         return to_toml({key: value for key, value in content.items() if value != {}})
 

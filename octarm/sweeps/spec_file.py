@@ -12,7 +12,12 @@ At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep`
   `payload = { low = 0.0, high = 0.2, method = "sobol" }`; `uniform` is the usual method;
 - `[disturbance]`: what is the same in all episodes, `noise.time = 0.01`;
 - `[gains.NAME]`: gains of a controller;
+- `[arm]`: the arm, as in a file of one (`octarm.arm.file`), instead of `arm = "my-arm.toml"`;
 - `[record]`: `episodes`, a list of numbers, `"worst"`, `"median"` and `"diverged"`.
+
+An arm is a file, beside the spec, or one that comes with octarm; `arm` is a key at the top, or a
+list in `[grid]`. Its numbers become part of the spec that the sweep keeps, in a table `[arms.NAME]`
+as `run.json` has them.
 
 A number may be a text with a unit, such as `"40%"`, `"100 g"`, `"15deg"` or `"60ms"`.
 
@@ -29,7 +34,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -37,9 +42,11 @@ import pydantic
 from pydantic import AfterValidator, Field, FiniteFloat
 
 from octarm.arm.actuation import ACTUATIONS
+from octarm.arm.file import arm_of, read_arm
 from octarm.arm.groups import MOST_MODULES, PAPER, groups_of
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.modes import INTEGRATORS
+from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import LAYOUTS
 from octarm.disturbances.fields import Words, field_defaults, field_keys, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
@@ -49,6 +56,7 @@ from octarm.references import REFERENCES
 from octarm.simulation.engines import ENGINES, MUJOCO
 from octarm.simulation.steps import AUTO
 from octarm.sweeps.spec import (
+    ARM,
     LAYOUT,
     PLANT_MODULES,
     SETTINGS,
@@ -74,7 +82,7 @@ _UNITS = {
     ("random", "mismatch"): "1",
 }
 # Axes of every sweep, and those that only some have.
-_USUAL, _MORE = ("controller", "reference", "mismatch"), (LAYOUT, PLANT_MODULES)
+_USUAL, _MORE = ("controller", "reference", "mismatch"), (ARM, LAYOUT, PLANT_MODULES)
 _OWN = ("controller", "reference", *_MORE, "mismatch")  # in their order, slowest first
 
 
@@ -132,6 +140,7 @@ class Grid(Model):
     mismatch: Annotated[Array[Mismatch], Distinct] | None = None
     plant_modules: Annotated[Array[Modules], Distinct] | None = None
     layout: Annotated[Array[Layout], Distinct] | None = None
+    arm: Annotated[Array[str], Distinct] | None = None
     disturbance: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -170,6 +179,8 @@ class SpecFile(Model):
     random: Random = Random()
     disturbance: dict[str, Any] = Field(default_factory=dict)
     gains: dict[str, dict[str, Gain]] = Field(default_factory=dict)
+    arm: str | dict[str, Any] | None = None
+    arms: dict[str, dict[str, Any]] = Field(default_factory=dict)
     record: Record = Record()
 
 
@@ -211,7 +222,10 @@ def _spec(document: Document) -> SweepSpec:
             if not isinstance(kind, Words):
                 document = _in_si(document, kind.unit, *keys)
     axes, drawn = _axes(document, content)
-    sets, gains = _gains(document, content, [str(value) for value in axes[0].values])
+    arms = _arms(document, content, axes)
+    _check_plants(document, content, axes, arms)
+    sizes = {arm.modules for arm in arms.values()} or {nominal_parameters().modules}
+    sets, gains = _gains(document, content, [str(value) for value in axes[0].values], sizes)
     fixed: dict[str, dict[str, Any]] = {}
     for field, keys in _fields(document, "disturbance"):
         if field.name in [axis.name for axis in (*axes, *drawn)]:
@@ -226,8 +240,9 @@ def _spec(document: Document) -> SweepSpec:
         fixed=fixed,
         gain_sets={name: "recommended" if c in files else c for name, c in sets.items()},
         gains=gains,
+        arms={name: arm.to_dict() for name, arm in arms.items()},
         record=content.record.episodes,
-        text="" if files else document.text,
+        text="" if files or _other_files(content, arms) else document.text,
     )
     for name in spec.disturbances:
         _try(spec, name, document)
@@ -271,7 +286,6 @@ def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tupl
     not share a batch, beginning with the controller, and then the others.
     """
     axes = [axis for name in _OWN if (axis := _own_axis(name, document, content)) is not None]
-    _check_plants(document, content, axes)
     for field, keys in _fields(document, "grid", "disturbance"):
         values = document.read(cast(Any, Annotated[Array[Number] | Array[str], Distinct]), *keys)
         axes.append(dataclasses.replace(field, values=values))
@@ -296,15 +310,51 @@ def _drawn(axis: Axis, bounds: Bounds) -> Axis:
     return dataclasses.replace(axis, values=(bounds.low, bounds.high), method=bounds.method)
 
 
-def _check_plants(document: Document, content: SpecFile, axes: Sequence[Axis]) -> None:
+def _arms(document: Document, content: SpecFile, axes: Sequence[Axis]) -> dict[str, ArmParameters]:
+    """The arms of the axis `arm` by name; none without such an axis."""
+    names = [str(value) for axis in axes if axis.name == ARM for value in axis.values]
+    keys = ("grid", ARM) if content.arm is None else (ARM,)
+    for name in content.arms:
+        if name not in names:
+            raise document.error(f"{quoted(name)} is no arm of this sweep", "arms", name)
+    arms: dict[str, ArmParameters] = {}
+    for name in names:
+        try:
+            if name in content.arms:
+                arms[name] = ArmParameters.from_dict(content.arms[name])
+            elif isinstance(content.arm, dict):
+                arms[name] = arm_of(document, ARM).parameters
+            else:
+                file = name.endswith(".toml")
+                arms[name] = read_arm(Path(document.file).parent / name if file else name)
+        except OctarmError as error:
+            if isinstance(content.arm, dict):
+                raise  # it names its line
+            raise document.error(str(error), *keys) from None
+    return arms
+
+
+def _other_files(content: SpecFile, arms: Iterable[str]) -> bool:
+    """Whether arms are not in the spec itself."""
+    return not isinstance(content.arm, dict) and any(name not in content.arms for name in arms)
+
+
+def _check_plants(
+    document: Document,
+    content: SpecFile,
+    axes: Sequence[Axis],
+    arms: Mapping[str, ArmParameters],
+) -> None:
     """Raises OctarmError for plants of more modules that cannot be made."""
     values = {axis.name: axis.values for axis in axes}
     sizes: Any = values.get(PLANT_MODULES, (None,))
+    layouts: Any = values.get(LAYOUT, (PAPER,))
     name = PLANT_MODULES if PLANT_MODULES in values else LAYOUT
     once = content.layout if name == LAYOUT else content.plant_modules
-    for modules, layout in itertools.product(sizes, values.get(LAYOUT, (PAPER,))):
+    several = [*arms.values()] or [nominal_parameters()]
+    for arm, (modules, layout) in itertools.product(several, itertools.product(sizes, layouts)):
         try:
-            groups_of(nominal_parameters(), modules, str(layout))
+            groups_of(arm, modules, layout)
         except OctarmError as error:
             keys = ("grid", name) if once is None else (name,)
             raise document.error(str(error), *keys) from None
@@ -318,7 +368,7 @@ def _own_axis(name: str, document: Document, content: SpecFile) -> Axis | None:
     single = getattr(content, name)
     places = {
         ("grid", name): getattr(content.grid, name),
-        (name,): None if single is None else (single,),
+        (name,): None if single is None else (ARM if isinstance(single, dict) else single,),
         ("random", name): content.random.mismatch if name == "mismatch" else None,
     }
     given = {keys: value for keys, value in places.items() if value is not None}
@@ -363,7 +413,7 @@ def _fields(document: Document, *place: str) -> Iterator[tuple[Axis, tuple[str, 
 
 
 def _gains(
-    document: Document, content: SpecFile, controllers: list[str]
+    document: Document, content: SpecFile, controllers: list[str], sizes: set[int]
 ) -> tuple[dict[str, str], dict[str, dict[str, Any]]]:
     """The gain set of each controller, and the gains that differ from it or come from a file."""
     sets = content.gain_set or {}
@@ -378,7 +428,7 @@ def _gains(
     for name, choice in sets.items():
         if choice.endswith(".toml"):
             try:
-                gains[name] = _gains_of_file(Path(document.file).parent / choice, name)
+                gains[name] = _gains_of_file(Path(document.file).parent / choice, name, sizes)
             except FileError as error:
                 raise document.error(str(error), "gain_set", name) from None
         elif choice not in GAIN_SETS:
@@ -390,14 +440,14 @@ def _gains(
     return sets, gains
 
 
-def _gains_of_file(path: Path, controller: str) -> dict[str, Any]:
-    """The gains in a file of `octarm tune`."""
-    document, modules = read_toml(path), nominal_parameters().modules
+def _gains_of_file(path: Path, controller: str, sizes: set[int]) -> dict[str, Any]:
+    """The gains in a file of `octarm tune`, for arms of these numbers of modules."""
+    document = read_toml(path)
     file = document.read(GainFile)
     if file.controller != controller:
         message = f"holds gains of {spelt(file.controller)}, not of {controller}"
         raise document.error(message, "controller")
-    if file.modules != modules:
+    for modules in sizes - {file.modules}:
         message = f"is for an arm of {file.modules} modules; this one has {modules}"
         raise document.error(message, "modules")
     return file.gains

@@ -12,7 +12,6 @@ import dataclasses
 import numpy as np
 
 from octarm.arm.groups import groups_of
-from octarm.arm.mjcf import nominal_parameters
 from octarm.disturbances.episode import PlantChange
 from octarm.errors import OctarmError
 from octarm.simulation.steps import AUTO, StepError, check_arms, fitting_step, steps_of
@@ -47,7 +46,7 @@ def with_step(spec: SweepSpec, *, probes: bool = False) -> SweepSpec:
 
 def _longest(spec: SweepSpec, arms: Arms) -> float:
     """The longest stable step of some arms [s], or infinity for a given step that suits them."""
-    arm = nominal_parameters()
+    arm = spec.arm(arms.arm)
     given = arm, arms.disturbances, arms.seeds, (len(arms.seeds),), spec.integrator
     groups = groups_of(arm, arms.plant_modules, arms.layout)
     if isinstance(spec.timestep, str):

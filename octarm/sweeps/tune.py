@@ -23,7 +23,6 @@ import numpy as np
 from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
-from octarm.arm.mjcf import nominal_parameters
 from octarm.errors import OctarmError
 from octarm.files import write_text
 from octarm.formats import Model, read_json, to_json
@@ -214,7 +213,7 @@ def tune(
     Raises:
         OctarmError: if the controller cannot be made, or has no gain that can be tuned.
     """
-    nominal = nominal_parameters()
+    nominal = (rig or Rig()).arm()
     space = Space(factory(nominal, {}), nominal.modules)
     fixed = space.fixed()
 

@@ -137,26 +137,35 @@ class Rig:
         engine: that steps the arms.
         plant_modules: number of modules of the plant, see `octarm.load`; the arm itself when None.
         layout: of that plant.
+        parameters: of the arm; the nominal ones when None.
     """
 
     engine: str = dataclasses.field(default_factory=usual_engine)
     plant_modules: int | None = None
     layout: str = PAPER
+    parameters: ArmParameters | None = None
+
+    def arm(self) -> ArmParameters:
+        """The arm, which is the nominal one if no parameters are given."""
+        return nominal_parameters() if self.parameters is None else self.parameters
 
     def check(self) -> None:
         """Raises OctarmError if there is no such engine or plant."""
         check_engine(self.engine)
-        groups_of(nominal_parameters(), self.plant_modules, self.layout)
+        groups_of(self.arm(), self.plant_modules, self.layout)
 
     def settings(self) -> dict[str, Any]:
         """What the result depends on, ready for JSON and TOML."""
-        if self.plant_modules is None:
-            return {"engine": self.engine}
-        return dataclasses.asdict(self)
+        numbers: dict[str, Any] = {"engine": self.engine}
+        if self.plant_modules is not None:
+            numbers |= {"plant_modules": self.plant_modules, "layout": self.layout}
+        if self.parameters is not None:
+            numbers["arm"] = self.parameters.to_dict()
+        return numbers
 
     def rest(self) -> np.ndarray:
         """Where the arm hangs, shape (2N,) [m], [rad]."""
-        arm = nominal_parameters()
+        arm = self.arm()
         groups = groups_of(arm, self.plant_modules, self.layout)
         return equilibrium(arm) if groups is None else groups.measured(equilibrium(groups.plant))
 
@@ -188,7 +197,7 @@ def costs(
         """Values of the scenarios for each arm: the scenarios of a candidate side by side."""
         return np.tile(values, n)
 
-    true = nominal_parameters()
+    true = rig.arm()
     names = list(dict.fromkeys(s.reference for s in scenarios))
     motions = [named_reference(name, rest) for rest in [rig.rest()] for name in names]
     environment = load(
@@ -199,7 +208,10 @@ def costs(
         batch=n * len(scenarios),
         seed=examination.seeds() * n,
         timestep=None if rig.plant_modules is None else AUTO,
-        **dataclasses.asdict(rig),
+        parameters=true,
+        engine=rig.engine,
+        plant_modules=rig.plant_modules,
+        layout=rig.layout,
     )
     nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
     gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}

@@ -11,10 +11,8 @@ on one core.
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +23,7 @@ from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import build_slim_model
 from octarm.arm.modes import longest_step
 from octarm.arm.rod import Rod, arm_from_rod
+from octarm.checks.rod_peer import cosserat_rod, installed
 from octarm.simulation.engines import LAGRANGE, usual_engine
 
 ELEMENTS = (10, 20)
@@ -37,7 +36,7 @@ _STEPS = 50  # that are timed together
 
 def peers(settings: Settings) -> list[Row]:
     """A step of a rod, and the time that a second of computation simulates."""
-    if importlib.util.find_spec("elastica") is None:
+    if not installed():
         raise LeftOut("peers", "PyElastica")
     rod, rows = Rod(), list[Row]()
     for n in ELEMENTS:
@@ -88,23 +87,6 @@ def _survives(
             if not np.linalg.norm(tip()) < 2.0 * length:
                 return False
     return True
-
-
-def cosserat_rod(rod: Rod, elements: int, shear: float) -> Any:
-    """PyElastica's rod along x, with a multiple of the shear stiffness.
-
-    A round section of radius r has EI = EA r^2 / 4, and rho I = rho A r^2 / 4 likewise, which is
-    so for the default rod.
-    """
-    EA, EI, density = (np.ravel(x)[0] for x in (rod.EA, rod.EI, rod.density))
-    radius = 2.0 * math.sqrt(EI / EA)
-    section = math.pi * radius**2
-    x, _, z = np.eye(3)
-    body = importlib.import_module("elastica").CosseratRod.straight_rod(
-        elements, 0.0 * x, x, z, rod.length, radius, density / section, youngs_modulus=EA / section
-    )
-    body.shear_matrix[:2] *= shear
-    return body
 
 
 def _simulation(

@@ -150,7 +150,7 @@ class Evidence:
 
 
 def interval(values: np.ndarray) -> Interval:
-    """Median of numbers with one seed each, shape (seeds,), and its 95 % interval.
+    """Median of numbers with one seed each, shape (seeds,), and its 95 % interval or range.
 
     The interval has no width where all are the same, since nothing is random there.
     """

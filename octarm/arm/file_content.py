@@ -1,0 +1,281 @@
+"""What a file of an arm may hold, and the parameters that its numbers mean."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from octarm.arm.parameters import ArmParameters
+from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
+from octarm.arm.units import quantity
+from octarm.errors import OctarmError
+from octarm.formats import Array, Model, one_of
+
+_MOST = 100  # modules
+
+
+def _of(kind: str) -> AfterValidator:
+    """An annotation: a quantity of this kind, as an array in SI units."""
+    return AfterValidator(functools.partial(quantity, kind))
+
+
+Length = Annotated[Any, _of("length")]
+Modules = Annotated[int, Field(ge=1, le=_MOST)]
+Stiffness = Annotated[Any, _of("stiffness")]
+BendingStiffness = Annotated[Any, _of("bending stiffness")]
+Damping = Annotated[Any, _of("damping")]
+BendingDamping = Annotated[Any, _of("bending damping")]
+Force = Annotated[Any, _of("force")]
+Time = Annotated[Any, _of("time")]
+_GRAVITY = np.array(9.81)
+
+
+class RodTable(Model):
+    """The table `[rod]`, see `octarm.arm.rod.Rod`; in SI units."""
+
+    length: Length
+    EA: Force
+    EI: Annotated[Any, _of("flexural rigidity")]
+    density: Annotated[Any, _of("mass per length")]
+    rotary_inertia: Annotated[Any, _of("inertia per length")]
+    damping_time: Time
+    modules: Modules
+    layout: Annotated[str, one_of(LAYOUTS)] = "paper"
+
+
+class ArmFile(Model):
+    """A whole file; quantities are arrays in SI units, None where they are not given."""
+
+    name: str = ""
+    source: str | Array[str] = ""
+    converted: Array[str] = ()
+    assumed: Array[str] = ()
+    modules: Modules | None = None
+    mass: Annotated[Any, _of("mass")] = None
+    inertia: Annotated[Any, _of("inertia")] = None
+    width: Length = None
+    rest_length: Length = None
+    rest_angle: Annotated[Any, _of("angle")] = None
+    stiffness: Stiffness = None
+    axial_stiffness: Stiffness = None
+    bending_stiffness: BendingStiffness = None
+    damping: Damping = None
+    axial_damping: Damping = None
+    bending_damping: BendingDamping = None
+    damping_time: Time = None
+    gravity: Annotated[Any, _of("acceleration")] = _GRAVITY
+    tip_length: Length = None
+    input_range: Force = None
+    rod: RodTable | None = None
+
+
+def parameters_of(content: ArmFile) -> ArmParameters:
+    """The parameters of one arm; numbers are broadcast, and what is not given is completed.
+
+    Raises:
+        OctarmError: if something is missing, or does not fit; the sentence begins with its key.
+    """
+    rod = content.rod
+    with np.errstate(all="ignore"):  # a width of 0 is refused in the end
+        return _Reader(content).parameters() if rod is None else _rod(content, rod)
+
+
+def _rod(content: ArmFile, rod: RodTable) -> ArmParameters:
+    """The chain that a table `[rod]` asks for."""
+    given = content.model_fields_set - {"rod", "name", "source", "converted", "assumed"}
+    wrong = sorted(given - {"gravity", "input_range"})
+    if wrong:
+        raise OctarmError(f"{wrong[0]} is given beside [rod], which says it already")
+    table = {name: getattr(rod, name) for name in Rod.__dataclass_fields__.keys() - {"gravity"}}
+    whole = Rod(
+        **{n: x.tolist() for n, x in table.items()}, gravity=_single("gravity", content.gravity)
+    )
+    p = arm_from_rod(whole, rod.modules, rod.layout)
+    if content.input_range is None:
+        return p
+    return dataclasses.replace(p, input_range=_range(content.input_range, p.modules))
+
+
+class _Reader:
+    """Makes parameters of a file: broadcasts numbers, and completes what is not given."""
+
+    def __init__(self, content: ArmFile) -> None:
+        self._content = content
+        self._modules = content.modules or self._counted()
+
+    def parameters(self) -> ArmParameters:
+        content = self._content
+        width = self._each("width")
+        stiffness, springs = self._springs(width)
+        damping, dampers = self._dampers(width, stiffness, springs)
+        length, angle = self._shape(width)
+        ranged = content.input_range is not None
+        alike = bool(np.all(width == width[0]))
+        return ArmParameters(
+            mass=self._each("mass"),
+            inertia=self._each("inertia"),
+            width=width[:1] if alike else width,
+            stiffness=stiffness,
+            damping=damping,
+            rest_length=length,
+            gravity=_single("gravity", content.gravity),
+            tip_length=0.0
+            if content.tip_length is None
+            else _single("tip_length", content.tip_length),
+            input_range=_range(content.input_range, self._modules) if ranged else (-np.inf, np.inf),
+            rest_angle=angle,
+            backbone_stiffness=springs,
+            backbone_damping=dampers,
+        )
+
+    def _given(self, key: str) -> np.ndarray:
+        value = getattr(self._content, key)
+        if value is None:
+            raise OctarmError(f"it needs a value of {key}")
+        return value
+
+    def _counted(self) -> int:
+        """The number of modules that the lists have."""
+        for key in ("mass", "inertia", "width", "rest_length", "rest_angle", *_WHOLE):
+            value = getattr(self._content, key)
+            if value is not None and value.ndim == 1:
+                return len(value)
+        for key in ("stiffness", "damping", "rest_length"):
+            value = getattr(self._content, key)
+            if value is not None and value.ndim and value.shape[-1] > 1:
+                return value.shape[-1]
+        raise OctarmError("it needs a value of modules, since no list says how many there are")
+
+    def _each(self, key: str) -> np.ndarray:
+        """One number a module, shape (N,)."""
+        value = self._given(key)
+        if value.shape not in ((), (1,), (self._modules,)):
+            raise OctarmError(f"{key} has {_size(value)}; it needs {self._one_or_all()}")
+        return np.broadcast_to(value, self._modules)
+
+    def _columns(self, key: str) -> np.ndarray:
+        """One number a column, shape (2, N)."""
+        value = self._given(key)
+        rows = value if value.ndim == 2 else value[None]
+        if value.ndim > 2 or len(rows) > 2 or rows.shape[-1:] not in ((), (1,), (self._modules,)):
+            raise OctarmError(
+                f"{key} has {_size(value)}; it needs {self._one_or_all()}, or a row of them for "
+                "each of the two columns"
+            )
+        return np.broadcast_to(rows, (2, self._modules))
+
+    def _one_or_all(self) -> str:
+        return f"1 or {self._modules}, one for each module" if self._modules > 1 else "1"
+
+    def _whole(self, key: str) -> np.ndarray | None:
+        """What a whole module has, shape (N,), where it is given."""
+        if getattr(self._content, key) is None:
+            return None
+        value = self._each(key)
+        if np.any(value < 0.0):
+            raise OctarmError(f"{key} holds {np.min(value):g}; it must be at least 0")
+        return value
+
+    def _springs(self, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        whole = self._whole("axial_stiffness"), self._whole("bending_stiffness")
+        if self._content.stiffness is None and not any(x is None for x in whole):
+            return _shared(None, whole, width, "stiffness")
+        return _shared(self._columns("stiffness"), whole, width, "stiffness")
+
+    def _dampers(
+        self, width: np.ndarray, stiffness: np.ndarray, springs: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        content, whole = (
+            self._content,
+            (self._whole("axial_damping"), self._whole("bending_damping")),
+        )
+        if content.damping_time is not None:
+            if content.damping is not None or any(x is not None for x in whole):
+                raise OctarmError("damping_time is given beside damping, which says it already")
+            time = _single("damping_time", content.damping_time)
+            return time * stiffness, time * springs
+        if content.damping is None and not any(x is None for x in whole):
+            return _shared(None, whole, width, "damping")
+        return _shared(self._columns("damping"), whole, width, "damping")
+
+    def _shape(self, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rest lengths and rest angles, shapes (N,)."""
+        lengths, angle = self._columns("rest_length"), self._content.rest_angle
+        if np.array_equal(lengths[0], lengths[1]):
+            return lengths[0], np.zeros(self._modules) if angle is None else self._each(
+                "rest_angle"
+            )
+        if angle is not None:
+            raise OctarmError("rest_angle is given beside two rows of rest_length, which say it")
+        return 0.5 * (lengths[0] + lengths[1]), (lengths[0] - lengths[1]) / width
+
+
+_WHOLE = ("axial_stiffness", "bending_stiffness", "axial_damping", "bending_damping")
+
+
+def _shared(
+    columns: np.ndarray | None,
+    whole: tuple[np.ndarray | None, np.ndarray | None],
+    width: np.ndarray,
+    what: str,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What the columns have, shape (2, N), and what is left for the backbone, shape (2, N).
+
+    The backbone has what a whole module has beyond its columns. Where columns would have more than
+    the whole module, that is taken off both of them alike.
+
+    Args:
+        columns: shape (2, N); as much as they can have if None.
+        whole: axial and in bending, shapes (N,); what the columns give if None.
+        width: shape (N,) [m].
+        what: stiffness or damping.
+    """
+    lever = 0.25 * width * width
+    both = np.full_like(width, np.inf) if columns is None else columns[0] + columns[1]
+    axial = both if whole[0] is None else whole[0]
+    bending = lever * both if whole[1] is None else whole[1]
+    if columns is None:
+        both = np.minimum(axial, bending / lever)
+        columns = np.stack([0.5 * both] * 2)
+    elif whole[0] is None and whole[1] is None:
+        return columns, np.zeros_like(columns)
+    excess = np.maximum(both - np.minimum(axial, bending / lever), 0.0)
+    left = columns - 0.5 * excess
+    if np.any(left < 0.0):
+        module = int(np.argmax(np.any(left < 0.0, axis=0)))
+        raise OctarmError(
+            f"{what} of the columns of module {module + 1} differs by more than its axial and "
+            f"bending {what} allow"
+        )
+    total = left[0] + left[1]
+    return left, np.maximum([axial - total, bending - lever * total], 0.0)
+
+
+def _range(value: np.ndarray, modules: int) -> np.ndarray:
+    """An input range as parameters have it: a pair, or of shape (2, 2N) [N]."""
+    if value.shape == (2,):
+        return value
+    if value.ndim == 2 and len(value) == 2 and value.shape[1] in (1, modules, 2 * modules):
+        each = 1 if value.shape[1] == 2 * modules else 2 * modules // value.shape[1]
+        return np.repeat(value, each, axis=1)
+    raise OctarmError(
+        f"input_range has {_size(value)}; it needs a pair (low, high), or a row of lowest and a "
+        f"row of highest forces with one number for each of {modules} modules or {2 * modules} "
+        "columns"
+    )
+
+
+def _single(key: str, value: np.ndarray) -> float:
+    if value.size != 1:
+        raise OctarmError(f"{key} has {_size(value)}; it is one number")
+    return value.item()
+
+
+def _size(value: np.ndarray) -> str:
+    if value.ndim < 2:
+        return f"{value.size} values"
+    return " x ".join(map(str, value.shape)) + " values"

@@ -1,0 +1,193 @@
+"""The chain of few modules that stands best for a finer one: its parameters by least squares.
+
+The lengths of the modules stay those of the groups of the finer chain, since they say what the
+coordinates mean. Masses, inertias, stiffness, width and damping are fitted, as logarithms of their
+ratio to where the search starts, which keeps them positive. What is compared is linear, about the
+hanging equilibrium:
+
+- statics: what forces on the tip, along and across, and couples on the plates at the ends of the
+  groups do to each other's places and angles; and what weight along and across does to the tip, and
+  weight across to the plates;
+- modes: the lowest frequencies, two of bending and one of stretching;
+- transient: how the tip follows a step of force along it and across it, and the last plate a step
+  of couple, over three periods of the slowest mode.
+
+The residual of statics is the rms of errors, each relative to the geometric mean of both loads' own
+compliances; that of modes the rms of the logarithms of ratios; that of transients the rms over time
+relative to the final value. They have equal weight. A hundredth of the logarithms of the
+parameters' ratios is added, which holds what the rest does not determine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from octarm.arm.behaviour import Behaviour, behaviour_of
+from octarm.arm.lumping import lumped
+from octarm.arm.parameters import ArmParameters
+from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
+from octarm.errors import OctarmError, closest
+
+_FITTED = ("mass", "inertia", "stiffness", "width", "damping")
+_FINE = 10  # modules for each one of the fitted chain, where a rod is given
+_MOST = 100  # modules that a rod is cut into
+_LARGEST = 50.0  # ratio of a parameter to where it starts
+_MOST_TRIALS = 100  # undamped chains, whose phases compete, need more than the usual 20
+_PRIOR = 0.01  # weight of the logarithm of such a ratio
+_PERIODS, _SAMPLES = 3.0, 150  # of the transients
+
+
+class Row(NamedTuple):
+    """One quantity of the fine chain, and the errors of the coarse ones.
+
+    Attributes:
+        kind: `statics`, `modes` or `transient`.
+        what: its name.
+        value: of the fine chain, in `unit`; for a transient the final value.
+        unit: of the value.
+        before: error of the lumped chain from which the search starts, relative [1].
+        after: error of the fitted chain, relative [1].
+    """
+
+    kind: str
+    what: str
+    value: float
+    unit: str
+    before: float
+    after: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """A fitted chain, and what error remains.
+
+    Attributes:
+        parameters: the fitted chain.
+        start: the lumped chain from which the search started.
+        rows: the errors of both, quantity by quantity.
+    """
+
+    parameters: ArmParameters
+    start: ArmParameters
+    rows: tuple[Row, ...]
+
+    def rms(self, kind: str) -> tuple[float, float]:
+        """The rms of the errors of one kind, before and after [1]."""
+        errors = np.array([(row.before, row.after) for row in self.rows if row.kind == kind])
+        before, after = np.sqrt(np.mean(errors**2, axis=0))
+        return float(before), float(after)
+
+    def __str__(self) -> str:
+        """The errors and the parameters as tables."""
+        lines = [f"{'quantity':<46} {'fine chain':>19} {'lumped':>9} {'fitted':>9}"]
+        for row in self.rows:
+            value = f"{row.value:.4g} {row.unit}"
+            errors = f"{100.0 * row.before:>+7.1f} % {100.0 * row.after:>+7.1f} %"
+            lines.append(f"{f'{row.kind}: {row.what}':<46} {value:>19} {errors}")
+        for kind in dict.fromkeys(row.kind for row in self.rows):
+            before, after = self.rms(kind)
+            name = f"{kind}, rms of all"
+            lines.append(f"{name:<66} {100.0 * before:>7.1f} % {100.0 * after:>7.1f} %")
+        lines += ["", f"{'parameter':<14} {'lumped':>38} {'fitted':>38}"]
+        for field in _FITTED:
+            pairs = [np.atleast_2d(_field(p, field)) for p in (self.start, self.parameters)]
+            for before, after in zip(*pairs, strict=True):
+                texts = (" ".join(f"{x:>12.5g}" for x in row) for row in (before, after))
+                lines.append(f"{field:<14} {' '.join(texts)}")
+        return "\n".join(lines)
+
+
+def fit_modules(plant: ArmParameters | Rod, modules: int = 3, layout: str = "paper") -> Fit:
+    """The chain of few modules that stands best for a finer one, or for a rod.
+
+    Args:
+        plant: a chain whose number of modules is a multiple of `modules`, or a rod, for which a
+            centred chain of ten times as many modules stands.
+        modules: number of modules of the fitted chain.
+        layout: `paper` or `centred`; see `octarm.arm.rod`.
+
+    Raises:
+        OctarmError: for another layout, a number of modules that does not divide the plant's, a
+            batch of plants, or a plant that does not hang stably.
+    """
+    if layout not in LAYOUTS:
+        raise OctarmError(f"unknown layout {layout!r}{closest(layout, LAYOUTS)}")
+    if isinstance(plant, Rod):
+        size = max(1, min(_FINE, _MOST // max(modules, 1)))
+        plant = arm_from_rod(plant, size * modules, "centred")
+    if plant.batch_shape:
+        raise OctarmError(f"the plant has batch axes {plant.batch_shape}; one arm is fitted")
+    start = lumped(plant, modules, layout)
+    slowest = float(behaviour_of(plant, modules, np.zeros(1)).frequencies[0])
+    if not slowest > 0.0:
+        raise OctarmError("the plant does not hang stably, so that it has no slowest oscillation")
+    times = _PERIODS / slowest / _SAMPLES * np.arange(1, _SAMPLES + 1)
+    right = behaviour_of(plant, modules, times)
+
+    def errors(p: ArmParameters) -> Behaviour:
+        return behaviour_of(p, modules, times).errors(right)
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        return np.concatenate([*_residuals(errors(_moved(start, x))), _PRIOR * x])
+
+    bound = np.log(_LARGEST)
+    start_at = np.zeros(len(_FITTED) * modules)
+    search = least_squares(residual, start_at, bounds=(-bound, bound), max_nfev=_MOST_TRIALS)
+    x: np.ndarray = search.x
+    fitted = _moved(start, x)
+    rows = tuple(_rows(right, errors(start), errors(fitted)))
+    return Fit(fitted, start, rows)
+
+
+def _field(p: ArmParameters, name: str) -> np.ndarray:
+    return p.widths if name == "width" else getattr(p, name)
+
+
+def _moved(start: ArmParameters, x: np.ndarray) -> ArmParameters:
+    """The start with each fitted parameter of each module multiplied by exp(x), shape (5 N,)."""
+    factors = np.exp(x.reshape(len(_FITTED), -1))
+    return start.scaled(**dict(zip(_FITTED, factors, strict=True)))
+
+
+def _residuals(errors: Behaviour) -> list[np.ndarray]:
+    """Statics, modes and transients, each with squares that sum up to their mean square."""
+    statics = errors.compliance[np.triu_indices(len(errors.compliance))]
+    parts = (np.concatenate([statics, errors.weight]), errors.frequencies, errors.response.ravel())
+    return [part / np.sqrt(part.size) for part in parts]
+
+
+def _rows(right: Behaviour, before: Behaviour, after: Behaviour) -> Iterator[Row]:
+    """The errors of both chains beside the values of the fine one."""
+    m = len(right.weight) - 2
+    loads = ["force along", "force across", *(f"couple {b + 1}" for b in range(m))]
+    outputs = ["tip along", "tip across", *(f"plate {b + 1}" for b in range(m))]
+    per = ["m/N", "m/N", *["rad/(N m)"] * m]
+    size = np.sqrt(np.diag(right.compliance))
+    for i, j in itertools.combinations_with_replacement(range(m + 2), 2):
+        value = float(right.compliance[i, j])
+        if abs(value) < 1e-9 * size[i] * size[j]:  # along and across do not meet
+            continue
+        unit = "1/N" if i < 2 <= j else per[j]
+        errors = (float(e.compliance[i, j]) for e in (before, after))
+        yield Row("statics", f"{outputs[i]}, {loads[j]}", value, unit, *errors)
+    for i, output in enumerate(outputs):
+        errors = (float(e.weight[i]) for e in (before, after))
+        what = f"{output}, weight {'across' if i else 'along'}"
+        yield Row("statics", what, float(right.weight[i]), "m" if i < 2 else "rad", *errors)
+    modes = [*(f"bending {k + 1}" for k in range(len(right.frequencies) - 1)), "stretching 1"]
+    for k, mode in enumerate(modes):
+        errors = (float(np.expm1(e.frequencies[k])) for e in (before, after))
+        yield Row("modes", mode, float(right.frequencies[k]), "Hz", *errors)
+    for k, i in enumerate((0, 1, m + 1)):
+        errors = (
+            float(np.linalg.norm(e.response[k])) / len(e.response[k]) ** 0.5
+            for e in (before, after)
+        )
+        what = f"{outputs[i]}, step of {loads[i]}"
+        yield Row("transient", what, float(right.finals[k]), per[i], *errors)

@@ -1,0 +1,220 @@
+"""How many modules are enough: chains of both layouts against the rod that they stand for.
+
+Errors at N = 1 .. 40 of statics, frequencies and motion, the orders at which they vanish, and what
+they tend to. `rod_theory` has the exact statics and the frequencies, `rod_motion` the motions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import root_scalar
+
+from octarm.arm.rod import Rod, arm_from_rod
+from octarm.checks import rod_halves, rod_motion, rod_peer, rod_study, rod_theory
+from octarm.checks.rod_curves import MODULES, Curve, table
+from octarm.tolerances import Check, CheckTable, run_checks
+
+ORDERS = {"paper": 1, "centred": 2}
+HALVES = "half-half"  # a layout that no arm has; see `octarm.checks.rod_halves`
+TAPERED = Rod(EA=(300.0, 150.0), EI=(0.5, 0.2), density=(3.0, 1.0), rotary_inertia=(4e-3, 1e-3))
+
+_SMALL = 1e-4  # load on the tip [N]
+_ANGLE = 1.0  # of the tip under the large load [rad]
+_APART = 2e-3  # [1]; PyElastica's rod from its chain, as both shear and stretch in their own ways
+
+
+class Study(NamedTuple):
+    """The whole comparison.
+
+    Attributes:
+        curves: of all quantities and layouts.
+        motions: of the tip of the default rod let go, by name, shape (T, 2) [m].
+        peer: likewise of the slim rod, beside PyElastica; empty where that is not installed.
+        table: what is checked.
+    """
+
+    curves: list[Curve]
+    motions: dict[str, np.ndarray]
+    peer: dict[str, np.ndarray]
+    table: CheckTable
+
+    def to_dict(self) -> dict[str, Any]:
+        """The checks and the errors, for JSON."""
+        curves = [curve.to_dict() for curve in self.curves]
+        return self.table.to_dict() | {"modules": list(MODULES), "curves": curves}
+
+    def __str__(self) -> str:
+        """The errors as a table, and the checks."""
+        notes = [
+            "",
+            "hinges: paper, at the ends of modules; centred, amid elements, with a rigid tip;",
+            "half-half, amid modules, as no arm has them. Releases: distances in rod lengths.",
+        ]
+        notes += [] if self.peer else [rod_peer.MISSING]
+        return "\n".join([table(self.curves), *notes, "", str(self.table)])
+
+
+def study(progress: Callable[[str], object] | None = None) -> Study:
+    """Compares chains of MODULES with the default rod, and with one that tapers.
+
+    Args:
+        progress: called with the name of each part before it starts.
+
+    Raises:
+        OctarmError: if a static shape is not found.
+    """
+    rod, curves = Rod(), list[Curve]()
+    motions, peer = dict[str, np.ndarray](), dict[str, np.ndarray]()
+    parts = {
+        "closed forms": _closed_forms(rod),
+        "statics": _listed(_statics(rod), curves),
+        "a rod that tapers": _listed(_tapered(), curves),
+        "frequencies": _listed(_frequencies(rod), curves),
+        "motion": _listed(_motion(rod, motions), curves),
+    }
+    if rod_peer.installed():
+        parts["PyElastica"] = _peer(peer)
+    checks = run_checks(parts, progress)
+    title = f"chains of up to {MODULES[-1]} modules against the extensible rod"
+    table = CheckTable(title, dataclasses.asdict(rod), 0, 0, checks)
+    return Study(curves, motions, peer, table)
+
+
+def _closed_forms(rod: Rod) -> Iterator[Check]:
+    """The deflection by a small tip load, for all N up to the largest."""
+    beam = rod_theory.tip_compliance(rod)
+    factors: dict[str, Callable[[int], float]] = {
+        "paper": lambda n: 1.0 - 1.5 / n + 0.5 / n**2,
+        "centred": lambda n: 1.0 - 0.25 / n**2,
+    }
+    for layout, factor in factors.items():
+        errors = [
+            abs(rod_study.tip_compliance(arm_from_rod(rod, n, layout)) / beam - factor(n))
+            for n in range(1, MODULES[-1] + 1)
+        ]
+        yield Check(f"small tip load, {layout}: closed form", max(errors), 1e-9)
+
+
+def _listed(curves: Iterator[Curve], listed: list[Curve]) -> Iterator[Check]:
+    """The checks of curves, which are listed as well."""
+    for curve in curves:
+        listed.append(curve)
+        yield from curve.checks()
+
+
+def _tips(rod: Rod, layout: str, force: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+    """The static tip of each chain, x, y and the angle there, shape (7, 3) [m], [m], [rad]."""
+    if layout == HALVES:
+        return np.array([rod_halves.static_tip(rod, n, force, gravity) for n in MODULES])
+    chains = [arm_from_rod(rod, n, layout) for n in MODULES]
+    return np.array([rod_study.static_tip(p, force, gravity) for p in chains])
+
+
+def _deflections(
+    rod: Rod, case: str, force: np.ndarray, gravity: np.ndarray, *, along: bool = False
+) -> Iterator[Curve]:
+    """The deflection of the tip in every layout, along the rod or across it."""
+    place, unloaded = (0, rod.length) if along else (1, 0.0)
+    exact = rod_theory.static_tip(rod, force, gravity)[place] - unloaded
+    for layout, order in {**ORDERS, HALVES: 2}.items():
+        tips = _tips(rod, layout, force, gravity)[:, place] - unloaded
+        known = 0 if along and layout != "paper" else order
+        yield Curve(case, layout, tips / exact - 1.0, known)
+
+
+def _statics(rod: Rod) -> Iterator[Curve]:
+    """Deflections of the tip under a small and a large load on it, and under the weight."""
+    none = np.zeros(2)
+    yield from _deflections(rod, "small tip load", np.array([0.0, _SMALL]), none)
+    yield from _large_load(rod)
+    yield from _deflections(rod, "weight across", none, np.array([0.0, rod.gravity]))
+    yield from _deflections(rod, "weight along", none, np.array([rod.gravity, 0.0]), along=True)
+
+
+def _large_load(rod: Rod) -> Iterator[Curve]:
+    """The deflection under a load that turns the tip by 1 rad.
+
+    The tip piece of the centred layout, h/2 long, does not stretch. Without its compliance
+    c = h / (2 EA) under the axial force n = F sin phi(L) the potential is larger by c n^2 / 2, and
+    by Castigliano's theorem the deflection smaller by c n dn/dF: of first order in h, like the
+    error of the paper's layout. What is left is of second order.
+    """
+    none, force = np.zeros(2), _force_for(rod, _ANGLE)
+    forces = force * np.array([1.0, 1.0 - 1e-4, 1.0 + 1e-4])
+    tips = [rod_theory.static_tip(rod, np.array([0.0, f]), none) for f in forces]
+    pulls = [f * math.sin(tip[2]) for f, tip in zip(forces, tips, strict=True)]
+    slope = (pulls[2] - pulls[1]) / (forces[2] - forces[1])
+    give = rod.length / (2.0 * np.array(MODULES) * rod.at(rod.EA)(rod.length))
+    for curve in _deflections(rod, "tip at 1 rad", np.array([0.0, force]), none):
+        if curve.layout != "centred":
+            yield curve
+            continue
+        yield curve._replace(order=None)
+        errors = curve.errors + give * pulls[0] * slope / tips[0][1]
+        yield Curve("tip at 1 rad, all stretched", curve.layout, errors, 2)
+
+
+def _force_for(rod: Rod, angle: float) -> float:
+    """The force across the tip [N] that turns it by an angle [rad]."""
+
+    def beyond(force: float) -> float:
+        return float(rod_theory.static_tip(rod, np.array([0.0, force]), np.zeros(2))[2]) - angle
+
+    first = 2.0 * angle * rod.at(rod.EI)(0.0) / rod.length**2  # by linear theory
+    return float(root_scalar(beyond, x0=first, x1=1.2 * first, method="secant", xtol=1e-10).root)
+
+
+def _tapered() -> Iterator[Curve]:
+    """Deflections of a rod whose properties change along it."""
+    none, weight = np.zeros(2), np.array([0.0, TAPERED.gravity])
+    yield from _deflections(TAPERED, "small tip load, tapered", np.array([0.0, _SMALL]), none)
+    yield from _deflections(TAPERED, "weight across, tapered", none, weight)
+
+
+def _frequencies(rod: Rod) -> Iterator[Curve]:
+    """The first three bending frequencies, and the first axial one."""
+    bending, axial = rod_theory.bending_frequencies(rod, 3), rod_theory.axial_frequencies(rod, 1)
+    for layout, order in ORDERS.items():
+        chains = [rod_study.frequencies(arm_from_rod(rod, n, layout)) for n in MODULES]
+        for k, exact in enumerate(bending):
+            values = [b[k] if len(b) > k else math.nan for b, _ in chains]
+            # In the paper's layout, what mass and hinges at the ends do to the first one cancels.
+            known = None if layout == "paper" and k == 0 else order
+            yield Curve(f"bending frequency {k + 1}", layout, np.array(values) / exact - 1.0, known)
+        values = np.array([a[0] for _, a in chains])
+        yield Curve("axial frequency 1", layout, values / axial[0] - 1.0, order)
+
+
+def _motion(rod: Rod, motions: dict[str, np.ndarray]) -> Iterator[Curve]:
+    """The largest distance of the tip of a chain let go from that of the rod, in .3 and 1 s."""
+    motions["rod"] = rod_motion.converged(rod)
+    for layout, order in ORDERS.items():
+        tips = [rod_motion.released(arm_from_rod(rod, n, layout)) for n in MODULES]
+        motions |= {f"{layout}, N = {n}": tip for n, tip in zip(MODULES, tips, strict=True)}
+        for case, last in (("in .3 s", rod_motion.FIRST), ("in 1 s", rod_motion.SAMPLES)):
+            exact, *others = (tip[: last + 1] for tip in (motions["rod"], *tips))
+            errors = [rod_motion.distance(rod, tip, exact) for tip in others]
+            yield Curve(f"release, tip {case}", layout, np.array(errors), order, signed=False)
+
+
+def _peer(motions: dict[str, np.ndarray]) -> Iterator[Check]:
+    """PyElastica's slim rod against the chain of its own discretisation, and extrapolated."""
+    rod = rod_peer.slim_rod()
+    motions["rod"] = rod_motion.converged(rod)
+    peers = [rod_peer.released(rod, n) for n in rod_peer.ELEMENTS]
+    for n, tips in zip(rod_peer.ELEMENTS, peers, strict=True):
+        motions[f"PyElastica, n = {n}"] = tips
+        chain = motions[f"the same chain, N = {n}"] = rod_motion.released(rod_peer.like(rod, n))
+        apart = rod_motion.distance(rod, tips, chain)
+        yield Check(f"slim rod let go: PyElastica, n = {n}, against its chain", apart, _APART)
+    limit = motions["PyElastica, extrapolated"] = rod_peer.extrapolated(*peers)
+    part = slice(rod_motion.FIRST + 1)
+    apart = rod_motion.distance(rod, limit[part], motions["rod"][part])
+    # The weights of the extrapolation, in sum 5, magnify what PyElastica's rods differ by.
+    what = "slim rod let go, .3 s: PyElastica extrapolated, against the rod"
+    yield Check(what, apart, 5.0 * _APART)
