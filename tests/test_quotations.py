@@ -35,7 +35,7 @@ FOUND = {
 
 def quotations() -> list[str]:
     """Those of the claims, and all else in typographic quotation marks."""
-    quotes = [claim["quote"] for claim in words()["claims"].values()]
+    quotes = [claim["quote"] for claim in words()["claims"].values() if claim["place"]]
     for file in QUOTING:
         quotes += re.findall("“([^”{]*)”", file.read_text(encoding="utf-8"))
     return list(dict.fromkeys(" ".join(words_of(quote)) for quote in quotes))
