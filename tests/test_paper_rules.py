@@ -276,7 +276,7 @@ def test_plants_have_a_row_for_each_number_of_modules_period_and_noise():
     table = plants(evidence(change))
     assert [row[0] for row in table.rows] == [3, 9, 15, 30] * 4
     by_modules = {row[0]: row for row in table.rows}
-    assert by_modules[30][3] == PROPOSED
+    assert by_modules[30][3:5] == (2, PROPOSED)
     assert by_modules[30][-1] == Interval(0.0, 0.0, 0.0) and by_modules[9][-1].value == 1.0
 
 

@@ -75,7 +75,7 @@ def condition(cases: Sequence[Case], phrases: Mapping[str, str]) -> str:
             f"{phrases[a].format(x)} and {phrases[b].format(y)}"
             for (a, x), (b, y) in _sufficient_pairs(cases)
         ]
-    words = " or ".join(names[:3]) if names else "the cases are picked"
+    words = " or ".join(names[:2]) if names else "the cases are picked"
     return f"{words} ({count} of {len(cases)} cases)"
 
 

@@ -211,7 +211,7 @@ def _plants(evidence: Evidence) -> Figure:
     own = _planted(evidence)
     rates = [r for r in PLANT_RATES if any(c.study == study_of_plants(r) for c in own)]
     labels = [n for n in (SIGN, SMC, PROPOSED) if any(c.label == n for c in own)]
-    figure, grid = _panels(2, len(rates), 4.0, 2.1, sharex=True, sharey="row")
+    figure, grid = _panels(2, len(rates), 4.4, 2.4, sharex=True, sharey="row")
     places = np.arange(len(PLANTS))
     for row, noise in enumerate((0.0, NOISE)):
         for ax, rate in zip(grid[row], rates, strict=True):
@@ -229,7 +229,7 @@ def _plants(evidence: Evidence) -> Figure:
                     color=look(label).color, transform=ax.get_xaxis_transform(),
                     markeredgewidth=2.0, clip_on=False,
                 )  # fmt: skip
-        grid[row, 0].set_ylabel(f"error [% of the motion]\n{'40 % noise' if noise else 'no noise'}")
+        grid[row, 0].set_ylabel(f"error [%]\n{'40 % noise' if noise else 'no noise'}")
         _logarithmic(grid[row, 0], "y")
         low, high = grid[row, 0].get_ylim()
         grid[row, 0].set_ylim(low, 3.0 * high)  # room for the crosses

@@ -171,7 +171,7 @@ def stability(evidence: Evidence) -> Iterator[Case]:
 
 
 def _late(o: Outcome, side: str) -> list[Row]:
-    return [exact("of them after start-up", o.late)] if side == "outside" else []
+    return [exact("of them after start-up", o.late)] if side == "outside" and o.inside else []
 
 
 def _falls(outcome: Outcome, share: float, factor: float) -> bool:

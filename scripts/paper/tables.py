@@ -157,9 +157,9 @@ def plants(evidence: Evidence) -> Table:
                     first = _least(evidence, cells)
                     name = first.label if np.isfinite(evidence.error(first).value) else "none"
                     errors = map(evidence.error, cells)
-                    rows.append(
-                        (modules, f"{1e3 / rate:g} ms", _noise(noise), name, *errors, *ratios)
-                    )
+                    seeds = len(evidence.values(cell, "error"))
+                    where = modules, f"{1e3 / rate:g} ms", _noise(noise), seeds
+                    rows.append((*where, name, *errors, *ratios))
     heads = [*(f"{name} [%]" for name in labels), *(f"afsmc over {name}" for name in rivals)]
     return _table("plants", rows, heads)
 
