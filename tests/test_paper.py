@@ -166,6 +166,21 @@ def test_what_figure_1_shows_is_what_is_recorded(tmp_path: Path):
     assert not np.array_equal(series.of(-0.3, NOISE)[:, 0], trajectory.q[::20])
 
 
+def test_oscillations_are_those_of_all_control_instants():
+    """Noise is held for 20 of them: every 20th would always see it at the same age."""
+    request = runs.Request(
+        "run", VARIANTS[SMC], BENDS, 2.2, ("q",), 0.0, lambda _, rows: {"q": rows["q"]},
+        mismatches=(0.0, 0.3), seeds=2,
+    )  # fmt: skip
+    arrays = runs.perform(request)
+    steady = arrays["q"][4000:]  # from 2 s on, at 2 kHz
+    moved = steady - steady[:, [0, 0, 0, 3, 3, 3]]  # the arms without noise
+    expected = np.sqrt(np.mean(np.square(moved), axis=0))
+    np.testing.assert_allclose(arrays["moved"], expected, rtol=1e-9)
+    coarse = np.sqrt(np.mean(np.square(moved[::20]), axis=0))
+    assert np.max(np.abs(coarse / np.where(expected, expected, np.inf) - 1.0)) > 0.01
+
+
 def outcomes(variant, rate: float, duration: float) -> list[lyapunov.Outcome]:
     request = runs.Request(
         "run", variant, BENDS, duration, lyapunov.FIELDS, 0.0, lyapunov.counts, rate=rate
