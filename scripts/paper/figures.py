@@ -227,7 +227,7 @@ def _plants(evidence: Evidence) -> Figure:
                 ax.plot(
                     np.array(lost) + 0.12 * (shift - 1), [0.95] * len(lost), "x", markersize=7,
                     color=look(label).color, transform=ax.get_xaxis_transform(),
-                    markeredgewidth=2.0, clip_on=False,
+                    markeredgewidth=2.0,
                 )  # fmt: skip
         grid[row, 0].set_ylabel(f"error [%]\n{'40 % noise' if noise else 'no noise'}")
         _logarithmic(grid[row, 0], "y")
