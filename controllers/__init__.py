@@ -1,19 +1,23 @@
 """The controllers, by the names that the command line uses.
 
-To add one, write its file, import its class here, and add its line to `CONTROLLERS`. The class is a
-`controllers.law.Law` with a field for each gain, which declares its units, what is allowed, its
-recommended value and its tuning. `octarm.interfaces` says what a controller does.
+A controller of your own needs no line here: `make_controller("./my_law.py:MyLaw", ...)`, and see
+`octarm.declared`. Best it is a `controllers.law.Law` with a field for each gain, which declares its
+units, what is allowed, its recommended value and its tuning; any frozen dataclass will do that does
+what `octarm.interfaces.Controller` says. Its fields but `nominal` are its gains.
 
 Tuned gains take the place of recommended ones where `controllers/gains/` holds some for the
-controller and for arms of as many modules. `octarm tune` finds gains.
+controller. Both are scaled by the nominal model, see `controllers.scaling`. `octarm tune` finds
+gains.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from controllers.adaptive_fuzzy import AdaptiveConsequents as AdaptiveConsequents
@@ -22,18 +26,33 @@ from controllers.feedback import ComputedTorque as ComputedTorque
 from controllers.feedback import ProportionalDerivative as ProportionalDerivative
 from controllers.fuzzy_rules import FuzzyController as FuzzyController
 from controllers.fuzzy_rules import FuzzySlidingMode as FuzzySlidingMode
-from controllers.gain_sets import starting_gains
+from controllers.gain_sets import gain_set_of
 from controllers.integral_sliding_mode import IntegralSlidingMode as IntegralSlidingMode
-from controllers.law import gain_fields, spelled
+from controllers.law import GainField, Law, gain_fields, spelled
 from controllers.sliding_mode import BoundaryLayer as BoundaryLayer
 from controllers.sliding_mode import SlidingMode as SlidingMode
 from controllers.super_twisting import SuperTwisting as SuperTwisting
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
+from octarm.arrays import read_only
+from octarm.declared import Declared, lacking, short_name
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import NominalModel, Tunable
 
-CONTROLLERS: dict[str, type] = {
+_MISSING = dataclasses.MISSING
+
+
+def _lacks(thing: Any) -> str:
+    """What a class of a user lacks of a controller; empty if nothing."""
+    if not (isinstance(thing, type) and dataclasses.is_dataclass(thing)):
+        return "is no dataclass; octarm.interfaces.Controller says what a controller is"
+    if not vars(thing)["__dataclass_params__"].frozen:
+        return "is no frozen dataclass, although a controller keeps nothing between calls"
+    call = ("state", "measurement", "reference")
+    return lacking(thing, initial_state=["batch_shape"], __call__=call)
+
+
+_BUILT_IN: dict[str, type] = {
     "pd": ProportionalDerivative,
     "computed-torque": ComputedTorque,
     "smc": SlidingMode,
@@ -45,6 +64,13 @@ CONTROLLERS: dict[str, type] = {
     "afsmc-consequent": AdaptiveConsequents,
     "afsmc": AdaptiveFuzzy,
 }
+CONTROLLERS = Declared("controller", _BUILT_IN, _lacks)
+
+
+def limits_text() -> str:
+    """For help pages: the laws that do not bear what all others do, a line each; may be empty."""
+    limits = {name: law.bears.limits() for name, law in CONTROLLERS.items() if issubclass(law, Law)}
+    return "\n".join(f"  {name}: up to {text}" for name, text in limits.items() if text)
 
 
 def make_controller(
@@ -52,41 +78,85 @@ def make_controller(
     nominal: ArmParameters | NominalModel,
     gains: Mapping[str, npt.ArrayLike] | None = None,
     *,
-    gain_set: str | Path | None = None,
+    gain_set: str | Path | Mapping[str, Any] | None = None,
 ) -> Tunable:
     """A controller by name, with the nominal model it believes.
 
     Args:
-        name: one of `CONTROLLERS`.
+        name: of a built-in controller or of an installed package's, MODULE:NAME, or FILE.py:NAME.
         nominal: the model of the arm that the controller is given; parameters stand for the
             analytic model with them.
-        gains: gains by name, each a number or an array that broadcasts to (..., 2N), unless the
-            gain's field says otherwise; those of the gain set where not given. `lambda` stands for
-            the field `lambda_`, as Python keeps the former word for itself.
-        gain_set: `tuned`, `recommended`, or a file NAME.toml of `octarm tune`; tuned gains where
-            there are any for such an arm, else recommended ones, when not given.
+        gains: gains by name in SI, each a number or an array that broadcasts to (..., 2N), unless
+            the gain's field says otherwise; those of the gain set where not given. `lambda` stands
+            for the field `lambda_`, as Python keeps the former word for itself.
+        gain_set: `tuned`, `recommended`, or a file NAME.toml of `octarm tune`, or what such a file
+            holds; tuned gains where there are any, else recommended ones, when not given. They are
+            scaled by the nominal model.
 
     Raises:
         OctarmError: for an unknown name or gain set, or a gain that is unknown or invalid.
     """
-    if name not in CONTROLLERS:
-        raise OctarmError(f"unknown controller {quoted(name)}{closest(name, CONTROLLERS)}")
-    law = CONTROLLERS[name]
+    law: Any = CONTROLLERS[name]
+    if name not in CONTROLLERS:  # no gains are shipped for it
+        name = short_name(name)
+        if gain_set == "tuned":
+            raise OctarmError(f"{name} comes without tuned gains; `octarm tune` finds some")
+        gain_set = "recommended" if gain_set is None else gain_set
     model = LagrangeModel(nominal) if isinstance(nominal, ArmParameters) else nominal
     given, declared = dict(gains or {}), gain_fields(law)
-    fields = {spelled(field): field for field in declared}
+    known = [field.name for field in dataclasses.fields(law) if field.init]
+    fields = {spelled(field): field for field in known if field != "nominal"}
     starting: dict[str, Any] = {
         gain: declared[field].start(model)
         for gain, field in fields.items()
-        if declared[field].recommended is not None
+        if field in declared and declared[field].recommended is not None
     }
-    starting |= starting_gains(name, model.modules, gain_set)
+    _, tuned = gain_set_of(name, gain_set)
+    for gain, value in ({} if tuned is None else tuned.gains).items():
+        scaled_by = declared.get(fields.get(gain, ""))
+        starting[gain] = value if scaled_by is None else scaled_by.scaled(value, model)
     for gain, field in fields.items():
-        if declared[field].replaced_by in given:
+        if field in declared and declared[field].replaced_by in given:
             starting.pop(gain, None)
     values: dict[str, Any] = {}
     for gain, value in {**starting, **given}.items():
         if gain not in fields:
             raise OctarmError(f"{name} has no gain {quoted(gain)}{closest(gain, fields)}")
         values[fields[gain]] = value
-    return law(nominal=model, **values)
+    if not issubclass(law, Law):  # which checks its gains itself
+        for each in dataclasses.fields(law):
+            if each.name in values:
+                of = declared.get(each.name)
+                values[each.name] = _checked(of, each, values[each.name], model)
+    needed = [f.name for f in dataclasses.fields(law) if f.init and _default(f) is _MISSING]
+    if missing := [spelled(f) for f in needed if f not in values and f != "nominal"]:
+        raise OctarmError(f"{name} needs the gain {missing[0]}; it recommends no value")
+    made: Any = law(**values, **({"nominal": model} if "nominal" in known else {}))
+    return made
+
+
+def _checked(
+    gain: GainField | None, field: dataclasses.Field[Any], value: Any, model: NominalModel
+) -> Any:
+    """A gain of a class that does not check it: a number or a read-only array."""
+    name = spelled(field.name)
+    if gain is not None:
+        return gain.checked(name, value, model)
+    if isinstance(value, str | bool | int):
+        return value
+    array = read_only(name, value)
+    default = _default(field)
+    like = () if default is _MISSING else np.shape(default)
+    if array.ndim and array.shape[-1] not in (1, model.coordinates) and array.shape != like:
+        raise OctarmError(
+            f"{name} has {array.shape[-1]} values; it needs 1 or {model.coordinates}, one for each "
+            "coordinate"
+        )
+    return array if array.ndim else array.item()
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    """The default of a field; `_MISSING` if it has none."""
+    if field.default_factory is not _MISSING:
+        return field.default_factory()
+    return field.default

@@ -45,8 +45,7 @@ from controllers.recommended import (
     LINEAR_GAIN,
     WIDTH,
     boundary_width,
-    hand_set,
-    switching_gain,
+    by_hand,
 )
 from controllers.sliding_mode import SlidingLaw, Surface, saturation
 from octarm.errors import OctarmError
@@ -86,40 +85,34 @@ class FuzzyState(NamedTuple):
 
 
 def force_scale(nominal: NominalModel) -> np.ndarray:
-    """F, about what theta may have to be, shape (..., 2N) [N], [N m]: the unit it adapts in.
-
-    1 N and 0.1 N m for three modules. For other arms half the switching gain, which scales with
-    mass and size.
-    """
-    values = (1.0, 1.0, 1.0, 0.1, 0.1, 0.1)
-    return hand_set(nominal, *values, scaled=lambda: 0.5 * switching_gain(nominal))
+    """F, about what theta may have to be, shape (..., 2N) [N], [N m]: the unit it adapts in."""
+    return by_hand(nominal, "N, N m", 1.0, 0.1)
 
 
 def consequent_bound(nominal: NominalModel) -> np.ndarray:
-    """theta_max, shape (..., 2N) [N], [N m]: hand-set for three modules, else `switching_gain`.
+    """theta_max, shape (..., 2N) [N], [N m].
 
     It is what sampling allows. With all theta at their bounds and the premises as they start, the
     slope of f^ at s = 0 is 3.24 theta_max / scale. With a control period dt, the product
     dt [D^-1]_jj (K_v + E_max / phi + 3.24 theta_max / scale) should stay below about 0.6.
     """
-    values = (1.0, 1.0, 1.0, 0.6, 0.25, 0.04)
-    return hand_set(nominal, *values, scaled=lambda: switching_gain(nominal))
+    return by_hand(nominal, "N, N m", 1.0, 1.0, 1.0, 0.6, 0.25, 0.04)
 
 
 def compensation_bound(nominal: NominalModel) -> np.ndarray:
     """E_max, shape (..., 2N) [N], [N m]: about 0.6 `consequent_bound`; see there."""
-    values = (0.6, 0.6, 0.6, 0.3, 0.15, 0.02)
-    return hand_set(nominal, *values, scaled=lambda: 0.6 * switching_gain(nominal))
+    return by_hand(nominal, "N, N m", 0.6, 0.6, 0.6, 0.3, 0.15, 0.02)
 
 
 def rate(times: float, nominal: NominalModel) -> np.ndarray:
     """eta1 or eta2, shape (..., 2N) [N/m], [N m/rad], for x' = eta s with (x / F)' = times z."""
-    return times * force_scale(nominal) / boundary_width(nominal)
+    pace = by_hand(nominal, "1/s", times)
+    return pace * force_scale(nominal) / boundary_width(nominal)
 
 
 def premise_rate(nominal: NominalModel) -> np.ndarray:
     """eta3, eta4, shape (..., 2N) [1/(N m)], [1/(N m rad)], from alpha' = 0.1 z B^T (theta / F)."""
-    return 0.1 / (force_scale(nominal) * boundary_width(nominal))
+    return by_hand(nominal, "1/s", 0.1) / (force_scale(nominal) * boundary_width(nominal))
 
 
 LEARNING, BOUND, PREMISES = Knob("learning"), Knob("bound", apart=True), Knob("premises")

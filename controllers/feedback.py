@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from controllers.law import Gain, GainField, Law
-from controllers.recommended import layer_slope
+from controllers.recommended import by_hand, decay_rate, layer_slope
 from octarm.interfaces import Command, Knob, Measurement, Reference
 
 
@@ -25,13 +25,13 @@ class ProportionalDerivative(Law):
     s = e' + (K_p / K_d) e.
     """
 
-    # lambda = 15 1/s times the slope of a layer.
+    # lambda times the slope of a layer.
     K_p: Annotated[
         Gain,
         GainField(
             "position gain",
             "N/m, N m/rad",
-            lambda nominal: 15.0 * layer_slope(nominal),
+            lambda nominal: decay_rate(nominal) * layer_slope(nominal),
             Knob("K_p", apart=True),
         ),
     ]
@@ -64,8 +64,24 @@ class ComputedTorque(Law):
 
     # Critical damping at 80 rad/s. A nominal model that is 15 % too stiff cancels too much of the
     # springs: the arm then needs K_p above 0.15 / 1.3 of its highest mode's (154 rad/s)^2.
-    K_p: Annotated[Gain, GainField("position gain", "1/s^2", 6400.0, Knob("K_p", apart=True))]
-    K_d: Annotated[Gain, GainField("velocity gain", "1/s", 160.0, Knob("K_d", apart=True))]
+    K_p: Annotated[
+        Gain,
+        GainField(
+            "position gain",
+            "1/s^2",
+            lambda nominal: by_hand(nominal, "1/s^2", 6400.0),
+            Knob("K_p", apart=True),
+        ),
+    ]
+    K_d: Annotated[
+        Gain,
+        GainField(
+            "velocity gain",
+            "1/s",
+            lambda nominal: by_hand(nominal, "1/s", 160.0),
+            Knob("K_d", apart=True),
+        ),
+    ]
 
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference

@@ -15,9 +15,7 @@ from controllers.recommended import (
     LAYER_WIDTH,
     LINEAR_GAIN,
     SWITCHING_GAIN,
-    apparent_mass,
-    by_unit,
-    hand_set,
+    by_hand,
 )
 from controllers.sliding_mode import SlidingLaw
 from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
@@ -53,26 +51,21 @@ SWITCHING = Sugeno(
 def force_scale(nominal: NominalModel) -> np.ndarray:
     """The force of the strongest rule, shape (..., 2N) [N], [N m].
 
-    For three modules hand-set values. For other arms what gives each coordinate alone, the others
-    being free, a bandwidth of 300 rad/s; the hand-set values are within 10 % of that. Twice the
+    It gives each coordinate alone, the others being free, a bandwidth of about 300 rad/s. Twice the
     highest mode of the springs, it leaves an error of a few per cent of the motion; a sampling rate
     of 2 kHz would bear more.
     """
-    return hand_set(
-        nominal,
-        *(80.0, 40.0, 30.0, 12.0, 2.5, 0.9),
-        scaled=lambda: 300.0**2 * apparent_mass(nominal) * error_scale(nominal),
-    )
+    return by_hand(nominal, "N, N m", 80.0, 40.0, 30.0, 12.0, 2.5, 0.9)
 
 
 def error_scale(nominal: NominalModel) -> np.ndarray:
-    """The error that is big, 3 mm on slides and 0.03 rad on bends, shape (2N,)."""
-    return by_unit(nominal, 0.003, 0.03)
+    """The error that is big, shape (..., 2N) [m], [rad]."""
+    return by_hand(nominal, "m, rad", 0.003, 0.03)
 
 
 def rate_scale(nominal: NominalModel) -> np.ndarray:
-    """The rate that is big, 200 1/s times the error, shape (2N,): a damping ratio of 0.75."""
-    return 200.0 * error_scale(nominal)
+    """The rate that is big, shape (..., 2N) [m/s], [rad/s]: a damping ratio of 0.75."""
+    return by_hand(nominal, "1/s", 200.0) * error_scale(nominal)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,7 +1,8 @@
 """Tuned gains, from TOML files: those shipped in `controllers/gains/`, and a user's own.
 
-A file holds a controller's name, the number of modules of the arm that it is for, the table
-`gains`, and any further tables that say where the gains come from. `octarm tune` writes them.
+A file holds a controller's name, the table `gains` of numbers in the scales of the nominal model,
+see `controllers.scaling`, the table `arm` of what the gains were tuned for, and any further tables
+that say where they come from. `octarm tune` writes them.
 """
 
 from __future__ import annotations
@@ -15,25 +16,38 @@ import numpy as np
 import pydantic
 
 from octarm.errors import OctarmError, quoted
-from octarm.formats import Model, read_toml, to_toml
+from octarm.formats import Document, Model, read_toml, to_toml
+from octarm.interfaces import NominalModel
 
 SHIPPED = Path(__file__).resolve().parent / "gains"
 
+_FAR = 2.0  # a ratio of the descriptors of two arms beyond which they are not alike
+_WORDS = {
+    "modules": "number of modules",
+    "mode_ratio": "ratio of the fastest to the slowest mode",
+    "damping_ratio": "damping ratio of the slowest mode",
+    "weight_ratio": "ratio of weight to stiffness",
+    "mass_ratio": "ratio of the last to the first mass",
+    "control_period": "control period times the fastest mode",
+}
+
 
 class GainSet(Model):
-    """Gains of one controller for arms of one size, and how they were found.
+    """Gains of one controller for arms that are similar, and how they were found.
 
     Attributes:
         controller: its name.
-        modules: number of modules N of the arm.
-        gains: by the names under which `make_controller` takes them, as numbers or lists.
+        gains: by the names under which `make_controller` takes them, as numbers or lists, in the
+            scales of the nominal model. Lists are in the order of q, of any number of modules.
+        arm: the `descriptors` of the arm that they were tuned for, and the longest
+            `control_period`, in multiples of its time scale [1].
     """
 
     model_config = pydantic.ConfigDict(extra="allow")
 
     controller: str
-    modules: int
     gains: dict[str, Any]
+    arm: dict[str, float]
 
     @property
     def origin(self) -> Mapping[str, Any]:
@@ -43,6 +57,29 @@ class GainSet(Model):
     def to_toml(self) -> str:
         """The text of a file; `read_gain_set` is the inverse."""
         return to_toml(self.model_dump())
+
+    def unsuited(self, nominal: NominalModel, control_period: float) -> str:
+        """How far a nominal model of one arm, and a control period [s], are from those of the set.
+
+        Returns:
+            A part of a sentence; empty if they are alike.
+        """
+        here = {name: float(value) for name, value in nominal.descriptors.items()}
+        here["control_period"] = control_period / float(nominal.time_scale)
+        return ", ".join(
+            f"{word} {here[name]:.3g} instead of {self.arm[name]:.3g}"
+            for name, word in _WORDS.items()
+            if name in self.arm and _far(name, here[name], self.arm[name])
+        )
+
+
+def _far(name: str, here: float, there: float) -> bool:
+    """Whether a descriptor of two arms differs so much that gains may not suit."""
+    if name == "modules":
+        return here != there
+    if name == "control_period":  # more often is no trouble
+        return here > 1.5 * there
+    return not there / _FAR <= here <= there * _FAR
 
 
 def read_gain_set(path: str | Path) -> GainSet:
@@ -62,39 +99,65 @@ def shipped(controller: str) -> GainSet | None:
     return read_gain_set(path) if path.is_file() else None
 
 
-def starting_gains(controller: str, modules: int, choice: str | Path | None) -> Mapping[str, Any]:
-    """The gains that take the place of the recommended ones.
+def gain_set_of(
+    controller: str, choice: str | Path | Mapping[str, Any] | None
+) -> tuple[str, GainSet | None]:
+    """The set of gains that takes the place of the recommended ones, and what to call it.
 
     Args:
         controller: its name.
-        modules: number of modules of the arm.
         choice: `recommended` for none at all; `tuned` for the shipped ones; a file, whose name
-            ends in .toml; None for the shipped ones if there are any for such an arm.
+            ends in .toml; the content of one; None for the shipped ones if there are any.
 
     Raises:
-        OctarmError: if there are none, or they are for another controller or another arm.
+        OctarmError: if there are none, or they are for another controller.
     """
     if choice == "recommended":
-        return {}
+        return "the recommended gains", None
     if choice is None or choice == "tuned":
-        source, tuned = f"the tuned set of {controller}", shipped(controller)
+        source, given = f"the tuned gains of {controller}", shipped(controller)
+        if given is None and choice is not None:
+            raise OctarmError(f"{controller} comes without tuned gains; `octarm tune` finds some")
+        return source, given
+    if isinstance(choice, Mapping):
+        source, given = "the gain set", Document("the gain set", choice).read(GainSet)
     elif Path(choice).suffix == ".toml":
-        source, tuned = str(choice), read_gain_set(choice)
+        source, given = f"the gains of {choice}", read_gain_set(choice)
     else:
         raise OctarmError(
             f"unknown gains {quoted(str(choice))}; they are tuned, recommended, or a file NAME.toml"
         )
-    if choice is None and (tuned is None or tuned.modules != modules):
-        return {}
-    if tuned is None:
-        raise OctarmError(f"{controller} comes without tuned gains; `octarm tune` finds some")
-    if tuned.controller != controller:
-        raise OctarmError(f"{source} holds gains of {tuned.controller}, not of {controller}")
-    if tuned.modules != modules:
-        raise OctarmError(
-            f"{source} is for an arm of {tuned.modules} modules; this one has {modules}"
-        )
-    return tuned.gains
+    if given.controller != controller:
+        raise OctarmError(f"{source} are those of {given.controller}, not of {controller}")
+    return source, given
+
+
+def unsuited(
+    controller: str,
+    choice: str | Path | Mapping[str, Any] | None,
+    nominal: NominalModel,
+    control_period: float,
+) -> str:
+    """A sentence without its stop on gains whose arm or control period is far from these.
+
+    Args:
+        controller: its name.
+        choice: see `gain_set_of`; recommended gains were set for the arm of the tuned ones, and
+            are for no control period in particular.
+        nominal: the model of one arm.
+        control_period: time between control actions [s].
+
+    Returns:
+        The sentence; empty if they are alike, or nothing is known of the gains.
+
+    Raises:
+        OctarmError: if there is no such set.
+    """
+    source, gains = gain_set_of(controller, choice)
+    if gains is None:
+        gains, control_period = shipped(controller), 0.0
+    far = "" if gains is None else gains.unsuited(nominal, control_period)
+    return far and f"{source} were found for another arm or control period: {far}"
 
 
 def shortest(gain: np.ndarray) -> Any:

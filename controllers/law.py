@@ -6,6 +6,8 @@ A gain is a field of the law, annotated with all that is to be known of it:
 
 `Law` checks the gains when it is made, `make_controller` fills in the recommended ones, and
 `octarm tune` turns the knobs. Gains that several laws share stand in `controllers.recommended`.
+A law holds them in SI. Its units say how a gain scales with the nominal model, see
+`controllers.scaling`: sets of gains hold numbers in these scales, which suit all similar arms.
 """
 
 from __future__ import annotations
@@ -15,11 +17,12 @@ import functools
 import inspect
 import typing
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from controllers.scaling import along, unit
 from octarm.arrays import read_only
 from octarm.errors import OctarmError, quoted
 from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
@@ -34,8 +37,10 @@ class GainField:
     Attributes:
         meaning: for people.
         units: of slides and of bends, such as "N s/m, N m s/rad"; one unit if they are the same.
-        recommended: the value where nothing else is asked for, or what gives it for a nominal
-            model; None for a gain that has to be given, or has a default.
+            They are the gain's dimension: what it is scaled by, see `controllers.scaling`.
+        recommended: the value where nothing else is asked for: numbers in the scales of the
+            nominal model, or a function that gives the SI value for a nominal model; None for a
+            gain that has to be given, or has a default.
         knob: what multiplies the recommended value in tuning; gains may share one.
         zero: whether it may be 0.
         infinite: whether it may be infinite.
@@ -52,8 +57,24 @@ class GainField:
     replaced_by: str = ""
 
     def start(self, nominal: NominalModel) -> npt.ArrayLike | None:
-        """The recommended value for a nominal model, broadcasts to (..., 2N)."""
-        return self.recommended(nominal) if callable(self.recommended) else self.recommended
+        """The recommended value for a nominal model [SI], broadcasts to (..., 2N)."""
+        if callable(self.recommended):
+            return self.recommended(nominal)
+        return None if self.recommended is None else self.scaled(self.recommended, nominal)
+
+    def scaled(self, numbers: npt.ArrayLike, nominal: NominalModel) -> npt.ArrayLike:
+        """The gain [SI] for numbers in the scales of a nominal model, see `controllers.scaling`.
+
+        Numbers of shape (), (..., 1) or (..., 2M), for any M, become (..., 1) or (..., 2N).
+        What is no number, or too many of them, stays as it is, to be refused by `checked`.
+        """
+        try:
+            array = np.asarray(numbers, dtype=np.float64)
+        except (TypeError, ValueError):
+            return numbers
+        array = along(array, nominal.modules, nominal.coordinates)
+        fits = array.ndim == 0 or array.shape[-1] in (1, nominal.coordinates)
+        return array * unit(self.units, nominal) if fits else array
 
     def checked(self, name: str, value: Any, nominal: NominalModel) -> Any:
         """The gain as a read-only float array, of shape (), (..., 1) or (..., 2N).
@@ -72,7 +93,16 @@ class GainField:
         return _within(name, gain, gain > 0.0, "above 0")
 
 
-class ShareField(GainField):
+class _Unscaled(GainField):
+    """What is the same for all arms, and not one number for each coordinate."""
+
+    def scaled(self, numbers: npt.ArrayLike, nominal: NominalModel) -> npt.ArrayLike:
+        """The numbers as they are."""
+        del nominal
+        return numbers
+
+
+class ShareField(_Unscaled):
     """A share in [0, 1), one number an arm: shape () or (..., 1) [1]."""
 
     def checked(self, name: str, value: Any, nominal: NominalModel) -> np.ndarray:
@@ -83,7 +113,7 @@ class ShareField(GainField):
         return _within(name, share, (share >= 0.0) & (share < 1.0), "at least 0, below 1")
 
 
-class RuleField(GainField):
+class RuleField(_Unscaled):
     """One number for each of M fuzzy rules, shape (M,) or (..., 2N, M); M is 1 if it is shared."""
 
     def checked(self, name: str, value: Any, nominal: NominalModel) -> np.ndarray:
@@ -97,7 +127,7 @@ class RuleField(GainField):
         return _within(name, numbers, self.zero | (numbers > 0.0), "above 0")
 
 
-class Switch(GainField):
+class Switch(_Unscaled):
     """True or False; 1 or 0 on the command line and in files."""
 
     def checked(self, name: str, value: Any, nominal: NominalModel) -> bool:
@@ -111,6 +141,34 @@ def _within(name: str, gain: np.ndarray, good: np.ndarray, allowed: str) -> np.n
     if not np.all(good):
         raise OctarmError(f"{name} holds {gain[~good].flat[0]:g}; it must be {allowed}")
     return gain
+
+
+class Bears(NamedTuple):
+    """Up to where a law with its tuned gains keeps the nominal arm within its limits.
+
+    Each alone, with a nominal model that is wrong by 30 % either way, under noise of 40 % of the
+    input. The usual values are what every law has to bear; one that cannot states its own.
+
+    Attributes:
+        control_period: time between control actions [s].
+        delay: of the inputs, at 2 kHz [s].
+        lag: time constant of the inputs, at 2 kHz [s].
+    """
+
+    control_period: float = 0.002
+    delay: float = 0.0015
+    lag: float = 0.005
+
+    def limits(self) -> str:
+        """Where a law ends that does not bear the usual values; empty if it does."""
+        words = {
+            "control_period": "a control period of",
+            "delay": "inputs late by",
+            "lag": "inputs that lag by",
+        }
+        least = Bears()
+        less = {name: x for name, x in self._asdict().items() if x < getattr(least, name)}
+        return ", ".join(f"{words[name]} {1e3 * x:g} ms" for name, x in less.items())
 
 
 @functools.cache
@@ -138,11 +196,13 @@ class Law:
 
     Attributes:
         nominal: the model that the controller believes.
+        bears: of the law, up to where it goes with its tuned gains; `octarm run --help` says so.
 
     Raises:
         OctarmError: for a gain that its field does not allow.
     """
 
+    bears: ClassVar[Bears] = Bears()
     nominal: NominalModel
 
     def __post_init__(self) -> None:
@@ -164,6 +224,16 @@ class Law:
             if field.knob is not None:
                 gains[field.knob] = (*gains.get(field.knob, ()), spelled(name))
         return tuple(knob._replace(gains=names) for knob, names in gains.items())
+
+    def scales(self) -> dict[str, np.ndarray]:
+        """What 1 in the scales of the nominal model is of each gain, see `controllers.scaling`.
+
+        The gains that are numbers by the names that `knobs` uses; shape () or (..., 2N) [SI].
+        """
+        return {
+            spelled(name): np.asarray(field.scaled(1.0, self.nominal))
+            for name, field in gain_fields(type(self)).items()
+        }
 
     def errors(
         self, measurement: Measurement, reference: Reference

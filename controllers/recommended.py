@@ -1,17 +1,62 @@
 """The gains that several laws share, and the values that all laws start from.
 
-A gain has one meaning in all laws. The values are hand-set for the nominal arm at 2 kHz; those of
-arms with another number of modules scale with mass and size.
+A gain has one meaning in all laws. The values were set by hand for the nominal arm at 2 kHz and are
+written down in SI, as they are for that arm. What is meant by them is their numbers in the scales
+of that arm, `SET_FOR`: another arm has the same numbers in its own scales.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from controllers.law import GainField
+from controllers.scaling import along, unit
 from octarm.interfaces import Knob, NominalModel
+
+
+class SetFor(NamedTuple):
+    """The scales of an arm of N modules that gains were set for; see `NominalModel`.
+
+    Attributes:
+        scale: shape (2N,) [m], [rad].
+        time_scale: shape () [s].
+        force_scale: shape (2N,) [N], [N m].
+    """
+
+    scale: np.ndarray
+    time_scale: np.ndarray
+    force_scale: np.ndarray
+
+
+SET_FOR = SetFor(  # the arm of models/octarm.xml
+    scale=np.array([0.12, 0.12, 0.12, 1.0, 1.0, 1.0]),  # [m], [rad]
+    time_scale=np.array(0.006505611964237445),  # [s]
+    force_scale=np.array(  # [N], [N m]
+        [
+            *(850.6015885678722, 386.63708571266943, 315.0376253955085),
+            *(112.65520144398702, 23.21994558532032, 8.019102622156883),
+        ]
+    ),
+)
+
+
+def by_hand(nominal: NominalModel, units: str, first: float, *others: float) -> np.ndarray:
+    """Values set by hand for the arm `SET_FOR` [SI], scaled to a nominal model [SI].
+
+    Args:
+        nominal: the model.
+        units: of the values, see `GainField`.
+        first: the value, or that of slides or of the first coordinate.
+        others: that of bends, or those of the other coordinates.
+
+    Returns:
+        A value that broadcasts to (..., 2N).
+    """
+    listed = np.array([first, *others] if others else first)
+    numbers = along(listed, len(SET_FOR.scale) // 2, len(SET_FOR.scale)) / unit(units, SET_FOR)
+    return along(numbers, nominal.modules, nominal.coordinates) * unit(units, nominal)
 
 
 def by_unit(nominal: NominalModel, m: float, rad: float) -> np.ndarray:
@@ -19,41 +64,28 @@ def by_unit(nominal: NominalModel, m: float, rad: float) -> np.ndarray:
     return np.array([{"m": m, "rad": rad}[unit] for unit in nominal.units])
 
 
-def hand_set(nominal: NominalModel, *values: float, scaled: Callable[[], np.ndarray]) -> np.ndarray:
-    """The values for an arm of as many coordinates, else the scaled ones; shape (..., 2N)."""
-    return np.array(values) if len(values) == nominal.coordinates else scaled()
-
-
 def apparent_mass(nominal: NominalModel) -> np.ndarray:
     """What each coordinate feels when the others are free: 1 / [D^-1]_jj, shape (..., 2N)."""
-    inverse = np.linalg.inv(nominal.mass_matrix(nominal.equilibrium()))
-    return 1.0 / np.diagonal(inverse, axis1=-2, axis2=-1)
+    return nominal.force_scale * nominal.time_scale * nominal.time_scale / nominal.scale
 
 
 def boundary_width(nominal: NominalModel) -> np.ndarray:
-    """Boundary layer phi, 0.05 m/s on slides and 0.8 rad/s on bends, shape (2N,)."""
-    return by_unit(nominal, 0.05, 0.8)
+    """Boundary layer phi, shape (..., 2N) [m/s], [rad/s]."""
+    return by_hand(nominal, "m/s, rad/s", 0.05, 0.8)
 
 
 def switching_gain(nominal: NominalModel) -> np.ndarray:
     """Switching gain K, shape (..., 2N) [N], [N m].
 
-    For three modules hand-set values, above the largest model error along the default sine when
-    the nominal model is at -30 % or +30 %: (1.15, 0.71, 0.33) N and (0.28, 0.15, 0.001) N m. For
-    other arms K = 300 1/s phi_j / [D^-1]_jj at the equilibrium, the bandwidth that the hand-set
-    value of theta2 has; it scales with mass and size.
+    It is above the largest model error of the nominal arm along the default sine when the nominal
+    model is at -30 % or +30 %: (1.15, 0.71, 0.33) N and (0.28, 0.15, 0.001) N m.
     """
-    return hand_set(
-        nominal,
-        *(1.6, 1.0, 0.8, 0.4, 0.25, 0.03),
-        scaled=lambda: 300.0 * boundary_width(nominal) * apparent_mass(nominal),
-    )
+    return by_hand(nominal, "N, N m", 1.6, 1.0, 0.8, 0.4, 0.25, 0.03)
 
 
 def linear_gain(nominal: NominalModel) -> np.ndarray:
     """Gain K_v of the linear term, shape (..., 2N) [N s/m], [N m s/rad]; see `switching_gain`."""
-    values = (10.0, 10.0, 10.0, 0.15, 0.05, 0.01)
-    return hand_set(nominal, *values, scaled=lambda: 30.0 * apparent_mass(nominal))
+    return by_hand(nominal, "N s/m, N m s/rad", 10.0, 10.0, 10.0, 0.15, 0.05, 0.01)
 
 
 def layer_slope(nominal: NominalModel) -> np.ndarray:
@@ -61,13 +93,15 @@ def layer_slope(nominal: NominalModel) -> np.ndarray:
     return linear_gain(nominal) + switching_gain(nominal) / boundary_width(nominal)
 
 
+def decay_rate(nominal: NominalModel) -> np.ndarray:
+    """lambda, shape () or (..., 1) [1/s]: about the nominal arm's lowest mode."""
+    return by_hand(nominal, "1/s", 15.0)
+
+
 # All that says how large an |s| is: the hand-set values are multiples of one width.
 WIDTH = Knob("width", apart=True)
 
-# About the arm's lowest mode.
-DECAY_RATE = GainField(
-    "decay rate of the error on the surface", "1/s", 15.0, Knob("lambda", low=0.25, high=4.0)
-)
+DECAY_RATE = GainField("decay rate of the error on the surface", "1/s", decay_rate, Knob("lambda"))
 SWITCHING_GAIN = GainField(
     "switching gain", "N, N m", switching_gain, Knob("K", apart=True), zero=True
 )

@@ -18,7 +18,13 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from controllers.law import Gain, GainField, elapsed
-from controllers.recommended import LINEAR_GAIN, SWITCHING_GAIN, apparent_mass, switching_gain
+from controllers.recommended import (
+    LINEAR_GAIN,
+    SWITCHING_GAIN,
+    apparent_mass,
+    by_hand,
+    switching_gain,
+)
 from controllers.sliding_mode import SlidingLaw
 from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
 
@@ -38,9 +44,10 @@ class SuperTwistingState(NamedTuple):
 def rate_gain(nominal: NominalModel) -> np.ndarray:
     """Gain k_2, shape (..., 2N) [N/s], [N m/s]: 1.1 times the rate of the model error allowed for.
 
-    That rate is 10 1/s times the recommended K, which is above the model error itself.
+    That rate is 10 1/s, for the nominal arm, times the recommended K, which is above the model
+    error itself.
     """
-    return 1.1 * 10.0 * switching_gain(nominal)
+    return 1.1 * by_hand(nominal, "1/s", 10.0) * switching_gain(nominal)
 
 
 def root_gain(nominal: NominalModel) -> np.ndarray:

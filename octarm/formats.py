@@ -28,7 +28,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from octarm.errors import FileError, OctarmError, closest, quoted
 
-FORMAT = 2  # version of the formats of run.json and manifest.json
+FORMAT = 3  # version of the formats of run.json and manifest.json
 _LARGEST = 10**300  # whole number; larger ones are no floats
 _DEEPEST = 64  # tables and lists within each other
 _LONGEST = 10**8  # characters of a file

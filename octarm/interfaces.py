@@ -171,6 +171,24 @@ class NominalModel(Protocol):
         ...
 
     @property
+    def time_scale(self) -> np.ndarray:
+        """How fast the arm is: 1 / omega of its fastest mode, shape () or (..., 1) [s]."""
+        ...
+
+    @property
+    def force_scale(self) -> np.ndarray:
+        """The force that moves each coordinate by `scale` in about `time_scale`, shape (..., 2N).
+
+        In [N], [N m]: of similar arms it scales as all their forces do.
+        """
+        ...
+
+    @property
+    def descriptors(self) -> Mapping[str, np.ndarray]:
+        """Ratios that similar arms have in common, by name, each of shape (...) [1]."""
+        ...
+
+    @property
     def input_range(self) -> tuple[np.ndarray, np.ndarray]:
         """The lowest and the highest input forces tau, each of shape (..., 2N) [N]."""
         ...
@@ -255,6 +273,9 @@ ControllerFactory = Callable[..., Controller]
 class Knob(NamedTuple):
     """A factor by which tuning multiplies the recommended values of gains.
 
+    The usual range, three decades both ways, is meant to be free: a search that ends at one of its
+    ends says so. A narrower one needs a reason, which stands where the knob is declared.
+
     Attributes:
         name: of the knob, for people and files.
         low: smallest factor [1].
@@ -264,8 +285,8 @@ class Knob(NamedTuple):
     """
 
     name: str
-    low: float = 0.1
-    high: float = 10.0
+    low: float = 0.001
+    high: float = 1000.0
     apart: bool = False
     gains: tuple[str, ...] = ()
 
@@ -275,6 +296,13 @@ class Tunable(Controller, Protocol):
 
     def knobs(self) -> tuple[Knob, ...]:
         """What tuning may turn; every gain belongs to one knob at most."""
+        ...
+
+    def scales(self) -> Mapping[str, np.ndarray]:
+        """What a gain is divided by to be a number that suits all similar arms, by name [SI].
+
+        Each broadcasts to the shape of the gain. All gains that are numbers have one.
+        """
         ...
 
 

@@ -1,21 +1,24 @@
 """Desired motions: pure functions of time with matched derivatives.
 
 Coordinates are on the last axis in the order q = [s1..sN, theta1..thetaN]; batch axes may stand
-before it. `REFERENCES` names the ones that the command line offers.
+before it. `REFERENCES` names the ones that the command line offers; one of your own is given as
+MODULE:NAME or FILE.py:NAME, see `octarm.declared`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from octarm.arrays import read_only
-from octarm.errors import OctarmError, closest, quoted
+from octarm.declared import Declared
+from octarm.errors import OctarmError, quoted
 from octarm.interfaces import Motion, Reference
 
 REAL = "fiu"  # NumPy's kinds of real numbers
@@ -217,6 +220,20 @@ def _multi_sine(rest: np.ndarray) -> MultiSine:
     )
 
 
+def _fast_sine(rest: np.ndarray) -> MultiSine:
+    """Two tones near the lowest mode of the nominal arm, large: inertia counts in all coordinates.
+
+    Inertial and Coriolis forces are more than 20 % of each coordinate's Q there, in rms.
+    """
+    big = _first_two(rest, slides=(0.015, 0.012), bends=(0.6, 0.5))
+    return MultiSine(
+        tones=(
+            Sine(center=rest, amplitude=big, frequency=1.6),
+            Sine(center=0.0 * rest, amplitude=0.5 * big, frequency=1.6 * 2**0.5, phase=1.0),
+        )
+    )
+
+
 def _smooth_step(rest: np.ndarray) -> SmoothStep:
     """From rest to a bent and stretched pose within 1 s, beginning at 0.5 s."""
     goal = rest + _first_two(rest, slides=(0.01, 0.01), bends=(0.35, 0.25))
@@ -228,13 +245,28 @@ def _set_point(rest: np.ndarray) -> SetPoint:
     return SetPoint(q=rest + _first_two(rest, bends=(0.2, 0.15)))
 
 
-REFERENCES: dict[str, Callable[[np.ndarray], Motion]] = {
+def _lacks(thing: Any) -> str:
+    """What an object of a user lacks of a reference; empty if nothing."""
+    try:
+        inspect.signature(thing).bind(np.zeros(2))
+    except (TypeError, ValueError):
+        return (
+            "cannot be called with one array, the pose at rest of shape (..., 2N), to return a "
+            "motion as octarm.interfaces.Motion says"
+        )
+    return ""
+
+
+# What makes a motion, given the pose `rest` about which it goes, shape (..., 2N) [m], [rad].
+_BUILT_IN: dict[str, Callable[[np.ndarray], Motion]] = {
     "sine": _paper_sine,
     "sine-slides": _slide_sine,
     "multi-sine": _multi_sine,
+    "fast-sine": _fast_sine,
     "smooth-step": _smooth_step,
     "set-point": _set_point,
 }
+REFERENCES = Declared("reference", _BUILT_IN, _lacks)
 
 
 def wanted(motion: Motion, t: float, shape: tuple[int, ...]) -> Reference:
@@ -292,14 +324,20 @@ def _broadcasts(shape: tuple[int, ...], wanted: tuple[int, ...]) -> bool:
 
 
 def named_reference(name: str, rest: np.ndarray) -> Motion:
-    """A reference by name, about the pose `rest`, shape (..., 2N) [m], [rad].
+    """A reference by name, MODULE:NAME or FILE.py:NAME, about the pose `rest`.
+
+    The pose has shape (..., 2N) [m], [rad].
 
     Raises:
-        OctarmError: for an unknown name; it lists the known ones.
+        OctarmError: for an unknown name, with the known ones, or if what it names makes no motion.
     """
-    if name not in REFERENCES:
-        raise OctarmError(f"unknown reference {quoted(name)}{closest(name, REFERENCES)}")
-    return REFERENCES[name](rest)
+    motion: Any = REFERENCES[name](rest)
+    if not callable(motion):
+        raise OctarmError(
+            f"the reference {quoted(name)} makes {quoted(motion)}; it must make a function of "
+            "time, as octarm.interfaces.Motion says"
+        )
+    return cast(Motion, motion)
 
 
 def _first_two(

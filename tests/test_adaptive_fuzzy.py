@@ -27,6 +27,7 @@ from octarm.references import named_reference
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout
 from octarm.simulation.trajectory import Trajectory
+from octarm.sweeps.tune import gains_of
 
 WRONG = UNLIMITED.mismatched(-0.3)
 ADAPTIVE = ("afsmc", "afsmc-consequent")
@@ -141,7 +142,7 @@ def test_force_and_adaptation_are_the_printed_laws(normalised: bool, phi: float)
     before = random_state(c, 30)
     command, after = c(before, *instant)
     e, e_dot = q - q_d, v - v_d
-    s, v_r, a_r = e_dot + 15.0 * e, v_d - 15.0 * e, a_d - 15.0 * e_dot
+    s, v_r, a_r = e_dot + c.lambda_ * e, v_d - c.lambda_ * e, a_d - c.lambda_ * e_dot
     rates = coriolis_matrix(WRONG, q, v) + damping_matrix(WRONG)
     model = np.einsum("nij,nj->ni", mass_matrix(WRONG, q), a_r) + potential_force(WRONG, q)
     model += np.einsum("nij,nj->ni", rates, v_r)
@@ -383,10 +384,9 @@ def test_a_disturbed_arm_stays_within_bounds_and_gets_no_worse(seconds: int):
 
 def test_unbounded_centres_gather_about_zero_and_chatter():
     """30 times faster than recommended, to see in 12 s what else takes minutes."""
-    gains = {
-        "eta3": 30.0 * premise_rate(MODEL),
-        "eta4": 30.0 * premise_rate(MODEL),
-    }
+    exact = LagrangeModel(P)
+    fast = 30.0 * premise_rate(exact)
+    gains = {**gains_of(hand_set("afsmc", exact)), "eta3": fast, "eta4": fast}
     loose = {"alpha_max": np.inf, "sigma_min": 0.0, "sigma_max": np.inf}
     kept, free = (disturbed(hand_set("afsmc", WRONG, gains | bounds), 12) for bounds in ({}, loose))
     theta1 = 3

@@ -148,7 +148,7 @@ BAD = [
     (["run", "--states", "1"], "octarm run has no option --states; it belongs to octarm validate"),
     (["run", "twice"], "octarm run has no use for 'twice'"),
     (["plot", "a", "b"], "octarm plot has no use for 'b'"),
-    (["ran"], "unknown command 'ran', did you mean 'run'.* the nearest of 13 are run, "),
+    (["ran"], "unknown command 'ran', did you mean 'run'.* the nearest of 15 are run, "),
     ([], "no command is given; octarm --help lists them"),
     (["record"], "octarm record needs RUN, run folder"),
     (["completion", "csh"], "unknown shell 'csh'.* known are bash, zsh, fish"),
@@ -164,7 +164,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(arguments, message, capsys
     Path("full").mkdir()
     Path("full/notes.txt").write_text("mine")
     Path("precious").mkdir()
-    Path("precious/run.json").write_text(json.dumps({"format": 2, **described()}))
+    Path("precious/run.json").write_text(json.dumps({"format": 3, **described()}))
     Path("precious/notes.txt").write_text("mine")
     Path("broken").mkdir()
     Path("broken/run.json").write_text("[]")
@@ -199,14 +199,14 @@ def test_a_run_says_its_format_and_another_one_is_refused(capsys):
     assert short_run() == 0
     text = Path("a/run.json").read_text()
     description = json.loads(text)
-    assert description["format"] == 2
+    assert description["format"] == 3
     assert description["coordinates"][0] == {"name": "s1", "unit": "m"}
     assert description["coordinates"][-1] == {"name": "theta3", "unit": "rad"}
-    Path("a/run.json").write_text(text.replace('"format": 2', '"format": 3'))
+    Path("a/run.json").write_text(text.replace('"format": 3', '"format": 4'))
     capsys.readouterr()
     assert cli.main(["verify", "a"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "a/run.json has format 3" in line and "reads format 2" in line
+    assert "a/run.json has format 4" in line and "reads format 3" in line
 
 
 def test_an_interrupt_leaves_nothing_half_written(monkeypatch, capsys):
@@ -268,8 +268,6 @@ def test_the_examples_of_a_page_are_understood(name: str, capsys):
     examples = capsys.readouterr().out.partition("\nexamples:\n")[2].partition("\n\n")[0]
     lines = examples.replace("\\\n", " ").splitlines()
     assert lines
-    Path("runs/noise").mkdir(parents=True)
-    Path("runs/noise/manifest.json").touch()
     for line in lines:
         words = shlex.split(line.partition(">")[0])
         assert words[:2] == ["octarm", name]

@@ -19,6 +19,7 @@ GROUPS = {
     "one run": ["run", "replay", "record", "plot", "video"],
     "many runs": ["sweep", "report", "margin", "tune"],
     "an arm": ["arm"],
+    "your own": ["new"],
     "checks": ["validate", "verify"],
     "this machine": ["doctor", "completion"],
 }
@@ -29,7 +30,7 @@ COMMANDS = [name for names in GROUPS.values() for name in names]
 OPERANDS = {
     "replay": "RUN ..", "record": "RUN", "plot": "RUN", "video": "RUN", "sweep": "SPEC.toml",
     "report": "SWEEP", "margin": "CONTROLLER ..", "tune": "CONTROLLER", "verify": "RUN ..",
-    "completion": "SHELL", "arm": "ARM ..",
+    "completion": "SHELL", "arm": "ARM ..", "new": "KIND NAME",
 }  # fmt: skip
 OPTIONS: dict[str, dict[str, dict[str, str]]] = {
     "arm": {
@@ -50,6 +51,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--controller": "CONTROLLER smc-boundary",
             "--reference": "REFERENCE sine",
             "--disturbance": "DISTURBANCE ..",
+            "--metric": "METRIC ..",
             "--duration": "S 10",
             "--seed": "N 0",
         },
@@ -112,6 +114,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--high": "X",
             "--seeds": "N 16",
             "--share": "X 0.9",
+            "--metric": "METRIC ..",
         },
         "the runs, as in octarm run": {
             "--mismatch": "X 0",
@@ -131,7 +134,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
     "tune": {
         "options": {
             "--out": "FILE.toml",
-            "--budget": "S 8000",
+            "--budget": "S 16000",
             "--seed": "N 0",
             "--resume": "",
             "--force": "",
@@ -157,6 +160,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
         }
     },
     "verify": {"options": {"--episode": "N ..", "--sample": "N"}},
+    "new": {},
     "doctor": {},
     "completion": {},
 }
@@ -230,7 +234,8 @@ def test_a_help_page_has_operands_and_options_by_heading(command: str):
     assert max(map(len, text.splitlines())) <= 80
     assert text.startswith(f"usage: octarm {command}")
     parts = sections(text)
-    operand, _, several = OPERANDS.get(command, "").partition(" ")
+    operand, *others = OPERANDS.get(command, "").split() or [""]
+    several = others == [".."]
     usage = text.splitlines()[0]
     assert (f"{operand} [{operand} ..]" if several else f" {operand}") in usage
     if operand:
@@ -281,12 +286,12 @@ def test_an_option_takes_one_value_and_a_flag_none(
 
 @pytest.mark.parametrize("command", OPERANDS)
 def test_operands_are_needed_and_counted(command: str):
-    kind = OPERANDS[command].partition(" ")[0]
+    kind, *others = OPERANDS[command].split()
     if command == "arm":  # the nominal one when none is given
         return
-    if not OPERANDS[command].endswith(".."):
+    if others != [".."]:
         assert refused(command).startswith(f"octarm {command} needs {kind}, ")
-        assert "'y'" in refused(command, "x", "y")
+        assert "'y'" in refused(command, "x", *others, "y")
     else:
         assert re.search(r"RUN|run|CONTROLLER|controller", refused(command))
 

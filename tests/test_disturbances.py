@@ -167,8 +167,8 @@ def test_values_go_where_they_belong():
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("paylod:0.2", "unknown disturbance 'paylod', did you mean 'payload'? known are noise"),
-        ("", "unknown disturbance ''; known are noise, sine"),
+        ("paylod:0.2", "unknown disturbance 'paylod', did you mean 'payload'? the nearest of"),
+        ("", "unknown disturbance ''; the nearest of 19 are "),
         ("payload", "'payload' is incomplete; it must read payload:MASS,at=0"),
         ("payload:", "'payload:' is incomplete; it must read payload:MASS,at=0"),
         ("payload:at=3", "'payload:at=3' is incomplete; it must read payload:MASS,at=0"),

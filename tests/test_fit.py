@@ -244,6 +244,6 @@ def test_the_command_writes_the_fitted_arm(tmp_path, capsys):
     assert "statics, rms of all" in out
     assert "3 modules for a rod of 9 modules" in out
     fit = fit_modules(arm_from_rod(ROD, 9), 3)
-    assert_alike(read_arm(file), fit.parameters, 1e-12)
+    assert_alike(read_arm(file), fit.parameters, 1e-10)  # it has 12 digits
     assert cli.main([*words[:4], "4"]) == 2
     assert "4 groups were to be made of 9 modules" in capsys.readouterr().err

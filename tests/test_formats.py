@@ -118,7 +118,7 @@ def test_files_that_cannot_be_read_are_named(tmp_path):
 
 def test_another_format_is_refused_by_its_version():
     check_format(Document("run.json", {"format": FORMAT}))
-    with pytest.raises(OctarmError, match=r"run.json has format 3; .* reads format 2"):
-        check_format(Document("run.json", {"format": 3}))
+    with pytest.raises(OctarmError, match=r"run.json has format 4; .* reads format 3"):
+        check_format(Document("run.json", {"format": 4}))
     with pytest.raises(OctarmError, match="has format 1"):
         check_format(Document("run.json", {}))

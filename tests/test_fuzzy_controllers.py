@@ -70,9 +70,12 @@ def test_the_surface_is_called_with_the_error_then_its_rate(first: bool):
 
 
 def test_fuzzy_knows_no_model():
-    """Another nominal model gives the same force."""
+    """Another nominal model gives the same force for the same gains [SI]."""
     instant = random_instant(20)
-    one, two = (hand_set("fuzzy", p)(None, *instant)[0] for p in (P, P.mismatched(-0.3)))
+    forces = [80.0, 40.0, 30.0, 12.0, 2.5, 0.9]
+    gains = {"force_scale": forces, "e_scale": 0.03, "rate_scale": 6.0}
+    models = (P, P.mismatched(-0.3))
+    one, two = (hand_set("fuzzy", p, gains)(None, *instant)[0] for p in models)
     np.testing.assert_array_equal(one.force, two.force)
 
 

@@ -315,7 +315,7 @@ def test_what_was_out_of_reach_for_a_while_leaves_nothing_behind(name):
         environment = octarm.load(motion, parameters=arm)
         run = octarm.rollout(environment, make_controller(name, nominal), 2.6)
         errors.append(np.abs(run.error[run.t > 1.95, 3]).max())
-    assert errors[1] < 1e-3
+    assert errors[1] < 2e-3
     if name == "super-twisting":
         assert errors[0] > 5.0 * errors[1]  # 10 mrad without
 

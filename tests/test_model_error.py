@@ -172,7 +172,7 @@ def test_the_reaching_bound_of_one_coordinate_is_the_time_that_it_takes():
         gravity=9.81,
     )
     rest, eta = equilibrium(arm), np.array([10.0, 0.01])
-    gains = {"uncertainty": 0.0, "eta": eta, "K_v": 0.0}
+    gains = {"uncertainty": 0.0, "eta": eta, "K_v": 0.0, "lambda": 15.0}
     off = rest + np.array([0.0, 0.2])
     controller = hand_set("smc", arm, gains)
     run = simulated(controller, SetPoint(q=rest), 0.2, arm=arm, start=off, dt=2.5e-4)

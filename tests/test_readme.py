@@ -9,13 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from own_things import write_things
 
 import octarm
 from controllers import CONTROLLERS, make_controller
 from octarm.commands.app import APP, parse
+from octarm.commands.cli import main
 from octarm.commands.pages import commands
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.references import REFERENCES
+from octarm.sweeps.spec_file import read_spec
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -83,13 +86,35 @@ def test_what_is_asked_for_is_what_is_written():
 
 
 @pytest.fixture
-def wall(monkeypatch: pytest.MonkeyPatch) -> type:
-    """The README's disturbance, in the table of all."""
-    (code,) = (code for code in PYTHON if "(Force)" in code)
-    scope: dict[str, Any] = {"__name__": "octarm.disturbances.wall"}
-    exec(compile(code, "README.md", "exec"), scope)
-    monkeypatch.setitem(DISTURBANCES, "wall", scope["Wall"])
-    return scope["Wall"]
+def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder outside the package with the files of the README, in which commands are run."""
+    folder = write_things(tmp_path / "mine")  # of which reach.py is named, too
+    for code in PYTHON:
+        if file := re.match(r'"""(\w+\.py): ', code):
+            (folder / file[1]).write_text(code, encoding="utf-8")
+    monkeypatch.chdir(folder)
+    return folder
+
+
+@pytest.fixture
+def wall(mine: Path) -> Any:
+    """The README's disturbance."""
+    return DISTURBANCES[f"{mine}/wall.py:Wall"]
+
+
+def test_what_is_your_own_runs_as_it_stands(mine: Path):
+    lines = [line for line in SPOKEN if "octarm run" in line and ".py:" in line]
+    assert len(lines) == 2
+    for i, line in enumerate(lines):
+        assert main([*shlex.split(line)[1:], "--duration", "0.05", "--out", f"{i}"]) == 0
+        assert main(["verify", f"{i}"]) == 0
+    for line in (line for line in SPOKEN if line.startswith("octarm new")):
+        if "KIND" not in line:
+            assert main(shlex.split(line)[1:]) == 0
+    (spec,) = (code for _, code in BLOCKS if code.startswith("metric = "))
+    (mine / "spec.toml").write_text(f"duration = 2.1\n{spec}", encoding="utf-8")
+    assert read_spec(mine / "spec.toml").controllers == ("Feedforward", "smc-boundary")
+    assert main(["sweep", "spec.toml", "--out", "sweep", "--workers", "1"]) == 0
 
 
 def test_the_disturbance_in_the_readme_holds_the_arm_back(wall: type):
@@ -104,7 +129,7 @@ def test_the_disturbance_in_the_readme_holds_the_arm_back(wall: type):
 
 
 def test_the_disturbance_in_the_readme_is_spelt_and_the_same_in_a_batch(wall: type):
-    spelt = parse_disturbance("wall:5,angle=0.1")
+    spelt = parse_disturbance("./wall.py:Wall:5,angle=0.1")
     assert isinstance(spelt, wall)
     alone = octarm.load("sine", disturbances=[spelt])
     many = octarm.load("sine", disturbances=[spelt], batch=3)

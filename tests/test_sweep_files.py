@@ -75,8 +75,8 @@ def test_a_file_that_the_manifest_does_not_know_is_not_taken(folder):
 
 def test_a_sweep_of_another_format_is_refused(folder):
     manifest = read_manifest(folder)
-    assert manifest["format"] == 2
-    for version in (1, 3):
+    assert manifest["format"] == 3
+    for version in (2, 4):
         (folder / "manifest.json").write_text(json.dumps({**manifest, "format": version}))
         with pytest.raises(ValueError, match=rf"manifest.json has format {version}; this version"):
             octarm.read_sweep(folder)

@@ -2,10 +2,12 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import pytest
 
+from controllers import make_controller
+from octarm.arm.mjcf import nominal_parameters
 from octarm.disturbances.episode import Force
 from octarm.disturbances.fields import Amount, Quantity
 from octarm.disturbances.forces import BandLimitedNoise, PulseForce
@@ -263,6 +265,7 @@ def test_a_second_disturbance_of_a_class_has_its_number():
 
 GAINS = """\
 controller = "pd"
+[arm]
 modules = 3
 [gains]
 K_p = [1, 2, 3, 4, 5, 6]
@@ -292,8 +295,12 @@ def test_a_gain_set_is_for_all_controllers_or_for_each():
 def test_gains_of_a_file_become_part_of_the_spec(gain_file):
     text = 'controller = "pd"\ngain_set = "pd.toml"\n[gains.pd]\nK_d = 20'
     spec = parse_spec(text, str(gain_file))
-    assert spec.gain_sets == {"pd": "recommended"}
-    assert spec.gains == {"pd": {"K_p": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "K_d": 20.0}}
+    gains = {"K_p": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "K_d": 10.0}
+    assert spec.gain_sets == {"pd": {"controller": "pd", "gains": gains, "arm": {"modules": 3.0}}}
+    assert spec.gains == {"pd": {"K_d": 20.0}}
+    made: Any = spec.controller("pd", nominal_parameters(), make_controller)
+    assert made.K_d == 20.0
+    assert made.K_p[1] == pytest.approx(2.0 * made.scales()["K_p"][1])
     assert not spec.text
     assert parse_spec(spec.to_toml()).hash() == spec.hash()  # without the file
 
@@ -321,8 +328,9 @@ def test_what_is_wrong_with_sets_and_second_ones_is_said(line: int, text: str, e
     ("old", "new", "expected"),
     [
         ('"pd"', '"smc"', 'pd.toml, line 1: holds gains of "smc", not of pd'),
-        ("modules = 3", "modules = 5", "pd.toml, line 2: is for an arm of 5 modules"),
-        ("K_d = 10", 'K_d = "a"', 'pd.toml, line 5: K_d is "a"; it must be a number or a list'),
+        ("[arm]", "[leg]", "pd.toml: it needs a value of arm"),
+        ("modules = 3", "modules = true", "pd.toml, line 3: modules is true; it must be a number"),
+        ("K_d = 10", 'K_d = "a"', 'pd.toml, line 6: K_d is "a"; it must be a number or a list'),
         ("[gains]", "gains", "pd.toml: "),
     ],
 )

@@ -33,9 +33,9 @@ from octarm.arm.file_content import ArmFile, parameters_of
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.limits import Limits
 from octarm.arm.parameters import ArmParameters
-from octarm.arm.units import UNITS
 from octarm.errors import OctarmError, closest, quoted
 from octarm.formats import Document, read_toml, to_toml
+from octarm.units import UNITS
 
 SHIPPED = Path(__file__).resolve().parent.parent / "arms"
 

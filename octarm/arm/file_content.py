@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from octarm.arm.parameters import ArmParameters
+from octarm.arm.quantities import quantity
 from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
-from octarm.arm.units import quantity
 from octarm.errors import OctarmError
 from octarm.formats import Array, Model, one_of
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Mapping
 
 import numpy as np
 
-from octarm.arm import lagrange, model_error
+from octarm.arm import lagrange, model_error, similarity
 from octarm.arm.input_range import InputRange
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import coordinate_names, coordinate_units
@@ -50,6 +51,31 @@ class LagrangeModel:
         """Rest lengths of slides, 1 rad for bends, shape (..., 2N) [m], [rad]."""
         lengths = self.parameters.rest_length
         return np.concatenate([lengths, np.ones_like(lengths)], axis=-1)
+
+    @property
+    def time_scale(self) -> np.ndarray:
+        """1 / omega of the fastest undamped mode, shape () or (..., 1) [s]."""
+        return self._scales.time
+
+    @property
+    def force_scale(self) -> np.ndarray:
+        """What accelerates a coordinate by its length in that time squared, shape (..., 2N).
+
+        In [N], [N m], see `octarm.arm.similarity`.
+        """
+        return self._scales.force
+
+    @functools.cached_property
+    def _scales(self) -> similarity.Scales:
+        return similarity.scales(self.parameters)
+
+    @property
+    def descriptors(self) -> Mapping[str, np.ndarray]:
+        """Ratios in which arms differ that are not similar, each of shape (...) [1].
+
+        See `octarm.arm.similarity.descriptors`.
+        """
+        return similarity.descriptors(self.parameters)
 
     @property
     def input_range(self) -> tuple[np.ndarray, np.ndarray]:

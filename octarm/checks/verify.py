@@ -20,6 +20,7 @@ from octarm.checks.run_files import (
     saved_arrays,
     stored_arrays,
 )
+from octarm.declared import CodeChanged
 from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory
 from octarm.runs import folder as runs
@@ -114,6 +115,7 @@ def check_run(
 
     Raises:
         OctarmError: if the folder holds no complete run, or one that cannot be made again.
+        CodeChanged: if code that is not built in is not what it was; nothing is run then.
         KeyboardInterrupt: if interrupted.
     """
     description = runs.read_description(folder)
@@ -122,6 +124,8 @@ def check_run(
     try:
         experiment = Experiment.from_description(description)
         environment, controller = experiment.begin(factory)
+    except CodeChanged:
+        raise
     except ValueError as error:
         raise OctarmError(f"{folder} cannot be run again: {error}") from None
     announced = experiment.announcement(environment, controller)

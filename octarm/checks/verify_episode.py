@@ -72,7 +72,7 @@ def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory
     """
     row = sweep.row(episode)
     (stored,) = row.to_pylist()
-    arms = sweep.plan.episode(episode)
+    arms, spec = sweep.plan.episode(episode), sweep.plan.spec
     (again,) = run_arms(sweep.plan, arms, factory).to_pylist()
     was, now = (values.pop("checkpoints") for values in (stored, again))
     for values in (stored, again):  # that an episode alone does not show again
@@ -88,7 +88,7 @@ def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory
         gains=tuple(compare(sweep.gains.get(arms.controller, {}), gains)),
         recorded=next(iter((sweep.path / RECORDED).glob(f"{episode}-*")), None),
         then=origin(origin_of(row)),
-        now=origin({"versions": versions(sweep.plan.spec.engine), "host": host()}),
+        now=origin({"versions": versions(spec.engine, spec.code), "host": host()}),
     )
 
 

@@ -21,7 +21,7 @@ from cyclopts.exceptions import (
 )
 
 from octarm import units
-from octarm.commands import checks, kinds, many_runs, one_arm, one_run
+from octarm.commands import checks, kinds, many_runs, one_arm, one_run, own
 from octarm.commands.kinds import SHELLS, Work
 from octarm.commands.pages import arguments_of, commands, is_operand, overview, page, spelling
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
@@ -62,6 +62,7 @@ for title, functions in {
     "one run": (one_run.run, one_run.replay, one_run.record, one_run.plot, one_run.video),
     "many runs": (many_runs.sweep, many_runs.report, many_runs.margin, many_runs.tune),
     "an arm": (one_arm.arm,),
+    "your own": (own.new,),
     "checks": (checks.validate, checks.verify),
     "this machine": (checks.doctor, completion),
 }.items():

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from controllers import make_controller
+from controllers import CONTROLLERS, make_controller
 from octarm.arm.file import Arm, arm_toml, cannot_hang, read_arm_file
 from octarm.arm.fit import fit_modules
 from octarm.arm.mjcf import nominal_parameters
@@ -17,6 +17,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
 from octarm.arm.summary import ArmSummary
 from octarm.checks.stability import Stability, check_period
+from octarm.declared import named
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
 from octarm.files import write_files, write_text
 from octarm.simulation.steps import usual_step
@@ -39,7 +40,9 @@ class LoopOptions:
             return None
         period = usual_step() if self.period is None else self.period
         check_period(period)
-        made = {name: make_controller(name, p, gain_set=self.gains) for name in names}
+        short, _ = named((CONTROLLERS, word) for word in names)
+        laws = [make_controller(word, p, gain_set=self.gains) for word in names]
+        made = dict(zip(short, laws, strict=True))
         return Stability(p, made, period)
 
 

@@ -21,11 +21,13 @@ Work = Callable[[], int]  # what a command does, once it begins; returns the exi
 
 Shell = Literal["bash", "zsh", "fish"]
 SHELLS: tuple[Shell, ...] = get_args(Shell)
+STARTS = ("controller", "disturbance", "reference", "metric", "arm", "experiment")  # of octarm new
 
 
 # Where the words of a kind of value stand that has a list of them.
 _WORDS = {
     "CONTROLLER": "controllers:CONTROLLERS",
+    "METRIC": "octarm.metrics.declared:ACCUMULATORS",
     "REFERENCE": "octarm.references:REFERENCES",
     "DISTURBANCE": "octarm.disturbances.catalogue:DISTURBANCES",
     "ACTUATION": "octarm.arm.actuation:ACTUATIONS",
@@ -33,6 +35,7 @@ _WORDS = {
     "ENGINE": "octarm.simulation.engines:ENGINES",
     "LAYOUT": "octarm.arm.rod:LAYOUTS",
     "SHELL": "octarm.commands.kinds:SHELLS",
+    "KIND": "octarm.commands.kinds:STARTS",
 }
 
 
@@ -44,7 +47,10 @@ def known_words(kind: str) -> list[str]:
         from octarm.arm.file import shipped_arms
 
         return [*shipped_arms(), *_files()]
-    return list(pkgutil.resolve_name(_WORDS[kind]))
+    from octarm.declared import Declared
+
+    words = pkgutil.resolve_name(_WORDS[kind])
+    return words.names() if isinstance(words, Declared) else list(words)
 
 
 def _files() -> list[str]:
@@ -59,6 +65,18 @@ def text(metavar: str) -> Parameter:
 def _word(metavar: str) -> Parameter:
     """A kind of value with known words, which a shell asks the program for."""
     return Parameter(metavar=metavar, completer=lambda _: known_words(metavar))
+
+
+def _declared(metavar: str) -> Parameter:
+    """A name, or an import path or file of a user's own; see `octarm.declared`."""
+
+    def converter(hint: Any, tokens: Sequence[Token]) -> Any:
+        from octarm.declared import absolute
+
+        words = [absolute(token.value) for token in tokens]
+        return tuple(words) if get_origin(hint) is tuple else words[0]
+
+    return Parameter(metavar=metavar, converter=converter, completer=lambda _: known_words(metavar))
 
 
 def _converted(metavar: str, convert: Callable[[str, str], Any]) -> Parameter:
@@ -129,10 +147,13 @@ def check_free(force: bool, *files: Path | None) -> None:
             )
 
 
-def check_folder(folder: Path, file: str, what: str) -> None:
-    """Raises OctarmError, before what takes long to import, for a folder that is not `what`."""
-    if not os.path.isfile(folder / file):
+def refusal(folder: Path, file: str, what: str) -> Work | None:
+    """What refuses a folder that is not `what`, before anything that takes long is imported."""
+
+    def refuse() -> int:
         raise OctarmError(f"{folder} is not {what}: it has no {file}")
+
+    return None if os.path.isfile(folder / file) else refuse
 
 
 def whole(least: int, most: int) -> Parameter:
@@ -158,10 +179,12 @@ S = _converted("S", _real("s"))
 HZ = _converted("HZ", _real("Hz"))
 AMOUNT = _converted("X", _number_as_text)  # a number whose unit depends on another option
 RUN, DIR = text("RUN"), text("DIR")
-CONTROLLER, REFERENCE, DISTURBANCE = map(_word, ("CONTROLLER", "REFERENCE", "DISTURBANCE"))
+CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
+    _declared, ("CONTROLLER", "REFERENCE", "DISTURBANCE", "METRIC")
+)
 ACTUATION, INTEGRATOR, ENGINE = map(_word, ("ACTUATION", "INTEGRATOR", "ENGINE"))
 LAYOUT = _word("LAYOUT")
-GAINS, SHELL, ARM = map(_word, ("GAINS", "SHELL", "ARM"))
+GAINS, SHELL, KIND, ARM = map(_word, ("GAINS", "SHELL", "KIND", "ARM"))
 
 
 def heading(name: str) -> Parameter:

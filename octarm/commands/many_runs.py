@@ -67,7 +67,7 @@ def report(
     /,
     *,
     baseline: Annotated[str | None, kinds.CONTROLLER] = None,
-    metric: Annotated[tuple[str, ...], kinds.text("METRIC")] = (),
+    metric: Annotated[tuple[str, ...], kinds.METRIC] = (),
     out: Annotated[Path | None, kinds.DIR] = None,
     force: bool = False,
 ) -> Work:
@@ -89,7 +89,8 @@ def report(
     Examples:
       octarm report runs/noise --baseline smc-boundary --metric tip_rms_error
     """
-    kinds.check_folder(sweep, "manifest.json", "a sweep")
+    if (refuse := kinds.refusal(sweep, "manifest.json", "a sweep")) is not None:
+        return refuse
     kinds.check_free(force, (out or sweep / "report") / "report.html")
     from octarm.commands import report as work
 
@@ -104,6 +105,7 @@ def margin(
     high: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None,
     seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 16,
     share: Annotated[float, kinds.X, kinds.SOUGHT] = 0.9,
+    metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.SOUGHT] = (),
     mismatch: Annotated[float, kinds.X, kinds.RUNS] = 0.0,
     reference: Annotated[str, kinds.REFERENCE, kinds.RUNS] = "sine",
     duration: Annotated[float, kinds.S, kinds.RUNS] = 6.0,
@@ -135,6 +137,7 @@ def margin(
         high: value up to which is tried, greater or smaller than low; a usual one when not given
         seeds: number of seeds
         share: share of the seeds that have to meet the bounds; 1 for all of them
+        metric: what is measured as well, FILE.py:NAME or MODULE:NAME; for a bound of your own
         mismatch: error of the nominal model
         reference: the desired motion
         duration: length of each run [s]
@@ -166,6 +169,7 @@ def margin(
         bound=bound,
         seeds=seeds,
         share=share,
+        metric=metric,
         mismatch=mismatch,
         reference=reference,
         duration=duration,
@@ -187,7 +191,7 @@ def tune(
     /,
     *,
     out: Annotated[Path | None, kinds.file(".toml")] = None,
-    budget: Annotated[float, kinds.S] = 8000.0,
+    budget: Annotated[float, kinds.S] = 16000.0,
     seed: Annotated[int, kinds.N] = 0,
     resume: bool = False,
     force: bool = False,
@@ -199,13 +203,19 @@ def tune(
     """Find gains for one controller.
 
     The search and its budget are the same for every controller. Writes a small TOML file: the
-    gains, what they cost by the measure that all controllers are tuned for, and how they were
-    found. octarm run --gains FILE.toml uses them.
+    gains, as numbers in the scales of the nominal model that suit all similar arms, what they cost
+    by the measure that all controllers are tuned for, and how they were found. octarm run --gains
+    FILE.toml uses them.
+
+    The measure holds two control periods, late and slow inputs, a payload, a fast motion, wrong
+    models and noise: the list SCENARIOS of octarm/sweeps/scenarios.py. What the gains are worth is
+    then measured on the list EVALUATION there: desired motions, noises, faults and model errors
+    that the search never saw.
 
     Args:
         controller: controller to tune
         out: file to write; CONTROLLER.toml when not given; the search keeps its state beside it
-        budget: what the search may simulate, all arms counted [s]; 8000 s take minutes
+        budget: what the search may simulate, all arms counted [s]; 16000 s take minutes
         seed: seed of the search
         resume: go on with the search that was interrupted
         force: replace gains that are there, and begin an interrupted search anew
@@ -219,7 +229,9 @@ def tune(
       octarm tune smc-boundary --out my-gains.toml
       octarm tune smc-boundary --out my-gains.toml --resume
     """
-    out = out or Path(f"{controller}.toml")
+    from octarm.declared import short_name
+
+    out = out or Path(f"{short_name(controller)}.toml")
     kinds.check_free(force or resume, out)
     from octarm.commands import tune as work
 

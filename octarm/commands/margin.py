@@ -12,15 +12,21 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from controllers import make_controller
+from controllers import CONTROLLERS, make_controller
 from octarm.arm.file import read_arm
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
+from octarm.commands.gain_notes import print_unsuited
+from octarm.declared import Code, named, short_name
+from octarm.disturbances.catalogue import DISTURBANCES
 from octarm.disturbances.spelling import parse_disturbance, spelling
 from octarm.errors import ExitCode, OctarmError
 from octarm.files import write_text
 from octarm.formats import to_json
 from octarm.interfaces import Controller
+from octarm.metrics.declared import ACCUMULATORS
+from octarm.metrics.table import METRICS
+from octarm.references import REFERENCES
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import check_engine
 from octarm.sweeps.margin import (
@@ -49,6 +55,7 @@ class Settings:
     bound: tuple[str, ...]
     seeds: int
     share: float
+    metric: tuple[str, ...]
     mismatch: float
     reference: str
     duration: float
@@ -105,7 +112,20 @@ class Settings:
             layout=self.layout,
             seed=self.seed,
             threads=cores(),
+            catalogue=METRICS.extended(ACCUMULATORS[word] for word in self.metric),
         )
+
+    def named(self, controllers: Sequence[str]) -> tuple[dict[str, str], dict[str, Code]]:
+        """Short names by word, and the code of what is not built in."""
+        varied = (DISTURBANCES.split(text).word for text in self.disturbance)
+        words = [
+            *((CONTROLLERS, word) for word in controllers),
+            (REFERENCES, self.reference),
+            *((DISTURBANCES, word) for word in varied if word != NOMINAL),
+            *((ACCUMULATORS, word) for word in self.metric),
+        ]
+        names, code = named(words)
+        return dict(zip((word for _, word in words), names, strict=True)), code
 
 
 def margin(
@@ -121,19 +141,23 @@ def margin(
         raise OctarmError("no controller is given; octarm run --help names them")
     settings.check()
     varied = settings.varied(low, high)
-    runs = {name: settings.runs(name, varied) for name in controllers}
+    short, code = settings.named(controllers)
+    runs = {short[word]: settings.runs(word, varied) for word in controllers}
+    for word in controllers:
+        believed, step = nominal_parameters(), settings.timestep
+        print_unsuited(short_name(word), settings.gains, believed, step, settings.control_period)
     runs = {name: run.rehearse(settings.seeds) for name, run in runs.items()}
     rows: list[Mapping[str, Any]] = []
     for name, run in runs.items():
         rows.append(_row(name, _search(name, run, settings.seeds), settings.share, varied))
         if len(rows) == 1:  # not before it is known that there is something to say
-            print("\n".join(_heading(settings, varied)))
+            print("\n".join(_heading(settings, varied, short[settings.reference])))
         print(_line(rows[-1], varied), flush=True)
     _print_notes(rows, varied, settings)
     if csv_file is not None:
         write_text(csv_file, _csv(rows))
     if json_file is not None:
-        write_text(json_file, to_json(_report(settings, varied, rows)))
+        write_text(json_file, to_json(_report(settings, varied, rows, code)))
     return ExitCode.FINE
 
 
@@ -175,11 +199,11 @@ def _row(name: str, brackets: Brackets, share: float, varied: Varied) -> dict[st
     }
 
 
-def _heading(settings: Settings, varied: Varied) -> list[str]:
+def _heading(settings: Settings, varied: Varied, reference: str) -> list[str]:
     """What the table is of."""
     unit = "" if varied.unit == "1" else f" [{varied.unit}]"
     bounds = " and ".join(settings.bound).replace(":", " <= ")
-    around = [f"{settings.reference}, {settings.duration:g} s"]
+    around = [f"{reference}, {settings.duration:g} s"]
     around += [f"nominal model wrong by {settings.mismatch:g}"] if settings.mismatch else []
     around += [f"the arm {settings.arm}"] if settings.arm is not None else []
     if settings.plant_modules is not None:
@@ -257,7 +281,10 @@ def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _report(
-    settings: Settings, varied: Varied, rows: Sequence[Mapping[str, Any]]
+    settings: Settings,
+    varied: Varied,
+    rows: Sequence[Mapping[str, Any]],
+    code: Mapping[str, Code],
 ) -> dict[str, Any]:
     """Everything, for a JSON file."""
     limits = {key: getattr(varied, key) for key in ("name", "low", "high", "unit")}
@@ -265,6 +292,7 @@ def _report(
         "varied": limits,
         "settings": dataclasses.asdict(settings),
         "controllers": list(rows),
-        "versions": versions(settings.engine),
+        "code": {name: each.model_dump() for name, each in code.items()},
+        "versions": versions(settings.engine, code),
         "host": host(),
     }

@@ -51,7 +51,7 @@ def arm(
     Examples:
       octarm arm my-arm.toml --out my-arm.png
       octarm arm --from-rod length=.36,EA=240,EI=.384:.2,modules=15 --write rod.toml
-      octarm arm --from-rod modules=30,layout=centred --fit-modules 3 --write fitted.toml
+      octarm arm --from-rod modules=30 --fit-modules 3 --write fitted.toml
       octarm arm eth --controller smc-boundary --controller afsmc \
         --control-period 0.001
     """

@@ -16,6 +16,7 @@ def run(
     controller: Annotated[str, kinds.CONTROLLER, kinds.EXPERIMENT] = "smc-boundary",
     reference: Annotated[str, kinds.REFERENCE, kinds.EXPERIMENT] = "sine",
     disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = (),
+    metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.EXPERIMENT] = (),
     duration: Annotated[float, kinds.S, kinds.EXPERIMENT] = 10.0,
     seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
     arm: Annotated[str | None, kinds.ARM, kinds.MODEL] = None,
@@ -44,6 +45,7 @@ def run(
         reference: the desired motion
         disturbance: NAME:VALUE[,KEY=VALUE..], what acts on the arm unknown to the controller; see
             below
+        metric: what is measured as well, FILE.py:NAME or MODULE:NAME
         duration: length of the run [s]
         seed: seed of all that is random; an undisturbed run has nothing random
         arm: the true arm and the controller's model of it: a file NAME.toml, or an arm that comes
@@ -56,9 +58,9 @@ def run(
         plant_modules: modules of the true arm, a multiple of the model's: a chain of the same rod,
             of which the controller knows groups; the model's modules when not given
         layout: of such a chain: paper, or centred with hinges in the middle of elements
-        gains: those to start from: tuned (for a control period of 0.0005 s), recommended (set by
-            hand, lower), or a file NAME.toml of octarm tune; tuned ones when not given
-        gain: one gain, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
+        gains: those to start from, scaled by the controller's model: tuned, recommended (set by
+            hand), or a file NAME.toml of octarm tune; tuned ones when not given
+        gain: one gain in SI, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
         timestep: physics step [s]; that of models/octarm.xml, 0.0005 s, when not given; auto is the
             longest part of the control period that suits the fastest mode of the arm
         control_period: time between control actions [s], whole physics steps; one step when not
@@ -75,8 +77,15 @@ def run(
       octarm run --controller afsmc --mismatch -0.3 --out runs/adaptive
       octarm run --disturbance noise:0.4 --disturbance payload:0.2,at=3
       octarm run --controller smc --gain lambda:20 --parameter mass:0.4,0.3,0.2
+      octarm run --controller ./mine.py:Law --disturbance ./mine.py:Gust:5,at=1
       octarm run --arm eth --controller afsmc
       octarm run --plant-modules 15 --timestep auto --control-period 0.0001
+
+    With tuned gains, 40 % noise and a model wrong by 30 %, laws are to keep the
+    nominal arm up to a control period of 2 ms, inputs late by 1.5 ms, and inputs
+    that lag by 5 ms; those that end sooner:
+
+    {limits}
 
     Disturbances, by what they act on; keys with their defaults:
 
@@ -88,25 +97,32 @@ def run(
     from octarm.runs.experiment import Experiment
 
     true = work.true_arm(parameter, arm)
-    factors = work.named_values("--nominal", nominal)
-    experiment = Experiment(
-        controller=controller,
-        gains=work.gain_values(gain),
-        nominal=true.mismatched(mismatch).scaled(**factors),
-        parameters=true,
-        reference=reference,
-        disturbances=tuple(map(parse_disturbance, disturbance)),
-        seed=seed,
-        duration=duration,
-        timestep=timestep,
-        control_period=control_period,
-        actuation=actuation,
-        integrator=integrator,
-        engine=engine,
-        plant_modules=plant_modules,
-        layout=layout,
-    )
-    return surviving_output(partial(work.run, experiment, gains, out, view))
+    nominal_arm = true.mismatched(mismatch).scaled(**work.named_values("--nominal", nominal))
+    own_gains = work.gain_values(gain)
+
+    def job() -> int:
+        names, code = work.named_words(controller, reference, disturbance, metric)
+        experiment = Experiment(
+            controller=names[0],
+            gains=own_gains,
+            nominal=nominal_arm,
+            parameters=true,
+            reference=names[1],
+            disturbances=tuple(map(parse_disturbance, disturbance)),
+            seed=seed,
+            duration=duration,
+            timestep=timestep,
+            control_period=control_period,
+            actuation=actuation,
+            integrator=integrator,
+            engine=engine,
+            plant_modules=plant_modules,
+            layout=layout,
+            code=code,
+        )
+        return work.run(experiment, gains, out, view)
+
+    return surviving_output(job)
 
 
 def replay(

@@ -13,7 +13,7 @@ from octarm.commands.kinds import known_words
 
 _WIDTH = 80  # also where a page is piped
 _COLUMN = 24  # where the text on an option begins
-_LISTED = ("CONTROLLER", "REFERENCE", "SHELL")  # kinds of values whose words stand in the text
+_LISTED = ("CONTROLLER", "REFERENCE", "SHELL", "KIND")  # whose words stand in the text
 _OVERVIEW = """\
 usage: octarm COMMAND [OPTIONS]
 
@@ -63,6 +63,10 @@ def page(app: App, name: str) -> str:
         from octarm.disturbances.spelling import help_text
 
         examples = examples.replace("{disturbances}", help_text())
+    if "{limits}" in examples:
+        from controllers import limits_text
+
+        examples = examples.replace("{limits}", limits_text() or "  none")
     return "\n".join([*lines, "", "examples:", examples.rstrip()])
 
 
@@ -102,7 +106,8 @@ def _entry(argument: Argument) -> Iterator[str]:
     value = argument.parameter.metavar or ""
     parts = [argument.parameter.help or ""]
     if value in _LISTED:
-        parts[0] += f": {', '.join(known_words(value))}"
+        own = ", FILE.py:NAME, MODULE:NAME" if value in ("CONTROLLER", "REFERENCE") else ""
+        parts[0] += f": {', '.join(known_words(value))}{own}"
     default: Any = argument.field_info.default
     if is_repeatable(argument) and not is_operand(argument):
         parts.append("(repeatable)")

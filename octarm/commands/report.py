@@ -16,6 +16,7 @@ from octarm.reports.consistency import Remark, remarks
 from octarm.reports.figures import Picture
 from octarm.reports.frame import read_episodes
 from octarm.reports.page import Source, page
+from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.store import SPEC
 
 PAGE = "report.html"
@@ -27,7 +28,7 @@ def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Pat
     folder = out or sweep / "report"
     _check_place(folder, sweep)
     episodes = read_episodes(sweep, metrics)
-    numbers = compare(episodes, baseline)
+    numbers = compare(episodes, None if baseline is None else _called(baseline, sweep))
     remarked = remarks(episodes)
     drawn = list(pictures(numbers))
     files = tables(numbers)
@@ -41,6 +42,12 @@ def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Pat
     _print_summary(numbers, remarked)
     print(f"wrote {printable(str(folder / PAGE))}")
     return ExitCode.FINE
+
+
+def _called(controller: str, sweep: Path) -> str:
+    """The name of a controller in a sweep, given that or MODULE:NAME or FILE.py:NAME."""
+    code = open_sweep(sweep)[0].spec.code
+    return next((name for name, each in code.items() if each.path == controller), controller)
 
 
 def _check_place(out: Path, sweep: Path) -> None:

@@ -17,15 +17,20 @@ import numpy.typing as npt
 from dm_control.rl import control
 from tqdm import tqdm
 
-from controllers import make_controller
+from controllers import CONTROLLERS, make_controller
 from octarm.arm.file import read_arm
-from octarm.arm.mjcf import nominal_parameters, template_model
+from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.modes import growth_rate
 from octarm.arm.parameters import ArmParameters
+from octarm.commands.gain_notes import print_unsuited
 from octarm.commands.summary import Swing, summary
+from octarm.declared import Code, named, short_name, word_of
+from octarm.disturbances.catalogue import DISTURBANCES
 from octarm.disturbances.episode import Disturbance
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
+from octarm.metrics.declared import ACCUMULATORS
 from octarm.recordings.recording import run_recording
+from octarm.references import REFERENCES
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
@@ -38,7 +43,10 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
         functools.partial(make_controller, gain_set=gain_set)
     )
     announced = experiment.announcement(environment, controller)
-    periods = whole_periods(experiment.duration, environment.control_timestep())
+    period = environment.control_timestep()
+    label = short_name(word_of(experiment.controller, experiment.code))
+    far = print_unsuited(label, gain_set, experiment.nominal, None, period)
+    periods = whole_periods(experiment.duration, period)
     for sentence in late_events(experiment.disturbances, experiment.duration):
         print(f"octarm: {sentence}", file=sys.stderr)
     out = out or _dated_folder(experiment.controller)
@@ -54,12 +62,12 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
             keep=swing.add,
         )
     elapsed = time.perf_counter() - started
-    print(summary(len(trajectory), swing.amplitude(), description, elapsed))
+    print(summary(len(trajectory), swing.amplitude(), description, elapsed, experiment.code))
     print(f"wrote {printable(str(out))}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt(f"{out} holds the run up to t = {trajectory.t[-1]:.6g} s")
     if trajectory.status == "diverged":
-        advice = _advice(gain_set, environment)
+        advice = _advice(far, environment)
         message = f"the run {trajectory.message}; it was kept up to there{advice}"
         print(f"octarm: {message}", file=sys.stderr)
         return ExitCode.DIVERGED
@@ -68,6 +76,27 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
     else:
         print(f"see it: octarm replay {printable(shlex.quote(str(out)))}")
     return ExitCode.FINE
+
+
+def named_words(
+    controller: str, reference: str, disturbances: Sequence[str], metrics: Sequence[str]
+) -> tuple[list[str], dict[str, Code]]:
+    """The names of what an experiment is made of, given the words of the command line.
+
+    Those of the controller, the reference, the disturbances and the metrics, and the code of what
+    is not built in.
+
+    Raises:
+        OctarmError: for a word that means nothing.
+    """
+    return named(
+        [
+            (CONTROLLERS, controller),
+            (REFERENCES, reference),
+            *((DISTURBANCES, DISTURBANCES.split(text).word) for text in disturbances),
+            *((ACCUMULATORS, word) for word in metrics),
+        ]
+    )
 
 
 def late_events(disturbances: Sequence[Disturbance], duration: float) -> Iterator[str]:
@@ -144,10 +173,10 @@ def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
     return values
 
 
-def _advice(gain_set: str | None, environment: control.Environment) -> str:
-    """What may help a run that diverged, or what it may be due to.
+def _advice(far: str, environment: control.Environment) -> str:
+    """What a run that diverged may be due to: an arm that does not stay where it hangs, or gains.
 
-    Tuned gains are high for the usual control period, and some arms do not stay where they hang.
+    A sentence `far` says that the gains were found for another arm, see `print_unsuited`.
     """
     physics: ArmPhysics = environment.physics
     growth = float(growth_rate(physics.plant().parameters, physics.plant_rest()))
@@ -156,11 +185,10 @@ def _advice(gain_set: str | None, environment: control.Environment) -> str:
             "; without control this arm does not stay where it hangs: a mode grows e-fold in "
             f"{1.0 / growth:.3g} s"
         )
-    usual = float(template_model().opt.timestep)
-    if gain_set in (None, "tuned") and environment.control_timestep() > 1.5 * usual:
+    if far:
         return (
-            f"; the tuned gains are for a control period of {usual:g} s, --gains recommended "
-            "bear longer ones"
+            "; its gains are for another arm or control period, try --gains recommended, --gain "
+            "NAME:VALUE, or a shorter --control-period"
         )
     return ""
 

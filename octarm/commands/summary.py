@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from octarm.declared import BUILT_IN, Code
 from octarm.disturbances.ledger import in_words
 from octarm.interfaces import Rows
+from octarm.metrics.declared import declared_metrics
 from octarm.metrics.table import METRICS, SETTLED_AFTER
 
 _HEADINGS = ("rms", "peak", "rms/amplitude", "overshoot", "chattering", "reached s=0")
@@ -33,7 +35,11 @@ class Swing:
 
 
 def summary(
-    rows: int, amplitude: np.ndarray, description: Mapping[str, Any], elapsed: float
+    rows: int,
+    amplitude: np.ndarray,
+    description: Mapping[str, Any],
+    elapsed: float,
+    code: Mapping[str, Code] = BUILT_IN,
 ) -> str:
     """What was run, what the disturbances delivered, and a table with a row a coordinate.
 
@@ -42,6 +48,7 @@ def summary(
         amplitude: of the desired motion, shape (2N,) [m], [rad].
         description: the content of run.json.
         elapsed: what it took [s].
+        code: what is not built in, by name.
     """
     rate = 1.0 / description["control_period"]
     simulated = rows * description["control_period"]
@@ -52,11 +59,11 @@ def summary(
         f"{simulated:g} s at {rate:g} Hz, done in {elapsed:.1f} s"
     ]
     if description["disturbances"]:
-        lines += ["disturbances, as delivered", *in_words(description["disturbances"])]
+        lines += ["disturbances, as delivered", *in_words(description["disturbances"], code)]
     metrics = description["metrics"]
     if None not in metrics["rms_error"]:
         lines += _table(amplitude, description["coordinates"], metrics)
-    return "\n".join(lines)
+    return "\n".join([*lines, *_others(code, metrics)])
 
 
 def _table(
@@ -86,6 +93,17 @@ def _table(
     if bound is not None:
         tip += f"; s = 0 is reached within {bound:.3g} s by (14)-(15)"
     return [*lines, tip]
+
+
+def _others(code: Mapping[str, Code], metrics: Mapping[str, Any]) -> list[str]:
+    """The metrics that are not built in, a line each."""
+    lines: list[str] = []
+    for name, metric in declared_metrics(code).items():
+        if name not in METRICS and name in metrics:
+            numbers = np.atleast_1d(np.array(metrics[name], dtype=float))
+            values = ", ".join("none" if np.isnan(x) else f"{x:.3g}" for x in numbers.tolist())
+            lines.append(f"{name} [{', '.join(metric.units)}]: {values}")
+    return lines
 
 
 def _cell(value: float | None, form: str, unit: str) -> str:

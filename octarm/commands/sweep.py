@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from controllers import make_controller
+from controllers import CONTROLLERS, make_controller
+from octarm.commands.gain_notes import print_unsuited
+from octarm.declared import short_name, word_of
 from octarm.errors import ExitCode, OctarmError, printable, sentence_of
 from octarm.formats import read_toml
 from octarm.memory import check_batch
@@ -112,12 +114,18 @@ def _checked_spec(options: Options) -> SweepSpec:
     if options.engine is not None:
         spec = dataclasses.replace(spec, engine=options.engine)
     check_engine(spec.engine)
-    plan = Plan(spec)
     for name in spec.controllers:
         keys = ("gain_set", name) if name in spec.gain_sets else ("grid", "controller")
         with _in_file(options.spec, *(("gains", name) if name in spec.gains else keys)):
+            code = None if name in spec.code else CONTROLLERS.code(name)
+            if code is not None:  # an entry point of an installed package
+                spec = dataclasses.replace(spec, code={**spec.code, name: code}, text="")
+            period, gains = spec.control_period, spec.gain_sets.get(name)
             for arm in spec.all_arms():
                 spec.controller(name, arm, make_controller)
+                label = short_name(word_of(name, spec.code))
+                print_unsuited(label, gains, arm, spec.timestep, period)
+    plan = Plan(spec)
     for episode in spec.record:
         if isinstance(episode, int):
             with _in_file(options.spec, "record", "episodes"):

@@ -13,15 +13,19 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from controllers import make_controller
+from controllers import CONTROLLERS, make_controller
 from controllers.gain_sets import GainSet, shortest
 from octarm.arm.file import read_arm
+from octarm.arm.nominal import LagrangeModel
+from octarm.arm.parameters import ArmParameters
+from octarm.declared import Code, lacking, short_name
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_text
 from octarm.simulation.engines import usual_engine
+from octarm.sweeps.scenarios import Scenario
 from octarm.sweeps.tune import Budget, SearchState, Space, StateFile, Tuned, settings, versions
 from octarm.sweeps.tune import tune as tune_gains
-from octarm.sweeps.tune_cost import FORMULA, Examination, Rig
+from octarm.sweeps.tune_cost import FORMULA, LARGEST, Examination, Rig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,6 +64,7 @@ def tune(controller: str, options: Options) -> int:
     """`octarm tune`: gains for one controller, as a TOML file."""
     out, budget, rig = options.out, Budget.within(options.seconds), options.rig
     rig.check()
+    _check_knobs(controller)
     if options.force and not options.resume:
         state_file(out).unlink(missing_ok=True)
     tuned = _search(controller, budget, options)
@@ -70,12 +75,13 @@ def tune(controller: str, options: Options) -> int:
         "budget": options.seconds,
         **rig.settings(),
     }
-    write_text(out, gain_set(controller, rig.arm().modules, origin, budget, tuned).to_toml())
+    name, code = short_name(controller), CONTROLLERS.code(controller)
+    write_text(out, gain_set(name, rig.arm(), origin, budget, tuned, code).to_toml())
     state_file(out).unlink(missing_ok=True)
-    _print_summary(controller, budget, tuned)
+    _print_summary(name, budget, tuned)
     print(f"wrote {printable(str(out))}")
-    gains = printable(shlex.quote(str(out)))
-    print(f"try it: octarm run --controller {controller} --gains {gains}")
+    gains, word = (printable(shlex.quote(str(each))) for each in (out, controller))
+    print(f"try it: octarm run --controller {word} --gains {gains}")
     return ExitCode.FINE
 
 
@@ -86,6 +92,8 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
     nominal = options.rig.arm()
     space = Space(factory(nominal), nominal.modules)
     depends_on = settings(controller, space, budget, options.seed, options.rig)
+    code = CONTROLLERS.code(controller)
+    depends_on |= {} if code is None else {"code": code.sha256}
     file = StateFile(state_file(out), depends_on)
     if file.path.exists() and not resume:
         raise OctarmError(
@@ -119,15 +127,29 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
         raise KeyboardInterrupt(f"go on by: {options.command(controller)} {more}") from None
 
 
+def _check_knobs(controller: str) -> None:
+    """Raises OctarmError for a law that does not say what tuning may turn."""
+    if misses := lacking(CONTROLLERS[controller], knobs=[], scales=[]):
+        raise OctarmError(
+            f"{short_name(controller)} {misses}; a controllers.law.Law has it, and "
+            "octarm.interfaces.Tunable says what it answers"
+        )
+
+
 def state_file(out: Path) -> Path:
     """Where the state of the search is kept that ends in a file."""
     return out.with_name(out.name + ".state")
 
 
 def gain_set(
-    controller: str, modules: int, origin: Mapping[str, Any], budget: Budget, tuned: Tuned
+    controller: str,
+    arm: ArmParameters,
+    origin: Mapping[str, Any],
+    budget: Budget,
+    tuned: Tuned,
+    code: Code | None = None,
 ) -> GainSet:
-    """The result, with all that is needed to find it again."""
+    """The result, with all that is needed to find it again; `code` if it is not built in."""
     tuning = {
         **origin,
         "candidates": budget.generations * budget.population,
@@ -140,27 +162,37 @@ def gain_set(
     return GainSet.model_validate(
         {
             "controller": controller,
-            "modules": modules,
             "gains": {name: shortest(gain) for name, gain in tuned.gains.items()},
+            "arm": _described(arm, budget),
             "tuning": tuning,
+            **({} if code is None else {"code": code.model_dump()}),
             "versions": versions(),
             "search": _outcome(budget.short, tuned.short, tuned.short_by_hand),
             "long_trial": _outcome(budget.long, tuned.long, tuned.long_by_hand),
+            "evaluation": _outcome(budget.unseen, tuned.unseen, tuned.unseen_by_hand),
         }
     )
+
+
+def _described(arm: ArmParameters, budget: Budget) -> dict[str, float]:
+    """The arm that gains are tuned for, and the longest control period, in its time scale."""
+    model = LagrangeModel(arm)
+    longest = max(scenario.period for scenario in budget.short.scenarios)
+    numbers = {**model.descriptors, "control_period": longest / model.time_scale}
+    return {name: float(f"{float(x):.4g}") for name, x in numbers.items()}
 
 
 def _outcome(examination: Examination, tuned: np.ndarray, by_hand: np.ndarray) -> dict[str, Any]:
     """What the gains cost, in all and in each scenario."""
     rows = [
-        {**dataclasses.asdict(scenario), "cost": cost, "recommended": other}
+        {**_unusual(scenario), "cost": cost, "recommended": other}
         for scenario, cost, other in zip(
             examination.scenarios, tuned.tolist(), by_hand.tolist(), strict=True
         )
     ]
     return {
-        "cost": tuned.mean().item(),
-        "recommended": by_hand.mean().item(),
+        "cost": examination.mean(tuned).item(),
+        "recommended": examination.mean(by_hand).item(),
         "measured_from": examination.begin,
         "duration": examination.duration,
         "scenarios": rows,
@@ -173,10 +205,26 @@ def _print_summary(controller: str, budget: Budget, tuned: Tuned) -> None:
         f"{budget.seconds:.0f} simulated s"
     )
     print("  cost                     tuned  recommended")
-    for name, duration, cost, other in (
-        ("search", budget.short.duration, tuned.short, tuned.short_by_hand),
-        ("long trial", budget.long.duration, tuned.long, tuned.long_by_hand),
+    for name, trial, cost, other in (
+        ("search", budget.short, tuned.short, tuned.short_by_hand),
+        ("long trial", budget.long, tuned.long, tuned.long_by_hand),
+        ("unseen", budget.unseen, tuned.unseen, tuned.unseen_by_hand),
     ):
-        print(f"  {name:<10} of {duration:>4g} s {cost.mean():>11.5f} {other.mean():>12.5f}")
+        means = f"{trial.mean(cost):>11.5f} {trial.mean(other):>12.5f}"
+        print(f"  {name:<10} of {trial.duration:>4g} s {means}")
+    lost = [s for s, cost in zip(budget.long.scenarios, tuned.long, strict=True) if cost >= LARGEST]
+    for scenario in lost:
+        print(f"  lost: {_words(scenario)}")
     if tuned.at_bounds:
         print(f"  as small or large as allowed: {', '.join(tuned.at_bounds)}")
+
+
+def _words(scenario: Scenario) -> str:
+    """A scenario in words."""
+    return ", ".join(f"{name} {value}" for name, value in _unusual(scenario).items())
+
+
+def _unusual(scenario: Scenario) -> dict[str, Any]:
+    """What of a scenario is not as usual, and its reference, by the names of its fields."""
+    usual = dataclasses.asdict(Scenario(reference=""))
+    return {name: x for name, x in dataclasses.asdict(scenario).items() if x != usual[name]}

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,11 @@ from octarm.checks.differences import listed
 from octarm.checks.sweep_files import sweep_differences
 from octarm.checks.verify import check_run
 from octarm.checks.verify_episode import check_episode
+from octarm.declared import Code, CodeChanged, file_of, word_of
 from octarm.errors import ExitCode, OctarmError, printable
+from octarm.formats import Document
 from octarm.runs import folder as runs
+from octarm.runs.description import Description
 from octarm.sweeps.episodes import FinishedSweep
 from octarm.sweeps.store import MANIFEST
 
@@ -26,12 +30,16 @@ def verify(folders: Sequence[Path], episodes: Sequence[int], sample: int | None)
         raise OctarmError("there is nothing to verify; give a run folder or a sweep folder")
     identical: list[bool] = []
     for folder in folders:
-        if (folder / MANIFEST).is_file():
-            identical.append(_sweep(folder, episodes, sample))
-        elif episodes or sample is not None:
-            raise OctarmError(f"{folder} is no sweep; --episode and --sample are for sweeps")
-        else:
-            identical.append(_run(folder))
+        try:
+            if (folder / MANIFEST).is_file():
+                identical.append(_sweep(folder, episodes, sample))
+            elif episodes or sample is not None:
+                raise OctarmError(f"{folder} is no sweep; --episode and --sample are for sweeps")
+            else:
+                identical.append(_run(folder))
+        except CodeChanged as changed:
+            _print_lines(folder, [f"not run again: {changed}"])
+            identical.append(False)
     return ExitCode.FINE if all(identical) else ExitCode.CHECK_FAILED
 
 
@@ -39,6 +47,7 @@ def _run(folder: Path) -> bool:
     """Whether a run comes out again; says so."""
     factory = functools.partial(make_controller, gain_set="recommended")  # none is left open
     description = runs.read_description(folder)
+    _announce(folder, Document(runs.DESCRIPTION, description).read(Description).code)
     periods = description.get("duration", 0.0) / description.get("control_period", 1.0)
     with tqdm(total=round(periods) or None, unit=" periods", disable=None, leave=False) as bar:
         check = check_run(folder, factory, bar.update)
@@ -49,6 +58,7 @@ def _run(folder: Path) -> bool:
 def _sweep(folder: Path, named: Sequence[int], sample: int | None) -> bool:
     """Whether a sweep's files are as written, and episodes come out again alone; says so."""
     sweep = FinishedSweep(folder)
+    _announce(folder, sweep.plan.spec.code)
     episodes = _selected(sweep, named, sample)
     for episode in episodes:
         sweep.row(episode)  # raises before the work rather than after
@@ -63,6 +73,19 @@ def _sweep(folder: Path, named: Sequence[int], sample: int | None) -> bool:
             _print_lines(folder, check.lines())
             identical = identical and check.identical
     return identical
+
+
+def _announce(folder: Path, code: Mapping[str, Code]) -> None:
+    """Says which code that is not built in is run: that of this machine's user, if it is as then.
+
+    Raises:
+        CodeChanged: if a file is not what it was, before any of them is imported.
+        OctarmError: for a file within the folder, which whoever made the folder may have written.
+    """
+    for path in [word_of(name, code) for name in code]:
+        if file_of(path).resolve().is_relative_to(folder.resolve()):
+            raise OctarmError(f"{path} is within the folder that is to be verified; it is not run")
+        print(f"octarm: runs {printable(path)}, the same file as then", file=sys.stderr)
 
 
 def _print_lines(folder: Path, lines: Sequence[str]) -> None:

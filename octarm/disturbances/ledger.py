@@ -8,13 +8,16 @@ it says itself in `Disturbance.delivered`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, cast
 
 import numpy as np
 
+from octarm.declared import BUILT_IN, Code
 from octarm.disturbances.active import ActiveDisturbances
+from octarm.disturbances.catalogue import DISTURBANCES
 from octarm.disturbances.delivered import Measured, Record
+from octarm.disturbances.drawn import Drawn
 from octarm.disturbances.episode import Disturbance, Plant, numbered, occurrences
 from octarm.disturbances.spelling import from_entry, spelling, to_dict
 
@@ -118,17 +121,25 @@ class Ledger:
 
 
 def asked(disturbances: Sequence[Disturbance]) -> list[dict[str, Any]]:
-    """An entry for each disturbance, `name` and `asked`: the ledger before a run."""
+    """An entry for each disturbance, `name` and `asked`: the ledger before a run.
+
+    Those that are not built in have `drawn` as well, see `octarm.disturbances.drawn`.
+    """
     rows: list[dict[str, Any]] = []
     for disturbance, count in zip(disturbances, occurrences(disturbances), strict=True):
         fields = to_dict(disturbance)
         rows.append({"name": numbered(fields.pop("name"), count), "asked": fields})
+        if type(disturbance) not in DISTURBANCES.values():
+            rows[-1]["drawn"] = Drawn.of(disturbance).model_dump()
     return rows
 
 
-def in_words(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """What was asked and what was delivered, a line a disturbance, for the terminal."""
-    return [_line(from_entry(row), row["delivered"]) for row in rows]
+def in_words(rows: Sequence[dict[str, Any]], code: Mapping[str, Code] = BUILT_IN) -> list[str]:
+    """What was asked and what was delivered, a line a disturbance, for the terminal.
+
+    `code` has the disturbances that are not built in, by name.
+    """
+    return [_line(from_entry(row, code), row["delivered"]) for row in rows]
 
 
 def _line(disturbance: Disturbance, delivered: dict[str, Any]) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from octarm.arrays import plain
+from octarm.declared import BUILT_IN, Code, word_of
 from octarm.disturbances.catalogue import DISTURBANCES as DISTURBANCES
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.fields import (
@@ -36,9 +37,9 @@ def parse_disturbance(text: str) -> Disturbance:
     for each of them as well, separated by `/`, as in `loss:0/0/0.5/0/0/0`. A number may have a
     unit, as in `payload:100g,at=500ms`.
     """
-    name, _, rest = text.partition(":")
-    cls = _named(name)
-    keys = field_keys(cls)
+    word, rest = DISTURBANCES.split(text)
+    cls = DISTURBANCES[word]
+    name, keys = cls.name, field_keys(cls)
     values: dict[str, Any] = {}
     for i, item in enumerate(rest.split(",") if rest else []):
         key, equals, value = item.partition("=")
@@ -77,9 +78,9 @@ def to_dict(disturbance: Disturbance) -> dict[str, Any]:
     return {"name": disturbance.name, **fields}
 
 
-def from_dict(description: Mapping[str, Any]) -> Disturbance:
-    """The inverse of `to_dict`."""
-    cls = _named(str(description.get("name")))
+def from_dict(description: Mapping[str, Any], code: Mapping[str, Code] = BUILT_IN) -> Disturbance:
+    """The inverse of `to_dict`; `code` has those that are not built in, by name."""
+    cls = DISTURBANCES[word_of(str(description.get("name")), code)]
     fields = {key: value for key, value in description.items() if key != "name"}
     known = field_kinds(cls)
     for key in fields:
@@ -91,16 +92,16 @@ def from_dict(description: Mapping[str, Any]) -> Disturbance:
     return cls(**fields)
 
 
-def from_entry(entry: Mapping[str, Any]) -> Disturbance:
+def from_entry(entry: Mapping[str, Any], code: Mapping[str, Code] = BUILT_IN) -> Disturbance:
     """The disturbance of an entry of `run.json`, `{"name": "noise-2", "asked": {...}}`."""
     name = re.sub(r"-\d+$", "", str(entry["name"]))  # noise-2 is the second noise
-    return from_dict({"name": name, **entry["asked"]})
+    return from_dict({"name": name, **entry["asked"]}, code)
 
 
 def help_text() -> str:
     """All disturbances by family: spelling, meaning and units, in lines of at most 80 columns."""
     sections: dict[str, list[str]] = {}
-    for cls in DISTURBANCES.values():
+    for cls in map(DISTURBANCES.__getitem__, DISTURBANCES.names()):
         keys = zip(field_keys(cls), field_kinds(cls).values(), strict=True)
         units = [f"{key} [{kind.unit}]" for key, kind in keys if kind.unit not in ("", "1")]
         meaning = (cls.__doc__ or "").partition("\n")[0].rstrip(".:")
@@ -111,12 +112,6 @@ def help_text() -> str:
     several = ", ".join(cls.name for cls in DISTURBANCES.values() if first_field(cls)[1].each)
     each = f"{several} take a number for each coordinate or column as well: 0/0/0.5/0/0/0"
     return "\n\n".join([*blocks, textwrap.fill(each, 80)])
-
-
-def _named(name: str) -> type[Disturbance]:
-    if name not in DISTURBANCES:
-        raise OctarmError(f"unknown disturbance {quoted(name)}{closest(name, DISTURBANCES)}")
-    return DISTURBANCES[name]
 
 
 def first_field(cls: type[Disturbance]) -> tuple[str, Quantity]:

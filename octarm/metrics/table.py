@@ -49,6 +49,11 @@ class Catalogue(Mapping[str, Metric]):
     def __len__(self) -> int:
         return sum(len(each.metrics) for each in self.accumulators)
 
+    def extended(self, others: Iterable[type[Accumulator]]) -> Catalogue:
+        """This one, and those metrics of other accumulators that it does not have."""
+        new = [each for each in dict.fromkeys(others) if each not in self.accumulators]
+        return Catalogue(*self.accumulators, *new)
+
     @property
     def fields(self) -> tuple[str, ...]:
         """Names of the fields of rows that are measured, signals included; for a recorder."""
@@ -78,17 +83,19 @@ class Metrics:
         band: npt.ArrayLike | None = None,
         corner: float = CORNER,
         actuation: Actuation | None = None,
+        catalogue: Catalogue = METRICS,
     ) -> None:
         """Metrics of arms of any number and batch shape; the arguments are those of `Settings`.
 
         The actuation turns the inputs that the arm received into a generalised force. Without it,
-        that is taken to be the one that was asked for.
+        that is taken to be the one that was asked for. The catalogue says what is measured.
         """
         self._settings = Settings(
             control_period=control_period, input_range=input_range, layer=layer, band=band,
             corner=corner,
         )  # fmt: skip
         self._actuation = actuation
+        self._catalogue = catalogue
         self._accumulators: list[Accumulator] = []
         self._sum: np.ndarray | float = 0.0  # not finite where something was not
 
@@ -104,7 +111,7 @@ class Metrics:
         """
         if len(rows["t"]) == 0:
             return
-        rows = {name: rows[name] for name in METRICS.fields if name in rows}
+        rows = {name: rows[name] for name in self._catalogue.fields if name in rows}
         if not self._accumulators:
             self._begin(rows)
         steps = self._settings.steps
@@ -124,7 +131,7 @@ class Metrics:
         first = {name: array[0] for name, array in rows.items()}
         self._accumulators = [
             make(first, self._settings)
-            for make in METRICS.accumulators
+            for make in self._catalogue.accumulators
             if set(make.signals) <= set(rows)
         ]
 
@@ -169,7 +176,7 @@ class Metrics:
             raise OctarmError("there is nothing to measure: no control instant was taken")
         with np.errstate(all="ignore"):
             results = {k: x for each in self._accumulators for k, x in each.result().items()}
-        arm = {name for name in results if METRICS[name].of == "arm"}
+        arm = {name for name in results if self._catalogue[name].of == "arm"}
         lost = np.any(~np.isfinite(self._sum), axis=-1) | np.asarray(diverged, dtype=bool)
         for name, values in results.items():  # too large to square
             infinite = np.isinf(values)
@@ -240,19 +247,18 @@ class Column(NamedTuple):
 
 
 def columns(
-    coordinates: Sequence[str], units: Sequence[str], metrics: Iterable[str] = METRICS
+    coordinates: Sequence[str], units: Sequence[str], metrics: Mapping[str, Metric] = METRICS
 ) -> list[Column]:
     """The columns of metrics, metric by metric.
 
     Args:
         coordinates: their names, in the order of q; there are as many inputs, tau1 and so on.
         units: those of the coordinates, `m` or `rad`.
-        metrics: names of metrics.
+        metrics: by name.
     """
     inputs = [f"tau{i}" for i in range(1, len(coordinates) + 1)]
     held: list[Column] = []
-    for name in metrics:
-        metric = METRICS[name]
+    for name, metric in metrics.items():
         parts = {"coordinate": coordinates, "input": inputs, "arm": [""]}[metric.of]
         for place, part in enumerate(parts):
             unit = metric.unit_for(units[place] if metric.of == "coordinate" else "m")

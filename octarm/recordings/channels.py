@@ -19,6 +19,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from octarm.arrays import Coordinates, planar_coordinates
+from octarm.disturbances.drawn import Drawn
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import from_entry
 from octarm.interfaces import WITHIN, Rows
@@ -137,9 +138,17 @@ def coordinates_of(description: Mapping[str, Any]) -> Coordinates:
     return planar_coordinates(len(description["parameters"]["mass"]))
 
 
-def disturbances_of(description: Mapping[str, Any]) -> dict[str, Disturbance]:
-    """The disturbances that `run.json` lists, by the names of their entries."""
-    return {entry["name"]: from_entry(entry) for entry in description.get("disturbances", [])}
+def disturbances_of(description: Mapping[str, Any]) -> dict[str, Disturbance | Drawn]:
+    """The disturbances that `run.json` lists, by the names of their entries; no code is imported.
+
+    Of those that are not built in it is how they are drawn.
+    """
+    return {
+        entry["name"]: Drawn.model_validate(entry["drawn"])
+        if entry.get("drawn")
+        else from_entry(entry)
+        for entry in description.get("disturbances", [])
+    }
 
 
 def channels_of(

@@ -6,8 +6,10 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
+from octarm.declared import Code
 from octarm.errors import printable
-from octarm.metrics.table import METRICS
+from octarm.formats import Document
+from octarm.metrics.declared import declared_metrics
 from octarm.recordings.channels import coordinates_of
 
 _REMARK = """The arm is drawn as a picture of the lumped model, whose module i slides along the end
@@ -60,6 +62,7 @@ def notes_of(description: Mapping[str, Any]) -> dict[str, str]:
         ("True parameters", description.get("parameters")),
         ("Nominal parameters", description.get("nominal")),
         ("Reference", description.get("reference")),
+        ("Code", {name: each["path"] for name, each in description.get("code", {}).items()}),
         ("Versions", description.get("versions")),
     ):
         if table:
@@ -77,12 +80,14 @@ def notes_of(description: Mapping[str, Any]) -> dict[str, str]:
 def _metrics(description: Mapping[str, Any]) -> str:
     """A table with a column for each coordinate; inputs stand in the order of tau."""
     names = coordinates_of(description).names
+    code = Document("run.json", {"code": description.get("code", {})})
+    known = declared_metrics(code.read(dict[str, Code], "code"))
     rows: list[list[str]] = []
     for name, values in description["metrics"].items():
         numbers = cast(list[Any], values) if isinstance(values, list) else [values]
         texts = [_text(x) for x in numbers] + [""] * len(names)
         units = text = ""
-        if meaning := METRICS.get(name):
+        if meaning := known.get(name):
             units = ", ".join(meaning.units)
             text = re.sub(r"\|([^|]+)\|", r"abs(\1)", meaning.text)
         rows.append([name, *texts[: len(names)], units, text])

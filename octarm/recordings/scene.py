@@ -20,6 +20,7 @@ import rerun.blueprint as rrb
 from octarm.arm.kinematics import arc_tip
 from octarm.arm.mjcf import world_position
 from octarm.arm.parameters import ArmParameters
+from octarm.disturbances.drawn import Drawn
 from octarm.disturbances.episode import Disturbance
 from octarm.interfaces import Rows
 from octarm.recordings import shapes
@@ -56,7 +57,7 @@ class Scene:
     def __init__(
         self,
         parameters: ArmParameters,
-        disturbances: Sequence[Disturbance],
+        disturbances: Sequence[Disturbance | Drawn],
         *,
         disturbed: bool,
         finer: bool = False,

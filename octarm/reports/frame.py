@@ -13,15 +13,17 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from octarm.declared import Code
 from octarm.disturbances.episode import field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError, closest, printable, quoted
+from octarm.metrics.declared import declared_metrics
 from octarm.metrics.metric import SETTLED_AFTER, Metric
-from octarm.metrics.table import METRICS
 from octarm.references import REFERENCES, named_reference
 from octarm.sweeps import engine_check
+from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.spec import which
-from octarm.sweeps.store import metadata_of, read_manifest, read_schema, read_sweep
+from octarm.sweeps.store import metadata_of, read_schema, read_sweep
 
 DEFAULT = ("rms_error", "tip_rms_error", "chattering", "effort", "overshoot")
 
@@ -68,6 +70,7 @@ class Measure(NamedTuple):
         of: the coordinate or input; empty for the arm and for all inputs.
         columns: names of the columns.
         unit: of its values.
+        declared: the declaration of the metric.
     """
 
     name: str
@@ -75,11 +78,7 @@ class Measure(NamedTuple):
     of: str
     columns: tuple[str, ...]
     unit: str
-
-    @property
-    def declared(self) -> Metric:
-        """The declaration of the metric."""
-        return METRICS[self.metric]
+    declared: Metric
 
     @property
     def sign(self) -> int:
@@ -174,14 +173,17 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
         OctarmError: if it is no sweep, has no finished episode, or a metric is unknown or has no
             value in any episode.
     """
-    manifest = read_manifest(folder)
+    plan, manifest = open_sweep(folder)
     spec = manifest["spec"]
+    code = plan.spec.code
     controllers = tuple(spec["grid.controller"])
     names = [key.partition(".")[2] for key in spec if key.startswith(("grid.", "random."))]
     names.remove("controller")
     schema = read_schema(folder)
-    columns = [column for field in schema if (column := _column(field)) is not None]
-    wanted = {name: _measures(name, columns, spec) for name in metrics or DEFAULT}
+    known = declared_metrics(code)
+    columns = [column for field in schema if (column := _column(field, known)) is not None]
+    words = [name for word in metrics or DEFAULT for name in _metrics_of(word, code)]
+    wanted = {name: _measures(name, columns, spec, known) for name in words}
     asked = [measure for measures in wanted.values() for measure in measures]
     errors = [column.name for column in columns if column.metric == "rms_error"]
     needed = ["controller", "seed", "status", "digest", *names, *errors]
@@ -214,10 +216,11 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
             f"{folder} has no value of {', '.join(absent)} in any finished episode; {why}"
         )
     lost, exact = _suspects(held, errors, spec["duration"])
+    factors = _factors(held, spec, names, code)
     return Episodes(
         manifest=manifest,
         controllers=tuple(printable(name, _LONGEST) for name in controllers),
-        factors=tuple(_factors(held, spec, names)),
+        factors=tuple(factors),
         measures=tuple(values),
         absent=tuple(absent),
         controller=controller,
@@ -235,17 +238,28 @@ def _known(column: np.ndarray) -> np.ndarray:
     return column[~np.isnan(column)]
 
 
-def _column(field: pa.Field) -> Measure | None:
+def _metrics_of(word: str, code: Mapping[str, Code]) -> list[str]:
+    """The metrics of a word: those of a file of the sweep's, `FILE.py:NAME`, or the word itself."""
+    for name, each in code.items():
+        if each.kind == "metric" and word in (name, each.path):
+            return [*each.declares]
+    return [word]
+
+
+def _column(field: pa.Field, known: Mapping[str, Metric]) -> Measure | None:
     """A column of a metric, as the schema describes it; None for another column."""
     said = {
         key.decode(): printable(text.decode(), _LONGEST) for key, text in metadata_of(field).items()
     }
-    if said.get("metric") not in METRICS:
+    metric = said.get("metric", "")
+    if metric not in known:
         return None
-    return Measure(field.name, said["metric"], said["of"], (field.name,), said["unit"])
+    return Measure(field.name, metric, said["of"], (field.name,), said["unit"], known[metric])
 
 
-def _measures(name: str, columns: Sequence[Measure], spec: Mapping[str, Any]) -> list[Measure]:
+def _measures(
+    name: str, columns: Sequence[Measure], spec: Mapping[str, Any], known: Mapping[str, Metric]
+) -> list[Measure]:
     """The measures that the name of a metric or column stands for; none if it has no column.
 
     Raises:
@@ -253,22 +267,22 @@ def _measures(name: str, columns: Sequence[Measure], spec: Mapping[str, Any]) ->
     """
     of_metric = [column for column in columns if column.metric == name]
     single = [column for column in columns if column.name == name]
-    if name not in METRICS and not single:
-        raise OctarmError(f"unknown metric {quoted(name)}{closest(name, METRICS)}")
+    if name not in known and not single:
+        raise OctarmError(f"unknown metric {quoted(name)}{closest(name, known)}")
     if not of_metric:  # a column, or a metric that is younger than the sweep
         return single
-    if METRICS[name].of == "input":
+    if known[name].of == "input":
         names = tuple(column.name for column in of_metric)
-        return [Measure(name, name, "", names, of_metric[0].unit)]
-    if METRICS[name].of == "coordinate":
+        return [Measure(name, name, "", names, of_metric[0].unit, known[name])]
+    if known[name].of == "coordinate":
         moving = _moved(spec.get("grid.reference", ()), len(of_metric))
         return [column for column, moves in zip(of_metric, moving, strict=True) if moves]
     return of_metric
 
 
 def _moved(references: Sequence[str], coordinates: int) -> np.ndarray:
-    """Which coordinates a reference moves away from rest, shape (2N,); all if none is known."""
-    known = [name for name in references if name in REFERENCES]
+    """Which coordinates a reference moves from rest, shape (2N,); all if one is not built in."""
+    known = references if all(name in REFERENCES for name in references) else ()
     moving = np.any([_hanging_error(name, coordinates, 10.0) > 0.0 for name in known], axis=0)
     return np.broadcast_to(moving if np.any(moving) else ~moving, (coordinates,))
 
@@ -330,12 +344,15 @@ def _suspects(
 
 
 def _factors(
-    held: Mapping[str, np.ndarray], spec: Mapping[str, Any], names: Sequence[str]
+    held: Mapping[str, np.ndarray],
+    spec: Mapping[str, Any],
+    names: Sequence[str],
+    declared: Mapping[str, Code],
 ) -> list[Factor]:
     """The factors that take more than one value."""
     factors: list[Factor] = []
     for name in names:
-        column, unit, title = held[name], _unit(name), printable(name, _LONGEST)
+        column, unit, title = held[name], _unit(name, declared), printable(name, _LONGEST)
         if f"random.{name}" in spec:
             factors += _drawn(title, unit, column)
             continue
@@ -369,15 +386,18 @@ def _drawn(name: str, unit: str, column: np.ndarray) -> list[Factor]:
     return [Factor(name, unit, labels, places, scaled=True, drawn=True, code=code)]
 
 
-def _unit(factor: str) -> str:
+def _unit(factor: str, code: Mapping[str, Code]) -> str:
     """The unit of a disturbance's field; empty for ratios and words."""
     name, _, key = factor.removeprefix("disturbance.").partition(".")
     kind = which(name)[0]
-    if factor == "mismatch" or kind not in DISTURBANCES:
+    if factor == "mismatch" or kind not in (*DISTURBANCES, *code):
         return ""
-    kinds = field_kinds(DISTURBANCES[kind])
-    by_key = {kind.key or field: kind for field, kind in kinds.items()}
-    unit = by_key[key or next(iter(by_key))].unit if not key or key in by_key else ""
+    if kind in code:
+        units = {name: str(said["unit"]) for name, said in code[kind].declares.items()}
+    else:
+        kinds = field_kinds(DISTURBANCES[kind])
+        units = {kind.key or field: kind.unit for field, kind in kinds.items()}
+    unit = units.get(key or next(iter(units), ""), "")
     return "" if unit == "1" else unit
 
 

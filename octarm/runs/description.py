@@ -6,6 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat
 
+from octarm.declared import Code
+from octarm.disturbances.drawn import Drawn
 from octarm.formats import Array, Model
 
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
@@ -27,6 +29,7 @@ class _Controller(_Named):
 class _Disturbance(_Named):
     asked: dict[str, Any]
     delivered: dict[str, Any] | None = None
+    drawn: Drawn | None = None
 
 
 class Plant(_Table):
@@ -47,6 +50,7 @@ class _Run(_Table):
     controller: _Controller
     parameters: dict[str, Any]
     reference: _Named
+    code: dict[str, Code] = Field(default_factory=dict)
     plant: Plant | None = None
     spawn_key: Array[Annotated[int, Field(ge=0, lt=2**32)]] = ()
 

@@ -16,6 +16,7 @@ from dm_control.rl import control
 
 from octarm.arm.groups import PAPER, Groups
 from octarm.arm.parameters import ArmParameters
+from octarm.declared import Code, word_of
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.ledger import Ledger, asked
 from octarm.disturbances.spelling import from_entry
@@ -23,6 +24,7 @@ from octarm.errors import OctarmError, closest, quoted
 from octarm.formats import Document
 from octarm.interfaces import Controller, ControllerFactory, Rows
 from octarm.interrupts import ignored_interrupts
+from octarm.metrics.declared import measured as measured_by
 from octarm.metrics.table import Metrics, as_json
 from octarm.references import REFERENCES
 from octarm.runs import folder as runs
@@ -81,6 +83,8 @@ class Experiment:
         engine: that steps the arm, see `octarm.simulation.engines`.
         plant_modules: number of modules of the plant, see `octarm.load`; the arm itself when None.
         layout: of that plant.
+        code: what is not built in by name, and metrics that are measured as well; see
+            `octarm.declared.named`.
     """
 
     controller: str
@@ -99,18 +103,20 @@ class Experiment:
     engine: str = MUJOCO
     plant_modules: int | None = None
     layout: str = PAPER
+    code: Mapping[str, Code] = dataclasses.field(default_factory=dict[str, Code])
 
     def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
         """The environment and the controller.
 
         Raises:
             OctarmError: if one of them cannot be made.
+            CodeChanged: if the code of one of them is not what it was.
         """
         seed = self.seed
         if self.spawn_key:
             seed = np.random.SeedSequence(self.seed, spawn_key=self.spawn_key)
         environment = load(
-            self.reference,
+            word_of(self.reference, self.code),
             disturbances=self.disturbances,
             parameters=self.parameters,
             timestep=self.timestep,
@@ -122,7 +128,8 @@ class Experiment:
             plant_modules=self.plant_modules,
             layout=self.layout,
         )
-        return environment, factory(self.controller, self.nominal, self.gains)
+        controller = word_of(self.controller, self.code)
+        return environment, factory(controller, self.nominal, self.gains)
 
     def announcement(
         self, environment: control.Environment, controller: Controller
@@ -130,13 +137,15 @@ class Experiment:
         """The content of `run.json` before the run, given what `begin` made."""
         task: TrackingTask = environment.task
         physics: AnyPhysics = environment.physics
+        fields = runs.describe_fields(task.reference)
         coordinates = zip(physics.coordinates.names, physics.coordinates.units, strict=True)
         return {
             "controller": {"name": self.controller, "gains": runs.gains_of(controller)},
             "parameters": self.parameters.to_dict(),
             "coordinates": [{"name": name, "unit": unit} for name, unit in coordinates],
             "nominal": self.nominal.to_dict(),
-            "reference": {"name": self.reference, **runs.describe_fields(task.reference)},
+            "reference": {"name": self.reference} | fields | {"name": self.reference},
+            "code": {name: each.model_dump() for name, each in self.code.items()},
             "disturbances": asked(task.disturbances),
             "seed": self.seed,
             "spawn_key": list(self.spawn_key),
@@ -150,7 +159,7 @@ class Experiment:
             "metrics": {},
             "status": runs.RUNNING,
             "message": "",
-            "versions": versions(self.engine),
+            "versions": versions(self.engine, self.code),
             "host": host(),
             "digest": "",
             "command": _readable(shlex.join(["octarm", *sys.argv[1:]])),
@@ -170,10 +179,11 @@ class Experiment:
 
         Raises:
             OctarmError: if something is missing or not allowed, or the reference is a custom one.
+            CodeChanged: if the code of a disturbance is not what it was.
         """
         inputs = Document(runs.DESCRIPTION, description).read(Inputs)
         reference = inputs.reference.name
-        if reference not in REFERENCES:
+        if reference not in (*REFERENCES, *inputs.code):
             raise OctarmError(
                 f"the run followed a custom reference, {quoted(reference)}, which its folder does "
                 f"not hold{closest(reference, REFERENCES)}"
@@ -186,7 +196,10 @@ class Experiment:
             nominal=ArmParameters.from_dict(inputs.nominal),
             parameters=ArmParameters.from_dict(inputs.parameters),
             reference=reference,
-            disturbances=tuple(from_entry(entry.model_dump()) for entry in inputs.disturbances),
+            disturbances=tuple(
+                from_entry(entry.model_dump(), inputs.code) for entry in inputs.disturbances
+            ),
+            code=inputs.code,
             plant_modules=plant and plant.modules,
             layout=plant.layout if plant else PAPER,
             **numbers,
@@ -295,6 +308,8 @@ def _perform(
     if ledger is not None:
         physics.watch = ledger.step
     measured: list[Metrics] = []
+    code = Document(runs.DESCRIPTION, {"code": announced.get("code", {})})
+    catalogue = measured_by(code.read(dict[str, Code], "code"))
 
     def take_up(rows: Rows) -> None:
         keep(rows, recorder.layer)
@@ -304,6 +319,7 @@ def _perform(
                 input_range=physics.reachable_inputs(),
                 layer=recorder.layer,
                 actuation=physics.actuation,
+                catalogue=catalogue,
             )
             measured.append(metrics)
         measured[0].update(rows)

@@ -39,7 +39,12 @@ def gains_of(controller: Controller) -> dict[str, Any]:
 
 
 def describe_fields(thing: Any) -> dict[str, Any]:
-    """The fields of a frozen dataclass, ready for JSON; parameters and arrays become lists."""
+    """The fields of a frozen dataclass, ready for JSON; parameters and arrays become lists.
+
+    Other things have none, and fields of other kinds are described by the name of their class.
+    """
+    if not dataclasses.is_dataclass(thing):
+        return {}
     return {f.name: _plain(getattr(thing, f.name)) for f in dataclasses.fields(thing)}
 
 
@@ -48,7 +53,11 @@ def _plain(value: Any) -> Any:
         return value.to_dict()
     if isinstance(value, tuple):
         return [_plain(item) for item in cast(tuple[Any, ...], value)]
-    return describe_fields(value) if dataclasses.is_dataclass(value) else plain(value)
+    if dataclasses.is_dataclass(value):
+        return describe_fields(value)
+    if value is None or isinstance(value, str | bool | int | float | list | np.ndarray):
+        return plain(cast(Any, value))
+    return plain(value.item()) if isinstance(value, np.generic) else type(value).__name__
 
 
 def write_run(folder: Path, rows: Trajectory, description: Mapping[str, Any]) -> None:

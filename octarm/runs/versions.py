@@ -5,22 +5,28 @@ from __future__ import annotations
 import contextlib
 import os
 import platform
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from octarm.declared import BUILT_IN, Code, distributions
 from octarm.simulation.engines import LAGRANGE, MUJOCO
 
 _PACKAGES = ("octarm", "mujoco", "dm-control", "numpy", "rerun-sdk", "scipy", "pyarrow")
 
 
-def versions(engine: str = MUJOCO) -> dict[str, str]:
-    """Of all that a run or a sweep on an engine depends on for being repeated bit for bit."""
+def versions(engine: str = MUJOCO, code: Mapping[str, Code] = BUILT_IN) -> dict[str, str]:
+    """Of all that a run or a sweep on an engine depends on for being repeated bit for bit.
+
+    That are the packages as well that brought its code.
+    """
     packages = (*_PACKAGES, *(("numba",) if engine == LAGRANGE else ()))
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
         **{name: version(name) for name in packages},
+        **distributions(code),
     }
 
 

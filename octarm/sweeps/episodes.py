@@ -78,6 +78,7 @@ class FinishedSweep:
             engine=spec.engine,
             plant_modules=arms.plant_modules,
             layout=arms.layout,
+            code=spec.code,
         )
 
     def begin(
@@ -94,8 +95,8 @@ class FinishedSweep:
         """
 
         def make(name: str, nominal: Any, gains: Mapping[str, Any]) -> Controller:
-            del gains  # those of the spec
-            return self.plan.spec.controller(name, nominal, factory)
+            del name, gains  # those of the spec
+            return self.plan.spec.controller(experiment.controller, nominal, factory)
 
         experiment = self.experiment(episode)
         environment, controller = experiment.begin(make)

@@ -27,6 +27,7 @@ from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_distur
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Controller, ControllerFactory
 from octarm.memory import check_batch
+from octarm.metrics.table import METRICS, Catalogue
 from octarm.simulation.engines import usual_engine
 from octarm.simulation.environment import load
 from octarm.sweeps.progress import arm_seconds
@@ -227,7 +228,7 @@ class Varied:
 
 def is_varied(text: str) -> bool:
     """Whether a disturbance is spelt without its value, NAME or NAME:KEY=VALUE,.."""
-    first = text.partition(":")[2].partition(",")[0]
+    first = DISTURBANCES.split(text).rest.partition(",")[0]
     return not first or "=" in first
 
 
@@ -240,10 +241,10 @@ def parse_varied(text: str, low: float | str | None, high: float | str | None) -
         OctarmError: for an unknown name or key, or values that are not allowed.
     """
     name, _, rest = text.partition(":")
-    if name not in (NOMINAL, *DISTURBANCES):
-        raise OctarmError(
-            f"unknown disturbance {quoted(name)}{closest(name, (NOMINAL, *DISTURBANCES))}"
-        )
+    if name != NOMINAL:
+        name, rest = DISTURBANCES.split(text)
+    if ":" not in name and name not in (NOMINAL, *(known := DISTURBANCES.names())):
+        raise OctarmError(f"unknown disturbance {quoted(name)}{closest(name, (NOMINAL, *known))}")
     usual = usual_range(name)
     if usual is None and None in (low, high):
         raise OctarmError(f"{name} has no usual range; give --low, a value to bear, and --high")
@@ -268,7 +269,7 @@ def parse_varied(text: str, low: float | str | None, high: float | str | None) -
         return Varied(name=name, low=low, high=high)
     texts = [f"{name}:{value!r}{',' + rest if rest else ''}" for value in (low, high)]
     at_low, _ = (parse_disturbance(text) for text in texts)
-    return Varied(name=name, low=low, high=high, unit=of_value, disturbance=at_low)
+    return Varied(name=at_low.name, low=low, high=high, unit=of_value, disturbance=at_low)
 
 
 def usual_range(name: str) -> tuple[float, float] | None:
@@ -299,6 +300,7 @@ class MarginRuns:
         layout: of that plant.
         seed: of all that is random.
         threads: that step a batch.
+        catalogue: the metrics that are measured.
         progress: called with the seconds that were simulated since the last call, all arms counted.
     """
 
@@ -317,6 +319,7 @@ class MarginRuns:
     layout: str = PAPER
     seed: int = 0
     threads: int = 1
+    catalogue: Catalogue = dataclasses.field(default_factory=lambda: METRICS)
     progress: Callable[[float], object] = lambda seconds: None
 
     def rehearse(self, seeds: int = 1) -> MarginRuns:
@@ -331,7 +334,8 @@ class MarginRuns:
         modules = self.plant_modules or self.parameters.modules
         check_batch(9 * seeds, modules)  # on the coarse grid
         environment, controller = self._begin(np.repeat(np.arange(seeds), 2), np.tile(ends, seeds))
-        known = measure(environment, controller, environment.control_timestep()).metrics
+        period = environment.control_timestep()
+        known = measure(environment, controller, period, catalogue=self.catalogue).metrics
         for metric, _ in self.bounds:
             if metric not in known:
                 stem = re.sub(r"_(s|theta|tau)\d+$", "", metric)
@@ -340,7 +344,7 @@ class MarginRuns:
                 raise OctarmError(f"there is no measure {quoted(metric)} of such a run{meant}")
         if not isinstance(self.timestep, str):
             return self
-        step, period = environment.physics.timestep(), environment.control_timestep()
+        step = environment.physics.timestep()
         return dataclasses.replace(self, timestep=step, control_period=period)
 
     def __call__(self, seeds: np.ndarray, shares: np.ndarray) -> Attempt:
@@ -351,7 +355,9 @@ class MarginRuns:
         """
         environment, controller = self._begin(seeds, shares)
         with arm_seconds(environment, self.duration, self.progress) as seconds:
-            outcome = measure(environment, controller, self.duration, seconds)
+            outcome = measure(
+                environment, controller, self.duration, seconds, catalogue=self.catalogue
+            )
         excess = np.zeros(len(seeds))
         for metric, limit in self.bounds:
             size = np.abs(outcome.metrics[metric])

@@ -16,7 +16,7 @@ from octarm.disturbances.fields import Amount, Quantity, field_kinds
 from octarm.disturbances.streams import stream
 from octarm.errors import OctarmError
 from octarm.memory import check_memory
-from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec, class_of
+from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec
 
 _MOST_EPISODES = 10**15
 _MOST_SHARDS = 100_000
@@ -187,11 +187,11 @@ class Plan:
         fields = {name: dict(self.spec.fixed.get(name, {})) for name in self.spec.disturbances}
         for axis in (*self.spec.axes, *self.spec.random):
             if axis.disturbance:
-                kind = field_kinds(class_of(axis.disturbance))[axis.field]
+                kind = field_kinds(self.spec.class_of(axis.disturbance))[axis.field]
                 value = values[axis.name]
                 spread = isinstance(kind, Quantity) and kind.each and np.ndim(value) > 0
                 fields[axis.disturbance][axis.field] = value[:, None] if spread else value
-        return tuple(class_of(name)(**given) for name, given in fields.items())
+        return tuple(self.spec.class_of(name)(**given) for name, given in fields.items())
 
     def _drawn(self, seeds: int) -> dict[str, np.ndarray]:
         """The values of the random axes for at least so many seeds, the first ones.

@@ -13,8 +13,9 @@ import pyarrow as pa
 from dm_control.rl import control
 
 from octarm.arm.nominal import LagrangeModel
+from octarm.declared import word_of
 from octarm.interfaces import Controller, ControllerFactory, Instant
-from octarm.metrics.table import METRICS, Metrics, columns
+from octarm.metrics.table import METRICS, Catalogue, Metrics, columns
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.folder import gains_of
 from octarm.runs.versions import host, versions
@@ -50,7 +51,7 @@ def run_shard(
     controller = spec.controller(arms.controller, spec.all_arms()[0], factory)
     origin = {
         "host": host(),
-        "versions": versions(spec.engine),
+        "versions": versions(spec.engine, spec.code),
         "gains": gains_of(controller),
     }
     return table.replace_schema_metadata({k: json.dumps(v) for k, v in origin.items()})
@@ -94,7 +95,8 @@ def run_arms(
     started = time.perf_counter()
     environment, controller = begin(plan.spec, arms, factory)
     length = plan.spec.duration if duration is None else duration
-    outcome = measure(environment, controller, length, *observers)
+    catalogue = plan.spec.catalogue()
+    outcome = measure(environment, controller, length, *observers, catalogue=catalogue)
     n = len(arms.episodes)
     values = plan.values(arms.episodes)
     held: dict[str, Any] = {
@@ -123,7 +125,7 @@ def begin(
     """
     arm = spec.arm(arms.arm)
     environment = load(
-        arms.reference,
+        word_of(arms.reference, spec.code),
         parameters=arm,
         disturbances=arms.disturbances,
         batch=arms.batch,
@@ -164,8 +166,11 @@ class Outcome(NamedTuple):
 class Observer:
     """Measures a run while it goes on, and keeps nothing of it but a few instants."""
 
-    def __init__(self, environment: control.Environment, duration: float) -> None:
-        """An observer of a run of so many seconds, for `simulate`."""
+    def __init__(
+        self, environment: control.Environment, duration: float, catalogue: Catalogue = METRICS
+    ) -> None:
+        """An observer of a run of so many seconds, for `simulate`, and what it measures."""
+        self._catalogue = catalogue
         self._physics: AnyPhysics = environment.physics
         self._period = environment.control_timestep()
         periods = whole_periods(duration, self._period)
@@ -180,9 +185,10 @@ class Observer:
                 input_range=self._physics.reachable_inputs(),
                 layer=instant.command.layer,
                 actuation=self._physics.actuation,
+                catalogue=self._catalogue,
             )
             # Without a cycle of references, so that the arms' memory is free when the run is over.
-            self._measured = metrics, Recorder(metrics.update, fields=METRICS.fields)
+            self._measured = metrics, Recorder(metrics.update, fields=self._catalogue.fields)
         self._digest(instant)
         self._measured[1](instant)
 
@@ -202,7 +208,9 @@ class Observer:
         results = metrics.result(diverged=diverged if batch else diverged[0])
         values = {
             column.name: results[column.metric].reshape(n, -1)[:, column.place]
-            for column in columns(physics.coordinates.names, physics.coordinates.units)
+            for column in columns(
+                physics.coordinates.names, physics.coordinates.units, self._catalogue
+            )
             if column.metric in results
         }
         return Outcome(diverged_at, values, *self._digest.result())
@@ -213,6 +221,7 @@ def measure(
     controller: Controller,
     duration: float,
     *observers: Observe,
+    catalogue: Catalogue = METRICS,
 ) -> Outcome:
     """Runs a controller against a batch or one arm, and measures while it runs.
 
@@ -221,8 +230,9 @@ def measure(
         controller: see `octarm.interfaces`.
         duration: of the run [s].
         observers: called at every control instant.
+        catalogue: what is measured.
     """
-    observer = Observer(environment, duration)
+    observer = Observer(environment, duration, catalogue)
 
     def observe(instant: Instant) -> None:
         for each in (observer, *observers):
@@ -245,7 +255,7 @@ def schema(spec: SweepSpec) -> pa.Schema:
         if axis.name != "controller":
             fields.append(pa.field(axis.name, word if axis.words else number))
     arm = LagrangeModel(max(spec.all_arms(), key=lambda arm: arm.modules))
-    for column in columns(arm.names, arm.units):
+    for column in columns(arm.names, arm.units, spec.metrics()):
         fields.append(pa.field(column.name, number, metadata=column.metadata))
     if spec.engine == LAGRANGE:
         fields.append(pa.field(COLUMN, number, metadata={"unit": "m"}))

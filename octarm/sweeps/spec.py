@@ -12,11 +12,15 @@ from typing import Any
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import plain
+from octarm.declared import Code, word_of
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.fields import field_keys
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.formats import to_toml
 from octarm.interfaces import Controller, ControllerFactory
+from octarm.metrics.declared import declared_metrics, measured
+from octarm.metrics.metric import Metric
+from octarm.metrics.table import Catalogue
 from octarm.simulation.engines import MUJOCO
 
 Value = float | str
@@ -32,9 +36,12 @@ def which(disturbance: str) -> tuple[str, int]:
     return (match[1], int(match[2])) if match else (disturbance, 1)
 
 
-def class_of(disturbance: str) -> type[Disturbance]:
-    """The class of a disturbance of a spec."""
-    return DISTURBANCES[which(disturbance)[0]]
+def keys_of(disturbance: str, code: Mapping[str, Code]) -> dict[str, str]:
+    """The fields of a disturbance of a spec by how files spell them; no code is imported."""
+    kind = which(disturbance)[0]
+    if kind in code:
+        return {key: str(said["field"]) for key, said in code[kind].declares.items()}
+    return field_keys(DISTURBANCES[kind])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -92,12 +99,13 @@ class SweepSpec:
         batch: largest number of arms that are stepped together.
         integrator: see `octarm.load`.
         fixed: fields of disturbances that are the same in all episodes, by disturbance.
-        gain_sets: `tuned` or `recommended`, by controller; tuned gains where there are any, else
-            recommended ones, for the others.
-        gains: where they are not those of the set, by controller.
+        gain_sets: `tuned`, `recommended` or the content of a file of gains, by controller; tuned
+            gains where there are any, else recommended ones, for the others.
+        gains: where they are not those of the set, by controller [SI].
         arms: their parameters, as `ArmParameters.to_dict` has them, by the values of the axis
             `arm`; the nominal arm has no such axis.
         record: episodes to record, by number or by a word.
+        code: what is not built in by name, and metrics that are measured as well.
         text: the file that says all of it; empty where it names other files.
     """
 
@@ -113,10 +121,11 @@ class SweepSpec:
     batch: int = 1024
     integrator: str = "rk4"
     fixed: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
-    gain_sets: Mapping[str, str] = dataclasses.field(default_factory=dict[str, str])
+    gain_sets: Mapping[str, Any] = dataclasses.field(default_factory=dict[str, Any])
     gains: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
     arms: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
     record: tuple[int | str, ...] = ()
+    code: Mapping[str, Code] = dataclasses.field(default_factory=dict[str, Code])
     text: str = dataclasses.field(default="", compare=False)
 
     @property
@@ -156,10 +165,22 @@ class SweepSpec:
             nominal: its model of the arm.
             factory: takes a keyword `gain_set` where the spec has one for the controller.
         """
-        gains = self.gains.get(name, {})
+        gains, word = self.gains.get(name, {}), word_of(name, self.code)
         if name not in self.gain_sets:
-            return factory(name, nominal, gains)
-        return factory(name, nominal, gains, gain_set=self.gain_sets[name])
+            return factory(word, nominal, gains)
+        return factory(word, nominal, gains, gain_set=self.gain_sets[name])
+
+    def class_of(self, disturbance: str) -> type[Disturbance]:
+        """The class of a disturbance of the spec; raises `CodeChanged` as `word_of` does."""
+        return DISTURBANCES[word_of(which(disturbance)[0], self.code)]
+
+    def catalogue(self) -> Catalogue:
+        """The metrics that are measured; raises `CodeChanged` as `word_of` does."""
+        return measured(self.code)
+
+    def metrics(self) -> Mapping[str, Metric]:
+        """The same by name; no code is imported."""
+        return declared_metrics(self.code)
 
     def content(self) -> dict[str, Any]:
         """All that the rows depend on, by dotted key, ready for JSON."""
@@ -170,6 +191,7 @@ class SweepSpec:
         content |= {f"arms.{name}": arm for name, arm in self.arms.items()}
         for heading, tables in (("disturbance", self.fixed), ("gains", self.gains)):
             content |= {f"{heading}.{n}.{k}": v for n, t in tables.items() for k, v in t.items()}
+        content |= {f"code.{name}": each.model_dump() for name, each in self.code.items()}
         return {key: plain(value) for key, value in content.items()}
 
     def hash(self) -> str:
@@ -180,31 +202,31 @@ class SweepSpec:
         """A file that `octarm.sweeps.spec_file.parse_spec` makes this spec of."""
         grid, drawn, fixed = dict[str, Any](), dict[str, Any](), dict[str, Any]()
         for axis in self.axes:
-            _put(grid, axis, axis.values)
+            self._put(grid, axis, axis.values)
         for axis in self.random:
             low, high = axis.values
-            _put(drawn, axis, {"low": low, "high": high, "method": axis.method})
+            self._put(drawn, axis, {"low": low, "high": high, "method": axis.method})
         for name, fields in self.fixed.items():
-            keys = field_keys(class_of(name)).items()
+            keys = keys_of(name, self.code).items()
             fixed[name] = {key: fields[field] for key, field in keys if field in fields}
         content: dict[str, Any] = {name: getattr(self, name) for name in SETTINGS}
         content |= {"grid": grid, "random": drawn, "disturbance": fixed}
         content |= {"gain_set": self.gain_sets, "gains": self.gains}
         content |= {"arms": self.arms}
         content |= {"record": {"episodes": self.record}}
+        content |= {"code": {name: each.model_dump() for name, each in self.code.items()}}
         return to_toml({key: value for key, value in content.items() if value != {}})
+
+    def _put(self, table: dict[str, Any], axis: Axis, value: Any) -> None:
+        """Enters an axis into `[grid]` or `[random]`, that of a disturbance into its own table."""
+        key = axis.name
+        if axis.disturbance:
+            table = table.setdefault("disturbance", {}).setdefault(axis.disturbance, {})
+            keys = keys_of(axis.disturbance, self.code).items()
+            key = next(key for key, field in keys if field == axis.field)
+        table[key] = value
 
 
 def hash_of(content: Any) -> str:
     """SHA-256 of what `SweepSpec.content` gives, or of what was read back of it."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def _put(table: dict[str, Any], axis: Axis, value: Any) -> None:
-    """Enters an axis into `[grid]` or `[random]`, that of a disturbance into its own table."""
-    key = axis.name
-    if axis.disturbance:
-        table = table.setdefault("disturbance", {}).setdefault(axis.disturbance, {})
-        keys = field_keys(class_of(axis.disturbance)).items()
-        key = next(key for key, field in keys if field == axis.field)
-    table[key] = value

@@ -11,7 +11,7 @@ At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep`
 - `[random]` with `mismatch`, and `[random.disturbance]`: what is drawn for each seed,
   `payload = { low = 0.0, high = 0.2, method = "sobol" }`; `uniform` is the usual method;
 - `[disturbance]`: what is the same in all episodes, `noise.time = 0.01`;
-- `[gains.NAME]`: gains of a controller;
+- `[gains.NAME]`: gains of a controller [SI];
 - `[arm]`: the arm, as in a file of one (`octarm.arm.file`), instead of `arm = "my-arm.toml"`;
 - `[record]`: `episodes`, a list of numbers, `"worst"`, `"median"` and `"diverged"`.
 
@@ -21,11 +21,14 @@ as `run.json` has them.
 
 A number may be a text with a unit, such as `"40%"`, `"100 g"`, `"15deg"` or `"60ms"`.
 
+Controllers, references and disturbances may be `MODULE:NAME` or `FILE.py:NAME`, and so may those of
+`metric`, what is measured as well; see `octarm.sweeps.spec_code`.
+
 A further disturbance of the same class has its number behind its name, from 2 on: `pulse-2`,
 `noise-2.time`. It has columns and random numbers of its own.
 
 The gain set is `"tuned"`, `"recommended"` or a file of `octarm tune`, beside the spec, for all
-controllers; or there is a table `[gain_set]` with one of these for each. Gains of a file become
+controllers; or there is a table `[gain_set]` with one of these for each. What is in a file becomes
 part of the spec that the sweep keeps.
 """
 
@@ -48,6 +51,7 @@ from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.modes import INTEGRATORS
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import LAYOUTS
+from octarm.declared import Code, short_name, word_of
 from octarm.disturbances.fields import Words, field_defaults, field_keys, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError, OctarmError, closest, quoted
@@ -62,9 +66,10 @@ from octarm.sweeps.spec import (
     SETTINGS,
     Axis,
     SweepSpec,
-    class_of,
+    keys_of,
     which,
 )
+from octarm.sweeps.spec_code import with_names
 from octarm.units import number
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
@@ -101,7 +106,6 @@ def _step(value: float | str) -> float | str:
 
 
 Distinct = AfterValidator(_distinct)
-Reference = Annotated[str, one_of(REFERENCES)]
 Mismatch = Annotated[float, Field(gt=-1.0, le=1e6)]
 Layout = Annotated[str, one_of(LAYOUTS)]
 Modules = Annotated[int, Field(ge=1, le=MOST_MODULES)]
@@ -136,7 +140,7 @@ class Grid(Model):
     """The table `[grid]`."""
 
     controller: Annotated[Array[str], Distinct] | None = None
-    reference: Annotated[Array[Reference], Distinct] | None = None
+    reference: Annotated[Array[str], Distinct] | None = None
     mismatch: Annotated[Array[Mismatch], Distinct] | None = None
     plant_modules: Annotated[Array[Modules], Distinct] | None = None
     layout: Annotated[Array[Layout], Distinct] | None = None
@@ -157,6 +161,16 @@ class Record(Model):
     episodes: Array[Annotated[int, Field(ge=0)] | Annotated[str, one_of(RECORDED)]] = ()
 
 
+class GainFile(Model):
+    """What a sweep reads of a file of `octarm tune`."""
+
+    model_config = pydantic.ConfigDict(extra="ignore")
+
+    controller: str
+    gains: dict[str, Gain]
+    arm: dict[str, float]
+
+
 class SpecFile(Model):
     """The whole file; fields of disturbances are read in `_fields`."""
 
@@ -170,11 +184,12 @@ class SpecFile(Model):
     batch: Annotated[int, Field(ge=1)] = 1024
     integrator: Annotated[str, one_of(INTEGRATORS)] = "rk4"
     controller: str | None = None
-    reference: Reference | None = None
+    reference: str | None = None
+    metric: str | Array[str] = ()  # those that are not built in are in `code`
     mismatch: Mismatch | None = None
     plant_modules: Modules | None = None
     layout: Layout | None = None
-    gain_set: str | dict[str, str] | None = None
+    gain_set: str | dict[str, str | GainFile] | None = None
     grid: Grid = Grid()
     random: Random = Random()
     disturbance: dict[str, Any] = Field(default_factory=dict)
@@ -182,16 +197,7 @@ class SpecFile(Model):
     arm: str | dict[str, Any] | None = None
     arms: dict[str, dict[str, Any]] = Field(default_factory=dict)
     record: Record = Record()
-
-
-class GainFile(Model):
-    """What a sweep reads of a file of `octarm tune`."""
-
-    model_config = pydantic.ConfigDict(extra="ignore")
-
-    controller: str
-    modules: int
-    gains: dict[str, Gain]
+    code: dict[str, Code] = Field(default_factory=dict)
 
 
 def read_spec(path: str | Path) -> SweepSpec:
@@ -213,39 +219,45 @@ def parse_spec(text: str, file: str = "spec.toml") -> SweepSpec:
 
 
 def _spec(document: Document) -> SweepSpec:
+    kept = document.content.get("code", {})  # of which no code is imported
+    document = with_names(document)
     for keys, unit in _UNITS.items():
         document = _in_si(document, unit, *keys)
     content = document.read(SpecFile)
     for place in (("disturbance",), ("grid", "disturbance"), ("random", "disturbance")):
-        for field, keys in list(_fields(document, *place)):
-            kind = field_kinds(class_of(field.disturbance))[field.field]
-            if not isinstance(kind, Words):
-                document = _in_si(document, kind.unit, *keys)
+        for field, keys in list(_fields(document, content.code, *place)):
+            unit = _unit_of(field, content.code)
+            if unit is not None:
+                document = _in_si(document, unit, *keys)
     axes, drawn = _axes(document, content)
     arms = _arms(document, content, axes)
     _check_plants(document, content, axes, arms)
-    sizes = {arm.modules for arm in arms.values()} or {nominal_parameters().modules}
-    sets, gains = _gains(document, content, [str(value) for value in axes[0].values], sizes)
+    sets = _gain_sets(document, content, [str(value) for value in axes[0].values])
     fixed: dict[str, dict[str, Any]] = {}
-    for field, keys in _fields(document, "disturbance"):
+    for field, keys in _fields(document, content.code, "disturbance"):
         if field.name in [axis.name for axis in (*axes, *drawn)]:
             raise document.error(f"{field.name} is an axis, too", *keys)
         value = document.read(cast(Any, Number | str | list[Number]), *keys)
         fixed.setdefault(field.disturbance, {})[field.field] = value
-    files = [choice for choice in sets.values() if choice not in GAIN_SETS]
+    asked = content.gain_set or {}
+    files = {asked} if isinstance(asked, str) else {x for x in asked.values() if isinstance(x, str)}
     spec = SweepSpec(
         axes=axes,
         random=drawn,
         **{name: getattr(content, name) for name in SETTINGS},
         fixed=fixed,
-        gain_sets={name: "recommended" if c in files else c for name, c in sets.items()},
-        gains=gains,
+        gain_sets=sets,
+        gains=content.gains,
         arms={name: arm.to_dict() for name, arm in arms.items()},
         record=content.record.episodes,
-        text="" if files or _other_files(content, arms) else document.text,
+        code=content.code,
+        text=""
+        if files - {*GAIN_SETS} or content.code or _other_files(content, arms)
+        else document.text,
     )
     for name in spec.disturbances:
-        _try(spec, name, document)
+        if which(name)[0] not in kept:
+            _try(spec, name, document)
     return spec
 
 
@@ -286,11 +298,12 @@ def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tupl
     not share a batch, beginning with the controller, and then the others.
     """
     axes = [axis for name in _OWN if (axis := _own_axis(name, document, content)) is not None]
-    for field, keys in _fields(document, "grid", "disturbance"):
+    code, kinds = content.code, [*DISTURBANCES, *sorted(content.code)]
+    for field, keys in _fields(document, code, "grid", "disturbance"):
         values = document.read(cast(Any, Annotated[Array[Number] | Array[str], Distinct]), *keys)
         axes.append(dataclasses.replace(field, values=values))
-    for field, keys in _fields(document, "random", "disturbance"):
-        if isinstance(field_kinds(class_of(field.disturbance))[field.field], Words):
+    for field, keys in _fields(document, code, "random", "disturbance"):
+        if _unit_of(field, code) is None:
             raise document.error(f"{field.name} is made of words: it cannot be drawn", *keys)
         if field.name in [axis.name for axis in axes]:
             raise document.error(f"{field.name} is an axis of the grid, too", *keys)
@@ -300,7 +313,7 @@ def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tupl
         if axis.name in _OWN:
             return not axis.apart, _OWN.index(axis.name) - len(_OWN), 0, ""
         kind, place = which(axis.disturbance)
-        return not axis.apart, [*DISTURBANCES].index(kind), place, axis.field
+        return not axis.apart, kinds.index(kind), place, axis.field
 
     axes.sort(key=rank)
     return tuple(a for a in axes if not a.method), tuple(a for a in axes if a.method)
@@ -379,13 +392,30 @@ def _own_axis(name: str, document: Document, content: SpecFile) -> Axis | None:
     if not given and name in _MORE:
         return None
     value = next(iter(given.values()), ("sine",) if name == "reference" else (0.0,))
+    if name == "reference":
+        known = (*REFERENCES, *content.code)
+        for word in [word for word in cast("tuple[str, ...]", value) if word not in known]:
+            keys = next(iter(given))
+            raise document.error(f"unknown reference {spelt(word)}{closest(word, known)}", *keys)
     axis = Axis(name=name)
     if isinstance(value, Bounds):
         return _drawn(axis, value)
     return dataclasses.replace(axis, values=value)
 
 
-def _fields(document: Document, *place: str) -> Iterator[tuple[Axis, tuple[str, ...]]]:
+def _unit_of(axis: Axis, code: Mapping[str, Code]) -> str | None:
+    """The unit of a field of a disturbance; None if it is of words."""
+    kind = which(axis.disturbance)[0]
+    if kind in code:
+        said = {field["field"]: field for field in code[kind].declares.values()}[axis.field]
+        return str(said["unit"]) if said["number"] else None
+    declared = field_kinds(DISTURBANCES[kind])[axis.field]
+    return None if isinstance(declared, Words) else declared.unit
+
+
+def _fields(
+    document: Document, code: Mapping[str, Code], *place: str
+) -> Iterator[tuple[Axis, tuple[str, ...]]]:
     """The fields of disturbances in a table: axes without values, and the keys of their values.
 
     A field is given by `noise = ...`, or by `time = ...` in a table `noise`.
@@ -394,10 +424,10 @@ def _fields(document: Document, *place: str) -> Iterator[tuple[Axis, tuple[str, 
     for key in place:
         table = table.get(key, {})
     for name, value in dict[str, Any](table).items():
-        if which(name)[0] not in DISTURBANCES:
-            hint = closest(name, DISTURBANCES)
+        if which(name)[0] not in (*DISTURBANCES, *code):
+            hint = closest(name, (*DISTURBANCES, *code))
             raise document.error(f"unknown disturbance {quoted(name)}{hint}", *place, name)
-        fields = field_keys(class_of(name))
+        fields = keys_of(name, code)
         first = next(iter(fields))
         inner = cast(dict[str, Any], value) if isinstance(value, dict) else None
         bare = inner is None or (inner and inner.keys() <= Bounds.model_fields.keys())
@@ -412,10 +442,10 @@ def _fields(document: Document, *place: str) -> Iterator[tuple[Axis, tuple[str, 
             yield Axis(name=column, disturbance=name, field=fields[key]), keys
 
 
-def _gains(
-    document: Document, content: SpecFile, controllers: list[str], sizes: set[int]
-) -> tuple[dict[str, str], dict[str, dict[str, Any]]]:
-    """The gain set of each controller, and the gains that differ from it or come from a file."""
+def _gain_sets(
+    document: Document, content: SpecFile, controllers: list[str]
+) -> dict[str, str | dict[str, Any]]:
+    """The gain set of each controller: a word, or what a file holds that the spec names."""
     sets = content.gain_set or {}
     if isinstance(sets, str):
         sets = dict.fromkeys(controllers, sets)
@@ -424,33 +454,33 @@ def _gains(
             hint = closest(name, controllers)
             message = f"gains of {quoted(name)}, which is no controller of this sweep{hint}"
             raise document.error(message, table, name)
-    gains: dict[str, dict[str, Any]] = {}
+    known: dict[str, str | dict[str, Any]] = {}
     for name, choice in sets.items():
-        if choice.endswith(".toml"):
+        if isinstance(choice, GainFile):
+            known[name] = choice.model_dump()
+        elif choice in GAIN_SETS:
+            known[name] = choice
+        elif choice.endswith(".toml"):
             try:
-                gains[name] = _gains_of_file(Path(document.file).parent / choice, name, sizes)
+                label = short_name(word_of(name, content.code)) if name in content.code else name
+                known[name] = _content_of(Path(document.file).parent / choice, label)
             except FileError as error:
                 raise document.error(str(error), "gain_set", name) from None
-        elif choice not in GAIN_SETS:
-            known = ", ".join(GAIN_SETS)
-            message = f"unknown gain_set {spelt(choice)}; known are {known}, or NAME.toml"
+        else:
+            words = ", ".join(GAIN_SETS)
+            message = f"unknown gain_set {spelt(choice)}; known are {words}, or NAME.toml"
             raise document.error(message, "gain_set", name)
-    for name, own in content.gains.items():
-        gains[name] = gains.get(name, {}) | own
-    return sets, gains
+    return known
 
 
-def _gains_of_file(path: Path, controller: str, sizes: set[int]) -> dict[str, Any]:
-    """The gains in a file of `octarm tune`, for arms of these numbers of modules."""
+def _content_of(path: Path, controller: str) -> dict[str, Any]:
+    """What a file of `octarm tune` holds of gains."""
     document = read_toml(path)
     file = document.read(GainFile)
     if file.controller != controller:
         message = f"holds gains of {spelt(file.controller)}, not of {controller}"
         raise document.error(message, "controller")
-    for modules in sizes - {file.modules}:
-        message = f"is for an arm of {file.modules} modules; this one has {modules}"
-        raise document.error(message, "modules")
-    return file.gains
+    return file.model_dump()
 
 
 def _try(spec: SweepSpec, name: str, document: Document) -> None:
@@ -462,7 +492,7 @@ def _try(spec: SweepSpec, name: str, document: Document) -> None:
     before = kind if number == 2 else f"{kind}-{number - 1}"
     if number > 1 and before not in spec.disturbances:
         raise document.error(f"there is a {name}, but no {before}", *table, name)
-    cls: Any = DISTURBANCES[kind]
+    cls: Any = spec.class_of(name)
     given = {*field_defaults(cls), *fixed, *(axis.field for axis in axes)}
     for key, field in field_keys(cls).items():
         if field not in given:

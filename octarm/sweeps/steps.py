@@ -16,7 +16,7 @@ from octarm.disturbances.episode import PlantChange
 from octarm.errors import OctarmError
 from octarm.simulation.steps import AUTO, StepError, check_arms, fitting_step, steps_of
 from octarm.sweeps.plan import Arms, Plan
-from octarm.sweeps.spec import SweepSpec, class_of
+from octarm.sweeps.spec import SweepSpec
 
 
 def with_step(spec: SweepSpec, *, probes: bool = False) -> SweepSpec:
@@ -34,7 +34,7 @@ def with_step(spec: SweepSpec, *, probes: bool = False) -> SweepSpec:
     alike = len(spec.controllers) * len(spec.references)  # in which the step is the same
     first = range(len(plan.shards) // alike)
     shards = plan.probes() if probes else (np.array(plan.shards[i]) for i in first)
-    if not any(issubclass(class_of(name), PlantChange) for name in spec.disturbances):
+    if not any(issubclass(spec.class_of(name), PlantChange) for name in spec.disturbances):
         first = range(0, len(plan.shards) // alike, plan.shards.pieces)
         shards = (np.array(plan.shards[i][:1]) for i in first)  # all arms of a plant are alike
     longest = min(_longest(spec, plan.arms(shard)) for shard in shards)

@@ -177,7 +177,7 @@ class SweepFolder:
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         start: dict[str, Any] = {
             "time": now,
-            "versions": versions(self._plan.spec.engine),
+            "versions": versions(self._plan.spec.engine, self._plan.spec.code),
             "host": host(),
         }
         if (self.path / MANIFEST).exists():

@@ -28,10 +28,11 @@ from octarm.files import write_text
 from octarm.formats import Model, read_json, to_json
 from octarm.interfaces import Controller, Knob, Tunable
 from octarm.runs import versions as origin
-from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, Examination, Rig, costs
+from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, UNSEEN, Examination, Rig, costs
 
 _PACKAGES = ("python", "octarm", "mujoco", "dm-control", "numpy", "scipy")
 _LARGEST = 1e8  # [s] of simulated time
+_AROUND = 0.5  # decades around the hand-set gains that the search begins in; it may leave them
 
 
 class Unknown(NamedTuple):
@@ -50,7 +51,7 @@ class Space:
     """The gains of one controller, and what is searched.
 
     A candidate is a vector of d numbers: the logarithms, base 10, of the factors of the unknowns.
-    That of the hand-set gains is zero.
+    That of the hand-set gains is zero. All gains are numbers in the scales of the nominal model.
 
     Attributes:
         gains: the hand-set ones, by name.
@@ -61,7 +62,9 @@ class Space:
 
     def __init__(self, controller: Tunable, modules: int) -> None:
         """The space around a controller with its hand-set gains, one at least to be tuned."""
-        self.gains, self.knobs = gains_of(controller), controller.knobs()
+        scales = controller.scales()
+        self.gains = {name: gain / scales[name] for name, gain in gains_of(controller).items()}
+        self.knobs = controller.knobs()
         slides, every = np.repeat([1.0, 0.0], modules), np.ones(2 * modules)
         self.unknowns: list[Unknown] = []
         for knob in self.knobs:
@@ -95,7 +98,7 @@ class Space:
 
 
 def gains_of(controller: Controller) -> dict[str, np.ndarray]:
-    """The gains of a controller that are numbers, by the names under which they are given.
+    """The gains of a controller that are numbers [SI], by the names under which they are given.
 
     Arrays have shape (), or that in which the controller holds them, mostly (2N,).
     """
@@ -122,6 +125,7 @@ class Budget:
         finalists: candidates of the last one that are tried for longer, with the hand-set gains.
         short: what the search is about.
         long: what decides between the finalists.
+        unseen: what the winner is evaluated on.
     """
 
     population: int = 24
@@ -129,6 +133,7 @@ class Budget:
     finalists: int = 7
     short: Examination = SHORT
     long: Examination = LONG
+    unseen: Examination = UNSEEN
 
     @classmethod
     def within(cls, seconds: float) -> Budget:
@@ -150,7 +155,7 @@ class Budget:
     def seconds(self) -> float:
         """What is simulated in all, all arms counted [s]."""
         final = self.short.seconds + self.long.seconds
-        return self.search_seconds + (self.finalists + 1) * final
+        return self.search_seconds + (self.finalists + 1) * final + 2 * self.unseen.seconds
 
 
 class SearchState(NamedTuple):
@@ -172,11 +177,14 @@ class Tuned:
     """The result of a search.
 
     Attributes:
-        gains: all gains of the controller that are numbers, by name, shape () or (2N,).
+        gains: all gains of the controller that are numbers, by name, in the scales of the nominal
+            model, shape () or (2N,).
         short: cost in each scenario of the search, shape (scenarios,) [1].
         long: cost in each scenario of the longer examination, shape (scenarios,) [1].
         short_by_hand: the same with the hand-set gains, shape (scenarios,).
         long_by_hand: likewise.
+        unseen: cost in each scenario that nothing was chosen by, shape (scenarios,) [1].
+        unseen_by_hand: the same with the hand-set gains, shape (scenarios,).
         at_bounds: the unknowns that are as small or large as they were allowed to be.
     """
 
@@ -185,6 +193,8 @@ class Tuned:
     long: np.ndarray
     short_by_hand: np.ndarray
     long_by_hand: np.ndarray
+    unseen: np.ndarray
+    unseen_by_hand: np.ndarray
     at_bounds: list[str]
 
 
@@ -217,14 +227,15 @@ def tune(
     space = Space(factory(nominal, {}), nominal.modules)
     fixed = space.fixed()
 
-    def make(nominal: Any, gains: Mapping[str, np.ndarray]) -> Controller:
-        return factory(nominal, {**fixed, **gains})
+    def make(nominal: Any, numbers: Mapping[str, np.ndarray]) -> Controller:
+        scales = factory(nominal, {}).scales()
+        return factory(nominal, {n: x * scales[n] for n, x in {**fixed, **numbers}.items()})
 
     def tried(examination: Examination, candidates: np.ndarray) -> np.ndarray:
         return costs(examination, make, space.turned(candidates), progress, rig)
 
     def cost(candidates: np.ndarray) -> np.ndarray:
-        return tried(budget.short, candidates).mean(axis=1)
+        return budget.short.mean(tried(budget.short, candidates))
 
     if state is None:
         population = initial_population(space.bounds, budget.population, _random(seed, 0))
@@ -244,7 +255,8 @@ def tune(
     best = state.population[np.argsort(state.costs, kind="stable")[: budget.finalists]]
     finalists = np.concatenate([best, np.zeros_like(best[:1])])
     short, long = (tried(examination, finalists) for examination in (budget.short, budget.long))
-    winner = int(np.argmin(long.mean(axis=1)))
+    winner = int(np.argmin(budget.long.mean(long)))
+    unseen = tried(budget.unseen, finalists[[winner, -1]])
     turned = {name: rows[winner] for name, rows in space.turned(finalists).items()}
     return Tuned(
         gains={name: turned.get(name, gain) for name, gain in space.gains.items()},
@@ -252,17 +264,19 @@ def tune(
         long=long[winner],
         short_by_hand=short[-1],
         long_by_hand=long[-1],
+        unseen=unseen[0],
+        unseen_by_hand=unseen[1],
         at_bounds=space.at_bounds(finalists[winner]),
     )
 
 
 def initial_population(bounds: np.ndarray, size: int, random: np.random.Generator) -> np.ndarray:
-    """The hand-set gains, and a Latin hypercube that fills the inner half of each range.
+    """The hand-set gains, and a Latin hypercube around them, from a third to three times them.
 
     For bounds of shape (d, 2) and a size n these are candidates of shape (n, d).
     """
     spread = qmc.LatinHypercube(len(bounds), rng=random).random(size - 1)
-    low, high = 0.5 * bounds.T
+    low, high = np.clip(bounds, -_AROUND, _AROUND).T
     return np.concatenate([np.zeros((1, len(bounds))), low + spread * (high - low)])
 
 

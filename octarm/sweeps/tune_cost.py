@@ -1,6 +1,6 @@
 """What tuning minimises: the same number for every controller, fixed before anything was tuned.
 
-    J = mean over scenarios of (e + w c),                                       w = 0.1
+    J = weighted mean over scenarios of (e + w c),                              w = 0.1
     e = sqrt(mean_j (rms_j / A_j)^2)        rms_j of q_j - q_d,j;  A = 0.0175 m, 0.3 rad
     c = sqrt(mean_i chattering_i^2) / (g sum_k m_k)                  of the input forces tau_i
 
@@ -15,9 +15,7 @@ Why it is what it is:
 - An arm that leaves its limits costs 10 to 20, the more the earlier, and no other one more than 10.
   So gains that lose an arm are worse than any that do not, and a search can still tell which of
   them are the least bad.
-- The scenarios are half of the full design reference x model error x noise, in a chessboard: both
-  references with and without noise, each model error with and without noise and with both
-  references. The true arm is the nominal one.
+- The scenarios are those of `octarm.sweeps.scenarios`, each with its weight.
 - The measurement begins after 1 s, when the start from rest is over, and lasts one period of the
   sine. What drifts slowly does not show in that time: see `LONG`.
 - No controller gets more force than the arm's input range has: what it asks for beyond is cut off.
@@ -40,7 +38,6 @@ from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import split
-from octarm.disturbances.forces import BandLimitedNoise
 from octarm.interfaces import ControllerFactory, Instant, Motion, Reference
 from octarm.metrics.chattering import Chattering
 from octarm.metrics.metric import Settings
@@ -52,6 +49,7 @@ from octarm.simulation.rollout import simulate
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.steps import AUTO
 from octarm.sweeps.progress import arm_seconds
+from octarm.sweeps.scenarios import EVALUATION, SCENARIOS, Scenario, disturbances
 
 SLIDE_SCALE = 0.0175  # A [m]
 BEND_SCALE = 0.3  # A [rad]
@@ -59,7 +57,7 @@ CHATTERING_WEIGHT = 0.1  # w [1]
 LARGEST = 10.0  # cost of an arm that stays within its limits; one that does not costs up to twice
 
 FORMULA = (
-    f"J = mean over scenarios of sqrt(mean_j (rms_j / A_j)^2) + {CHATTERING_WEIGHT:g} "
+    f"J = weighted mean over scenarios of sqrt(mean_j (rms_j / A_j)^2) + {CHATTERING_WEIGHT:g} "
     "sqrt(mean_i chattering_i^2) / (g sum_k m_k), with the rms of q - q_d, "
     f"A = {SLIDE_SCALE:g} m and {BEND_SCALE:g} rad, the chattering of the inputs tau above 50 Hz, "
     "tau within the actuators' range; "
@@ -68,31 +66,6 @@ FORMULA = (
 
 # "tuning" in ASCII. Runs and sweeps have the seed that the user gives, 0 in the experiments.
 _ENTROPY = int.from_bytes(b"tuning", "big")
-
-
-@dataclasses.dataclass(frozen=True)
-class Scenario:
-    """What a controller is tried on.
-
-    Attributes:
-        reference: name of the desired motion.
-        mismatch: of its nominal model, see `ArmParameters.mismatched` [1].
-        noise: rms of the force on each joint over the amplitude of its input signal [1].
-    """
-
-    reference: str
-    mismatch: float
-    noise: float
-
-
-SCENARIOS = (
-    Scenario("sine", -0.3, noise=0.0),
-    Scenario("multi-sine", 0.0, noise=0.0),
-    Scenario("sine", 0.3, noise=0.0),
-    Scenario("multi-sine", -0.3, noise=0.4),
-    Scenario("sine", 0.0, noise=0.4),
-    Scenario("multi-sine", 0.3, noise=0.4),
-)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -116,6 +89,11 @@ class Examination:
         """What a candidate is simulated for, all scenarios counted [s]."""
         return len(self.scenarios) * self.duration
 
+    def mean(self, costs: np.ndarray) -> np.ndarray:
+        """The weighted mean J of costs of shape (..., scenarios), shape (...) [1]."""
+        weights = np.array([scenario.weight for scenario in self.scenarios])
+        return np.sum(costs * weights, axis=-1) / np.sum(weights)
+
     def seeds(self) -> list[np.random.SeedSequence]:
         """One seed a scenario."""
         return [
@@ -127,6 +105,8 @@ class Examination:
 SHORT = Examination()
 # Tells gains that drift, and those that suit one realisation of the noise only.
 LONG = Examination(begin=2.0, duration=10.0, noise=1)
+# What the gains are judged by afterwards.
+UNSEEN = Examination(scenarios=EVALUATION, noise=2)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -177,9 +157,9 @@ def costs(
     progress: Callable[[float], object] = lambda seconds: None,
     rig: Rig | None = None,
 ) -> np.ndarray:
-    """The cost of each candidate in each scenario, shape (n, scenarios) [1]; J is its mean.
+    """The cost of each candidate in each scenario, shape (n, scenarios) [1].
 
-    A cost does not depend on the other candidates.
+    J is its `Examination.mean`. A cost does not depend on the other candidates.
 
     Args:
         examination: what is tried.
@@ -190,24 +170,43 @@ def costs(
             counted.
         rig: what they are tried on; the arm itself on the usual engine when not given.
     """
-    rig = rig or Rig()
-    n, scenarios = len(next(iter(candidates.values()))), examination.scenarios
+    table = np.empty((len(next(iter(candidates.values()))), len(examination.scenarios)))
+    kinds = [(scenario.period, scenario.plant_modules) for scenario in examination.scenarios]
+    for kind in dict.fromkeys(kinds):
+        places = [i for i, other in enumerate(kinds) if other == kind]
+        trial = examination, places
+        table[:, places] = _costs(trial, factory, candidates, progress, rig or Rig())
+    return table
+
+
+def _costs(
+    trial: tuple[Examination, Sequence[int]],
+    factory: ControllerFactory,
+    candidates: Mapping[str, np.ndarray],
+    progress: Callable[[float], object],
+    rig: Rig,
+) -> np.ndarray:
+    """The costs in the scenarios with these numbers, of one control period and one plant."""
+    examination, places = trial
+    n = len(next(iter(candidates.values())))
+    scenarios = [examination.scenarios[i] for i in places]
+    if scenarios[0].plant_modules:
+        rig = dataclasses.replace(rig, plant_modules=scenarios[0].plant_modules)
 
     def each(values: Sequence[float]) -> np.ndarray:
         """Values of the scenarios for each arm: the scenarios of a candidate side by side."""
         return np.tile(values, n)
 
-    true = rig.arm()
+    true, seeds = rig.arm(), examination.seeds()
     names = list(dict.fromkeys(s.reference for s in scenarios))
     motions = [named_reference(name, rest) for rest in [rig.rest()] for name in names]
     environment = load(
         EachItsOwn(motions, each([names.index(s.reference) for s in scenarios])),
-        disturbances=[
-            BandLimitedNoise(ratio=each([s.noise for s in scenarios])[:, None]),
-        ],
+        disturbances=disturbances([scenario for _ in range(n) for scenario in scenarios]),
         batch=n * len(scenarios),
-        seed=examination.seeds() * n,
-        timestep=None if rig.plant_modules is None else AUTO,
+        control_period=scenarios[0].period,
+        seed=[seeds[i] for i in places] * n,
+        timestep=None if rig.plant_modules in (None, true.modules) else AUTO,
         parameters=true,
         engine=rig.engine,
         plant_modules=rig.plant_modules,
@@ -257,7 +256,10 @@ class _Observer:
         steady = instant.measurement.t > self._examination.begin - 0.5 * self._period
         with np.errstate(all="ignore"):  # an arm that is lost may hold anything
             self._chattering.update({"force": instant.tau[None]}, steady)
-            error = (instant.q - instant.reference.q)[None]
+            within = instant.within  # errors count at every physics step
+            error = (
+                (instant.q - instant.reference.q)[None] if within is None else within.q - within.q_d
+            )
             self._error.update({"error": error, "squared_error": error * error}, steady)
 
     def costs(self, true: ArmParameters) -> np.ndarray:

@@ -237,7 +237,8 @@ def record(request: Request, model: float, folder: Path) -> None:
     command = [sys.executable, "-m", "octarm", "run", "--out", str(folder),
                "--controller", variant.controller, "--reference", request.reference,
                f"--mismatch={model}", "--duration", str(request.duration)]  # fmt: skip
-    command += ["--gains", variant.gain_set] if variant.gain_set else []
+    for name, gain in variant.gains.items():  # SI, the same for every model
+        command += ["--gain", f"{name}:{','.join(map(repr, np.atleast_1d(gain).tolist()))}"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode not in (ExitCode.FINE, ExitCode.DIVERGED):
         raise OctarmError(f"{folder.name} was not recorded: {done.stderr.strip()}")

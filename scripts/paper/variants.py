@@ -39,14 +39,13 @@ class Variant:
     Attributes:
         label: under which it stands in tables and figures.
         controller: name on the command line.
-        gains: all that are numbers, as numbers or lists.
-        gain_set: on the command line, before any gain is changed; the shipped one when empty.
+        gains: all that are numbers, as numbers or lists [SI], scaled to the nominal arm; the same
+            for every model that the controller believes.
     """
 
     label: str
     controller: str
     gains: Mapping[str, Any]
-    gain_set: str = ""
 
     def changed(self, label: str, **gains: Any) -> Variant:
         """The same with some gains replaced."""
@@ -84,7 +83,7 @@ def all_variants(folder: Path | None = None) -> dict[str, Variant]:
 
     def variant(label: str, name: str, gain_set: str) -> Variant:
         gains = _gains_of(make_controller(name, nominal, gain_set=gain_set or None))
-        return Variant(label=label, controller=name, gains=gains, gain_set=gain_set)
+        return Variant(label=label, controller=name, gains=gains)
 
     def tuned_set(name: str) -> str:
         if folder is None:

@@ -1,0 +1,64 @@
+"""What `octarm new` does: commented files to start from, which run as they are."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from jinja2 import Template
+
+from octarm.commands.kinds import STARTS
+from octarm.disturbances.catalogue import DISTURBANCES
+from octarm.errors import ExitCode, FileError, OctarmError, closest, printable, quoted
+
+_FILES = Path(__file__).resolve().parent / "starts"
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*([_-][A-Za-z0-9]+)*")
+_NEXT = {
+    "controller": "octarm run --controller {word}",
+    "reference": "octarm run --reference {word}",
+    "disturbance": "octarm run --disturbance {word}:5",
+    "metric": "octarm run --metric {word}",
+    "arm": "octarm run --arm {file}",
+    "experiment": "octarm sweep {file} --out runs/{name}",
+}
+
+
+def new(kind: str, name: str) -> int:
+    """`octarm new`: writes a file into the working folder."""
+    if kind not in STARTS:
+        raise OctarmError(f"unknown kind {quoted(kind)}{closest(kind, STARTS)}")
+    if not _NAME.fullmatch(name):
+        raise OctarmError(
+            f"name is {quoted(name)}; it must be letters and digits, joined by - or _, such as "
+            "my-law"
+        )
+    words = re.split("[_-]", name)
+    hyphened = "-".join(words).lower()
+    if kind == "disturbance" and (hyphened in DISTURBANCES or words[-1].isdigit()):
+        raise OctarmError(
+            f"{hyphened} cannot be the name of a disturbance: it is built in, or ends in a number"
+        )
+    (start,) = _FILES.glob(f"{kind}.*")
+    named = {
+        "file": f"{'_'.join(words).lower()}{Path(start.stem).suffix}",
+        "Name": "".join(word[0].upper() + word[1:] for word in words),
+        "name": hyphened,
+        "column": "_".join(words).lower(),
+    }
+    text = start.read_text(encoding="utf-8")
+    _write(Path(named["file"]), Template(text, keep_trailing_newline=True).render(named))
+    word = f"./{named['file']}:{named['Name']}"
+    print(f"wrote {printable(named['file'])}")
+    print(f"try it: {_NEXT[kind].format(word=word, **named)}")
+    return ExitCode.FINE
+
+
+def _write(file: Path, text: str) -> None:
+    """Writes a file that is not there yet."""
+    try:
+        with open(file, "x", encoding="utf-8") as out:
+            out.write(text)
+    except FileExistsError:
+        raise OctarmError(f"{file} exists; choose another name, or remove it") from None
+    except OSError as error:
+        raise FileError(f"{file} cannot be written: {error.strerror}") from None
