@@ -1,8 +1,8 @@
 """The paper's results section on this arm: figures, tables, and a verdict for each claim.
 
 Run it: python scripts/reproduce_paper.py [--quick] [--out DIR]
-About 10 minutes on two cores, or one with --quick. Run it again with --resume, and it goes on
-where it was interrupted. `--publish` also renews .readme/paper.* and the claims in README.md.
+Below 20 minutes of processor time, or 100 s with --quick. Run it again with --resume, and it goes
+on where it was interrupted. `--publish` also renews .readme/ and the claims in README.md.
 """
 
 import argparse

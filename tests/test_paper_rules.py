@@ -1,15 +1,31 @@
-"""The rules of the verdicts, on numbers that fall on each side of them."""
+"""The rule of the verdicts, and the rules of the claims, on numbers that fall on each side."""
 
+import itertools
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from paper import adaptation, tracking, writeup
-from paper.claims import Row, Verdict, number, span
-from paper.evidence import interval
+from paper import rules, writeup
+from paper.cases import Case, Verdict, condition, matching, numbers_of, sensitivity, verdict
+from paper.evidence import Cell, Evidence, interval
 from paper.lyapunov import Outcome
-from paper.tables import Table, as_csv
-from paper.variants import PROPOSED, all_variants, by_hand, matched_slope
+from paper.numbers import Row, number, span
+from paper.runs import Cost, Series
+from paper.studies import BENDS, FULL, MODELS, NOISE, SLIDES, study_of_plants
+from paper.tables import Table, as_csv, best, plants
+from paper.variants import (
+    AS_PRINTED,
+    FIXED_PREMISES,
+    FIXED_RULES,
+    PROPOSED,
+    SIGN,
+    SMC,
+    all_variants,
+    by_hand,
+    matched_slope,
+)
 
 from controllers import make_controller
 from octarm.arm.lagrange import equilibrium
@@ -20,79 +36,206 @@ from octarm.reports.statistics import Interval
 HOLDS, ONLY_IF, FAILS = Verdict.HOLDS, Verdict.ONLY_IF, Verdict.FAILS
 
 
+def case(value: float, limit: float = 1.0, **where: str) -> Case:
+    """A case that passes while a value is below a limit times the factor."""
+    row = Row("value", Interval(value, value, value))
+    return Case(where, [row], lambda factor: value < factor * limit)
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [([0.5, 0.9], HOLDS), ([0.5, 2.0], ONLY_IF), ([2.0, 3.0], FAILS), ([], FAILS)],
+)
+def test_a_claim_holds_in_all_cases_in_some_or_in_none(values: list[float], expected: Verdict):
+    assert verdict([case(value) for value in values]) == expected
+
+
+def test_a_verdict_is_tried_with_half_and_twice_the_threshold_and_each_gain_set():
+    cases = [case(0.8, gains="tuned"), case(0.8, gains="hand-set")]
+    assert sensitivity(cases) == (4, 6)  # with half of the threshold it does not hold
+    cases = [case(0.1, gains="tuned", joints="bends"), case(9.0, gains="tuned", joints="slides")]
+    assert verdict(cases) == ONLY_IF and sensitivity(cases) == (0, 6)
+    assert sensitivity([case(9.0, model="exact"), case(9.0, model="-30 %")]) == (3, 3)
+
+
+def test_the_condition_names_where_a_claim_holds_in_all_cases():
+    phrases = {"gains": "gains are {}", "joints": "the {} move"}
+    values = {("tuned", "bends"): 0.1, ("tuned", "slides"): 0.1, ("hand-set", "bends"): 2.0,
+              ("hand-set", "slides"): 0.1}  # fmt: skip
+    cases = [case(x, gains=gains, joints=joints) for (gains, joints), x in values.items()]
+    assert condition(cases, phrases) == "gains are tuned or the slides move (3 of 4 cases)"
+    cases[1] = case(2.0, gains="tuned", joints="slides")
+    assert "gains are tuned and the bends move or" in condition(cases, phrases)
+    both = [case(0.1, gains="tuned"), case(3.0, gains="tuned")]
+    assert condition(both, phrases) == "the cases are picked (1 of 2 cases)"
+    assert numbers_of(cases)[0].name == "value (tuned, bends)"
+    assert len(matching(cases, {"gains": "tuned"})) == 2
+
+
 def ratio(value: float, high: float | None = None) -> Interval:
     return Interval(value, value, value if high is None else high)
 
 
 @pytest.mark.parametrize(
-    ("smc", "proposed", "expected"),
+    ("own", "factor", "expected"),
     [
-        ([2.8, 3.1], [0.1, -0.2], HOLDS),
-        ([-7.0, 7.0], [0.1], ONLY_IF),
-        ([-7.0, 2.9], [0.1], FAILS),  # never 3 %
-        ([-7.0, 7.0], [0.1, -0.6], FAILS),  # not 0 %
-        ([2.8], [], FAILS),
+        (ratio(0.94), 1.0, True),
+        (ratio(0.96), 1.0, False),
+        (ratio(0.96), 0.5, True),
+        (ratio(0.94), 2.0, False),
+        (ratio(0.9, high=1.05), 1.0, False),  # may be chance
+        (ratio(math.nan), 1.0, False),
+        (ratio(math.inf), 1.0, False),
+        (ratio(0.0), 1.0, True),  # the other one is lost
     ],
 )
-def test_overshoot(smc: list[float], proposed: list[float], expected: Verdict):
-    assert tracking.overshoot_verdict(smc, proposed) == expected
+def test_better_is_by_a_share_and_not_by_chance(own: Interval, factor: float, expected: bool):
+    assert rules.is_better(own, 0.05, factor) is expected
 
 
-def test_the_model_error_at_which_the_overshoot_is_that_of_the_paper():
-    models = np.array([-0.3, 0.0, 0.3])
-    assert tracking.crossing_at(models, np.array([-6.0, 0.0, 6.0])) == pytest.approx(0.15)
-    assert math.isnan(tracking.crossing_at(models, np.array([-2.0, 0.0, 2.0])))
+LABELS = [
+    label
+    for name in (PROPOSED, SIGN, SMC, FIXED_RULES, FIXED_PREMISES, AS_PRINTED)
+    for label in (name, by_hand(name))
+]
+
+
+def evidence(change: Any = None, **more: Any) -> Evidence:
+    """Two episodes a cell of all labels in which every quantity is 1, but for what is changed.
+
+    `change` gives a factor for a cell and a quantity.
+    """
+    cells = [
+        Cell(label, study, reference, model, noise)
+        for label in LABELS
+        for study, noises in (("tracking", (0.0, NOISE)), ("beyond", (0.0,)))
+        for reference, model, noise in itertools.product((BENDS, SLIDES), MODELS, noises)
+    ]
+    cells += [
+        cell._replace(**{name: value})
+        for cell in cells
+        if cell.study == "beyond"
+        for name, sort in rules.BEYOND.items()
+        for value in sort.values[1:]
+    ]
+    cells += [
+        Cell(label, study_of_plants(rate), noise=noise, plant=modules)
+        for label in (PROPOSED, SIGN, SMC)
+        for rate, noise, modules in itertools.product(
+            rules.PLANT_RATES, (0.0, NOISE), (3, *rules.PLANTS[1:])
+        )
+    ]
+    names = ["error", "chattering", *(f"overshoot_{j}" for j in ("theta1", "theta2", "s1", "s2"))]
+    columns = {
+        name: np.repeat([1.0 if change is None else change(c, name) for c in cells], 2)
+        for name in names
+    }
+    rows = {cell: np.array([2 * i, 2 * i + 1]) for i, cell in enumerate(cells)}
+    fields: dict[str, Any] = {
+        "variants": {}, "effort": FULL, "series": {}, "outcomes": [],
+        "costs": {PROPOSED: Cost(1e-6, 9e-5), SMC: Cost(5e-7, 4e-5)}, **more,
+    }  # fmt: skip
+    return Evidence(rows=rows, columns=columns, **fields)
+
+
+def judged(name: str, own: Evidence) -> Verdict:
+    return verdict(list((rules.CLAIMS | rules.QUESTIONS)[name](own)))
+
+
+def of(cell: Cell, *names: str) -> bool:
+    """Whether a cell is one of these laws, with either gain set."""
+    return cell.label.removesuffix(by_hand("")) in names
 
 
 @pytest.mark.parametrize(
-    ("smc", "ratios", "expected"),
-    [
-        ([0.8, 2.0], [0.4, 0.5], HOLDS),
-        ([0.8, 2.0], [0.4, 0.6], ONLY_IF),
-        ([0.05, 2.0], [0.4], FAILS),  # nothing to be seen
-        ([0.8, 7.0], [0.4], FAILS),  # not slight
-    ],
+    ("ours", "theirs", "expected"),
+    [(0.1, 3.1, HOLDS), (-0.2, 2.6, HOLDS), (0.6, 3.0, FAILS), (0.1, 5.0, FAILS)],
 )
-def test_oscillation(smc: list[float], ratios: list[float], expected: Verdict):
-    assert tracking.oscillation_verdict(smc, ratios) == expected
+def test_overshoot(ours: float, theirs: float, expected: Verdict):
+    said = evidence(lambda cell, name: ours if of(cell, PROPOSED) else theirs)
+    assert judged("overshoot", said) == expected
+
+
+def test_hand_set_gains_count_for_both_sides():
+    """The proposed controller is not spared the gains that SMC is judged with."""
+
+    def change(cell: Cell, name: str) -> float:
+        return (120.0 if cell.label == by_hand(PROPOSED) else 0.0) if of(cell, PROPOSED) else 3.0
+
+    cases = list(rules.overshoot(evidence(change)))
+    assert verdict(cases) == ONLY_IF
+    for gains in ("tuned", "hand-set"):
+        own = matching(cases, {"gains": gains})
+        assert {tuple(c.where.values())[1:] for c in own} == {
+            tuple(c.where.values())[1:] for c in cases
+        }
+    assert condition(cases, writeup.words()["phrases"]).startswith("gains are tuned (")
+
+
+@pytest.mark.parametrize("name", ["rules", "premises", "uncertainty", "plants", "chattering"])
+def test_every_comparison_has_both_sides_in_the_same_place(name: str):
+    for own in (rules.CLAIMS | rules.QUESTIONS)[name](evidence()):
+        assert len({row.number.value for row in own.rows}) == 1
+    places = [tuple(c.where.items()) for c in (rules.CLAIMS | rules.QUESTIONS)[name](evidence())]
+    assert len(set(places)) == len(places)
+    if name != "plants":
+        gains = [dict(place)["gains"] for place in places]
+        assert gains.count("tuned") == gains.count("hand-set")
+        joints = [dict(place)["joints"] for place in places]
+        assert joints.count("bends") == joints.count("slides")
 
 
 @pytest.mark.parametrize(
-    ("smooth", "printed", "expected"),
-    [
-        ([0.04, 0.1], [0.3], HOLDS),
-        ([0.04, 0.1], [0.3, 3.0], ONLY_IF),
-        ([0.04, 0.6], [0.3], FAILS),
-        ([math.inf], [0.3], FAILS),  # the arm is lost
-    ],
+    ("name", "rival"),
+    [("rules", FIXED_RULES), ("premises", FIXED_PREMISES), ("plants", SMC)],
 )
-def test_chattering(smooth: list[float], printed: list[float], expected: Verdict):
-    assert tracking.chattering_verdict(smooth, printed) == expected
+def test_an_error_counts_against_its_rivals(name: str, rival: str):
+    assert judged(name, evidence()) == FAILS
+    assert judged(name, evidence(lambda c, _: 0.5 if of(c, PROPOSED) else 1.0)) == HOLDS
+    calm = evidence(lambda c, _: 0.5 if of(c, PROPOSED) and not c.noise else 1.0)
+    assert judged(name, calm) == ONLY_IF
+    lost = evidence(lambda c, _: math.inf)
+    assert judged(name, lost) == FAILS  # where both are lost neither is better
+
+
+def test_uncertainty_is_held_against_the_law_without_its_estimator_and_both_readings_of_smc():
+    cases = list(rules.uncertainty(evidence()))
+    assert {c.where["against"] for c in cases} == {
+        "the same law without its estimator", "SMC with sgn(s)", "SMC with a boundary layer",
+    }  # fmt: skip
+    assert {c.where["kind"] for c in cases} == {"a wrong model", "noise", *rules.BEYOND}
+    assert "delay 1.5 ms" in {c.where.get("size") for c in cases}
+
+
+def test_chattering():
+    assert judged("chattering", evidence(lambda c, _: 0.001)) == HOLDS
+    printed = evidence(lambda c, _: 0.03 if of(c, AS_PRINTED) else 0.001)
+    assert judged("chattering", printed) == ONLY_IF
+    assert judged("chattering", evidence(lambda c, _: math.inf)) == FAILS
 
 
 @pytest.mark.parametrize(
-    ("noisy", "quiet", "tuned", "expected"),
-    [
-        ([ratio(0.9)], [ratio(0.9)], [ratio(0.9)], HOLDS),
-        ([ratio(0.9)], [ratio(1.0)], [ratio(0.9)], ONLY_IF),
-        ([ratio(0.9)], [ratio(0.9)], [ratio(1.1)], ONLY_IF),
-        ([ratio(0.9), ratio(0.99)], [ratio(0.9)], [ratio(0.9)], FAILS),
-        ([ratio(0.9, high=1.05)], [ratio(0.9)], [ratio(0.9)], FAILS),  # may be chance
-        ([ratio(math.nan)], [], [], FAILS),
-        ([], [], [], FAILS),
-    ],
+    ("smc", "ours", "expected"),
+    [(2.0, 0.9, HOLDS), (2.0, 1.5, ONLY_IF), (0.05, 1.0, FAILS), (7.0, 6.0, FAILS)],
 )
-def test_premises(
-    noisy: list[Interval], quiet: list[Interval], tuned: list[Interval], expected: Verdict
-):
-    assert adaptation.premises_verdict(noisy, quiet, tuned) == expected
+def test_oscillations(smc: float, ours: float, expected: Verdict):
+    def series(moved: float) -> Series:
+        models, noise = np.repeat(MODELS, 2), np.tile([0.0, NOISE], 3)
+        return Series(
+            np.zeros(2), np.array([[-100.0] * 6, [100.0] * 6]), np.empty(0), np.empty(0), models,
+            noise, np.empty(0), np.full((6, 6), moved),
+        )  # fmt: skip
+
+    effort = SimpleNamespace(readings=(BENDS,))
+    own = {rules.name_of(SMC, BENDS): series(smc), rules.name_of(PROPOSED, BENDS): series(ours)}
+    assert judged("oscillations", evidence(series=own, effort=effort)) == expected
 
 
-def outcome(*, outside: int = 0, inside: int = 0, diverged: bool = False) -> Outcome:
+def outcome(*, label: str = "afsmc", outside: int = 0, inside: int = 0, lost: bool = False):
     return Outcome(
-        label="afsmc", rate=2000.0, mismatch=0.0, covered=True, outside=100,
-        grown_outside=outside, inside=5000, grown_inside=inside, start=1.0, bound=0.1,
-        diverged=diverged,
+        label=label, reference=BENDS, rate=2000.0, mismatch=0.0, covered=True, outside=100,
+        grown_outside=outside, late=0, inside=5000, grown_inside=inside, start=1.0, bound=0.1,
+        diverged=lost,
     )  # fmt: skip
 
 
@@ -101,31 +244,40 @@ def outcome(*, outside: int = 0, inside: int = 0, diverged: bool = False) -> Out
     [
         ([outcome(), outcome()], HOLDS),
         ([outcome(), outcome(inside=2000)], ONLY_IF),
-        ([outcome(outside=1), outcome()], FAILS),
-        ([outcome(diverged=True)], FAILS),
+        ([outcome(outside=1, inside=2000)], FAILS),
+        ([outcome(lost=True)], FAILS),
+        ([outcome()._replace(rate=500.0)], FAILS),  # none at the default rate
         ([], FAILS),
     ],
 )
 def test_stability(outcomes: list[Outcome], expected: Verdict):
-    assert adaptation.lyapunov_verdict(outcomes) == expected
+    assert judged("stability", evidence(outcomes=outcomes)) == expected
 
 
-@pytest.mark.parametrize(
-    ("ratios", "expected"),
-    [
-        ([ratio(0.9), ratio(0.1)], HOLDS),
-        ([ratio(0.9), ratio(0.97)], ONLY_IF),
-        ([ratio(0.9, high=1.01), ratio(0.5)], ONLY_IF),
-        ([ratio(1.2), ratio(math.nan)], FAILS),
-    ],
-)
-def test_uncertainty(ratios: list[Interval], expected: Verdict):
-    assert adaptation.uncertainty_verdict(ratios) == expected
+def test_the_load_of_one_arm_and_of_an_arm_of_a_batch_are_two_numbers():
+    cases = list(rules.load(evidence()))
+    assert [c.passes(1.0) for c in cases] == [False, True]  # 18 % and 0.2 % of the period
+    assert verdict(cases) == ONLY_IF
+    assert condition(cases, writeup.words()["phrases"]).startswith("it is an arm of 1024 (1 of 2")
 
 
-def test_computation():
-    assert adaptation.load_verdict(0.01) == HOLDS
-    assert adaptation.load_verdict(0.2) == FAILS
+def test_the_best_law_is_named_whatever_it_is():
+    rows = list(best(evidence(lambda c, _: 0.25 if c.label == SIGN else 0.5)))
+    assert len(rows) == 12
+    assert {row[3] for row in rows} == {SIGN}
+    assert all(row[5] == Interval(2.0, 2.0, 2.0) for row in rows)
+
+
+def test_plants_have_a_row_for_each_number_of_modules_period_and_noise():
+    def change(cell: Cell, _: str) -> float:
+        lost = cell.label != PROPOSED and cell.plant > 9
+        return math.inf if lost else 0.01 * cell.plant
+
+    table = plants(evidence(change))
+    assert [row[0] for row in table.rows] == [3, 9, 15, 30] * 4
+    by_modules = {row[0]: row for row in table.rows}
+    assert by_modules[30][3:5] == (2, PROPOSED)
+    assert by_modules[30][-1] == Interval(0.0, 0.0, 0.0) and by_modules[9][-1].value == 1.0
 
 
 def test_intervals_hold_the_median_and_have_no_width_where_nothing_is_random():
@@ -154,12 +306,13 @@ def test_a_table_as_csv():
 
 
 def test_the_claims_go_between_the_markers():
-    claim = {"letter": "a", "quote": "x | y", "verdict": "holds", "condition": "", "headline": "1"}
-    written = {"claims": [claim]}
+    claim = {"letter": "a", "quote": "x | y", "place": "p", "verdict": "holds", "condition": "",
+             "stays": "5 of 6", "headline": "1"}  # fmt: skip
+    written = {"claims": [claim], "questions": [], "best": [], "plants": []}
     before = f"# t\n\n{writeup.START}\nearlier\n{writeup.END}\n\nrest\n"
     after = writeup.with_claims(before, written)
     assert after.startswith("# t\n\n") and after.endswith("\n\nrest\n")
-    assert "earlier" not in after and "| (a) | “x / y” | **holds** | 1 |" in after
+    assert "earlier" not in after and "| (a) | “x / y” | **holds** | 5 of 6 | 1 |" in after
     assert writeup.with_claims(after, written) == after
     for broken in ("none", writeup.START, f"{writeup.END}{writeup.START}", before + before):
         with pytest.raises(ValueError, match="once each"):

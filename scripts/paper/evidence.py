@@ -18,7 +18,8 @@ from paper.studies import BENDS, MODELS, TIME, Effort, Sweep, sweeps
 from paper.variants import Variant
 
 # What an episode has where its sweep does not say it, in the order of the fields of `Cell`.
-NEUTRAL = {"noise": 0.0, "noise.time": TIME, "payload": 0.0, "actuation-delay": 0.0, "loss": 0.0}
+NEUTRAL = {"noise": 0.0, "noise.time": TIME, "payload": 0.0, "actuation-delay": 0.0, "loss": 0.0,
+           "plant_modules": 3}  # fmt: skip
 SCALE = {"s": 0.0175, "theta": 0.3}  # A, the mean amplitude of the motions [m], [rad]
 _METRICS = ("rms_error", "overshoot", "chattering")
 
@@ -36,6 +37,7 @@ class Cell(NamedTuple):
         payload: [kg].
         delay: of actuation [s].
         loss: of actuation [1].
+        plant: number of modules of the arm that is controlled.
     """
 
     label: str
@@ -47,6 +49,7 @@ class Cell(NamedTuple):
     payload: float = 0.0
     delay: float = 0.0
     loss: float = 0.0
+    plant: int = 3
 
     def models(self) -> list[Cell]:
         """The same with each nominal model of the paper's figures."""
@@ -126,10 +129,13 @@ class Evidence:
         return interval(self._over_models(label, noise) / self._over_models(other, noise))
 
     def ratio(self, cell: Cell, label: str, quantity: str = "error") -> Interval:
-        """Median of a quantity over that of another variant in the same place, seed by seed [1]."""
+        """Median of a quantity over that of another variant in the same place, seed by seed [1].
+
+        Where both arms are lost, neither is better: 1.
+        """
         with np.errstate(invalid="ignore", divide="ignore"):
             shares = self.values(cell, quantity) / self.values(cell._replace(label=label), quantity)
-        return interval(shares)
+        return interval(np.where(np.isnan(shares), 1.0, shares))
 
     def models(self, label: str) -> list[float]:
         """The model errors with which a variant was run on theta1 and theta2 without noise [1]."""

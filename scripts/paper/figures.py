@@ -22,10 +22,24 @@ from octarm.reports.figures import (
 )
 from octarm.reports.statistics import Interval
 from paper import variants
-from paper.claims import percent, worded, words
+from paper.claims import worded, words
 from paper.evidence import Cell, Evidence, coordinates
+from paper.numbers import percent
 from paper.runs import LONG, Series, name_of
-from paper.studies import BENDS, BEYOND, MODELS, MOVING, NOISE, RATES, SLIDES, WRONG, study_of_rate
+from paper.studies import (
+    BENDS,
+    BEYOND,
+    MODELS,
+    MOVING,
+    NOISE,
+    PLANT_RATES,
+    PLANTS,
+    RATES,
+    SLIDES,
+    WRONG,
+    study_of_plants,
+    study_of_rate,
+)
 from paper.variants import CONSEQUENT, CONTROLLERS, INTEGRAL, PROPOSED, SIGN, SMC, TWISTING, by_hand
 
 GRAY = "#5f6b77"
@@ -43,6 +57,7 @@ class Look(NamedTuple):
 
 
 _ABLATIONS = {
+    variants.FIXED_RULES: Look("#3a7ca5", ":", "x"),
     variants.FIXED_PREMISES: Look("#7a8f1f", "--", "x"),
     variants.AS_PRINTED: Look("#7d6bd0", ":", "x"),
     variants.UNGUARDED: Look("#b0413e", "-", "x"),
@@ -79,6 +94,9 @@ def pictures(evidence: Evidence) -> Iterator[Picture]:
                 joints=" and ".join(joints),
                 seeds=effort.seeds,
             )
+    if _planted(evidence):
+        seeds = len(evidence.values(max(_planted(evidence), key=lambda c: c.noise), "error"))
+        yield draw("plants", lambda: _plants(evidence), seeds=seeds)
     yield draw("overshoot", lambda: _overshoot(evidence))
     yield draw("ranking", lambda: _ranking(evidence))
     yield draw("ablations", lambda: _ablations(evidence))
@@ -183,6 +201,48 @@ def _overshoot(evidence: Evidence) -> Figure:
     return figure
 
 
+def _planted(evidence: Evidence) -> list[Cell]:
+    """The cells with arms of more modules than the controllers' model."""
+    return [cell for cell in evidence.rows if cell.study.startswith("plants")]
+
+
+def _plants(evidence: Evidence) -> Figure:
+    """Errors over the modules of the arm: a column a control period, a row a noise."""
+    own = _planted(evidence)
+    rates = [r for r in PLANT_RATES if any(c.study == study_of_plants(r) for c in own)]
+    labels = [n for n in (SIGN, SMC, PROPOSED) if any(c.label == n for c in own)]
+    figure, grid = _panels(2, len(rates), 4.4, 2.4, sharex=True, sharey="row")
+    places = np.arange(len(PLANTS))
+    for row, noise in enumerate((0.0, NOISE)):
+        for ax, rate in zip(grid[row], rates, strict=True):
+            for shift, label in enumerate(labels):
+                cell = Cell(label, study_of_plants(rate), noise=noise)
+                cells = [cell._replace(plant=modules) for modules in PLANTS]
+                errors = [
+                    evidence.error(c) if evidence.has(c) else Interval(*(np.nan,) * 3)
+                    for c in cells
+                ]
+                _band(ax, label, places, errors)
+                lost = [x for x, error in zip(places, errors, strict=True) if error.value == np.inf]
+                ax.plot(
+                    np.array(lost) + 0.12 * (shift - 1), [0.95] * len(lost), "x", markersize=7,
+                    color=look(label).color, transform=ax.get_xaxis_transform(),
+                    markeredgewidth=2.0,
+                )  # fmt: skip
+        grid[row, 0].set_ylabel(f"error [%]\n{'40 % noise' if noise else 'no noise'}")
+        _logarithmic(grid[row, 0], "y")
+        low, high = grid[row, 0].get_ylim()
+        grid[row, 0].set_ylim(low, 3.0 * high)  # room for the crosses
+    for column, rate in enumerate(rates):
+        grid[0, column].set_title(f"control period {1e3 / rate:g} ms")
+        grid[1, column].set(xlabel="modules of the arm", xticks=places, xlim=(-0.3, 3.3))
+        grid[1, column].set_xticklabels(
+            [f"{n}\n(the model)" if n == PLANTS[0] else str(n) for n in PLANTS]
+        )
+    _legend(figure, grid[0, 0])
+    return figure
+
+
 def _ranking(evidence: Evidence) -> Figure:
     order = evidence.ranked(CONTROLLERS, NOISE)
     figure, grid = _panels(1, len(MODELS), 3.1, 0.25 * len(order) + 0.6, sharey=True, sharex=True)
@@ -252,8 +312,10 @@ def _beyond(evidence: Evidence) -> Figure:
     for ax, (name, sort) in zip(grid[0], BEYOND.items(), strict=True):
         for label in CONTROLLERS:
             start = Cell(label, "beyond", mismatch=WRONG)
-            own = [evidence.error(start._replace(**{name: x})) for x in sort.values]
-            _band(ax, label, sort.factor * np.array(sort.values), own)
+            cells = [start._replace(**{name: x}) for x in sort.values]
+            if evidence.has(*cells):
+                own = [evidence.error(cell) for cell in cells]
+                _band(ax, label, sort.factor * np.array(sort.values), own)
         _logarithmic(ax, "y")
         quantity = "loss of force" if name == "loss" else name
         ax.set(xlabel=f"{quantity} [{sort.unit}]", title="error [% of the motion]")

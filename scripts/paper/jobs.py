@@ -19,7 +19,7 @@ from octarm.sweeps.workers import WorkerProcesses, cores
 from paper import runs
 from paper.runs import Request
 from paper.studies import MODELS, Effort, Sweep, sweeps
-from paper.variants import Variant
+from paper.variants import CONTROLLERS, Variant
 
 SPECS, SWEEPS, SERIES, RUNS = "specs", "sweeps", "series", "runs"  # folders
 Advance = Callable[[float], None]  # takes simulated seconds that are done
@@ -56,7 +56,11 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
     for folder in (SPECS, SWEEPS, SERIES, RUNS):
         (out / folder).mkdir(parents=True, exist_ok=True)
     requests = list(runs.requests(variants, effort))
-    figure_1 = [r for r in requests if r.seeds and r.quiet and effort.long]
+    figure_1 = [
+        r
+        for r in requests
+        if r.seeds and r.quiet and effort.long and r.variant.label in CONTROLLERS
+    ]
     jobs = [
         *(_sweep_job(sweep, out) for sweep in sweeps(variants, effort)),
         *(_run_job(request, out) for request in requests),

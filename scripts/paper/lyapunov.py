@@ -34,12 +34,14 @@ class Outcome(NamedTuple):
 
     Attributes:
         label: of the variant.
+        reference: name.
         rate: of control [Hz].
         mismatch: of the nominal model [1].
         covered: whether the switching gain covers the model error, K_j >= |F_j|, at all times; of
             the adaptive law whether E_max covers eps.
         outside: periods that begin outside the boundary layer: |s_j| > phi_j for a j.
         grown_outside: of them, those over which V grew.
+        late: those outside that begin in the steady regime, where start-up is over.
         inside: periods that begin within it.
         grown_inside: of them, those over which V grew.
         start: V at the start [J].
@@ -48,11 +50,13 @@ class Outcome(NamedTuple):
     """
 
     label: str
+    reference: str
     rate: float
     mismatch: float
     covered: bool
     outside: int
     grown_outside: int
+    late: int
     inside: int
     grown_inside: int
     start: float
@@ -66,7 +70,12 @@ def outcomes(request: Request, arrays: Mapping[str, np.ndarray]) -> list[Outcome
     arms = [
         dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)
     ]
-    return [Outcome(label=request.variant.label, rate=request.rate, **arm) for arm in arms]
+    known = {
+        "label": request.variant.label,
+        "reference": request.reference,
+        "rate": request.rate,
+    }
+    return [Outcome(**known, **arm) for arm in arms]
 
 
 def counts(request: Request, rows: Rows) -> dict[str, np.ndarray]:
@@ -87,6 +96,7 @@ def counts(request: Request, rows: Rows) -> dict[str, np.ndarray]:
         "covered": covered,
         "outside": np.sum(outside, axis=0),
         "grown_outside": np.sum(outside & grown, axis=0),
+        "late": np.sum(outside[steady:], axis=0),
         "inside": np.sum(~outside, axis=0),
         "grown_inside": np.sum(~outside & grown, axis=0),
         "start": V[0],

@@ -11,7 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from benchmarks.controller_step import controller_call
@@ -24,11 +24,12 @@ from octarm.interfaces import Instant, Rows
 from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
 from paper import lyapunov
-from paper.studies import BENDS, MODELS, NOISE, RATE, SEED, TIME, WRONG, Effort
+from paper.studies import BENDS, MODELS, NOISE, RATE, SEED, SETTLED, TIME, WRONG, Effort
 from paper.variants import CONTROLLERS, PROPOSED, UNGUARDED, Variant
 
 EVERY = 0.01  # between two instants that figures show [s]
 LONG = {PROPOSED: "long-guarded", UNGUARDED: "long-unguarded"}
+FEWER = 16  # seeds of hand-set gains, which the figures over time do not show
 ARMS = 1024  # side by side, when a step of a controller is timed
 Arrays = dict[str, np.ndarray]
 
@@ -88,28 +89,31 @@ def requests(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Reques
     """Those of figures 1 and 2 in both readings, the long ones, those of the Lyapunov functions."""
     fields = ("q", "q_d", "lost", "E")
     for label in effort.labels:
+        seeds = effort.seeds if label in CONTROLLERS else min(effort.seeds, FEWER)
         for reference in effort.readings:
             yield Request(
                 name_of(label, reference), variants[label], reference, effort.duration, fields,
-                EVERY, kept, seeds=effort.seeds,
+                EVERY, kept, seeds=seeds,
             )  # fmt: skip
     for label, name in LONG.items() if effort.long else ():
         yield Request(
             name, variants[label], BENDS, effort.long, fields, EVERY, kept, (WRONG,), effort.seeds,
             quiet=False,
         )  # fmt: skip
+    places = [(BENDS, rate) for rate in effort.rates]
+    places += [(reference, RATE) for reference in effort.readings if reference != BENDS]
     for label in effort.lyapunov:
-        for rate in effort.rates:
-            name = f"lyapunov-{label.replace(', ', '-')}-{rate:g}-Hz"
+        for reference, rate in places:
+            name = f"lyapunov-{name_of(label, reference)}-{rate:g}-Hz"
             yield Request(
-                name, variants[label], BENDS, effort.duration, lyapunov.FIELDS, 0.0,
+                name, variants[label], reference, effort.duration, lyapunov.FIELDS, 0.0,
                 lyapunov.counts, rate=rate,
             )  # fmt: skip
 
 
 def name_of(label: str, reference: str) -> str:
     """The name of the runs of figures 1 and 2."""
-    return f"{reference}-{label}"
+    return f"{reference}-{label.replace(', ', '-')}"
 
 
 def perform(request: Request) -> Arrays:
@@ -129,6 +133,7 @@ def perform(request: Request) -> Arrays:
         engine="mujoco",
     )
     blocks: list[Arrays] = []
+    moved = Moved(request, period)
 
     def hand_on(rows: Rows) -> None:
         blocks.append({name: column.copy() for name, column in rows.items()})
@@ -137,6 +142,7 @@ def perform(request: Request) -> Arrays:
     recorder = Recorder(hand_on, fields=request.fields, stride=stride)
 
     def observe(instant: Instant) -> None:
+        moved.add(instant)
         lost = ~environment.physics.intact()
         more = {"lost": lost, "wanted_a": np.atleast_2d(instant.reference.a)}
         command = instant.command._replace(signals={**instant.command.signals, **more})
@@ -148,7 +154,36 @@ def perform(request: Request) -> Arrays:
     rows = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
     diverged_at = environment.physics.diverged_at()
     with np.errstate(all="ignore"):  # a diverged arm may hold anything
-        return {**request.keep(request, rows), "diverged_at": diverged_at}
+        kept_arrays = request.keep(request, rows)
+        return {**kept_arrays, "diverged_at": diverged_at, "moved": moved.rms()}
+
+
+class Moved:
+    """How far noise moves arms from the one without noise and with the same model.
+
+    Every control instant of the steady regime counts. The noise is held for 10 ms: instants that
+    are 10 ms apart would all see it at the same age.
+    """
+
+    def __init__(self, request: Request, period: float) -> None:
+        """For the arms of a request, with the control period [s]."""
+        self._arms = 1 + request.seeds if request.quiet else 0
+        self._wait, self._count = round(SETTLED / period), 0
+        self._squares: Any = 0.0
+
+    def add(self, instant: Instant) -> None:
+        """Takes one control instant."""
+        self._wait -= 1
+        if self._wait < 0 and self._arms > 1:
+            q = instant.q.reshape(-1, self._arms, instant.q.shape[-1])
+            with np.errstate(all="ignore"):  # a diverged arm may hold anything
+                self._squares = self._squares + np.square(q - q[:, :1])
+            self._count += 1
+
+    def rms(self) -> np.ndarray:
+        """Root of the mean square of each arm and coordinate, shape (n, 2N) [m], [rad]."""
+        squares = np.asarray(self._squares) / max(self._count, 1)
+        return np.sqrt(squares).reshape(-1, squares.shape[-1]) if squares.ndim else np.empty(0)
 
 
 class Series(NamedTuple):
@@ -162,6 +197,7 @@ class Series(NamedTuple):
         mismatch: shape (n,) [1].
         noise: shape (n,) [1].
         diverged_at: shape (n,) [s]; NaN for arms that stayed within their limits.
+        moved: how far noise moves an arm, rms of all instants that count, shape (n, 2N).
     """
 
     t: np.ndarray
@@ -171,6 +207,7 @@ class Series(NamedTuple):
     mismatch: np.ndarray
     noise: np.ndarray
     diverged_at: np.ndarray
+    moved: np.ndarray
 
     def of(self, mismatch: float, noise: float) -> np.ndarray:
         """The coordinates of some of the arms, shape (T, k, 2N)."""

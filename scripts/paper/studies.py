@@ -1,7 +1,7 @@
-"""The studies: the sweep specs in `studies/full` and `studies/quick`, and what else is run.
+"""The studies: the sweeps of `studies.toml`, and what else is run.
 
-Each spec is one that `octarm sweep` runs as it stands. Here its gains are written out, and its
-cells without noise get one seed: nothing in them is random.
+Each becomes specs that `octarm sweep` runs as they stand: with the controllers that its labels
+name, and all their gains. Cells without noise get one seed: nothing in them is random.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from typing import Any, NamedTuple
 
 import tomlkit
 
+from octarm.simulation.engines import LAGRANGE, usual_engine
 from paper.variants import Variant
 
-STUDIES = Path(__file__).parent / "studies"
+STUDIES = Path(__file__).with_name("studies.toml")
 BENDS, SLIDES = "sine", "sine-slides"  # the two readings of "first two links"
 MOVING = {BENDS: ("theta1", "theta2"), SLIDES: ("s1", "s2")}  # what each of them moves
 MODELS = (-0.3, 0.0, 0.3)  # model errors of the paper's figures [1]
@@ -36,32 +37,32 @@ class Beyond(NamedTuple):
 
     Attributes:
         values: that are tried, in the unit of `paper.evidence.Cell`.
-        value: the one of them that claim (f) takes.
         unit: in which it is written.
         factor: from SI units to that one.
     """
 
     values: tuple[float, ...]
-    value: float
     unit: str
     factor: float
 
 
 # By the field of `paper.evidence.Cell`.
 BEYOND = {
-    "payload": Beyond((0.0, 0.05, 0.1, 0.2), 0.1, "kg", 1.0),
-    "delay": Beyond((0.0, 0.0005, 0.001, 0.002), 0.001, "ms", 1e3),
-    "loss": Beyond((0.0, 0.1, 0.3, 0.5), 0.3, "%", 100.0),  # of the force of every column
+    "payload": Beyond((0.0, 0.05, 0.1, 0.2), "kg", 1.0),
+    "delay": Beyond((0.0, 0.0005, 0.001, 0.0015, 0.002), "ms", 1e3),
+    "loss": Beyond((0.0, 0.1, 0.3, 0.5), "%", 100.0),  # of the force of every column
 }
+PLANTS = (3, 9, 15, 30)  # modules of the plants; the controllers' model has 3
+PLANT_RATES = (RATE, 10_000.0)  # of control, for them [Hz]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Effort:
-    """How much is run, as `studies/index.toml` says it.
+    """How much is run, as `studies.toml` says it.
 
     Attributes:
-        name: `full` or `quick`, the folder of the specs.
-        specs: study and label of each spec, in the order in which cells are listed.
+        name: `full` or `quick`.
+        sweeps: in the order in which cells are listed.
         seeds: in each cell with noise.
         duration: of the runs of figures 1 and 2 [s].
         labels: of the variants of figures 1 and 2.
@@ -72,7 +73,7 @@ class Effort:
     """
 
     name: str
-    specs: Mapping[str, tuple[str, str]]
+    sweeps: Sequence[Mapping[str, Any]]
     seeds: int
     duration: float
     labels: Sequence[str]
@@ -83,7 +84,7 @@ class Effort:
 
 
 FULL, QUICK = (
-    Effort(name=name, **tomllib.loads((STUDIES / "index.toml").read_text("utf-8"))[name])
+    Effort(name=name, **tomllib.loads(STUDIES.read_text("utf-8"))[name])
     for name in ("full", "quick")
 )
 
@@ -114,14 +115,30 @@ class Sweep(NamedTuple):
 
 
 def sweeps(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Sweep]:
-    """All sweeps."""
-    for name, (study, label) in effort.specs.items():
-        content = tomllib.loads((STUDIES / effort.name / f"{name}.toml").read_text("utf-8"))
-        content.pop("gain_set", None)
-        labels = {one: label.format(one) for one in content["grid"]["controller"]}
-        content["gains"] = {one: dict(variants[labels[one]].gains) for one in labels}
-        for ending, part in _quiet_apart(content) if effort is not QUICK else [("", content)]:
-            yield Sweep(name + ending, study, {"seed": SEED, **part}, labels)
+    """All sweeps; those of finer plants only where the engine `lagrange` is installed."""
+    for entry in effort.sweeps:
+        content = {"engine": usual_engine(), "duration": effort.duration, **entry}
+        name, study, labels = (content.pop(key) for key in ("name", "study", "labels"))
+        if "plant_modules" in content["grid"] and usual_engine() != LAGRANGE:
+            continue
+        for i, own in enumerate(_apart(variants, labels)):
+            grid = {"controller": list(own), **content["grid"]}
+            gains = {one: dict(variants[label].gains) for one, label in own.items()}
+            spec = {"seed": SEED, **content, "grid": grid, "gains": gains}
+            for ending, part in _quiet_apart(spec) if effort is not QUICK else [("", spec)]:
+                yield Sweep(f"{name}{f'-{i}' if i else ''}{ending}", study, part, own)
+
+
+def _apart(variants: Mapping[str, Variant], labels: Sequence[str]) -> list[dict[str, str]]:
+    """Labels by controller, in as many parts as a controller occurs."""
+    parts: list[dict[str, str]] = []
+    for label in labels:
+        name = variants[label].controller
+        part = next((part for part in parts if name not in part), None)
+        if part is None:
+            parts.append(part := {})
+        part[name] = label
+    return parts
 
 
 def study_of_rate(rate: float) -> str:
@@ -129,16 +146,22 @@ def study_of_rate(rate: float) -> str:
     return "tracking" if rate == RATE else f"rate-{rate:g}"
 
 
+def study_of_plants(rate: float) -> str:
+    """The study of plants of more modules at a control rate [Hz]."""
+    return f"plants-{rate:g}"
+
+
 def _quiet_apart(content: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """A spec in two: without noise and one seed, and with noise for the models of the figures."""
     noises = content["grid"].get("disturbance", {}).get("noise", [])
-    if 0.0 not in noises:
+    if 0.0 not in noises or "plant_modules" in content["grid"]:  # which cost the same a step
         yield "", content
         return
     quiet = copy.deepcopy(content)
     quiet["episodes"], quiet["grid"]["disturbance"]["noise"] = 1, [0.0]
     yield "-quiet", quiet
     if len(noises) > 1:
+        content = copy.deepcopy(content)
         content["grid"]["mismatch"] = [m for m in content["grid"]["mismatch"] if m in MODELS]
         content["grid"]["disturbance"]["noise"] = [noise for noise in noises if noise]
         yield "", content

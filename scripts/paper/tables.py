@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octarm.reports.statistics import Interval
-from paper.claims import Claim, percent, worded, words
+from paper.claims import Claim, worded, words
 from paper.evidence import Cell, Evidence, interval
+from paper.numbers import percent
 from paper.runs import EVERY, LONG
 from paper.studies import (
     BENDS,
@@ -23,14 +24,26 @@ from paper.studies import (
     MODELS,
     MOVING,
     NOISE,
+    PLANT_RATES,
+    PLANTS,
     RATE,
     RATES,
     SLIDES,
     TIME,
     WRONG,
+    study_of_plants,
     study_of_rate,
 )
-from paper.variants import ABLATIONS, CONSEQUENT, CONTROLLERS, INTEGRAL, PROPOSED, SMC, by_hand
+from paper.variants import (
+    ABLATIONS,
+    CONSEQUENT,
+    CONTROLLERS,
+    INTEGRAL,
+    PROPOSED,
+    SIGN,
+    SMC,
+    by_hand,
+)
 
 Entry = str | int | float | Interval
 Rows = Iterable[Sequence[Entry]]
@@ -62,6 +75,8 @@ def all_tables(evidence: Evidence, claims: Sequence[Claim], gains: Path) -> dict
     """
     tables = [
         _table("ranking", ranking(evidence)),
+        _table("best", best(evidence)),
+        plants(evidence),
         _table("joints", joints(evidence)),
         _table("ablations", ablations(evidence)),
         _table("gain-sets", gain_sets(evidence)),
@@ -109,6 +124,48 @@ def ranking(evidence: Evidence) -> Rows:
             evidence.chattering(Cell(name, mismatch=WRONG, noise=noise)) for noise in (NOISE, 0.0)
         ]
         yield name, *errors, *restless, evidence.over(name, SMC, NOISE)
+
+
+def best(evidence: Evidence) -> Rows:
+    """The law with the least error in each place of the main study, whatever it is."""
+    for reference in (BENDS, SLIDES):
+        for noise in (NOISE, 0.0):
+            for start in Cell(PROPOSED, reference=reference, noise=noise).models():
+                cells = evidence.known([start._replace(label=name) for name in CONTROLLERS])
+                if start in cells:
+                    first = _least(evidence, cells)
+                    yield (
+                        ", ".join(MOVING[reference]), _noise(noise), percent(start.mismatch),
+                        first.label, evidence.error(first), evidence.ratio(start, first.label),
+                        evidence.ratio(start, first.label, "chattering"),
+                    )  # fmt: skip
+
+
+def plants(evidence: Evidence) -> Table:
+    """Arms of more modules than their controllers' model."""
+    own = {cell.label for cell in evidence.rows if cell.study.startswith("plants")}
+    labels = [name for name in (SIGN, SMC, PROPOSED) if name in own]
+    rivals = [name for name in labels if name != PROPOSED]
+    rows: list[Sequence[Entry]] = []
+    for rate in PLANT_RATES:
+        for noise in (0.0, NOISE):
+            for modules in PLANTS:
+                cell = Cell(PROPOSED, study_of_plants(rate), noise=noise, plant=modules)
+                cells = [cell._replace(label=name) for name in labels]
+                if labels and evidence.has(*cells):
+                    ratios = [evidence.ratio(cell, rival) for rival in rivals]
+                    first = _least(evidence, cells)
+                    name = first.label if np.isfinite(evidence.error(first).value) else "none"
+                    errors = map(evidence.error, cells)
+                    seeds = len(evidence.values(cell, "error"))
+                    where = modules, f"{1e3 / rate:g} ms", _noise(noise), seeds
+                    rows.append((*where, name, *errors, *ratios))
+    heads = [*(f"{name} [%]" for name in labels), *(f"afsmc over {name}" for name in rivals)]
+    return _table("plants", rows, heads)
+
+
+def _least(evidence: Evidence, cells: Sequence[Cell]) -> Cell:
+    return min(cells, key=lambda cell: evidence.error(cell).value)
 
 
 def joints(evidence: Evidence) -> Rows:

@@ -23,11 +23,12 @@ CONTROLLERS = (
 )  # fmt: skip
 SIGN, SMC, PROPOSED = "smc", "smc-boundary", "afsmc"  # the paper's two, SMC in both its forms
 INTEGRAL, CONSEQUENT, TWISTING = "smc-integral", "afsmc-consequent", "super-twisting"
+FIXED_RULES = "afsmc, eta2 = 0"  # which leaves theta, hence the estimate, at 0
 FIXED_PREMISES = "afsmc, eta3 = eta4 = 0"
 AS_PRINTED = "afsmc, sgn as printed"
 UNGUARDED = "afsmc, no safeguards"
 MATCHED = "smc-boundary, matched slope"
-ABLATIONS = (FIXED_PREMISES, AS_PRINTED, UNGUARDED, MATCHED)
+ABLATIONS = (FIXED_RULES, FIXED_PREMISES, AS_PRINTED, UNGUARDED, MATCHED)
 HAND_SET = "{}, hand-set"  # the label of a controller with hand-set gains
 
 
@@ -55,13 +56,21 @@ class Variant:
         return make_controller(self.controller, nominal, self.gains)
 
 
+TUNED, BY_HAND = "tuned", "hand-set"  # the two gain sets of every controller
+
+
+def with_gains(name: str, gains: str) -> str:
+    """The label of a controller, or of an ablation, with one of the two gain sets."""
+    return name if gains == TUNED else by_hand(name)
+
+
 def by_hand(name: str) -> str:
     """The label of a controller with hand-set gains."""
     return HAND_SET.format(name)
 
 
 def all_variants(folder: Path | None = None) -> dict[str, Variant]:
-    """All variants by label: tuned ones, hand-set ones, ablations of the tuned `afsmc`.
+    """All variants by label: tuned ones, hand-set ones, ablations of `afsmc` with both gain sets.
 
     Args:
         folder: of gain sets NAME.toml to take instead of those shipped; a controller without one
@@ -82,16 +91,20 @@ def all_variants(folder: Path | None = None) -> dict[str, Variant]:
         file = folder / f"{name}.toml"
         return str(file) if file.is_file() else "recommended"
 
-    tuned = [variant(name, name, tuned_set(name)) for name in CONTROLLERS]
-    hand_set = [variant(by_hand(name), name, "recommended") for name in CONTROLLERS]
-    proposed, smc = (tuned[CONTROLLERS.index(name)] for name in (PROPOSED, SMC))
-    ablations = [
-        proposed.changed(FIXED_PREMISES, eta3=0.0, eta4=0.0),
-        proposed.changed(AS_PRINTED, phi=0.0),
-        proposed.changed(UNGUARDED, safeguards=0.0),
-        smc.changed(MATCHED, **matched_slope(proposed.gains)),
-    ]
-    return {one.label: one for one in (*tuned, *hand_set, *ablations)}
+    variants = [variant(name, name, tuned_set(name)) for name in CONTROLLERS]
+    variants += [variant(by_hand(name), name, "recommended") for name in CONTROLLERS]
+    known = {one.label: one for one in variants}
+    for gains in (TUNED, BY_HAND):
+        proposed, smc = (known[with_gains(name, gains)] for name in (PROPOSED, SMC))
+        ablations = [
+            proposed.changed(with_gains(FIXED_RULES, gains), eta2=0.0),
+            proposed.changed(with_gains(FIXED_PREMISES, gains), eta3=0.0, eta4=0.0),
+            proposed.changed(with_gains(AS_PRINTED, gains), phi=0.0),
+            proposed.changed(with_gains(UNGUARDED, gains), safeguards=0.0),
+            smc.changed(with_gains(MATCHED, gains), **matched_slope(proposed.gains)),
+        ]
+        known |= {one.label: one for one in ablations}
+    return known
 
 
 def matched_slope(gains: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,28 +12,24 @@ from octarm.errors import OctarmError
 from octarm.files import write_files
 from octarm.reports import page as report_page
 from octarm.reports.statistics import Interval
-from paper import adaptation, figures, tables, tracking
-from paper.claims import PAGES, TEXTS, Claim, claim, median, rounded, spread, worded, words
+from paper import figures, tables
+from paper.claims import PAGES, TEXTS, Claim, claim, worded, words
 from paper.evidence import Evidence
+from paper.numbers import in_words, median, rounded, spread
+from paper.rules import CLAIMS as RULES
+from paper.rules import QUESTIONS
 from paper.tables import Table, all_tables, as_csv, timings
 
 PAGE, CLAIMS, TABLES, FIGURES = "report.html", "claims.json", "tables", "figures"
 START, END = "<!-- claims -->", "<!-- /claims -->"
-_CLAIMS = {
-    "overshoot": tracking.overshoot,
-    "oscillations": tracking.oscillations,
-    "chattering": tracking.chattering,
-    "premises": adaptation.premises,
-    "stability": adaptation.stability,
-    "uncertainty": adaptation.uncertainty,
-    "load": adaptation.load,
-}
 _PACKAGES = ("octarm", "numpy", "mujoco", "dm-control")
 
 
 def all_claims(evidence: Evidence) -> list[Claim]:
-    """(a) to (g)."""
-    return [claim(name, examine(evidence)) for name, examine in _CLAIMS.items()]
+    """(a) to (g), and then our own questions of which something was run."""
+    claims = [claim(name, list(cases(evidence))) for name, cases in RULES.items()]
+    questions = ((name, list(cases(evidence))) for name, cases in QUESTIONS.items())
+    return claims + [claim(name, cases) for name, cases in questions if cases]
 
 
 def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = None) -> list[Claim]:
@@ -78,6 +74,7 @@ def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = No
                 evidence, claims, written, "paper.png"
             ).encode(),
             root / ".readme" / "paper.png": drawn[0].png,
+            **{root / ".readme" / f"{x.name}.png": x.png for x in drawn if x.name == "plants"},
             readme: with_claims(readme.read_text(encoding="utf-8"), numbers).encode(),
         }
     write_files(files)
@@ -96,7 +93,10 @@ def content(
         "effort": evidence.effort.name,
         "seeds": evidence.effort.seeds,
         "command": words()["command"],
-        "claims": [one.to_dict(timings=timings) for one in claims],
+        "claims": [one.to_dict(timings=timings) for one in claims if one.place],
+        "questions": [one.to_dict(timings=timings) for one in claims if not one.place],
+        "best": _strings(written["best"]),
+        "plants": _strings(written["plants"]) if "plants" in written else [],
         "ranking": [
             {"controller": row[0], "error_with_noise": _triple(row[1]), "error": _triple(row[5])}
             for row in written["ranking"].rows
@@ -119,7 +119,7 @@ def with_claims(readme: str, numbers: Mapping[str, Any]) -> str:
     _, end, after = rest.partition(END)
     if not start or not end or START in rest or END in before + after:
         raise OctarmError(f"the README must have {START} and after it {END}, once each")
-    text = _rendered("readme.md", claims=numbers["claims"]).strip()
+    text = _rendered("readme.md", **numbers).strip()
     return f"{before}{START}\n\n{text}\n\n{END}{after}"
 
 
@@ -179,10 +179,15 @@ def _layout(table: Table) -> report_page.Table:
 
 def _rendered(template: str, **values: Any) -> str:
     texts = words()
-    common = {key: texts[key] for key in ("title", "command", "picture")}
+    common = {key: texts[key] for key in ("title", "command", "picture", "plants_picture")}
     common |= {"lead": worded(texts["lead"]), "setup": [worded(text) for text in texts["setup"]]}
     templates = PAGES if template.endswith(".html") else TEXTS
-    return templates.get_template(template).render(**common, **values).strip("\n") + "\n"
+    return templates.get_template(template).render(**(common | values)).strip("\n") + "\n"
+
+
+def _strings(table: Table) -> list[list[str]]:
+    """Heads and rows, as the README has them."""
+    return [list(table.columns), *([in_words(x) for x in row] for row in table.rows)]
 
 
 def _triple(entry: tables.Entry) -> list[float | str]:

@@ -1,0 +1,129 @@
+"""The one rule of all verdicts: a claim is a condition on numbers that is looked at case by case.
+
+A case is a place in which the condition was measured: a gain set, the joints that move, a nominal
+model, and so on. The claim holds if it does in all cases, does not hold if it does in none, and
+else holds only if the cases are narrowed down.
+"""
+
+from __future__ import annotations
+
+import enum
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+from paper.numbers import Row
+
+
+class Verdict(enum.StrEnum):
+    """What came of a claim."""
+
+    HOLDS = "holds"
+    ONLY_IF = "holds only if"
+    FAILS = "does not hold"
+
+
+# What a verdict is tried with.
+FACTORS = (0.5, 1.0, 2.0)  # by which the threshold of a rule is multiplied
+SENSITIVE = ("gains", "joints", "SMC", "against")  # axes along which a verdict is looked at apart
+
+
+class Case(NamedTuple):
+    """A place in which a claim was measured.
+
+    Attributes:
+        where: value of each axis, such as gains, joints and model.
+        rows: the numbers.
+        passes: whether the claim holds there, given the factor of the threshold.
+    """
+
+    where: Mapping[str, str]
+    rows: Sequence[Row]
+    passes: Callable[[float], bool]
+
+
+def verdict(cases: Sequence[Case], factor: float = 1.0) -> Verdict:
+    """The rule; a claim without a case does not hold."""
+    passed = [case.passes(factor) for case in cases]
+    if not any(passed):
+        return Verdict.FAILS
+    return Verdict.HOLDS if all(passed) else Verdict.ONLY_IF
+
+
+def sensitivity(cases: Sequence[Case]) -> tuple[int, int]:
+    """In how many variations the verdict is the same, and how many variations there are.
+
+    A variation is a threshold, halved, as it is or doubled, with the cases of one gain set, one
+    reading of the joints and one of the controller it is compared with.
+    """
+    parts = list(_parts(cases))
+    outcomes = [verdict(part, factor) for part in parts for factor in FACTORS]
+    return outcomes.count(verdict(cases)), len(outcomes)
+
+
+def condition(cases: Sequence[Case], phrases: Mapping[str, str]) -> str:
+    """Where a claim holds in every case, in words, and in how many of all cases it does.
+
+    Args:
+        cases: all of them.
+        phrases: a text for each axis, with {} for its value.
+    """
+    count = sum(case.passes(1.0) for case in cases)
+    names = [phrases[axis].format(value) for axis, value in _sufficient(cases)]
+    if not names:
+        names = [
+            f"{phrases[a].format(x)} and {phrases[b].format(y)}"
+            for (a, x), (b, y) in _sufficient_pairs(cases)
+        ]
+    words = " or ".join(names[:2]) if names else "the cases are picked"
+    return f"{words} ({count} of {len(cases)} cases)"
+
+
+def numbers_of(cases: Sequence[Case]) -> list[Row]:
+    """The rows of all cases, each with its place in its name."""
+    return [
+        row._replace(name=f"{row.name} ({', '.join(case.where.values())})")
+        for case in cases
+        for row in case.rows
+    ]
+
+
+def matching(cases: Sequence[Case], where: Mapping[str, str]) -> list[Case]:
+    """The cases at these values of axes."""
+    return [case for case in cases if all(_at(case, pair) for pair in where.items())]
+
+
+def _values(cases: Sequence[Case]) -> list[tuple[str, str]]:
+    """All axes with all their values, those that divide the cases."""
+    pairs = dict.fromkeys(pair for case in cases for pair in case.where.items())
+    return [pair for pair in pairs if not all(_at(case, pair) for case in cases)]
+
+
+def _at(case: Case, pair: tuple[str, str]) -> bool:
+    return case.where.get(pair[0]) == pair[1]
+
+
+def _sufficient(cases: Sequence[Case]) -> list[tuple[str, str]]:
+    """The values for which the claim holds in all cases."""
+    return [
+        pair
+        for pair in _values(cases)
+        if verdict([case for case in cases if _at(case, pair)]) == Verdict.HOLDS
+    ]
+
+
+def _sufficient_pairs(
+    cases: Sequence[Case],
+) -> Iterator[tuple[tuple[str, str], tuple[str, str]]]:
+    """Likewise for two axes at a time."""
+    for one, other in itertools.combinations(_values(cases), 2):
+        both = [case for case in cases if _at(case, one) and _at(case, other)]
+        if one[0] != other[0] and verdict(both) == Verdict.HOLDS:
+            yield one, other
+
+
+def _parts(cases: Sequence[Case]) -> Iterator[list[Case]]:
+    """The cases of each combination of values of the axes that are looked at apart."""
+    keys = [tuple(case.where.get(axis) for axis in SENSITIVE) for case in cases]
+    for key in dict.fromkeys(keys):
+        yield [case for case, own in zip(cases, keys, strict=True) if own == key]

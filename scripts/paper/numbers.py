@@ -1,0 +1,95 @@
+"""Numbers with their intervals, and how they are written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from octarm.reports.statistics import Interval
+
+
+class Row(NamedTuple):
+    """A number that a verdict rests on.
+
+    Attributes:
+        name: what was measured.
+        number: median over seeds with its 95 % interval; the number itself, three times, where
+            nothing is random.
+        unit: of the three; empty for ratios.
+        varies: whether it differs from run to run, as timings do.
+    """
+
+    name: str
+    number: Interval
+    unit: str = ""
+    varies: bool = False
+
+    def __str__(self) -> str:
+        return f"{in_words(self.number)} {self.unit}".rstrip()
+
+
+def exact(name: str, value: float, unit: str = "", varies: bool = False) -> Row:
+    """A row of a number that is not random."""
+    return Row(name, Interval(value, value, value), unit, varies)
+
+
+def rounded(value: float) -> float | str:
+    """To six digits, more than any of them is good for."""
+    return float(f"{value:.6g}") if math.isfinite(value) else str(value)
+
+
+def number(value: float) -> str:
+    """Three digits."""
+    if not math.isfinite(value):
+        return {math.inf: "∞", -math.inf: "-∞"}.get(value, "-")
+    if value == 0.0:
+        return "0"
+    size = abs(value)
+    if float(value).is_integer() and size < 1e5:
+        return f"{value:.0f}"
+    if size >= 1e5 or size < 1e-3:
+        return f"{value:.2e}"
+    return f"{value:.0f}" if size >= 99.95 else f"{value:#.3g}".rstrip(".")
+
+
+def in_words(entry: str | int | float | Interval) -> str:
+    """An entry of a table; an interval in brackets behind its median."""
+    if isinstance(entry, Interval):
+        return median(entry) + (f" ({spread(entry)})" if spread(entry) else "")
+    return number(entry) if isinstance(entry, float) else str(entry)
+
+
+def median(entry: str | int | float | Interval) -> str:
+    """An entry of a table without its interval."""
+    return number(float(entry.value)) if isinstance(entry, Interval) else in_words(entry)
+
+
+def spread(entry: str | int | float | Interval) -> str:
+    """An interval's ends; empty where it has no width, or there is none."""
+    if not isinstance(entry, Interval):
+        return ""
+    low, high = float(entry.low), float(entry.high)
+    return "" if low == high or math.isnan(low) else f"{number(low)} .. {number(high)}"
+
+
+def percent(share: float) -> str:
+    """A model error, or another share, in words: -30 %."""
+    return "exact" if share == 0.0 else f"{100.0 * share:+.0f} %"
+
+
+def span(values: Sequence[float | Interval | Row], unit: str = "") -> str:
+    """The smallest to the largest of some numbers or medians, those that are finite, in words."""
+    numbers = [x.number.value if isinstance(x, Row) else x for x in values]
+    plain = [float(x.value if isinstance(x, Interval) else x) for x in numbers]
+    finite = [x for x in plain if math.isfinite(x)]
+    if not finite:
+        return "unknown"
+    low, high = number(min(finite)), number(max(finite))
+    return f"{low if low == high else f'{low} to {high}'} {unit}".rstrip()
+
+
+def listed(names: Sequence[str]) -> str:
+    """a, b and c."""
+    *first, last = names or ("none",)
+    return f"{', '.join(first)} and {last}" if first else last
