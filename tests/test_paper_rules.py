@@ -35,6 +35,8 @@ from octarm.reports.statistics import Interval
 
 HOLDS, ONLY_IF, FAILS = Verdict.HOLDS, Verdict.ONLY_IF, Verdict.FAILS
 
+RULES = {**rules.CLAIMS, **rules.QUESTIONS}
+
 
 def case(value: float, limit: float = 1.0, **where: str) -> Case:
     """A case that passes while a value is below a limit times the factor."""
@@ -139,7 +141,7 @@ def evidence(change: Any = None, **more: Any) -> Evidence:
 
 
 def judged(name: str, own: Evidence) -> Verdict:
-    return verdict(list((rules.CLAIMS | rules.QUESTIONS)[name](own)))
+    return verdict(list(RULES[name](own)))
 
 
 def of(cell: Cell, *names: str) -> bool:
@@ -174,9 +176,9 @@ def test_hand_set_gains_count_for_both_sides():
 
 @pytest.mark.parametrize("name", ["rules", "premises", "uncertainty", "plants", "chattering"])
 def test_every_comparison_has_both_sides_in_the_same_place(name: str):
-    for own in (rules.CLAIMS | rules.QUESTIONS)[name](evidence()):
+    for own in RULES[name](evidence()):
         assert len({row.number.value for row in own.rows}) == 1
-    places = [tuple(c.where.items()) for c in (rules.CLAIMS | rules.QUESTIONS)[name](evidence())]
+    places = [tuple(c.where.items()) for c in RULES[name](evidence())]
     assert len(set(places)) == len(places)
     if name != "plants":
         gains = [dict(place)["gains"] for place in places]
@@ -277,7 +279,9 @@ def test_plants_have_a_row_for_each_number_of_modules_period_and_noise():
     assert [row[0] for row in table.rows] == [3, 9, 15, 30] * 4
     by_modules = {row[0]: row for row in table.rows}
     assert by_modules[30][3:5] == (2, PROPOSED)
-    assert by_modules[30][-1] == Interval(0.0, 0.0, 0.0) and by_modules[9][-1].value == 1.0
+    assert by_modules[30][-1] == Interval(0.0, 0.0, 0.0) and by_modules[9][-1] == Interval(
+        1.0, 1.0, 1.0
+    )
 
 
 def test_intervals_hold_the_median_and_have_no_width_where_nothing_is_random():

@@ -415,9 +415,9 @@ def test_fewer_than_six_seeds_have_ranges_and_nothing_is_coloured(tmp_path):
 
 def test_differences_are_coloured_after_benjamini_and_hochberg(known, written):
     numbers = compare(read_episodes(known))
-    groups = [g for g in numbers.groups if g.difference is not None]
-    raw = np.array([g.difference.measured.chance for g in groups])
-    own = np.array([g.difference.chance for g in groups])
+    differences = [g.difference for g in numbers.groups if g.difference is not None]
+    raw = np.array([difference.measured.chance for difference in differences])
+    own = np.array([difference.chance for difference in differences])
     signs = np.array([measure.sign for measure in numbers.episodes.measures])
     assert np.isnan(own[:, signs == 0]).all()
     raw = np.where(signs == 0, np.nan, raw)
