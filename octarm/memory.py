@@ -10,6 +10,7 @@ import psutil
 from octarm.errors import OctarmError
 
 ARM = 4000  # [byte] a module of an arm in a batch: physics, metrics, controller; measured, rounded
+_KEPT = 20  # numbers a coordinate and step: q, q_d and inputs, kept, recorded and measured
 WORKER = 100e6  # [byte] that a process has of its own before it runs anything
 
 
@@ -27,6 +28,17 @@ def check_batch(arms: int, modules: int, batches: int = 1, what: str = "batch") 
     each = f"{batches} workers with " if batches > 1 else ""
     needed = batches * (arms * modules * ARM + (WORKER if batches > 1 else 0.0))
     check_memory(needed, f"{each}{arms} arms of {modules} modules side by side")
+
+
+def check_steps(steps: int, arms: int, modules: int) -> None:
+    """Raises OctarmError for more physics steps in a control period than memory holds.
+
+    What happens at each of them is kept until the period is over, for metrics and the record.
+    """
+    if steps > 1:
+        needed = float(steps) * arms * 2 * modules * 8 * _KEPT
+        arm = f" of {arms} arms" if arms > 1 else ""
+        check_memory(needed, f"{steps} physics steps{arm} in a control period")
 
 
 def check_memory(needed: float, what: str) -> None:

@@ -23,7 +23,7 @@ from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Disturbance, Episode
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Motion
-from octarm.memory import check_batch
+from octarm.memory import check_batch, check_steps
 from octarm.references import named_reference, wanted
 from octarm.simulation.arguments import check_load, whole_number
 from octarm.simulation.batch import BatchPhysics
@@ -127,13 +127,13 @@ def load(
             f"parameters have batch axes {true.batch_shape}; the environment has "
             f"{'one arm' if batch is None else f'{batch} arms'}"
         )
-    seeds = _seeds(seed, batch)
     if plant_modules is not None:
         plant_modules = whole_number("plant_modules", plant_modules, 1)
     groups = groups_of(true, plant_modules, layout)
     plant = true if groups is None else groups.plant
     if batch is not None:
         check_batch(batch, plant.modules)
+    seeds = _seeds(seed, batch)
     if isinstance(timestep, str):
         if timestep != AUTO:
             raise OctarmError(f"timestep is {timestep!r}; it must be a number [s], or {AUTO!r}")
@@ -158,6 +158,7 @@ def load(
     _check_rest(physics)
     step = physics.timestep()
     steps_a_period = 1 if control_period is None else _whole_steps(control_period, step)
+    check_steps(steps_a_period, batch or 1, true.modules)
     rest, plant_rest = physics.hanging(), physics.plant_rest()
     if not true.batch_shape:  # one for all arms that hang alike
         rest, plant_rest = (x[*[0] * (x.ndim - 1)] for x in (rest, plant_rest))

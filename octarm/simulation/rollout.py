@@ -166,7 +166,7 @@ class ArmRecorder(Recorder):
         *,
         rows: int = BLOCK,
     ) -> None:
-        """A recorder of blocks of so many rows, empty.
+        """A recorder of blocks of so many physics steps, empty.
 
         Raises:
             OctarmError: if the environment holds a batch of arms.
@@ -184,7 +184,8 @@ class ArmRecorder(Recorder):
             self._digest.update(fields.pop(_STATE).data)
             hand_on(fields)
 
-        super().__init__(take_up, rows=rows)
+        steps = round(environment.control_timestep() / self._physics.timestep())
+        super().__init__(take_up, rows=max(1, rows // steps))  # all steps of a period are kept
 
     def row(self, instant: Instant) -> dict[str, np.ndarray]:
         """The recorded fields of one instant, and what the digest is made of."""
