@@ -193,7 +193,7 @@ def test_what_is_drawn_for_a_seed_does_not_depend_on_how_it_is_asked_for():
 
 
 def test_physics_steps_of_a_period_that_memory_cannot_hold_are_refused(monkeypatch):
-    monkeypatch.setattr("octarm.memory.available", lambda: 1e9)
+    monkeypatch.setattr("octarm.memory.available", lambda: 5e8)
     load(timestep=1e-5, control_period=1.0)
     with pytest.raises(OctarmError, match="1000000 physics steps in a control period take about"):
         load(timestep=1e-5, control_period=10.0)
