@@ -159,7 +159,7 @@ ABSURD = [
     "payload:1e4", "payload:1e300,at=0.005", "mismatch:-0.99", "mismatch:1e6",
     "mismatch:0,rest_length=1e6", "measurement-noise:1e300", "quantisation:1e300", "slew:1e-300",
     "drift:-1e300,limit=0.9,of=inertia", "lag:1e300", "actuation-delay:10",
-    "pulse:1,at=1e308,length=1e308", "payload:1,at=1e300", "measurement-delay:10", "tilt:1e300",
+    "pulse:1,at=1e308,length=1e308", "payload:1,at=1e300", "measurement-delay:10", "tilt:3.1",
 ]  # fmt: skip
 
 
