@@ -6,6 +6,7 @@ are 2 000 examples in continuous integration and 200 elsewhere; OCTARM_FUZZ=N ta
 """
 
 import contextlib
+import copy
 import io
 import json
 import os
@@ -267,11 +268,11 @@ def changed(draw, text):
             for _ in range(draw(st.sampled_from([1, 3, 100]))):
                 owner[key] = [owner[key]]
         elif how == "new" and isinstance(owner, dict):
-            owner[draw(ODD_WORDS)] = draw(HOSTILE)
+            owner[draw(ODD_WORDS)] = copy.deepcopy(draw(HOSTILE))
         elif how == "new":
-            owner.insert(key, draw(HOSTILE))
+            owner.insert(key, copy.deepcopy(draw(HOSTILE)))
         else:
-            owner[key] = draw(HOSTILE)
+            owner[key] = copy.deepcopy(draw(HOSTILE))  # which may be changed in turn
     return json.dumps(table)
 
 

@@ -405,5 +405,5 @@ def test_a_run_with_a_range_is_recorded_and_repeated(tmp_path, capsys):
     description["parameters"]["input_range"] = [[-13.0], [13.0]]
     (out / "run.json").write_text(json.dumps(description))
     assert main(["verify", str(out)]) == 1
-    assert main([*words[:-1], "input_range:5,12"]) == 2
+    assert main([*words[:-1], "input_range:5,12", "--force"]) == 2
     assert "input_range goes from 5 to 12" in capsys.readouterr().err

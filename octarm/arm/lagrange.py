@@ -234,7 +234,7 @@ def newton(
     Raises:
         OctarmError: if it does not converge: the springs are too soft for this weight.
     """
-    with contextlib.suppress(np.linalg.LinAlgError):
+    with contextlib.suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
         for _ in range(50):
             force, slope = linearised(q)
             step = np.linalg.solve(slope, force[..., None])[..., 0]

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import functools
 import operator
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -136,12 +137,12 @@ def _arm_spec(p: ArmParameters, timestep: float | None) -> mujoco.MjSpec:
 def _compiled(spec: mujoco.MjSpec, parameters: ArmParameters) -> mujoco.MjModel:
     """The model with all parameters, hanging at rest in its keyframe."""
     try:
-        model = spec.compile()
+        with warnings.catch_warnings(action="ignore"):  # absurd numbers have no equilibrium
+            model = spec.compile()
     except ValueError as error:
         raise OctarmError(f"MuJoCo refuses these parameters: {error}") from None
     PlantFields(model, lambda name: operator.attrgetter(name)(model)).write(parameters)
     data = mujoco.MjData(model)
-    mujoco.mj_setConst(model, data)
 
     def residual(qpos: np.ndarray) -> np.ndarray:
         """What gravity and springs leave over, by MuJoCo's own forces."""
@@ -159,7 +160,9 @@ def _compiled(spec: mujoco.MjSpec, parameters: ArmParameters) -> mujoco.MjModel:
         return residual(qpos)[order], potential_hessian(parameters, q)
 
     unloaded = np.concatenate([parameters.rest_length, parameters.rest_angle])
-    rest = newton(linearised, unloaded, 1e-13)
+    with warnings.catch_warnings(action="ignore"):
+        mujoco.mj_setConst(model, data)
+        rest = newton(linearised, unloaded, 1e-13)
     if np.max(np.abs(rest)) > _FARTHEST:
         raise OctarmError(NO_EQUILIBRIUM)
     model.key("hanging").qpos[order] = rest
