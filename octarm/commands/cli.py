@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 
 from octarm.commands.terminal import check_open_files, silence, surviving_errors
@@ -28,7 +29,7 @@ def main(arguments: Sequence[str] | None = None, *, begin: Callable[[], None] | 
         arguments: the words after `octarm`; those of this process when not given.
         begin: called when all is understood and imported, before the work.
     """
-    with surviving_errors():
+    with surviving_errors(), warnings.catch_warnings(action="ignore"):  # of numbers, mostly
         return _code(arguments, begin)
 
 
