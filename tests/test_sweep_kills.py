@@ -44,9 +44,10 @@ def spec_file(tmp_path) -> Path:
 
 
 def start_command(spec_file: Path, folder: Path) -> subprocess.Popen[str]:
+    begun = folder.is_dir() and any(folder.iterdir())
     return subprocess.Popen(
         [sys.executable, "-m", "octarm", "sweep", spec_file, "--out", folder,
-         "--workers", "2", "--resume"],
+         "--workers", "2", *(["--resume"] if begun else [])],
         stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True,
         cwd=Path(__file__).parent.parent,
     )  # fmt: skip
