@@ -10,6 +10,7 @@ from octarm.errors import OctarmError, quoted
 
 # The units of each kind of quantity with their sizes; the first one is that of the SI.
 UNITS: Mapping[str, Mapping[str, float]] = {
+    "percentage": {"%": 1.0},  # before shares, which a % of any unit means
     "share": {"1": 1.0, "%": 1e-2},
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
     "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
@@ -23,6 +24,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
     "torque": {"N m": 1.0, "N mm": 1e-3},
     "rate of force": {"N/s": 1.0, "kN/s": 1e3},
+    "energy": {"J": 1.0, "mJ": 1e-3},
     "acceleration": {"m/s^2": 1.0, "mm/s^2": 1e-3},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
     "frequency": {"Hz": 1.0, "kHz": 1e3},
@@ -64,6 +66,8 @@ def number(name: str, text: str, unit: str) -> float:
     tables = [units for units in UNITS.values() if unit == ANY or next(iter(units)) in parts]
     known = {word: size for units in tables for word, size in units.items() if word != "1"}
     sizes = {closed_up(word): size for word, size in known.items()}
+    if not sizes:  # a unit that nobody spells otherwise
+        raise OctarmError(f"{name} is {quoted(text)}; it must be a number [{unit}]")
     if given not in sizes:
         *others, last = known
         words = f"{', '.join(others)} or {last}" if others else last

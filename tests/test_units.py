@@ -64,6 +64,9 @@ def test_a_margin_is_sought_between_numbers_with_units():
     varied = parse_varied("actuation-delay", "0ms", "60ms")
     assert (varied.low, varied.high) == (0.0, 0.06)
     assert parse_bound("tip_rms_error:10mm") == ("tip_rms_error", 0.01)
+    assert parse_bound("rms_error_theta1:2deg")[1] == pytest.approx(math.radians(2.0))
+    with pytest.raises(OctarmError, match="'5kg'; its unit must be m, cm, mm or um"):
+        parse_bound("tip_rms_error:5kg")
     with pytest.raises(OctarmError, match="high is '60g'; its unit must be s, ms, us or min"):
         parse_varied("actuation-delay", None, "60g")
 

@@ -188,7 +188,9 @@ def parse_bound(text: str) -> tuple[str, float]:
     metric, _, value = text.partition(":")
     if not value:
         raise OctarmError(f"bound is {quoted(text)}; it must read METRIC:VALUE")
-    limit = number(f"bound of {metric}", value, ANY)
+    declared = [m for name, m in METRICS.items() if f"{metric}_".startswith(f"{name}_")]
+    unit = " or ".join(declared[-1].units) if declared else ANY  # a user's own may have any
+    limit = number(f"bound of {metric}", value, unit)
     if not 0.0 < limit < math.inf:
         raise OctarmError(f"bound of {metric} is {limit:g}; it must be positive and finite")
     return metric, limit
