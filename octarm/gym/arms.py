@@ -145,6 +145,10 @@ class Arms:
         except control.PhysicsError:  # MuJoCo refused the state of an arm alone
             self._seen = environment.task.get_observation(physics)
             reward, over = 0.0, True
+        if not physics.all_intact():  # the sensors of an arm alone stop with it, others go on
+            lost = ~physics.intact()[..., None]
+            true = {"q": physics.q(), "v": physics.v()}
+            self._seen = {**self._seen, **{n: np.where(lost, true[n], self._seen[n]) for n in true}}
         return self._observation(), reward, ~physics.intact(), over
 
     def _inputs(self, action: np.ndarray) -> np.ndarray:

@@ -33,14 +33,18 @@ class TrackEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """The next episode, whose seed is drawn; the same again after the same seed."""
+        """The next episode, whose seed is drawn; the same again after the same seed.
+
+        Returns:
+            The first observation, shape (8N,), and the drawn seed.
+        """
         super().reset(seed=seed, options=options)
         drawn = _seed(self.np_random)
         self._over = False
         return self._arms.begin([drawn]), {"seed": drawn}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """One control period.
+        """One control period with an action of shape (2N,) [1].
 
         Raises:
             OctarmError: if the episode is over.
@@ -97,6 +101,7 @@ class TrackVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """New episodes of all arms, or of those of `options["reset_mask"]`.
 
         Arm i is that of one environment alone with the seed `seed + i`, or the i-th one of a list.
+        The observations have shape (n, 8N).
         """
         super().reset(seed=seed if isinstance(seed, int) else None)
         seeds = range(seed, seed + self.num_envs) if isinstance(seed, int) else seed
@@ -110,7 +115,10 @@ class TrackVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One control period of all arms; those that were over, or have not begun, begin anew."""
+        """One control period with actions of shape (n, 2N) [1].
+
+        Arms that were over, or have not begun, begin anew instead.
+        """
         again, actions = np.flatnonzero(self._over), np.asarray(actions)
         rewards = np.zeros(self.num_envs)
         terminations, truncations = np.zeros((2, self.num_envs), dtype=bool)
@@ -131,7 +139,7 @@ class TrackVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             group.alive &= ~np.isin(group.rows, rows)
         self._tidy()
         size, seeds = len(rows), np.zeros(self.num_envs, dtype=np.int64)
-        seeds[rows] = [_seed(self._generators[i]) for i in rows.tolist()]
+        seeds[rows] = [_seed(self._generators[int(i)]) for i in rows]
         arms = self._spare.pop(size, None) or Arms(self._setting, size)
         self._seen[rows] = arms.begin(seeds[rows].tolist())
         self._groups.append(_Group(arms, rows, np.ones(size, dtype=bool)))

@@ -116,7 +116,7 @@ def load(
             whole multiple of the step, an arm that does not hang within its limits, a step that is
             too long for its fastest mode, or more arms than memory holds.
     """
-    times = {"control_period": control_period, "duration": duration}
+    times = {"control_period": control_period, "duration": duration, "start_share": start_share}
     if not isinstance(timestep, str):
         times["timestep"] = timestep
     check_load(reference, disturbances, parameters, seed, **times)

@@ -29,8 +29,9 @@ class Start:
 
     Attributes:
         low: smallest difference from the arm at rest, shape (..., 2N) [m], [rad].
-        high: largest difference.
-        speed: largest velocity either way [m/s], [rad/s]; 0 for an arm that is let go at rest.
+        high: largest difference, likewise.
+        speed: largest velocity either way, likewise [m/s], [rad/s]; 0 for an arm that is let go at
+            rest.
     """
 
     low: np.ndarray
