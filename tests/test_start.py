@@ -10,6 +10,7 @@ from dm_control.rl import control
 
 import octarm
 from octarm.arm.groups import Groups
+from octarm.arm.lagrange import equilibrium
 from octarm.arm.reach import hold
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import OctarmError
@@ -99,26 +100,25 @@ def test_starts_are_drawn_anew_within_their_share(start: str, engine: str):
     limits = Start.of(P, start, 0.2)
     assert limits is not None
     rest = environment.physics.hanging()
-    seen = [environment.reset().observation for _ in range(200)]
+    seen = [environment.reset().observation for _ in range(60)]
     q = np.array([row["q"] for row in seen]) - rest
     v = np.array([row["v"] for row in seen])
     slack = 1e-12
     assert np.all((q >= limits.low - slack) & (q <= limits.high + slack))
     assert np.all(np.abs(v) <= limits.speed + slack)
-    assert np.all(q.max(axis=0) > 0.9 * limits.high) and np.all(q.min(axis=0) < 0.9 * limits.low)
+    assert np.all(q.max(axis=0) > 0.8 * limits.high) and np.all(q.min(axis=0) < 0.8 * limits.low)
     assert np.all(np.ptp(v, axis=0) > 0.0) if start == "moving" else not np.any(v)
 
 
-def test_what_is_drawn_can_be_held_by_the_inputs():
-    arm = octarm.read_arm("eth")
-    limits = Start.of(arm, "random", 1.0)
+@pytest.mark.parametrize("name", ["octarm", "eth", "i-support", "fabric"])
+def test_what_is_drawn_can_be_held_by_the_inputs(name: str):
+    """Half of what modules reach alone, whatever the others do."""
+    arm = octarm.read_arm(name)
+    limits = Start.of(arm, "random", 0.5)
     assert limits is not None
     low, high = limits.low[arm.modules :], limits.high[arm.modules :]
-    draw = np.random.default_rng(0).random((300, arm.modules))
-    held, _ = hold(arm, np.vstack([0.999 * low, 0.999 * high, low + draw * (high - low)]))
-    assert held[0] and held[1] and np.mean(held) > 0.95
-    beyond, _ = hold(arm, 1.01 * np.stack([low, high]))
-    assert not beyond.any()
+    bends = low + np.random.default_rng(0).random((300, arm.modules)) * (high - low)
+    assert np.all(hold(arm, equilibrium(arm)[arm.modules :] + bends)[0])
 
 
 def test_a_share_scales_the_range_and_speeds_are_those_of_a_swing():
@@ -170,7 +170,9 @@ def test_a_drawn_start_leaves_the_noise_as_it_was():
 
 def test_episodes_end_by_themselves():
     for duration, steps in ((None, 1000), (0.5, 50)):
-        environment = octarm.load("set-point", control_period=0.01, duration=duration)
+        environment = octarm.load(
+            "set-point", control_period=0.01, timestep=0.002, duration=duration
+        )
         environment.reset()
         count = 1
         while not (step := environment.step(np.zeros(6))).last():
@@ -191,20 +193,20 @@ class Nothing:
 
 def test_a_loop_lasts_as_long_as_it_is_asked_to():
     """Unless a shorter duration was given; afterwards episodes end by themselves again."""
-    environment = octarm.load("set-point", control_period=0.1, engine="lagrange")
+    environment = octarm.load("set-point", control_period=0.1, timestep=0.002)
     assert len(octarm.rollout(environment, Nothing(), 15.0).t) == 150
     environment.reset()
     while not environment.step(np.zeros(6)).last():
         pass
     assert environment.task.time == pytest.approx(10.0)
-    short = octarm.load("set-point", control_period=0.1, duration=1.0)
+    short = octarm.load("set-point", control_period=0.1, timestep=0.002, duration=1.0)
     assert len(octarm.rollout(short, Nothing(), 15.0).t) == 10
 
 
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ({"start": "moved"}, "unknown start 'moved', did you mean 'moving'"),
+        ({"start": "moved"}, "unknown start 'moved'; known are rest, random, moving"),
         ({"start": "random", "start_share": 1.5}, "start_share is 1.5; it must be above 0 and at"),
         ({"start_share": "a"}, "start_share is 'a'; it must be a number"),
     ],

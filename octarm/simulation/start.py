@@ -1,8 +1,9 @@
 """Where episodes begin: hanging at rest, or drawn about it.
 
 A drawn start is a share of what the inputs reach alone, from one end to the other: slides by
-pushing and pulling with both columns of a module, bends as far as all modules are held together
-(`octarm.arm.reach`). Speeds are those of a swing of this size at the arm's slowest mode.
+pushing and pulling with both columns of a module, bends as far as a module is held by itself, and
+with all others bent alike (`octarm.arm.reach`). Speeds are those of a swing of this size at the
+slowest mode.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class Start:
         if kind == REST:
             return None
         arms = [arm.arm(i) for i in range(arm.batch_shape[0])] if arm.batch_shape else [arm]
-        rows = np.stack([share * _reached(each) for each in arms], axis=1)
+        rows = np.stack([_reached(each, share) for each in arms], axis=1)
         low, high, speed = rows if arm.batch_shape else rows[:, 0]
         return cls(low, high, speed if kind == MOVING else 0.0 * speed)
 
@@ -63,19 +64,20 @@ class Start:
         return self.low + place * (self.high - self.low), (2.0 * speed - 1.0) * self.speed
 
 
-def _reached(p: ArmParameters) -> np.ndarray:
+def _reached(p: ArmParameters, share: float) -> np.ndarray:
     """How far coordinates of one arm go to either side of rest, and how fast, shape (3, 2N)."""
     n, limits, rest = p.modules, Limits.of(p), equilibrium(p)
     axial = np.diagonal(stiffness_matrix(p))[:n]
-    bends = reach(p).alike
+    alone, alike, _ = reach(p)
+    bends = np.maximum(alone[0], alike[0]), np.minimum(alone[1], alike[1])
     ends: list[np.ndarray] = []
     for inputs, limit, bend in zip(
         p.input_bounds(()), (limits.low, limits.high), bends, strict=True
     ):
         slides = np.sum(inputs.reshape(n, 2), axis=-1) / axial
-        way = np.concatenate([slides, np.full(n, bend) - rest[n:]])
+        way = np.concatenate([slides, bend - rest[n:]])
         furthest = np.array(limit) - rest
         ends.append(np.where(np.abs(way) < np.abs(furthest), way, furthest))
-    low, high = np.minimum(ends[0], 0.0), np.maximum(ends[1], 0.0)
+    low, high = share * np.minimum(ends[0], 0.0), share * np.maximum(ends[1], 0.0)
     slowest = 2.0 * math.pi * float(np.nanmin([mode.frequency for mode in modes(p, rest)]))
     return np.stack([low, high, np.minimum(slowest * (high - low) / 2.0, np.array(limits.speed))])
