@@ -37,6 +37,14 @@ noise = [0.0, 0.2]
 """
 
 
+def arms(directions: int, duration: float) -> Any:
+    """The task for so many changes, tried both ways, and for the policy itself."""
+    return gymnasium.make_vec(
+        "octarm/Track-v0", num_envs=1 + 2 * directions, controller=BASE, residual=SHARE,
+        duration=duration, engine=usual_engine(),
+    )  # fmt: skip
+
+
 def features(seen: np.ndarray) -> np.ndarray:
     """1, q_d, q_d', e and e' of observations, shape (n, 1 + 8N), in the units of `octarm.gym`."""
     q, v, e, e_dot = np.split(seen.astype(np.float64), 4, axis=1)
@@ -56,7 +64,7 @@ def play(env: Any, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         seen, rewards, terminated, truncated, _ = env.step(actions)
         total, squares, steps = total + going * rewards, squares + x[0] * x[0], steps + 1
         going &= ~(terminated | truncated)
-    return total / steps, np.sqrt(squares / steps)
+    return np.asarray(total) / steps, np.sqrt(squares / steps)
 
 
 def search(env: Any, iterations: int, seed: int) -> np.ndarray:
@@ -64,12 +72,14 @@ def search(env: Any, iterations: int, seed: int) -> np.ndarray:
     arms, inputs = env.action_space.shape
     directions = arms // 2
     random, weights = np.random.default_rng(seed), np.zeros((inputs, 1 + 4 * inputs))
+    gains = make_controller(BASE, octarm.nominal_parameters()).K_p[inputs // 2 :]
+    eager = np.repeat(gains / np.max(gains), 2)[:, None]  # little where a bend gives way easily
     best, best_return = weights, -np.inf
     _, size = play(env, np.zeros((arms, *weights.shape)))
     size = np.maximum(size, LEAST)
     for k in range(iterations):
         shrunk = SHRINK**k
-        changes = random.standard_normal((directions, *weights.shape))
+        changes = eager * random.standard_normal((directions, *weights.shape))
         tried = [
             weights[None],
             weights + TRIED * shrunk * changes,
@@ -99,27 +109,29 @@ def in_si(weights: np.ndarray) -> np.ndarray:
     return SHARE * 0.5 * (high - low)[:, None] * out
 
 
+def write_policy(file: Path, weights: np.ndarray) -> None:
+    """Writes a controller with these weights of `in_si`, shape (2N, 1 + 8N)."""
+    rows = ",\n".join(f"    {row.tolist()}" for row in weights)
+    text = POLICY.read_text(encoding="utf-8").replace("[WEIGHTS]", f"[\n{rows},\n]")
+    file.write_text(text, encoding="utf-8")
+
+
 def main() -> None:
     """Searches, writes the policy and a sweep, and compares with PD."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("runs/learned"), help="folder for it")
     parser.add_argument("--seed", type=int, default=0, help="of the search")
-    parser.add_argument("--iterations", type=int, default=50)
+    parser.add_argument("--iterations", type=int, default=40)
     parser.add_argument(
         "--quick", action="store_true", help="a glance: a short episode, few trials"
     )
     options = parser.parse_args()
     directions, duration = (4, 0.2) if options.quick else (DIRECTIONS, 2.0)
-    env = gymnasium.make_vec(
-        "octarm/Track-v0", num_envs=1 + 2 * directions, controller=BASE, residual=SHARE,
-        duration=duration, engine=usual_engine(),
-    )  # fmt: skip
-    weights = in_si(search(env, 3 if options.quick else options.iterations, options.seed))
+    iterations = 3 if options.quick else options.iterations
+    weights = in_si(search(arms(directions, duration), iterations, options.seed))
     options.out.mkdir(parents=True, exist_ok=True)
     policy, sweep = options.out / "policy.py", options.out / "sweep.toml"
-    rows = ",\n".join(f"    {row.tolist()}" for row in weights)
-    text = POLICY.read_text(encoding="utf-8").replace("[WEIGHTS]", f"[\n{rows},\n]")
-    policy.write_text(text, encoding="utf-8")
+    write_policy(policy, weights)
     episodes, length = (2, 0.5) if options.quick else (6, 10.0)
     sweep.write_text(SWEEP.format(episodes=episodes, duration=length), encoding="utf-8")
     for name in (BASE, f"{policy}:Learned"):

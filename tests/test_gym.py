@@ -76,7 +76,7 @@ def test_make_vec_says_how_arms_begin_anew():
 
 
 def test_some_arms_can_be_reset():
-    vector = gymnasium.make_vec(ID, num_envs=3, duration=1.0, start="random")
+    vector: Any = gymnasium.make_vec(ID, num_envs=3, duration=1.0, start="random")
     vector.reset(seed=0)
     before = vector.step(np.zeros((3, 6), np.float32))[0]
     mask = np.array([False, True, False])
