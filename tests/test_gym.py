@@ -180,6 +180,7 @@ def test_what_cannot_be_is_said_in_a_sentence():
         ({"controller": "pid"}, "unknown controller 'pid', did you mean 'pd'"),
         ({"disturbances": "nois:0.4"}, "unknown disturbance 'nois', did you mean 'noise'"),
         ({"arm": "ethz"}, "unknown arm 'ethz', did you mean 'eth'"),
+        ({"batch": 3}, "batch is no argument of the environment; gymnasium.make_vec has num_envs"),
         ({"start": "rando"}, "unknown start 'rando', did you mean 'random'"),
     ]:
         with pytest.raises(OctarmError, match=words):

@@ -23,6 +23,12 @@ from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.task import TrackingTask
 
 _TENTH = 0.1  # of a rest length, the unit of slides
+_OTHERWISE = {  # arguments of `octarm.load` that are said in another way here
+    "parameters": "arm gives the parameters",
+    "batch": "gymnasium.make_vec has num_envs",
+    "seed": "reset takes the seed",
+    "flat_observation": "observations are always flat",
+}
 
 
 class Setting:
@@ -64,6 +70,9 @@ class Setting:
             OctarmError: for what `octarm.load` or `make_controller` refuses, a share that is not
                 one, or an arm without an input range.
         """
+        if given_otherwise := options.keys() & _OTHERWISE:
+            name = min(given_otherwise)
+            raise OctarmError(f"{name} is no argument of the environment; {_OTHERWISE[name]}")
         if not 0.0 < residual <= 1.0:
             raise OctarmError(f"residual is {residual:g}; it must be above 0 and at most 1")
         given = [disturbances] if isinstance(disturbances, str | Disturbance) else disturbances
