@@ -40,13 +40,7 @@ import numpy as np
 
 from controllers.fuzzy.estimators import first_type, second_type, strengths
 from controllers.law import Gain, GainField, RuleField, Switch, elapsed
-from controllers.recommended import (
-    LAYER_WIDTH,
-    LINEAR_GAIN,
-    WIDTH,
-    boundary_width,
-    by_hand,
-)
+from controllers.recommended import LAYER_WIDTH, LINEAR_GAIN, WIDTH, boundary_width, by_hand
 from controllers.sliding_mode import SlidingLaw, Surface, saturation
 from octarm.errors import OctarmError
 from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference

@@ -61,9 +61,7 @@ class SlidingLaw(Law):
         e, e_dot = self.errors(measurement, reference)
         decay = self.lambda_ * e
         return Surface(
-            s=e_dot + decay,
-            v_r=reference.v - decay,
-            a_r=reference.a - self.lambda_ * e_dot,
+            s=e_dot + decay, v_r=reference.v - decay, a_r=reference.a - self.lambda_ * e_dot
         )
 
     def command(

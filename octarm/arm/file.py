@@ -100,11 +100,7 @@ def arm_of(document: Document, *keys: str) -> Arm:
         raise document.error(violation, *keys)
     source = (content.source,) if isinstance(content.source, str) else content.source
     return Arm(
-        parameters,
-        content.name,
-        tuple(filter(None, source)),
-        content.converted,
-        content.assumed,
+        parameters, content.name, tuple(filter(None, source)), content.converted, content.assumed
     )
 
 

@@ -36,11 +36,7 @@ NO_EQUILIBRIUM = "no static equilibrium was found: stiffness is too low for this
 
 
 def inverse_dynamics(
-    p: ArmParameters,
-    q: np.ndarray,
-    v: np.ndarray,
-    a: np.ndarray,
-    v_r: np.ndarray | None = None,
+    p: ArmParameters, q: np.ndarray, v: np.ndarray, a: np.ndarray, v_r: np.ndarray | None = None
 ) -> np.ndarray:
     """The generalised force D(q) a + (C(q, v) + B) v_r + G(q), eq (1), in O(N).
 

@@ -121,12 +121,7 @@ class LagrangeModel:
         return model_error.straight_inertia(self.parameters, q)
 
     def largest_error(
-        self,
-        uncertainty: np.ndarray,
-        q: np.ndarray,
-        v: np.ndarray,
-        a: np.ndarray,
-        v_r: np.ndarray,
+        self, uncertainty: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray, v_r: np.ndarray
     ) -> np.ndarray:
         """Of `inverse_dynamics`, shape (..., 2N) [N], [N m]; see `octarm.arm.model_error`."""
         return model_error.largest_error(self.parameters, uncertainty, q, v, a, v_r)

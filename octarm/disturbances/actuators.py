@@ -15,13 +15,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from octarm.disturbances.delivered import Measured
-from octarm.disturbances.episode import (
-    ActuatorFault,
-    ActuatorProcess,
-    Disturbance,
-    Episode,
-    Event,
-)
+from octarm.disturbances.episode import ActuatorFault, ActuatorProcess, Disturbance, Episode, Event
 from octarm.disturbances.fields import Amount, Quantity
 from octarm.disturbances.streams import DelayLine, first_step
 

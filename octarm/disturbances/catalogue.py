@@ -12,13 +12,7 @@ from typing import Any
 
 from octarm.declared import Declared, lacking
 from octarm.disturbances import actuators, forces, plant, sensors
-from octarm.disturbances.episode import (
-    ActuatorFault,
-    Disturbance,
-    Force,
-    PlantChange,
-    SensorFault,
-)
+from octarm.disturbances.episode import ActuatorFault, Disturbance, Force, PlantChange, SensorFault
 from octarm.disturbances.fields import Quantity, Words, field_keys, field_kinds
 from octarm.errors import quoted
 

@@ -246,10 +246,7 @@ def _swing(t: float, share: Amount, period: Amount, phase: Amount) -> np.ndarray
 
 
 def _drifting(
-    factor: Callable[[float], np.ndarray],
-    of: str,
-    episode: Episode,
-    ends: Sequence[np.ndarray],
+    factor: Callable[[float], np.ndarray], of: str, episode: Episode, ends: Sequence[np.ndarray]
 ) -> PlantProcess:
     """A factor, shape (...), on some parameters that follows time [s] on a grid of its own.
 

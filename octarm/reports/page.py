@@ -90,10 +90,7 @@ def _shown(value: Any) -> Any:
 
 
 def page(
-    comparisons: Comparisons,
-    remarks: Iterable[Remark],
-    pictures: Iterable[Picture],
-    source: Source,
+    comparisons: Comparisons, remarks: Iterable[Remark], pictures: Iterable[Picture], source: Source
 ) -> str:
     """The page as text; the same for the same numbers."""
     manifest = comparisons.episodes.manifest

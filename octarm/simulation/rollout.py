@@ -30,10 +30,7 @@ Observer = Callable[[Instant], object]
 
 
 def simulate(
-    environment: control.Environment,
-    controller: Controller,
-    duration: float,
-    *observers: Observer,
+    environment: control.Environment, controller: Controller, duration: float, *observers: Observer
 ) -> str:
     """The simulation loop: the environment's next episode, for one arm or a batch.
 
@@ -198,10 +195,7 @@ class ArmRecorder(Recorder):
         return row
 
     def run(
-        self,
-        controller: Controller,
-        duration: float,
-        progress: Callable[[], object] | None = None,
+        self, controller: Controller, duration: float, progress: Callable[[], object] | None = None
     ) -> Ending:
         """Runs the next episode, as `rollout` does; to be called once.
 

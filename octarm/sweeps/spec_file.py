@@ -59,16 +59,7 @@ from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml
 from octarm.references import REFERENCES
 from octarm.simulation.engines import ENGINES, MUJOCO
 from octarm.simulation.steps import AUTO
-from octarm.sweeps.spec import (
-    ARM,
-    LAYOUT,
-    PLANT_MODULES,
-    SETTINGS,
-    Axis,
-    SweepSpec,
-    keys_of,
-    which,
-)
+from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SETTINGS, Axis, SweepSpec, keys_of, which
 from octarm.sweeps.spec_code import with_names
 from octarm.units import number
 
@@ -353,10 +344,7 @@ def _other_files(content: SpecFile, arms: Iterable[str]) -> bool:
 
 
 def _check_plants(
-    document: Document,
-    content: SpecFile,
-    axes: Sequence[Axis],
-    arms: Mapping[str, ArmParameters],
+    document: Document, content: SpecFile, axes: Sequence[Axis], arms: Mapping[str, ArmParameters]
 ) -> None:
     """Raises OctarmError for plants of more modules that cannot be made."""
     values = {axis.name: axis.values for axis in axes}
