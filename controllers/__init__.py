@@ -84,11 +84,10 @@ def make_controller(
 
     Args:
         name: of a built-in controller or of an installed package's, MODULE:NAME, or FILE.py:NAME.
-        nominal: the model of the arm that the controller is given; parameters stand for the
-            analytic model with them.
-        gains: gains by name in SI, each a number or an array that broadcasts to (..., 2N), unless
-            the gain's field says otherwise; those of the gain set where not given. `lambda` stands
-            for the field `lambda_`, as Python keeps the former word for itself.
+        nominal: the model of the arm; parameters stand for the analytic model with them.
+        gains: by name in SI, each a number or an array that broadcasts to (..., 2N), unless its
+            field says otherwise; those of the gain set where not given. `lambda` stands for
+            `lambda_`.
         gain_set: `tuned`, `recommended`, or a file NAME.toml of `octarm tune`, or what such a file
             holds; tuned gains where there are any, else recommended ones, when not given. They are
             scaled by the nominal model.

@@ -135,8 +135,7 @@ PREMISE_RATE = GainField(
 class AdaptiveLaw(SlidingLaw):
     """Law (63) with an estimate f^ that a subclass adapts.
 
-    Raises:
-        OctarmError: if alpha0 and sigma0 are for different numbers of rules.
+    Raises OctarmError if alpha0 and sigma0 are for different numbers of rules.
     """
 
     K_v: Annotated[Gain, LINEAR_GAIN]
@@ -274,9 +273,7 @@ class AdaptiveFuzzy(AdaptiveLaw):
     """Law (63) with the second type of estimator: theta, alpha, sigma and E adapt.
 
     The signals are those of `AdaptiveConsequents`, and alpha and sigma of shape (..., 2N, M).
-
-    Raises:
-        OctarmError: if sigma_min exceeds sigma_max.
+    Raises OctarmError if sigma_min exceeds sigma_max.
     """
 
     eta3: Annotated[Gain, PREMISE_RATE]

@@ -102,13 +102,10 @@ class Declared(collections.UserDict[str, T]):
         check: Callable[[Any], str],
         declares: Callable[[T], dict[str, dict[str, Any]]] = lambda thing: {},
     ) -> None:
-        """A table.
+        """A table of what is built in.
 
-        Args:
-            kind: of the things.
-            built_in: those that the package brings, by name.
-            check: what an object of a user lacks, such as "has no method start"; empty if nothing.
-            declares: see `Code`.
+        The check says what an object of a user lacks, such as "has no method start", or nothing;
+        `declares` is for `Code`.
         """
         super().__init__(built_in)
         self.kind: Kind = kind
@@ -136,8 +133,7 @@ class Declared(collections.UserDict[str, T]):
     def code(self, word: str) -> Code | None:
         """Where something comes from; None for what is built in.
 
-        Raises:
-            OctarmError: for a word that means nothing of this kind.
+        Raises OctarmError for a word that means nothing of this kind.
         """
         if word in self:
             return None
@@ -180,12 +176,7 @@ class Declared(collections.UserDict[str, T]):
 
 
 def lacking(cls: type, **methods: Sequence[str]) -> str:
-    """Which of some methods a class lacks, or has with other arguments; empty if none.
-
-    Args:
-        cls: the class.
-        methods: names of the arguments of each, which are given by their place, but `self`.
-    """
+    """Which of some methods a class lacks, or has with other arguments; empty if none."""
     held = {name: value for base in reversed(cls.__mro__) for name, value in vars(base).items()}
     for name, arguments in methods.items():
         if name not in held or name in vars(cls).get("__abstractmethods__", ()):
@@ -216,10 +207,8 @@ def named(words: Iterable[tuple[Declared[Any], str]]) -> tuple[list[str], dict[s
     """Names for the words of one experiment, short and unique, and the code that they stand for.
 
     What is built in, an entry point, or a disturbance keeps its name. Others are called as in their
-    file, `Backstepping`, or `laws.Backstepping` and so on where that would mean two things.
-
-    Raises:
-        OctarmError: for a word that means nothing, or two disturbances of the same name.
+    file, `Backstepping`, or `laws.Backstepping` and so on where that would mean two things. Raises
+    OctarmError for a word that means nothing, or two disturbances of the same name.
     """
     words = list(words)
     codes = [table.code(word) for table, word in words]
@@ -244,10 +233,8 @@ def named(words: Iterable[tuple[Declared[Any], str]]) -> tuple[list[str], dict[s
 def word_of(name: str, code: Mapping[str, Code]) -> str:
     """The word for a name of an experiment, whose code is what it was.
 
-    Raises:
-        OctarmError: for a path that is no name of the experiment.
-        CodeChanged: if the file that holds it has another SHA-256, or is gone. Nothing has been
-            imported then.
+    Raises OctarmError for a path that is no name of the experiment, CodeChanged if the file that
+    holds it has another SHA-256, or is gone. Nothing has been imported then.
     """
     if name not in code:
         if ":" in name:  # a file of results may hold anything
@@ -268,11 +255,7 @@ def word_of(name: str, code: Mapping[str, Code]) -> str:
 
 
 def file_of(path: str) -> Path:
-    """The file of what MODULE:NAME or FILE.py:NAME names; nothing is imported.
-
-    Raises:
-        OctarmError: if there is no such module.
-    """
+    """The file of what MODULE:NAME or FILE.py:NAME names; OctarmError if there is none."""
     return Path(located(path.rpartition(":")[0]))
 
 

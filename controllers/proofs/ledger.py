@@ -51,14 +51,8 @@ def ledger(
 ) -> CheckTable:
     """Checks the controllers' Lyapunov functions on an arm.
 
-    Args:
-        parameters: the true arm; the controllers are given random nominal models.
-        states: number of random states for each comparison.
-        seed: of the random states, references, nominal models and adapted values.
-        progress: called with the name of each part before it starts.
-
-    Raises:
-        OctarmError: if `states` is below 100.
+    It is the true arm; the controllers are given random nominal models at so many random states for
+    each comparison. Raises OctarmError if `states` is below 100.
     """
     if states < FEWEST_STATES:
         raise OctarmError(

@@ -107,8 +107,7 @@ def arm_of(document: Document, *keys: str) -> Arm:
 def cannot_hang(p: ArmParameters) -> str:
     """Why one arm cannot hang within its limits, a sentence; empty if it can.
 
-    Raises:
-        OctarmError: if there is no equilibrium.
+    Raises OctarmError if there is no equilibrium.
     """
     rest = equilibrium(p)
     broken = Limits.of(p).violation(rest, np.zeros_like(rest))

@@ -76,8 +76,7 @@ class ArmFile(Model):
 def parameters_of(content: ArmFile) -> ArmParameters:
     """The parameters of one arm; numbers are broadcast, and what is not given is completed.
 
-    Raises:
-        OctarmError: if something is missing, or does not fit; the sentence begins with its key.
+    Raises OctarmError if something is missing or does not fit; the sentence begins with its key.
     """
     rod = content.rod
     with np.errstate(all="ignore"):  # a width of 0 is refused in the end
@@ -226,13 +225,8 @@ def _shared(
     """What the columns have, shape (2, N), and what is left for the backbone, shape (2, N).
 
     The backbone has what a whole module has beyond its columns. Where columns would have more than
-    the whole module, that is taken off both of them alike.
-
-    Args:
-        columns: shape (2, N); as much as they can have if None.
-        whole: axial and in bending, shapes (N,); what the columns give if None.
-        width: shape (N,) [m].
-        what: stiffness or damping.
+    the whole module, that is taken off both of them alike. Where columns are None they have as much
+    as they can; where an axial or bending value of the whole is None, it is what the columns give.
     """
     lever = 0.25 * width * width
     both = np.full_like(width, np.inf) if columns is None else columns[0] + columns[1]

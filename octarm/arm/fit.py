@@ -65,13 +65,7 @@ class Row(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """A fitted chain, and what error remains.
-
-    Attributes:
-        parameters: the fitted chain.
-        start: the lumped chain from which the search started.
-        rows: the errors of both, quantity by quantity.
-    """
+    """A fitted chain, the lumped one from which the search started, and the errors of both."""
 
     parameters: ArmParameters
     start: ArmParameters
@@ -104,17 +98,11 @@ class Fit:
 
 
 def fit_modules(plant: ArmParameters | Rod, modules: int = 3, layout: str = "paper") -> Fit:
-    """The chain of few modules that stands best for a finer one, or for a rod.
+    """The chain of few modules, in a layout of `octarm.arm.rod`, that stands best for a finer one.
 
-    Args:
-        plant: a chain whose number of modules is a multiple of `modules`, or a rod, for which a
-            centred chain of ten times as many modules stands.
-        modules: number of modules of the fitted chain.
-        layout: `paper` or `centred`; see `octarm.arm.rod`.
-
-    Raises:
-        OctarmError: for another layout, a number of modules that does not divide the plant's, a
-            batch of plants, or a plant that does not hang stably.
+    For a rod a centred chain of ten times as many modules stands. Raises OctarmError for another
+    layout, a number of modules that does not divide the plant's, a batch of plants, or a plant that
+    does not hang stably.
     """
     if layout not in LAYOUTS:
         raise OctarmError(f"unknown layout {layout!r}{closest(layout, LAYOUTS)}")

@@ -61,15 +61,10 @@ class Groups:
 
     @classmethod
     def of(cls, arm: ArmParameters, modules: int, layout: str = PAPER) -> Groups:
-        """The plant of so many modules that the arm stands for.
+        """The plant of N modules, in a layout, that the arm of M stands for.
 
-        Args:
-            arm: of M modules, each of the same rod all along; its batch axes are the plant's.
-            modules: N, a multiple of M up to 100.
-            layout: `paper` or `centred`.
-
-        Raises:
-            OctarmError: for another layout or number of modules.
+        Its batch axes are the arm's. Raises OctarmError for another layout, or an N that is no
+        multiple of M up to 100.
         """
         if layout not in LAYOUTS:
             raise OctarmError(f"unknown layout {layout!r}{closest(layout, LAYOUTS)}")

@@ -25,16 +25,10 @@ class InputRange:
         self._surely = (0.999999 * both_ways.min(axis=(0, 2))).tolist()  # a number a module
 
     def shortfall(self, q: np.ndarray, force: np.ndarray) -> np.ndarray | None:
-        """What of a force Q is lost when its inputs are cut off at their range.
+        """What of a force Q at q is lost when its inputs are cut off at their range.
 
-        It is F_coeff(q) (tau - tau within the range) with tau = F_coeff(q)^-1 Q.
-
-        Args:
-            q: coordinates, shape (..., 2N) [m], [rad].
-            force: Q, shape (..., 2N) [N], [N m].
-
-        Returns:
-            Shape (..., 2N) [N], [N m]; None if nothing is cut off of any arm.
+        It is F_coeff(q) (tau - tau within the range) with tau = F_coeff(q)^-1 Q, all of shape (...,
+        2N) [N], [N m]; None if nothing is cut off of any arm.
         """
         if self._surely_within(q, force):
             return None

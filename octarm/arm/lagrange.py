@@ -221,14 +221,9 @@ def newton(
 ) -> np.ndarray:
     """Where the forces on an arm vanish, by Newton's method from q, shape (..., 2N).
 
-    Args:
-        linearised: gives the force at q and its slope, shapes (..., 2N) and (..., 2N, 2N).
-        q: coordinates to start from.
-        within: the last step, as a share of a coordinate or of 1; the next one would be about its
-            square.
-
-    Raises:
-        OctarmError: if it does not converge: the springs are too soft for this weight.
+    `linearised` gives the force at q and its slope, shapes (..., 2N) and (..., 2N, 2N). The last
+    step is `within` so small a share of a coordinate or of 1; the next one would be about its
+    square. Raises OctarmError if it does not converge: the springs are too soft for this weight.
     """
     with contextlib.suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
         for _ in range(50):

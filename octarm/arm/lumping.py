@@ -10,25 +10,16 @@ from octarm.errors import OctarmError
 
 
 def lumped(plant: ArmParameters, modules: int, layout: str = "paper") -> ArmParameters:
-    """A chain of few modules that has the sums of a finer one's groups.
+    """A chain of few modules, in some layout, that has the sums of a finer one's groups.
 
     Masses, inertias, lengths and bends without force add up, as do compliances; dampers take what
     the group dissipates under a force. Only columns remain: what the finer chain has in a backbone
     goes into their stiffness and width. Where a rigid tip piece follows the plant, groups end
     between hinges, and share the slide there in halves. From a chain that stands for a rod without
     tapering it makes the one of `octarm.arm.rod` in the layout `paper`, up to what the rigid piece
-    does not stretch.
+    does not stretch. The input range is that of the plant if it is one for all columns, else none.
 
-    Args:
-        plant: the finer chain, one arm.
-        modules: number of groups m.
-        layout: of the few modules, `paper` or `centred`; see `octarm.arm.rod`.
-
-    Returns:
-        Its parameters; with the input range of the plant if that is one for all columns, else none.
-
-    Raises:
-        OctarmError: if the number of groups does not divide that of the plant's modules.
+    Raises OctarmError if the number of groups does not divide that of the plant's modules.
     """
     size, rest = divmod(plant.modules, max(modules, 1))
     if rest or modules < 1:

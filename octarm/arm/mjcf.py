@@ -31,11 +31,7 @@ _PARTS = ("column_1", "column_2", "backbone")
 
 
 def model_path() -> Path:
-    """The file `octarm.xml`, in a checkout or in an installed package.
-
-    Raises:
-        FileError: if it is missing.
-    """
+    """The file `octarm.xml`, in a checkout or in a package; raises FileError if it is missing."""
     package = Path(__file__).resolve().parent.parent
     for folder in (package.parent / "models", package / "models"):
         if (folder / "octarm.xml").is_file():
@@ -55,10 +51,9 @@ def nominal_parameters() -> ArmParameters:
 
 
 def physics_step(timestep: float | None = None) -> float:
-    """A physics step, 1e-7 to 0.1 [s]; that of `models/octarm.xml` when it is not given.
+    """A physics step [s]; that of `models/octarm.xml` when it is not given.
 
-    Raises:
-        OctarmError: if it is not allowed.
+    Raises OctarmError if it is not within 1e-7 to 0.1 s.
     """
     if timestep is None:
         return _nominal_step()
@@ -75,16 +70,10 @@ def _nominal_step() -> float:
 def build_model(
     parameters: ArmParameters | None = None, timestep: float | None = None
 ) -> mujoco.MjModel:
-    """Compiles the arm with these parameters, for any number of modules.
+    """Compiles one arm, the nominal one when none is given, for any number of modules.
 
-    Its keyframe `hanging` is the loaded equilibrium.
-
-    Args:
-        parameters: one arm's parameters (no batch axes); the nominal ones when not given.
-        timestep: physics step, 1e-7 to 0.1 [s]; that of `models/octarm.xml` when not given.
-
-    Raises:
-        OctarmError: if an argument is not allowed, or there is no equilibrium.
+    Its keyframe `hanging` is the loaded equilibrium. The step is that of `physics_step`. Raises
+    OctarmError if an argument is not allowed, or there is no equilibrium.
     """
     parameters = nominal_parameters() if parameters is None else parameters
     return _compiled(_arm_spec(parameters, timestep), parameters)
@@ -200,12 +189,10 @@ class PlantFields:
         self._field = field
 
     def write(self, p: ArmParameters, gravity_angle: np.ndarray | float = 0.0) -> bool:
-        """Writes the parameters.
+        """Writes the parameters, of all arms or with the batch's axis (n,).
 
-        Args:
-            p: of all arms, or with the batch's axis (n,).
-            gravity_angle: by which gravity turns from the hanging arm towards +y of the base
-                frame, shape () or (n,) [rad].
+        The angle by which gravity turns from the hanging arm towards +y of the base frame has shape
+        () or shape (n,) [rad].
 
         Returns:
             Whether inertias changed, so that the caller must make MuJoCo's constants follow.

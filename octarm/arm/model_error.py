@@ -40,16 +40,8 @@ def largest_error(
 ) -> np.ndarray:
     """The largest |F_i| over all arms that the uncertainty allows; for each i one attains it.
 
-    Args:
-        nominal: the model that the controller believes.
-        uncertainty: share u in [0, 1), shape () or (..., 1) [1].
-        q: coordinates, shape (..., 2N) [m], [rad].
-        v: velocities, shape (..., 2N) [m/s], [rad/s].
-        a_r: q_r'', shape (..., 2N) [m/s^2], [rad/s^2].
-        v_r: q_r', shape (..., 2N) [m/s], [rad/s].
-
-    Returns:
-        Generalised force, shape (..., 2N) [N], [N m].
+    For a share u in [0, 1), shape () or (..., 1) [1], and q, q', q_r'' and q_r' of shape (..., 2N)
+    it is a generalised force of shape (..., 2N) [N], [N m].
     """
     n, entries = nominal.modules, nominal.entries
     x, rates = split(q), split(v_r)

@@ -103,12 +103,8 @@ def growth_rate(p: ArmParameters, q: np.ndarray) -> np.ndarray:
 def longest_step(p: ArmParameters, q: np.ndarray, integrator: str = "rk4") -> np.ndarray:
     """The longest step at which no mode at q grows that does not grow by itself, shape (...) [s].
 
-    It is 0 where the modes are beyond a float.
-
-    Args:
-        p: of the arms.
-        q: pose, shape (..., 2N) [m], [rad].
-        integrator: a name of `INTEGRATORS`.
+    It is 0 where the modes are beyond a float. The pose q has shape (..., 2N) [m], [rad], and the
+    integrator a name of `INTEGRATORS`.
     """
     with np.errstate(all="ignore"):
         stiffness, damping = _per_inertia(p, q)

@@ -229,16 +229,11 @@ class ArmParameters:
         return ArmParameters(**{n: x[i] if x.ndim > _RULES[n][0] else x for n, x in fields})
 
     def scaled(self, **factors: npt.ArrayLike) -> ArmParameters:
-        """A copy with the named fields multiplied.
+        """A copy with the named fields multiplied by factors [1] that broadcast against them.
 
         What the backbone has of stiffness or damping follows the mean of a module's columns, and
-        the bend without force follows the rest length.
-
-        Args:
-            **factors: field name to factor [1], anything that broadcasts against the field.
-
-        Raises:
-            OctarmError: for an unknown field, or a factor that makes a field invalid.
+        the bend without force follows the rest length. Raises OctarmError for an unknown field, or
+        a factor that makes a field invalid.
         """
         changed: dict[str, Any] = {}
         for name, factor in factors.items():
@@ -263,9 +258,7 @@ class ArmParameters:
         """A nominal model that is wrong by `mismatch` [1], shape () or a batch's (...).
 
         Mass, inertia and damping are multiplied by 1 + mismatch, stiffness by 1 + mismatch/2.
-
-        Raises:
-            OctarmError: unless mismatch is above -1 and at most 1e6.
+        Raises OctarmError unless mismatch is above -1 and at most 1e6.
         """
         wrong = np.asarray(mismatch, dtype=np.float64)
         good = (wrong > -1.0) & (wrong <= 1e6)
@@ -289,11 +282,7 @@ class ArmParameters:
 
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any]) -> ArmParameters:
-        """The inverse of `to_dict`.
-
-        Raises:
-            OctarmError: if a field is missing, unknown or invalid.
-        """
+        """The inverse of `to_dict`; OctarmError if a field is missing, unknown or invalid."""
         optional = {"tip_length", *_MOSTLY_ZERO}  # have defaults
         wrong = (set(fields) ^ set(_RULES)) - optional
         if wrong:

@@ -36,7 +36,8 @@ class Rod:
     """A straight extensible rod; the defaults are the means of the nominal arm.
 
     EA, EI, density and rotary inertia are numbers, or pairs of their values at the base and at the
-    tip, between which they change linearly.
+    tip, between which they change linearly. Raises OctarmError for what is not positive and finite;
+    the last two may be 0.
 
     Attributes:
         length: L, unloaded [m].
@@ -46,9 +47,6 @@ class Rod:
         rotary_inertia: moment of inertia per length, rho I [kg m].
         damping_time: ratio of damping to stiffness [s].
         gravity: along the hanging rod [m/s^2].
-
-    Raises:
-        OctarmError: if one of them is not positive and finite; the last two may be 0.
     """
 
     length: float = 0.36
@@ -83,19 +81,10 @@ class Rod:
 
 
 def arm_from_rod(rod: Rod, modules: int, layout: str = "paper") -> ArmParameters:
-    """The chain of N modules that stands for a rod.
+    """The chain of N modules, 1 to 100, that stands for a rod in a layout; see this module.
 
-    Args:
-        rod: what is cut into elements.
-        modules: their number N, 1 to 100.
-        layout: `paper` or `centred`; see this module.
-
-    Returns:
-        Its parameters. Both columns of a module are alike; widths differ between modules where the
-        rod tapers, and where the layout is `centred`.
-
-    Raises:
-        OctarmError: for another layout or number of modules.
+    Both columns of a module are alike; widths differ between modules where the rod tapers, and
+    where the layout is `centred`. Raises OctarmError for another layout or number of modules.
     """
     if layout not in LAYOUTS:
         raise OctarmError(f"unknown layout {layout!r}{closest(layout, LAYOUTS)}")

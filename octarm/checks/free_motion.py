@@ -45,13 +45,10 @@ def simulate(
     stride: int = 1,
     ctrl: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Steps MuJoCo from q, v, shape (2N,).
+    """q and v at the start and after every `stride` steps of MuJoCo, shapes (samples + 1, 2N).
 
-    `ctrl` is that of the model, constant or held from one sample to the next, shape (4N - 2,) or
-    (samples, 4N - 2) [N].
-
-    Returns:
-        q and v at the start and after every `stride` steps, each of shape (samples + 1, 2N).
+    It starts at q, v, shape (2N,); `ctrl` is that of the model, constant or held from one sample to
+    the next, shape (4N - 2,) or (samples, 4N - 2) [N].
     """
     qpos, dof = paper_order(model)
     data = mujoco.MjData(model)
@@ -87,15 +84,9 @@ def reference_motion(
     """Coordinates of analytic arms from q, v on, shape (samples + 1, ..., 2N) [m], [rad].
 
     DOP853 at a relative tolerance of 1e-12, restarted at every sample: its interpolant is of lower
-    order than its steps, and forces may jump there. Samples after a divergence are NaN.
-
-    Args:
-        p: parameters of the arms, with batch axes (...) or without.
-        q: initial coordinates, shape (..., 2N) [m], [rad].
-        v: initial velocities, shape (..., 2N) [m/s], [rad/s].
-        force: on the arms.
-        times: of the samples, the start being the first, shape (samples + 1,) [s]; SAMPLES of
-            DURATION when not given.
+    order than its steps, and forces may jump there. Samples after a divergence are NaN. The arms
+    start at q, v of shape (..., 2N); the times of the samples, shape (samples + 1,) [s], are
+    SAMPLES of DURATION when not given.
     """
     times = np.linspace(0.0, DURATION, SAMPLES + 1) if times is None else times
     out = np.full((times.size, 2, *q.shape), np.nan)

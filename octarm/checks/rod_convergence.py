@@ -62,11 +62,8 @@ class Study(NamedTuple):
 def study(progress: Callable[[str], object] | None = None) -> Study:
     """Compares chains of MODULES with the default rod, and with one that tapers.
 
-    Args:
-        progress: called with the name of each part before it starts.
-
-    Raises:
-        OctarmError: if a static shape is not found.
+    The progress is called with the name of each part. Raises OctarmError if no static shape is
+    found.
     """
     rod, curves = Rod(), list[Curve]()
     motions, peer = dict[str, np.ndarray](), dict[str, np.ndarray]()

@@ -16,15 +16,9 @@ _STAGES = 10  # in which a load is put on
 def static_tip(p: ArmParameters, end_force: np.ndarray, gravity: np.ndarray) -> np.ndarray:
     """Tip of a chain under dead loads: x, y and the angle there, shape (3,) [m], [m], [rad].
 
-    By Newton's method on the stationary point of springs less loads; see `lagrange.newton`.
-
-    Args:
-        p: the chain; its own gravity does not count.
-        end_force: dead force on the tip, shape (2,) [N].
-        gravity: acceleration of the masses, shape (2,) [m/s^2].
-
-    Raises:
-        OctarmError: if there is no such shape.
+    By Newton's method on the stationary point of springs less loads; see `lagrange.newton` for
+    errors. Loads are a force on the tip, shape (2,) [N], and an acceleration of the masses, shape
+    (2,) [m/s^2]; the chain's own gravity does not count.
     """
     n = p.modules
     loads = np.concatenate([p.mass[:, None] * gravity, end_force[None, :]])
@@ -69,8 +63,7 @@ def _static_balance(
 def frequencies(p: ArmParameters) -> tuple[np.ndarray, np.ndarray]:
     """Bending and axial frequencies of the straight chain without weight, of shape (N,) each [Hz].
 
-    Raises:
-        OctarmError: if the columns of a module differ, so that bending and stretching couple.
+    Raises OctarmError if the columns of a module differ, so that bending and stretching couple.
     """
     n = p.modules
     if not np.array_equal(p.stiffness[0], p.stiffness[1]):

@@ -47,8 +47,7 @@ class Deviation(NamedTuple):
 def stored_arrays(path: Path) -> dict[str, np.ndarray]:
     """What a `.npz` file holds by name, as it is stored: rows of shape (T, ...), and the ending.
 
-    Raises:
-        OctarmError: if it cannot be read, or has no rows.
+    Raises OctarmError if it cannot be read, or has no rows.
     """
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
@@ -72,9 +71,7 @@ def form_differences(
 ) -> Iterator[Difference]:
     """Arrays that only one side has, numbers of rows, kinds and shapes, and what has no rows.
 
-    Args:
-        was: rows of shape (T, ...), and the ending; see `stored_arrays`.
-        now: the same of the re-run; see `saved_arrays`.
+    Both are rows of shape (T, ...) with the ending, of `stored_arrays` and of `saved_arrays`.
     """
     if len(was["t"]) != len(now["t"]):
         yield Difference("rows", len(was["t"]), len(now["t"]))
@@ -103,10 +100,7 @@ def deviations(
 ) -> list[Deviation]:
     """Where arrays that both sides have in the same form differ, the earliest first.
 
-    Args:
-        was: rows of shape (T, ...), and the ending; see `stored_arrays`.
-        now: the same of the re-run; see `saved_arrays`.
-        coordinates: their names.
+    Both are rows of shape (T, ...) with the ending, of `stored_arrays` and of `saved_arrays`.
     """
     differences = (
         _deviation(name, was[name], now[name], now["t"], coordinates)
@@ -138,12 +132,7 @@ def _deviation(
 
 
 def checksum_differences(folder: Path, description: Mapping[str, Any]) -> list[Difference]:
-    """Files whose SHA-256 is not the one that `run.json` states, and files that belong to no run.
-
-    Args:
-        folder: of the run.
-        description: content of its `run.json`.
-    """
+    """Files whose SHA-256 is not what `run.json` states, and files that belong to no run."""
     stated = {key: description[key] for key in (runs.SUMS,) if key in description}
     differences = [*compare(stated, {runs.SUMS: runs.checksums(folder, description)})]
     extra = sorted(path.name for path in folder.iterdir() if path.name not in _FILES)
@@ -153,13 +142,7 @@ def checksum_differences(folder: Path, description: Mapping[str, Any]) -> list[D
 def recording_differences(
     file: Path, run: Trajectory, description: Mapping[str, Any]
 ) -> Iterator[Difference]:
-    """What a recording holds, beside what one that is made of the run holds.
-
-    Args:
-        file: the recording.
-        run: the trajectory.
-        description: what `run.json` holds.
-    """
+    """What a recording holds, beside what one that is made of the run and its `run.json` holds."""
     with tempfile.TemporaryDirectory() as scratch:
         again = Path(scratch) / runs.RECORDING
         write_recording(again, run, description)

@@ -26,12 +26,7 @@ _OF_THE_RUN = (
 def sweep_differences(sweep: FinishedSweep, factory: ControllerFactory) -> list[Difference]:
     """What of a finished or unfinished sweep is not as it was written, without running it again.
 
-    Args:
-        sweep: whose manifest and spec agree.
-        factory: of the controllers, the one that the sweep had.
-
-    Raises:
-        OctarmError: if a controller cannot be made.
+    The factory is the one that the sweep had. Raises OctarmError if a controller cannot be made.
     """
     spec = sweep.plan.spec
     first = spec.all_arms()[0]

@@ -45,14 +45,11 @@ _PHYSICS = (
 
 
 def arm_with(modules: int) -> ArmParameters:
-    """The nominal arm with N modules.
+    """The nominal arm with N modules, 1 to 100, else it raises OctarmError.
 
     Fewer modules than nominal: the arm cut off after module N. More: a longer arm with the same
-    base and tip, mass, inertia, stiffness and damping tapering in between as they do in the
-    nominal one.
-
-    Raises:
-        OctarmError: if `modules` is below 1 or above 100.
+    base and tip, mass, inertia, stiffness and damping tapering in between as they do in the nominal
+    one.
     """
     if not 1 <= modules <= MOST_MODULES:
         raise OctarmError(
@@ -105,18 +102,13 @@ def validate(
 ) -> CheckTable:
     """Compares MuJoCo's arm with the analytic one, point by point and in motion.
 
-    MuJoCo takes its usual timestep, or a shorter one where the arm's fastest mode needs it.
-    The timesteps at which orders of convergence are taken suit arms with some damping; on an arm
-    with none at all, the dissipative DISCRETE does not get near its order.
+    MuJoCo takes its usual timestep, or a shorter one where the arm's fastest mode needs it. The
+    timesteps at which orders of convergence are taken suit arms with some damping; on an arm with
+    none at all, the dissipative DISCRETE does not get near its order.
 
-    Args:
-        parameters: one arm's parameters.
-        states: number of random states for the comparison point by point.
-        seed: of the random states and motions.
-        progress: called with the name of each part before it starts.
-
-    Raises:
-        OctarmError: if `states` is below 1, or the parameters do not describe one arm that hangs.
+    So many random states are compared point by point. The progress is called with the name of each
+    part. Raises OctarmError if `states` is below 1, or the parameters do not describe one arm that
+    hangs.
     """
     if states < 1:
         raise OctarmError(f"the number of states is {states}; it must be at least 1")

@@ -106,12 +106,8 @@ def check_run(
 ) -> RunCheck:
     """Runs again what `run.json` of a run folder says, and compares all that the folder holds.
 
-    A run that diverged or was interrupted is repeated up to where it ended.
-
-    Args:
-        folder: of the run.
-        factory: makes the controller from all its gains.
-        progress: called after every control period.
+    A run that diverged or was interrupted is repeated up to where it ended. The factory makes the
+    controller from all its gains; the progress is called after every control period.
 
     Raises:
         OctarmError: if the folder holds no complete run, or one that cannot be made again.

@@ -25,10 +25,8 @@ class EpisodeCheck(Comparison):
     Differences are those of the columns, the checkpoints aside.
 
     Attributes:
-        episode: its number.
-        label: what it is, in words.
-        between: the instants between which the motion becomes another one [s]; None if it does
-            not.
+        label: what the episode is, in words.
+        between: the instants between which the motion parts [s]; None if it does not.
         gains: of the controller for the nominal arm, where they are not what they were.
         recorded: run folder of the episode, if there is one.
     """
@@ -60,15 +58,9 @@ class EpisodeCheck(Comparison):
 
 
 def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory) -> EpisodeCheck:
-    """Runs an episode of a sweep alone, and compares.
+    """Runs an episode of a sweep alone, and compares; the factory is the one that the sweep had.
 
-    Args:
-        sweep: the sweep.
-        episode: number.
-        factory: of the controllers, the one that the sweep had.
-
-    Raises:
-        OctarmError: if the episode is not there, or cannot be made again.
+    Raises OctarmError if the episode is not there, or cannot be made again.
     """
     row = sweep.row(episode)
     (stored,) = row.to_pylist()

@@ -54,12 +54,7 @@ class Plant(NamedTuple):
 
 
 class Event(NamedTuple):
-    """A moment at which a disturbance begins or ends.
-
-    Attributes:
-        at: when [s].
-        text: what begins, such as `payload 0.1`; empty when it ends.
-    """
+    """A moment [s] at which a disturbance begins, or ends, with an empty text."""
 
     at: float
     text: str

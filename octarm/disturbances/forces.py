@@ -166,7 +166,7 @@ def _sine(
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class PulseForce(_PushForce):
-    """A constant force on joints or tip from the time `at` on, for a while.
+    """A constant force on joints or tip from the time `at` on, for a while; see `SineForce`.
 
     A physics step that it covers in part gets that part of the force, so that the impulse is
     amplitude times length for any timestep.
@@ -175,7 +175,6 @@ class PulseForce(_PushForce):
         amplitude: shape (...) [N], or [N m] on a bend.
         at: when it begins, shape (...) [s].
         length: for how long, may be infinite, shape (...) [s].
-        on: as for `SineForce`.
     """
 
     name: ClassVar[str] = "pulse"
@@ -187,12 +186,11 @@ class PulseForce(_PushForce):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class StepForce(_PushForce):
-    """A constant force on joints or tip from the time `at` on, to the end.
+    """A constant force on joints or tip from the time `at` on, to the end; see `SineForce`.
 
     Attributes:
         amplitude: shape (...) [N], or [N m] on a bend.
         at: when it begins, shape (...) [s].
-        on: as for `SineForce`.
     """
 
     name: ClassVar[str] = "step"

@@ -34,8 +34,8 @@ class Mismatch(PlantChange):
     """A true arm with other parameters, from the start.
 
     Attributes:
-        mismatch: mass, inertia and damping are multiplied by 1 + mismatch, stiffness by
-            1 + mismatch/2, as in `ArmParameters.mismatched`, shape (...) [1].
+        mismatch: mass, inertia and damping are multiplied by 1 + mismatch, stiffness by 1 +
+            mismatch/2, as in `ArmParameters.mismatched`, shape (...) [1].
         mass: further factor, shape (...) [1].
         inertia: further factor, shape (...) [1].
         stiffness: further factor, shape (...) [1].

@@ -118,14 +118,9 @@ class Comparisons(NamedTuple):
 
 
 def compare(episodes: Episodes, baseline: str | None = None) -> Comparisons:
-    """Computes the numbers.
+    """Computes the numbers; the baseline is the first controller if None.
 
-    Args:
-        episodes: of a sweep.
-        baseline: the controller that the others are compared with; the first one if None.
-
-    Raises:
-        OctarmError: if the sweep has no such controller.
+    Raises OctarmError if the sweep has no such controller.
     """
     names, factors = episodes.controllers, episodes.factors
     if baseline is not None and baseline not in names:

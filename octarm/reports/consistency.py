@@ -16,11 +16,10 @@ _FEW = 8  # seeds, below which intervals are rough
 
 
 class Remark(NamedTuple):
-    """Something that a reader should know.
+    """Something that a reader should know: a sentence.
 
     Attributes:
         warning: whether a number is not to be believed without looking into it.
-        text: one sentence.
     """
 
     warning: bool

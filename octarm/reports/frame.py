@@ -164,14 +164,9 @@ class Episodes:
 def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
     """Reads a sweep, and no more columns than are needed.
 
-    Args:
-        folder: of the sweep.
-        metrics: names of metrics, or of columns; `DEFAULT` when not given. Of a metric of
-            coordinates those that move are taken, one of inputs is brought together.
-
-    Raises:
-        OctarmError: if it is no sweep, has no finished episode, or a metric is unknown or has no
-            value in any episode.
+    Metrics or columns are given by name; they are `DEFAULT` when none are given. Of a metric of
+    coordinates those that move are taken, one of inputs is brought together. Raises OctarmError if
+    it is no sweep, has no finished episode, or a metric is unknown or has no value in any episode.
     """
     plan, manifest = open_sweep(folder)
     spec = manifest["spec"]
@@ -260,11 +255,7 @@ def _column(field: pa.Field, known: Mapping[str, Metric]) -> Measure | None:
 def _measures(
     name: str, columns: Sequence[Measure], spec: Mapping[str, Any], known: Mapping[str, Metric]
 ) -> list[Measure]:
-    """The measures that the name of a metric or column stands for; none if it has no column.
-
-    Raises:
-        OctarmError: for an unknown name.
-    """
+    """The measures that the name of a metric or column stands for; none if it has no column."""
     of_metric = [column for column in columns if column.metric == name]
     single = [column for column in columns if column.name == name]
     if name not in known and not single:

@@ -108,9 +108,8 @@ class Experiment:
     def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
         """The environment and the controller.
 
-        Raises:
-            OctarmError: if one of them cannot be made.
-            CodeChanged: if the code of one of them is not what it was.
+        Raises OctarmError if one of them cannot be made, CodeChanged if its code is not what it
+        was.
         """
         seed = self.seed
         if self.spawn_key:
@@ -177,9 +176,8 @@ class Experiment:
     def from_description(cls, description: Mapping[str, Any]) -> Experiment:
         """What was run, from the content of `run.json`; its factory is to be given all the gains.
 
-        Raises:
-            OctarmError: if something is missing or not allowed, or the reference is a custom one.
-            CodeChanged: if the code of a disturbance is not what it was.
+        Raises OctarmError if something is missing or not allowed, or the reference is a custom one,
+        CodeChanged if the code of a disturbance is not what it was.
         """
         inputs = Document(runs.DESCRIPTION, description).read(Inputs)
         reference = inputs.reference.name
@@ -218,13 +216,7 @@ def perform(
     *,
     progress: Callable[[], object] | None = None,
 ) -> tuple[Trajectory, dict[str, Any]]:
-    """Runs an experiment that was begun and announced, in memory.
-
-    Args:
-        environment: from `Experiment.begin`.
-        controller: likewise.
-        announced: from `Experiment.announcement`.
-        progress: called after every control period.
+    """Runs an experiment that was begun and announced, in memory; see `Experiment`.
 
     Returns:
         The trajectory, and the content of `run.json`: also what came of the run.
@@ -247,7 +239,7 @@ def run_into(
     keep: Callable[[Rows], object] | None = None,
     partial: bool = True,
 ) -> tuple[Trajectory, dict[str, Any]]:
-    """Runs an experiment of any length into a run folder: recording, arrays and description.
+    """Runs an experiment that was begun and announced, of any length, into a run folder.
 
     Args:
         out: the folder; an earlier run there is replaced when this one is complete.
@@ -257,16 +249,15 @@ def run_into(
         recording: opens the recording.
         progress: called after every control period.
         keep: called with every block of rows, when it is on disk.
-        partial: whether a run that is interrupted is kept up to there, with the status
-            `interrupted`, unless there is an earlier one.
+        partial: whether a run that is interrupted is kept up to there, unless there is an earlier
+            one.
 
     Returns:
-        The trajectory, whose arrays stay on disk until they are looked at, and the content of
-        `run.json`.
+        The trajectory, whose arrays stay on disk until they are looked at, and what `run.json`
+            holds.
 
     Raises:
-        OctarmError: if the place is taken by something else.
-        FileError: if it cannot be written.
+        OctarmError: if the place is taken by something else, or cannot be written.
         KeyboardInterrupt: if interrupted, and nothing was kept.
     """
     expected = whole_periods(announced["duration"], environment.control_timestep())

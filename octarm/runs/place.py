@@ -100,10 +100,8 @@ def _taken(folder: Path) -> str:
 def _claimed(folder: Path, made: list[Path]) -> Generator[None]:
     """Holds a lock on the folder, which dies with this process.
 
-    Folders that were made for it go if it cannot be opened, or the block fails.
-
-    Raises:
-        OctarmError: if another process, or another thread, holds it.
+    Folders that were made for it go if it cannot be opened, or the block fails. Raises OctarmError
+    if another process, or another thread, holds it.
     """
     try:
         import fcntl

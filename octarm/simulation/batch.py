@@ -30,14 +30,9 @@ class BatchPhysics(AnyPhysics):
         parameters: ArmParameters | None = None,
         threads: int = 1,
     ) -> None:
-        """Physics for a model of `build_slim_model`.
+        """Physics of so many arms, stepped by threads, on which results do not depend.
 
-        Args:
-            model: of the arms.
-            arms: their number n.
-            actuation: how inputs act on them.
-            parameters: those of each arm, with batch axis (n,), where they differ from the model's.
-            threads: number of threads; results do not depend on it.
+        Parameters with batch axis (n,) take the place of the model's.
         """
         each = parameters if parameters is not None and parameters.batch_shape else None
         self.batch = Batch(model, arms, threads)

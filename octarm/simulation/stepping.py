@@ -66,14 +66,7 @@ class AnyPhysics(control.Physics):
         field: Callable[[str], np.ndarray],
         undisturbed: ArmParameters,
     ) -> None:
-        """Connects to MuJoCo's memory.
-
-        Args:
-            model: of the arms.
-            state: the array of a state variable or an input of all arms, by MuJoCo's name.
-            field: the array of a model's field, likewise.
-            undisturbed: the arms' parameters, of one arm or with batch axis (n,).
-        """
+        """Connects to MuJoCo's memory: arrays of states and model fields by its names."""
         self._qpos_index, self._qvel_index = paper_order(model)
         # Views of MuJoCo's memory, kept because looking them up costs as much as a small product;
         # of those that are read the coordinate is the first axis.
@@ -83,13 +76,7 @@ class AnyPhysics(control.Physics):
         self._describe(undisturbed, float(model.opt.timestep), rest_of(model))
 
     def _describe(self, undisturbed: ArmParameters, timestep: float, rest: np.ndarray) -> None:
-        """Takes what is the same in every episode.
-
-        Args:
-            undisturbed: the arms' parameters, of one arm or with batch axis (n,).
-            timestep: physics step [s].
-            rest: the loaded equilibrium of an arm, shape (2N,) [m], [rad].
-        """
+        """Takes what is the same in every episode; an arm hangs at `rest`, shape (2N,)."""
         self._timestep, self._undisturbed = timestep, undisturbed
         self.plant_limits = Limits.of(undisturbed)
         self._rest = self._alike(rest)
@@ -249,11 +236,7 @@ class AnyPhysics(control.Physics):
         self._qvel[self._qvel_index] = v.T
 
     def set_control(self, control: np.ndarray) -> None:
-        """Holds the input forces tau, shape (..., 2N) [N], until the next call.
-
-        Raises:
-            OctarmError: unless they are numbers of this shape.
-        """
+        """Holds tau, shape (..., 2N) [N], until the next call; OctarmError if it is no such thing."""
         with self.exclusive:
             try:
                 tau = np.array(control, dtype=np.float64)

@@ -47,13 +47,7 @@ def integrator_of(name: str) -> int:
 def step_check(
     rest: np.ndarray, timestep: float, integrator: str
 ) -> Callable[[ArmParameters], None]:
-    """What refuses arms for which a step is too long, as `Episode.check_arm`.
-
-    Args:
-        rest: where the undisturbed arms hang, shape (..., 2N) [m], [rad].
-        timestep: physics step [s].
-        integrator: name.
-    """
+    """What refuses arms that hang at rest, shape (..., 2N), for which a step [s] is too long."""
     return functools.partial(_check, rest, timestep, integrator)
 
 
@@ -133,16 +127,10 @@ def check_arms(
     timestep: float | None,
     groups: Groups | None = None,
 ) -> None:
-    """Raises StepError if a step is too long for an arm of an episode.
+    """Raises StepError if a step [s] is too long for an arm of an episode, see `Episode`.
 
-    Args:
-        arm: undisturbed parameters, of one arm or of the batch.
-        disturbances: of which those count that change the arm.
-        seeds: one an arm.
-        batch_shape: () or (n,).
-        integrator: name.
-        timestep: physics step [s]; that of `models/octarm.xml` if None.
-        groups: of a plant of more modules.
+    Of the disturbances those count that change the arm. The step is that of `models/octarm.xml` if
+    None.
     """
     step = usual_step() if timestep is None else timestep
 
@@ -180,10 +168,8 @@ def fitting_step(longest: float, control_period: float | None) -> tuple[float, f
     """A step [s] for arms with this longest stable step [s], and the control period [s].
 
     It is a period over 1, 2, 5, 10, 20 and so on, shorter than the longest stable one by a tenth at
-    least, and at most that of `models/octarm.xml`, which the period is if None.
-
-    Raises:
-        OctarmError: if it would be below 1e-7 s.
+    least, and at most that of `models/octarm.xml`, which the period is if None. Raises OctarmError
+    if it would be below 1e-7 s.
     """
     usual = usual_step()
     period = usual if control_period is None else control_period

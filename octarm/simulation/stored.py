@@ -21,14 +21,9 @@ _WORD = "<U"  # how the kinds of texts begin
 def read_arrays(path: str | os.PathLike[str], *, mapped: bool = False) -> dict[str, np.ndarray]:
     """The arrays of a file by name, read-only: float64 of any shape, and texts of shape ().
 
-    Args:
-        path: of the file.
-        mapped: whether numbers stay on disk until they are looked at.
-
-    Raises:
-        OSError: if the file cannot be read.
-        ValueError: if it is damaged, or holds something else; NumPy and zipfile raise errors of
-            further kinds on damaged bytes.
+    Mapped numbers stay on disk until they are looked at. Raises OSError if the file cannot be read,
+    ValueError if it is damaged, or holds something else; NumPy and zipfile raise errors of further
+    kinds on damaged bytes.
     """
     arrays: dict[str, np.ndarray] = {}
     whole: np.ndarray | None = None

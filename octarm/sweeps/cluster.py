@@ -30,15 +30,14 @@ def dask_cluster(
     is no worker.
 
     Args:
-        address: of a scheduler, such as `tcp://10.0.0.1:8786`; or `local` for a cluster of this
+        address: of a scheduler, such as `tcp://10.0.0.1:8786`; `local` for a cluster of this
             machine.
         workers: number of processes of a local cluster.
         wait: how long it may have no worker, at the beginning or later [s].
 
     Raises:
-        OctarmError: if the package distributed is not installed, there is no scheduler at the
-            address, it has no worker for too long, or a worker lacks something or has it in another
-            version. The number of calls raises it, too.
+        OctarmError: if the package distributed is not installed, no scheduler answers, it has no
+            worker for too long, or a worker lacks something. The number of calls raises it, too.
     """
     check_not_beginning()
     if not wait >= 0.0:
@@ -136,11 +135,7 @@ class _Watch:
         call.release()
 
     def threads(self) -> int:
-        """The number of threads of all workers.
-
-        Raises:
-            OctarmError: if there have been none for too long, or a new worker will not do.
-        """
+        """The number of threads of all workers; raises OctarmError if they will not do."""
         try:
             threads: Mapping[str, int] = self._client.nthreads()
             if not self._looked_at >= threads.keys():

@@ -224,8 +224,7 @@ class _Run:
 def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
     """Runs a control period of every controller with every value of every axis.
 
-    Returns:
-        The gains of each controller for the first arm, ready for JSON.
+    It returns the gains of each controller for the first arm, ready for JSON.
     """
     nominal = plan.spec.all_arms()[0]
     check_batch(
@@ -244,14 +243,10 @@ def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
 
 
 class Forecast(NamedTuple):
-    """What a sweep will take.
+    """What a sweep will take: seconds of one worker, at most `size` bytes on disk.
 
     Attributes:
-        episodes: their number.
         periods: number of control periods of an episode.
-        shards: their number.
-        seconds: that one worker needs [s].
-        size: of the table on disk, at most [byte].
     """
 
     episodes: int

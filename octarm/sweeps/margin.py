@@ -66,8 +66,8 @@ class Brackets:
         again: whether a larger share met it again, shape (n,).
         grid: the shares of the coarse grid, shape (k,).
         excess: what came of them, shape (n, k).
-        alike: whether all seeds gave the same motion on the grid, bit by bit; the rest is then that
-            of the first one.
+        alike: whether all seeds gave the same motion on the grid; the rest is then that of the
+            first.
     """
 
     met: np.ndarray
@@ -84,15 +84,10 @@ class Brackets:
 
 
 def search(attempt: Try, seeds: int, *, intervals: int = 8, resolution: float = 0.01) -> Brackets:
-    """The brackets of all seeds.
+    """The brackets of seeds 0, 1, ..; that of a seed does not depend on the other seeds.
 
-    That of a seed does not depend on the other seeds.
-
-    Args:
-        attempt: runs arms.
-        seeds: number of seeds; they are 0, 1, ...
-        intervals: of the coarse grid.
-        resolution: largest gap between `met` and `failed`, as a share of `failed` [1].
+    The coarse grid has so many intervals; the gap between `met` and `failed` becomes at most the
+    resolution, a share of `failed` [1].
     """
     grid = np.arange(intervals + 1) / intervals
     tried = attempt(np.repeat(np.arange(seeds), len(grid)), np.tile(grid, seeds))
@@ -136,19 +131,14 @@ class Margin(NamedTuple):
 
 
 def margin_of(brackets: Brackets, share: float, confidence: float = 0.95) -> Margin:
-    """The largest value that a share of the seeds bears, with an interval of order statistics.
+    """The largest value that a share [1] of the seeds bears, with an interval of order statistics.
 
     The margin is a quantile of those of the seeds: of n of them, Bin(n, 1 - share) are below it,
     whatever their distribution. So the r-th smallest is above it with P(Bin <= r - 1), the s-th
     below it with P(Bin >= s), and the ends are those two that leave at most half of what is missing
-    in the confidence on either side. The interval holds the margin in at least `confidence` of all
-    samples. There is no end where `seeds_needed` is larger than the number of seeds, and none when
-    all of them are alike. It says nothing of the gap of the search, which `resolution` bounds.
-
-    Args:
-        brackets: of the seeds.
-        share: of the seeds that have to meet the bound [1]; 1 for all of them.
-        confidence: of the interval [1].
+    in the confidence [1] on either side. The interval holds the margin in at least `confidence` of
+    all samples. There is no end where `seeds_needed` is larger than the number of seeds, and none
+    when all of them are alike. It says nothing of the gap of the search, which `resolution` bounds.
     """
     margins = np.sort(brackets.margins)
     n, tail = len(margins), 0.5 * (1.0 - confidence)
@@ -237,10 +227,8 @@ def is_varied(text: str) -> bool:
 def parse_varied(text: str, low: float | str | None, high: float | str | None) -> Varied:
     """What varies, from NAME or NAME:KEY=VALUE,..; `low` and `high` are usual ones when None.
 
-    Texts are numbers with a unit, such as "60ms".
-
-    Raises:
-        OctarmError: for an unknown name or key, or values that are not allowed.
+    Texts are numbers with a unit, such as "60ms". Raises OctarmError for what is unknown or not
+    allowed.
     """
     name, _, rest = text.partition(":")
     if name != NOMINAL:
@@ -325,12 +313,9 @@ class MarginRuns:
     progress: Callable[[float], object] = lambda seconds: None
 
     def rehearse(self, seeds: int = 1) -> MarginRuns:
-        """The same runs, for which a physics step `auto` has become a number.
+        """The same runs for so many seeds, whose physics step, if `auto`, has become a number.
 
-        The step is one that suits both ends of the range, for so many seeds.
-
-        Raises:
-            OctarmError: if a control period at both ends fails.
+        Raises OctarmError if a control period at both ends of the range fails.
         """
         ends = np.array([0.0, 1.0])
         modules = self.plant_modules or self.parameters.modules
@@ -352,8 +337,7 @@ class MarginRuns:
     def __call__(self, seeds: np.ndarray, shares: np.ndarray) -> Attempt:
         """The runs of these seeds at these shares of the way, both of shape (n,).
 
-        Raises:
-            OctarmError: if there is no number for a metric, although arms bore it all.
+        Raises OctarmError if there is no number for a metric, although arms bore it all.
         """
         environment, controller = self._begin(seeds, shares)
         with arm_seconds(environment, self.duration, self.progress) as seconds:

@@ -157,7 +157,7 @@ class Plan:
         )
 
     def episode(self, number: int) -> Arms:
-        """One episode, to be run alone; raises OctarmError if there is no such episode."""
+        """One episode, to be run alone; raises OctarmError if there is none of this number."""
         if not 0 <= number < self.episodes:
             raise OctarmError(
                 f"there is no episode {number}; they are numbered 0 .. {self.episodes - 1}"

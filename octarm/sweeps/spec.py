@@ -158,12 +158,9 @@ class SweepSpec:
         return max(arm.modules for arm in self.all_arms())
 
     def controller(self, name: str, nominal: Any, factory: ControllerFactory) -> Controller:
-        """The controller of this name, with the gains of the spec.
+        """The controller of this name for a nominal model, with the gains of the spec.
 
-        Args:
-            name: of the controller.
-            nominal: its model of the arm.
-            factory: takes a keyword `gain_set` where the spec has one for the controller.
+        The factory takes a keyword `gain_set` where the spec has one for the controller.
         """
         gains, word = self.gains.get(name, {}), word_of(name, self.code)
         if name not in self.gain_sets:

@@ -194,9 +194,7 @@ class SpecFile(Model):
 def read_spec(path: str | Path) -> SweepSpec:
     """The spec in a TOML file.
 
-    Raises:
-        OctarmError: if it is not a valid spec; the sentence names the line.
-        FileError: if the file cannot be read.
+    Raises OctarmError with the line where it is not valid, FileError if it cannot be read.
     """
     return _spec(read_toml(path))
 

@@ -22,13 +22,8 @@ from octarm.sweeps.spec import SweepSpec
 def with_step(spec: SweepSpec, *, probes: bool = False) -> SweepSpec:
     """The spec, whose physics step suits all of its arms; `auto` has become a number.
 
-    Args:
-        spec: of a sweep.
-        probes: whether only a few episodes, in which every value of every axis occurs, are looked
-            at.
-
-    Raises:
-        OctarmError: if the step is too long for an arm; the sentence names its episode.
+    With `probes` a few episodes are looked at, in which every value of every axis occurs. Raises
+    OctarmError if the step is too long for an arm; the sentence names its episode.
     """
     plan = Plan(spec)
     alike = len(spec.controllers) * len(spec.references)  # in which the step is the same

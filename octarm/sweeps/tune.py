@@ -174,17 +174,17 @@ class SearchState(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Tuned:
-    """The result of a search.
+    """The result of a search; costs are those of each scenario, shape (scenarios,) [1].
 
     Attributes:
         gains: all gains of the controller that are numbers, by name, in the scales of the nominal
             model, shape () or (2N,).
-        short: cost in each scenario of the search, shape (scenarios,) [1].
-        long: cost in each scenario of the longer examination, shape (scenarios,) [1].
-        short_by_hand: the same with the hand-set gains, shape (scenarios,).
+        short: in the search.
+        long: in the longer examination.
+        short_by_hand: with the hand-set gains.
         long_by_hand: likewise.
-        unseen: cost in each scenario that nothing was chosen by, shape (scenarios,) [1].
-        unseen_by_hand: the same with the hand-set gains, shape (scenarios,).
+        unseen: in scenarios that nothing was chosen by.
+        unseen_by_hand: likewise, with the hand-set gains.
         at_bounds: the unknowns that are as small or large as they were allowed to be.
     """
 
@@ -211,8 +211,8 @@ def tune(
     """Searches gains; the same bits for the same arguments, wherever it went on from.
 
     Args:
-        factory: makes the controller from its nominal model and gains; gains that it is not given
-            are the hand-set ones.
+        factory: makes the controller from its nominal model and gains; hand-set ones where not
+            given.
         budget: how much is tried.
         seed: of the search. The scenarios do not depend on it.
         state: where an earlier search stopped; the beginning when not given.

@@ -159,16 +159,10 @@ def costs(
 ) -> np.ndarray:
     """The cost of each candidate in each scenario, shape (n, scenarios) [1].
 
-    J is its `Examination.mean`. A cost does not depend on the other candidates.
-
-    Args:
-        examination: what is tried.
-        factory: makes the controller from its nominal model and gains; gains that it is not given
-            are the hand-set ones.
-        candidates: gains with a row for each of them, shapes (n, 1) or (n, 2N).
-        progress: called with the seconds that have been simulated since the last call, all arms
-            counted.
-        rig: what they are tried on; the arm itself on the usual engine when not given.
+    J is its `Examination.mean`. A cost does not depend on the other candidates. They are gains by
+    name with a row for each candidate, shapes (n, 1) or (n, 2N); the factory makes the controller
+    of its nominal model and gains, hand-set where not given. The progress is called with the
+    seconds that were simulated since the last call, all arms counted.
     """
     table = np.empty((len(next(iter(candidates.values()))), len(examination.scenarios)))
     kinds = [(scenario.period, scenario.plant_modules) for scenario in examination.scenarios]
@@ -227,10 +221,9 @@ def _costs(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class EachItsOwn:
-    """A desired motion for each arm of a batch, out of a few.
+    """A desired motion for each arm of a batch, out of a few of one arm each.
 
     Attributes:
-        motions: of one arm each, shapes (2N,).
         choice: which of them each arm has, shape (n,).
     """
 

@@ -71,8 +71,7 @@ class WorkerProcesses(ThreadPoolExecutor):
     def __init__(self, workers: int) -> None:
         """So many processes, each started when there is a call for it.
 
-        Raises:
-            WorkersError: if they could not import the script of this process.
+        Raises WorkersError if they could not import the script of this process.
         """
         check_not_beginning()
         _check_script()
