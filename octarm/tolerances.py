@@ -51,11 +51,9 @@ class CheckTable:
     """The outcome of a set of checks; as text, it is title, table and verdict.
 
     Attributes:
-        title: what was checked, in one line.
         parameters: the arm, as plain numbers and lists.
         states: number of random states.
         seed: of the random states and motions.
-        checks: the rows.
     """
 
     title: str

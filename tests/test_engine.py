@@ -34,8 +34,8 @@ from octarm.disturbances.episode import Plant
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.simulation import lagrange_kernel
 from octarm.simulation.analytic import LagrangePhysics
-from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.environment import load
+from octarm.simulation.physics import BatchPhysics
 from octarm.simulation.rollout import rollout, simulate
 
 P = nominal_parameters()

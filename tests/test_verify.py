@@ -21,8 +21,7 @@ from controllers import CONTROLLERS, make_controller
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.differences import compare
-from octarm.checks.verify import RunCheck, check_run
-from octarm.checks.verify_episode import check_episode
+from octarm.checks.verify import RunCheck, check_episode, check_run
 from octarm.commands.cli import main
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.runs import folder as runs

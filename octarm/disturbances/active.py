@@ -12,7 +12,6 @@ import numpy as np
 
 from octarm.arm.groups import Groups
 from octarm.arm.parameters import ArmParameters
-from octarm.disturbances.catalogue import DISTURBANCES
 from octarm.disturbances.episode import (
     ActuatorFault,
     ActuatorProcess,
@@ -29,6 +28,7 @@ from octarm.disturbances.episode import (
     occurrences,
 )
 from octarm.disturbances.forces import TipProcess
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError
 
 _SIMULATED = (1e-14, 1e14)  # masses [kg] and inertias [kg m^2]; beyond, MuJoCo divides by zero

@@ -215,8 +215,8 @@ class Disturbance(abc.ABC):
 
     Subclasses are frozen, keyword-only dataclasses without `eq`, since fields may be arrays. Every
     field is annotated with a `Quantity` or `Words`, by which it is checked; numbers become floats
-    or read-only arrays. The command line takes the first field without a key. The first line of
-    the docstring stands in the help.
+    or read-only arrays. The command line takes the first field without a key. The first line of the
+    docstring stands in the help.
 
     Attributes:
         name: as the command line, `run.json` and the random streams spell it.

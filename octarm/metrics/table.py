@@ -228,10 +228,8 @@ class Column(NamedTuple):
 
     Attributes:
         name: of the column: `rms_error_theta1`, `effort_tau2`, `tip_rms_error`.
-        metric: name of the metric.
         of: the coordinate or input whose number it holds; empty for the arm.
         place: of that number along the last axis of the metric.
-        unit: of the values.
     """
 
     name: str

@@ -56,10 +56,8 @@ class Group(NamedTuple):
     Attributes:
         factor: None for the whole sweep.
         level: number of the factor's level.
-        controller: its name.
         episodes: number of finished ones.
-        failed: number of those that diverged.
-        failures: their share.
+        failed: number of those that diverged, and `failures` their share.
         medians: of the measures, arrays of shape (M,).
         seeds: that have a value of each measure, shape (M,); with fewer than `FEWEST` the interval
             of the median is a range.
@@ -98,13 +96,10 @@ class Cells(NamedTuple):
 
 
 class Comparisons(NamedTuple):
-    """All the numbers.
+    """All the numbers of some episodes.
 
-    Attributes:
-        episodes: from which they were computed.
-        baseline: name of a controller; empty when there is only one.
-        groups: the whole sweep first, then factor by factor, level by level.
-        cells: for each pair of factors.
+    The groups are the whole sweep first, then factor by factor, level by level. The baseline is the
+    name of a controller, empty when there is only one.
     """
 
     episodes: Episodes

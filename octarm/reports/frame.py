@@ -66,10 +66,7 @@ class Measure(NamedTuple):
 
     Attributes:
         name: its column, or the name of the metric if there are several.
-        metric: name of the metric.
         of: the coordinate or input; empty for the arm and for all inputs.
-        columns: names of the columns.
-        unit: of its values.
         declared: the declaration of the metric.
     """
 

@@ -21,9 +21,8 @@ from numpy.lib import format as npy
 from octarm.errors import FileError, OctarmError
 from octarm.files import whole_file
 from octarm.interfaces import Rows
-from octarm.simulation.stored import NUMBER
 from octarm.simulation.trajectory import BLOCK as BLOCK
-from octarm.simulation.trajectory import Ending, Trajectory, joined
+from octarm.simulation.trajectory import NUMBER, Ending, Trajectory, joined
 
 _LONGEST_HEADER = 10_000_000  # [byte]
 

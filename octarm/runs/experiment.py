@@ -64,27 +64,15 @@ OpenRecording = Callable[
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Experiment:
-    """All that a run of one arm depends on.
+    """All that a run of one arm depends on; see `octarm.load` for what is not said here.
 
     Attributes:
-        controller: name.
         gains: those that the factory of controllers is given.
         nominal: the model of the arm that the controller is given.
         parameters: the true arm.
-        reference: name of the desired motion.
-        disturbances: what acts on the arm that the controller does not know.
-        seed: of all that is random.
         spawn_key: of the `SeedSequence` that has this seed; empty but for episodes of sweeps.
         duration: of the run [s].
-        timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
-        control_period: time between control actions [s]; one physics step when None.
-        actuation: see `octarm.arm.actuation`.
-        integrator: see `octarm.load`.
-        engine: that steps the arm, see `octarm.simulation.engines`.
-        plant_modules: number of modules of the plant, see `octarm.load`; the arm itself when None.
-        layout: of that plant.
-        code: what is not built in by name, and metrics that are measured as well; see
-            `octarm.declared.named`.
+        code: what is not built in by name, and metrics that are measured as well.
     """
 
     controller: str

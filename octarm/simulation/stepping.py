@@ -236,7 +236,7 @@ class AnyPhysics(control.Physics):
         self._qvel[self._qvel_index] = v.T
 
     def set_control(self, control: np.ndarray) -> None:
-        """Holds tau, shape (..., 2N) [N], until the next call; OctarmError if it is no such thing."""
+        """Holds tau, shape (..., 2N) [N], until the next call; OctarmError for another shape."""
         with self.exclusive:
             try:
                 tau = np.array(control, dtype=np.float64)

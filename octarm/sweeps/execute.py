@@ -25,11 +25,10 @@ from octarm.interfaces import ControllerFactory, Instant
 from octarm.memory import check_batch
 from octarm.runs import folder as runs
 from octarm.simulation.environment import whole_periods
-from octarm.sweeps.plan import Plan
+from octarm.sweeps.plan import Plan, with_step
 from octarm.sweeps.progress import Note, Notes
 from octarm.sweeps.shards import begin, run_arms, run_shard
 from octarm.sweeps.spec import SweepSpec
-from octarm.sweeps.steps import with_step
 from octarm.sweeps.store import PROGRESS, SweepFolder, shard_bytes
 from octarm.sweeps.workers import WorkerProcesses, WorkersError, check_not_beginning, cores
 
@@ -64,9 +63,8 @@ def sweep(
     Args:
         spec: see `octarm.sweeps.spec_file.read_spec`.
         factory: makes a controller from its name, the nominal model and gains, and the gain set if
-            the spec names one, as `controllers.make_controller` does; other processes have to be
-            able to import it.
-        out: folder of the sweep.
+            the spec names one; other processes have to be able to import it.
+        out: folder of the sweep, which is returned.
         executor: that runs the shards; processes on all cores when not given.
         in_flight: number of shards that it is given at a time, 0 when it has nobody to run them;
             one a core when not given.
@@ -78,12 +76,9 @@ def sweep(
             work are worth.
         say: called with sentences on what happens meanwhile.
 
-    Returns:
-        The folder.
-
     Raises:
-        OctarmError: for a spec that cannot be run, or a folder that holds something else.
-        OSError: if the folder cannot be written; what was finished is kept.
+        OctarmError: for a spec that cannot be run, or a folder that holds something else or cannot
+            be written; what was finished is kept.
         RuntimeError: if shards failed; the others are kept.
         KeyboardInterrupt: if interrupted, when the shards at work are finished; at once if
             interrupted again. It says what is there.

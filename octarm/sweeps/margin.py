@@ -272,7 +272,7 @@ class MarginRuns:
     """Runs of one controller with other values of what varies, seed by seed; see `Try`.
 
     The seeds are those of a sweep with the same `seed`, and the same for every controller and
-    value.
+    value. See `octarm.load` for what is not said here.
 
     Attributes:
         factory: makes the controller from its nominal model.
@@ -280,17 +280,8 @@ class MarginRuns:
         bounds: metrics, and what their absolute values may be at most, all of them.
         disturbances: what acts in addition.
         mismatch: of the controller's nominal model [1].
-        reference: name of the desired motion.
         duration: of a run [s].
-        timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
-        control_period: time between control actions [s]; one physics step when None.
-        engine: that steps the arms; `lagrange` where it is installed, when not given.
         parameters: the true arm, and the controller's model of it but for the mismatch.
-        plant_modules: number of modules of the plant, see `octarm.load`.
-        layout: of that plant.
-        seed: of all that is random.
-        threads: that step a batch.
-        catalogue: the metrics that are measured.
         progress: called with the seconds that were simulated since the last call, all arms counted.
     """
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from octarm.declared import Declared, absolute, named
-from octarm.disturbances.catalogue import DISTURBANCES
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError
 from octarm.formats import Document
 from octarm.metrics.declared import ACCUMULATORS

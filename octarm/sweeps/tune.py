@@ -123,8 +123,6 @@ class Budget:
         population: candidates in a generation.
         generations: of the search, the initial one included.
         finalists: candidates of the last one that are tried for longer, with the hand-set gains.
-        short: what the search is about.
-        long: what decides between the finalists.
         unseen: what the winner is evaluated on.
     """
 

@@ -70,14 +70,7 @@ _ENTROPY = int.from_bytes(b"tuning", "big")
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Examination:
-    """The scenarios, for how long, and with which noise.
-
-    Attributes:
-        scenarios: what is tried.
-        begin: when the measurement begins [s].
-        duration: of an episode [s].
-        noise: number of the realisation of the noise.
-    """
+    """The scenarios, from when on and for how long [s] they last, and with which noise."""
 
     scenarios: tuple[Scenario, ...] = SCENARIOS
     begin: float = 1.0
@@ -111,14 +104,7 @@ UNSEEN = Examination(scenarios=EVALUATION, noise=2)
 
 @dataclasses.dataclass(frozen=True)
 class Rig:
-    """What controllers are tried on.
-
-    Attributes:
-        engine: that steps the arms.
-        plant_modules: number of modules of the plant, see `octarm.load`; the arm itself when None.
-        layout: of that plant.
-        parameters: of the arm; the nominal ones when None.
-    """
+    """What controllers are tried on; the nominal arm when no parameters are given."""
 
     engine: str = dataclasses.field(default_factory=usual_engine)
     plant_modules: int | None = None
