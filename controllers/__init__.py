@@ -137,7 +137,6 @@ def make_controller(
 def _checked(
     gain: GainField | None, field: dataclasses.Field[Any], value: Any, model: NominalModel
 ) -> Any:
-    """A gain of a class that does not check it: a number or a read-only array."""
     name = spelled(field.name)
     if gain is not None:
         return gain.checked(name, value, model)
@@ -155,7 +154,6 @@ def _checked(
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:
-    """The default of a field; `_MISSING` if it has none."""
     if field.default_factory is not _MISSING:
         return field.default_factory()
     return field.default

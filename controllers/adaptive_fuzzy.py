@@ -264,7 +264,6 @@ class AdaptiveConsequents(AdaptiveLaw):
 
     @functools.cached_property
     def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """The lowest and highest theta."""
         return self.near(0.0, self.theta_max)
 
 
@@ -330,7 +329,6 @@ class AdaptiveFuzzy(AdaptiveLaw):
 
     @functools.cached_property
     def _bounds(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The lowest and highest theta, alpha and sigma."""
         # A sigma projected onto 0 would stay there, as sigma' ~ sigma. One that passes 0 does not
         # matter: exp(-(sigma ..)^2) is even.
         least = np.where(np.equal(self.sigma_min, 0.0), -np.inf, self.sigma_min)

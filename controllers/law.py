@@ -97,7 +97,6 @@ class _Unscaled(GainField):
     """What is the same for all arms, and not one number for each coordinate."""
 
     def scaled(self, numbers: npt.ArrayLike, nominal: NominalModel) -> npt.ArrayLike:
-        """The numbers as they are."""
         del nominal
         return numbers
 

@@ -78,7 +78,6 @@ def dimension_of(units: str) -> Dimension:
 
 
 def _product(words: list[str], units: str) -> Dimension:
-    """Takes a product off the words."""
     dimension, exponent = Dimension(), 1.0
     while words and words[0] != ")":
         if words[0] == "/":

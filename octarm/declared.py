@@ -147,7 +147,6 @@ class Declared(collections.UserDict[str, T]):
         )
 
     def _points(self) -> dict[str, importlib.metadata.EntryPoint]:
-        """The entry points of installed packages, by name."""
         return {point.name: point for point in entry_points(f"octarm.{self.kind}s")}
 
     def _found(self, word: str) -> tuple[T, str, str, str]:

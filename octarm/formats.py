@@ -217,7 +217,6 @@ _WORDS = {
 
 
 def _allowed(error: ErrorDetails) -> str:
-    """What is allowed, in words."""
     if error["type"] == "value_error":
         return str(error.get("ctx", {})["error"])
     words = error["msg"].removeprefix("Input should be ").partition(" or instance of ")[0]

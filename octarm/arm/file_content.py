@@ -84,7 +84,6 @@ def parameters_of(content: ArmFile) -> ArmParameters:
 
 
 def _rod(content: ArmFile, rod: RodTable) -> ArmParameters:
-    """The chain that a table `[rod]` asks for."""
     given = content.model_fields_set - {"rod", "name", "source", "converted", "assumed"}
     wrong = sorted(given - {"gravity", "input_range"})
     if wrong:
@@ -138,7 +137,6 @@ class _Reader:
         return value
 
     def _counted(self) -> int:
-        """The number of modules that the lists have."""
         for key in ("mass", "inertia", "width", "rest_length", "rest_angle", *_WHOLE):
             value = getattr(self._content, key)
             if value is not None and value.ndim == 1:
@@ -150,14 +148,12 @@ class _Reader:
         raise OctarmError("it needs a value of modules, since no list says how many there are")
 
     def _each(self, key: str) -> np.ndarray:
-        """One number a module, shape (N,)."""
         value = self._given(key)
         if value.shape not in ((), (1,), (self._modules,)):
             raise OctarmError(f"{key} has {_size(value)}; it needs {self._one_or_all()}")
         return np.broadcast_to(value, self._modules)
 
     def _columns(self, key: str) -> np.ndarray:
-        """One number a column, shape (2, N)."""
         value = self._given(key)
         rows = value if value.ndim == 2 else value[None]
         if value.ndim > 2 or len(rows) > 2 or rows.shape[-1:] not in ((), (1,), (self._modules,)):
@@ -202,7 +198,6 @@ class _Reader:
         return _shared(self._columns("damping"), whole, width, "damping")
 
     def _shape(self, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rest lengths and rest angles, shapes (N,)."""
         lengths, angle = self._columns("rest_length"), self._content.rest_angle
         if np.array_equal(lengths[0], lengths[1]):
             return lengths[0], np.zeros(self._modules) if angle is None else self._each(

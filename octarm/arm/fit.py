@@ -149,7 +149,6 @@ def _residuals(errors: Behaviour) -> list[np.ndarray]:
 
 
 def _rows(right: Behaviour, before: Behaviour, after: Behaviour) -> Iterator[Row]:
-    """The errors of both chains beside the values of the fine one."""
     m = len(right.weight) - 2
     loads = ["force along", "force across", *(f"couple {b + 1}" for b in range(m))]
     outputs = ["tip along", "tip across", *(f"plate {b + 1}" for b in range(m))]

@@ -225,14 +225,12 @@ def _in_series(halves: np.ndarray) -> np.ndarray:
 
 
 def _rows(matrix: np.ndarray) -> _Rows:
-    """What is not zero of each row."""
     return tuple(
         tuple((j, x) for j, x in enumerate(row) if abs(x) > 1e-12) for row in matrix.tolist()
     )
 
 
 def _product(rows: _Rows, x: np.ndarray) -> np.ndarray:
-    """A matrix times x, elementwise along the batch, shape (..., k)."""
     entries = split(x)
     return _joined([_sum(row, entries) for row in rows], x)
 

@@ -258,7 +258,6 @@ def potential_hessian(p: ArmParameters, q: np.ndarray) -> np.ndarray:
 
 
 def _from_the_tip(x: np.ndarray) -> np.ndarray:
-    """Sums from each module to the last one, shape (..., N)."""
     return np.cumsum(x[..., ::-1], axis=-1)[..., ::-1]
 
 

@@ -134,7 +134,6 @@ def _compiled(spec: mujoco.MjSpec, parameters: ArmParameters) -> mujoco.MjModel:
     data = mujoco.MjData(model)
 
     def residual(qpos: np.ndarray) -> np.ndarray:
-        """What gravity and springs leave over, by MuJoCo's own forces."""
         data.qpos[:] = qpos
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
@@ -222,7 +221,6 @@ class PlantFields:
         return bool(changed)
 
     def _write_backbone(self, p: ArmParameters) -> None:
-        """What the joints have of springs and dampers, and where all springs are relaxed."""
         stiffness, damping, relaxed = map(
             self._field, ("jnt_stiffness", "dof_damping", "qpos_spring")
         )
@@ -267,12 +265,10 @@ def _rods(i: int) -> list[str]:
 
 
 def _reactions(i: int) -> list[str]:
-    """The motors that put the reactions of module i on the ground."""
     return [f"reaction_{a}_{i}" for a, _ in _COLUMN_SIDES]
 
 
 def _add_module(spec: mujoco.MjSpec, i: int) -> None:
-    """Adds module i like the one before it."""
     parent = spec.body(f"module_{i - 1}")
     body = parent.add_body(name=f"module_{i}", mass=1.0, inertia=[1.0] * 3, explicitinertial=True)
     joints = [
@@ -297,7 +293,6 @@ def _add_module(spec: mujoco.MjSpec, i: int) -> None:
 
 
 def _add_reaction(spec: mujoco.MjSpec, i: int) -> None:
-    """Adds the motors that put the reactions of module i on the ground."""
     name = f"reaction_{i}"
     spec.body(f"module_{i - 1}").add_site(spec.find_default("reaction"), name=name)
     for motor_name in _reactions(i):
@@ -306,7 +301,6 @@ def _add_reaction(spec: mujoco.MjSpec, i: int) -> None:
 
 
 def _add_sensor(spec: mujoco.MjSpec, target: str, quantity: str, kind: str, of: str) -> None:
-    """A sensor of a quantity of a target, by MuJoCo's words for both."""
     sensor = getattr(mujoco.mjtSensor, f"mjSENS_{kind}")
     thing = getattr(mujoco.mjtObj, f"mjOBJ_{of}")
     spec.add_sensor(name=f"{target}_{quantity}", type=sensor, objtype=thing, objname=target)

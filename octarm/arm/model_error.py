@@ -66,7 +66,6 @@ def largest_error(
 
 
 def _interval(u: Entry) -> tuple[Entry, Entry]:
-    """Middle and half width of the interval of p / p^ - 1."""
     rest = 1.0 - u * u
     return u * u / rest, u / rest
 
@@ -116,7 +115,6 @@ def _column_terms(
 def _with_backbone(
     columns: _Terms, coefficients: tuple[Sequence[Entry], Sequence[Entry]], along: Sequence[Entry]
 ) -> _Terms:
-    """The terms of the columns, and those of the backbone's springs or dampers."""
     forces = [k * x for k, x in zip((*coefficients[0], *coefficients[1]), along, strict=True)]
     sums = [a + b for a, b in zip(columns[0], forces, strict=True)]
     return sums, [a + abs(b) for a, b in zip(columns[1], forces, strict=True)]

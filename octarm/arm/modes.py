@@ -175,7 +175,6 @@ def _spread(p: ArmParameters, q: np.ndarray) -> np.ndarray:
 
 
 def _companion(lower_left: np.ndarray, lower_right: np.ndarray) -> np.ndarray:
-    """[[0, 1], [lower_left, lower_right]], shape (..., 4N, 4N)."""
     n = lower_left.shape[-1]
     out = np.zeros((*lower_left.shape[:-2], 2 * n, 2 * n))
     out[..., :n, n:] = np.eye(n)

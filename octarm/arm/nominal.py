@@ -176,7 +176,6 @@ class InputRange:
 
 
 def _largest(x: np.ndarray) -> list[float]:
-    """The largest absolute value of each coordinate, of all arms."""
     if x.ndim == 1:
         return [abs(value) for value in x.tolist()]
     return np.max(np.abs(x), axis=tuple(range(x.ndim - 1))).tolist()

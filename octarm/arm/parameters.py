@@ -324,7 +324,6 @@ class ArmParameters:
 
 
 def _two_rows(x: np.ndarray) -> tuple[Sequence[Entry], Sequence[Entry]]:
-    """The entries of both rows of an array of shape (..., 2, N)."""
     return split(x[..., 0, :]), split(x[..., 1, :])
 
 

@@ -48,7 +48,6 @@ def quantity(kind: str, given: Any) -> np.ndarray:
 
 
 def _numbers(value: Any) -> np.ndarray:
-    """The numbers in a table's `value`, a number or lists of them."""
     rows: list[Any] = [value]
     while rows:
         part = rows.pop()

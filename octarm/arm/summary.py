@@ -80,7 +80,6 @@ class ArmSummary:
         )
 
     def _parameters(self, p: ArmParameters) -> Iterator[str]:
-        """A row a module; of many modules the first and the last ones."""
         n = p.modules
         springs, dampers = (
             np.diagonal(of(p)).reshape(2, n)
@@ -152,7 +151,6 @@ def _condition(matrix: np.ndarray) -> float:
 
 
 def _pair(x: np.ndarray) -> str:
-    """A negative and a positive number."""
     low, high = x.tolist()
     if min(-low, high) > 6.28:
         return "> 6.28"

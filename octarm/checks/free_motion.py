@@ -281,6 +281,5 @@ def energy_imbalance(
 
 
 def _state_matrix(slopes: np.ndarray) -> np.ndarray:
-    """[[0, 1], slopes] for slopes of the accelerations of shape (2N, 4N)."""
     n = slopes.shape[0]
     return np.vstack([np.eye(n, 2 * n, n), slopes])

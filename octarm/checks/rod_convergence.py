@@ -80,7 +80,6 @@ def study(progress: Callable[[str], object] | None = None) -> Study:
 
 
 def _closed_forms(rod: Rod) -> Iterator[Check]:
-    """The deflection by a small tip load, for all N up to the largest."""
     beam = rod_theory.tip_compliance(rod)
     factors: dict[str, Callable[[int], float]] = {
         "paper": lambda n: 1.0 - 1.5 / n + 0.5 / n**2,
@@ -95,7 +94,6 @@ def _closed_forms(rod: Rod) -> Iterator[Check]:
 
 
 def _listed(curves: Iterator[Curve], listed: list[Curve]) -> Iterator[Check]:
-    """The checks of curves, which are listed as well."""
     for curve in curves:
         listed.append(curve)
         yield from curve.checks()
@@ -122,7 +120,6 @@ def _deflections(
 
 
 def _statics(rod: Rod) -> Iterator[Curve]:
-    """Deflections of the tip under a small and a large load on it, and under the weight."""
     none = np.zeros(2)
     yield from _deflections(rod, "small tip load", np.array([0.0, _SMALL]), none)
     yield from _large_load(rod)
@@ -171,7 +168,6 @@ def _tapered() -> Iterator[Curve]:
 
 
 def _frequencies(rod: Rod) -> Iterator[Curve]:
-    """The first three bending frequencies, and the first axial one."""
     bending, axial = rod_theory.bending_frequencies(rod, 3), rod_theory.axial_frequencies(rod, 1)
     for layout, order in ORDERS.items():
         chains = [rod_study.frequencies(arm_from_rod(rod, n, layout)) for n in MODULES]
@@ -298,7 +294,6 @@ def table(curves: Sequence[Curve]) -> str:
 
 
 def _row(curve: Curve) -> tuple[str, ...]:
-    """The line of a curve in the table of errors."""
     errors = ["-" if math.isnan(x) else _percent(x) for x in curve.errors]
     zero = curve.order == 0
     order = "-" if zero or curve.order is None else f"{curve.observed:.2f}"
@@ -307,7 +302,6 @@ def _row(curve: Curve) -> tuple[str, ...]:
 
 
 def _percent(error: float) -> str:
-    """An error in percent, to three digits at most."""
     percent = 100.0 * error
     if abs(percent) < 0.005:
         return "0"

@@ -149,7 +149,6 @@ def cosserat_rod(rod: Rod, elements: int, shear: float = 1.0) -> Any:
 
 
 def _square(rod: Rod) -> float:
-    """EI / EA, the square of the radius of gyration of the section [m^2]."""
     return _first(rod.EI) / _first(rod.EA)
 
 

@@ -120,7 +120,6 @@ def axial_frequencies(rod: Rod, count: int) -> np.ndarray:
 
 
 def _uniform(rod: Rod) -> tuple[float, float, float, float]:
-    """Length, EI, rho A and rho I of a uniform rod."""
     profiles = (rod.EA, rod.EI, rod.density, rod.rotary_inertia)
     if any(np.ptp(np.broadcast_to(p, 2)) > 0.0 for p in profiles):
         raise OctarmError("beam theory needs a uniform rod; this one tapers")

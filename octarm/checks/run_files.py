@@ -173,7 +173,6 @@ def recording_differences(
 
 
 def _first_difference(was: pa.Array, now: pa.Array) -> int:
-    """The first row in which two arrays of one type and length differ."""
     low, high = 0, len(was)
     while high - low > 1:
         middle = (low + high) // 2
@@ -185,7 +184,6 @@ def _first_difference(was: pa.Array, now: pa.Array) -> int:
 
 
 def _same(was: pa.Array, now: pa.Array) -> bool:
-    """Whether two arrays have the same type and the same bits."""
     pairs = zip(_leaves(was), _leaves(now), strict=False)
     return was.type == now.type and len(was) == len(now) and all(a.equals(b) for a, b in pairs)
 

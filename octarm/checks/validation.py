@@ -244,7 +244,6 @@ def _compare_orders(what: str, motion: free_motion.Motion) -> Iterator[Check]:
 def _compare_energy(
     model: mujoco.MjModel, p: ArmParameters, rng: np.random.Generator
 ) -> Iterator[Check]:
-    """The energy balance of RK4 at the model's timestep."""
     # A step takes the fraction z^6 / 72 off the energy of an oscillation, z = frequency * timestep.
     # Three times that of the fastest mode leaves room for frequencies 20 % above those at rest.
     h = model.opt.timestep

@@ -157,7 +157,6 @@ def check_run(
 
 
 def _stored(folder: Path, description: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """The arrays of a run; an OctarmError if there are none."""
     file = folder / runs.ARRAYS
     if not file.is_file():
         killed = description.get("status") == runs.RUNNING
@@ -254,7 +253,6 @@ def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory
 
 
 def _label(plan: Plan, episode: int) -> str:
-    """What an episode is, in words."""
     number = np.array([episode])
     values = {name: column[0] for name, column in plan.values(number).items()}
     words = [str(values.pop(name)) for name in ("controller", "reference")]

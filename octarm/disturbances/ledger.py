@@ -115,7 +115,6 @@ class Ledger:
         self._read(active, step)
 
     def _read(self, active: ActiveDisturbances, step: int) -> None:
-        """The readings, if they are new."""
         before, source = self._truth, self._motion
         for name, reading in active.readings.items():
             if reading is self._last_read.get(name):
@@ -160,7 +159,6 @@ def _line(disturbance: Disturbance, delivered: dict[str, Any]) -> str:
 
 
 def _change(name: str, moments: dict[str, Any]) -> str:
-    """A parameter before and at the end, and what it was in between if that is beyond both."""
     before, end, least, most = (moments[key] for key in ("undisturbed", "end", "least", "most"))
     change = f"{name} {_number(before)} -> {_number(end)}"
     if np.any(least < np.minimum(before, end)) or np.any(most > np.maximum(before, end)):
@@ -178,7 +176,6 @@ def _number(value: Any) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """Numbers, lists and dicts for JSON, with None for what is not finite."""
     if isinstance(value, dict):
         return {name: _finite(item) for name, item in cast("dict[str, Any]", value).items()}
     if isinstance(value, np.ndarray | np.generic):

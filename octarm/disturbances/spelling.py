@@ -191,7 +191,6 @@ def first_field(cls: type[Disturbance]) -> tuple[str, Quantity]:
 
 
 def _usage(cls: type[Disturbance]) -> str:
-    """The spelling with all keys that have a value: NAME:VALUE,KEY=default and so on."""
     main, *others = keys = field_keys(cls)
     parts = [f"{cls.name}:{main.upper()}"]
     for key in others:

@@ -119,7 +119,6 @@ class AnyPhysics(control.Physics):
         return f"diverged at t = {self.time():.6g} s: {violation}" if violation else ""
 
     def _violation(self) -> str:
-        """Which coordinate of one arm has left its limits; empty if none has."""
         violation = self.limits.violation(self.q(), self.v())
         if violation or self.groups is None:
             return violation
@@ -304,12 +303,10 @@ class AnyPhysics(control.Physics):
                 return
 
     def _memory(self, steps: int) -> list[np.ndarray]:
-        """Memory for what `within` returns of so many steps."""
         like = [self._zero] * 2 + [self._zero[..., :2]] * (self.groups is not None)
         return [stacked(row, steps) for row in like]
 
     def _receive(self, nstep: int) -> None:
-        """What acts during the next physics step."""
         received, active = self._possible, self.active
         if active is not None:
             self._change(active)
@@ -343,20 +340,17 @@ class AnyPhysics(control.Physics):
         return self.groups.ctrl(self.actuation.force(q, tau))
 
     def _within_range(self, tau: np.ndarray) -> np.ndarray:
-        """What the actuators can give of the input forces tau, shape (..., 2N) [N]."""
         if not self._limited:
             return tau
         low, high = self._input_range
         return np.minimum(np.maximum(tau, low), high)
 
     def _change(self, active: ActiveDisturbances) -> None:
-        """Lets the plants follow their disturbances."""
         plant = active.plant(self._steps)
         if plant is not None:
             self._write(plant)
 
     def _write(self, plant: Plant) -> None:
-        """Makes the plants these."""
         if self._fields.write(plant.parameters, plant.gravity_angle):
             self._follow_inertias()
 

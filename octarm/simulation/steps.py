@@ -95,7 +95,6 @@ def _fastest(arm: ArmParameters, rest: np.ndarray, allowed: float) -> str:
 
 
 def _rounded_down(x: float) -> float:
-    """A positive number to three digits, not above it."""
     unit = 10.0 ** (math.floor(math.log10(x)) - 2) if x > 0.0 else 1.0
     return math.floor(x / unit * (1.0 + 1e-12)) * unit
 

@@ -91,7 +91,6 @@ class _Executor(Executor):
         self._executor: Executor = client.get_executor(pure=False)  # what failed is tried again
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Has the cluster call a function."""
         from distributed import KilledWorker
 
         answer: Future[Any] = Future()
@@ -128,7 +127,6 @@ class _Watch:
         self._looked_at: set[str] = set()
 
     def wait(self) -> None:
-        """Waits for the first worker."""
         call = self._client.submit(os.getpid, pure=False)  # a cluster may grow with the demand
         while not self.threads():
             time.sleep(_GLANCE)
@@ -176,13 +174,11 @@ class _Watch:
 
 
 def _needed() -> dict[str, str]:
-    """What a shard depends on, and its versions here."""
     needed = {name: x for name, x in versions().items() if name not in _UNUSED}
     return {**needed, "python": _minor(needed["python"])}
 
 
 def _minor(version: str) -> str:
-    """The version of Python that decides whether functions can be sent."""
     return ".".join(version.split(".")[:2])
 
 

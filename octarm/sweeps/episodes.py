@@ -223,7 +223,6 @@ def _is_there(folder: Path, episode: int) -> bool:
 
 
 def _difference(sweep: FinishedSweep, episode: int, trajectory: Trajectory, periods: int) -> str:
-    """How a recorded run differs from its row; empty if it does not."""
     digest = StateDigest(periods)
     for q, v in zip(trajectory.q, trajectory.v, strict=True):
         digest.update(q, v)

@@ -136,7 +136,6 @@ class _Run:
         self._interrupted = False
 
     def go(self, limit: int | Callable[[], int]) -> None:
-        """Runs them, so many at a time."""
         useful = 1
         while self._at_work or (self.pending and not self._stopping):
             try:
@@ -165,7 +164,6 @@ class _Run:
             raise OctarmError(f"{error}; {self._left()}") from error
 
     def report(self) -> None:
-        """Raises the error that the run ended with, if it did."""
         if self._interrupted:
             raise KeyboardInterrupt(self._left())
         if self._failed:
@@ -185,7 +183,6 @@ class _Run:
         return f"shards left to do: {left}, the others are kept; --resume goes on"
 
     def _begin(self, limit: int) -> None:
-        """Submits shards, if the run goes on."""
         while len(self._at_work) < limit and self.pending and not self._stopping:
             shard = self.pending[0]
             self.notes.forget(shard)
@@ -195,7 +192,6 @@ class _Run:
             del self.pending[0]
 
     def _take(self, shard: int, future: Future[pa.Table]) -> None:
-        """Keeps a finished shard, or has it run again."""
         try:
             table = future.result()
         except (BrokenExecutor, CancelledError) as error:

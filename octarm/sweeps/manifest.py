@@ -117,7 +117,6 @@ def _is_start(start: Any) -> bool:
 
 
 def _shards(plan: Plan) -> list[dict[str, Any]]:
-    """What the manifest says of each shard but its SHA-256."""
     return [
         {"file": f"{EPISODES}/{i:05d}.parquet", "first": each.start, "episodes": len(each)}
         for i, each in enumerate(plan.shards)

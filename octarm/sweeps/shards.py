@@ -258,7 +258,6 @@ def schema(spec: SweepSpec) -> pa.Schema:
 
 
 def _column(values: Any, kind: pa.DataType, count: int) -> pa.Array:
-    """A column of the table; NaN and what there is not are null."""
     if values is None:
         return pa.nulls(count, kind)
     if isinstance(values, pa.Array):

@@ -337,14 +337,12 @@ def _arms(document: Document, content: SpecFile, axes: Sequence[Axis]) -> dict[s
 
 
 def _other_files(content: SpecFile, arms: Iterable[str]) -> bool:
-    """Whether arms are not in the spec itself."""
     return not isinstance(content.arm, dict) and any(name not in content.arms for name in arms)
 
 
 def _check_plants(
     document: Document, content: SpecFile, axes: Sequence[Axis], arms: Mapping[str, ArmParameters]
 ) -> None:
-    """Raises OctarmError for plants of more modules that cannot be made."""
     values = {axis.name: axis.values for axis in axes}
     sizes: Any = values.get(PLANT_MODULES, (None,))
     layouts: Any = values.get(LAYOUT, (PAPER,))
@@ -460,7 +458,6 @@ def _gain_sets(
 
 
 def _content_of(path: Path, controller: str) -> dict[str, Any]:
-    """What a file of `octarm tune` holds of gains."""
     document = read_toml(path)
     file = document.read(GainFile)
     if file.controller != controller:

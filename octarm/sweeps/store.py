@@ -249,7 +249,6 @@ def read_shard(
 
 
 def _table(file: Path, content: bytes, needed: Sequence[str], *, whole: bool) -> pa.Table:
-    """The columns that are needed, or all, of the bytes of a Parquet file."""
     try:
         with pq.ParquetFile(pa.BufferReader(content)) as stored:
             known = stored.schema_arrow.names
@@ -283,7 +282,6 @@ def _shards(folder: Path, columns: Sequence[str] | None = None) -> Iterator[pa.T
 
 
 def _content(file: Path) -> bytes | None:
-    """The bytes of a file; None if there is none."""
     try:
         return file.read_bytes()
     except FileNotFoundError:

@@ -312,8 +312,6 @@ def _random(seed: int, generation: int) -> np.random.Generator:
 
 
 class _StateContent(Model):
-    """What the file of a search holds."""
-
     settings: dict[str, Any]
     generation: int
     population: list[list[float]]

@@ -223,8 +223,6 @@ class EachItsOwn:
 
 
 class _Observer:
-    """Measures the arms while they run."""
-
     def __init__(self, examination: Examination, period: float, physics: AnyPhysics) -> None:
         self._examination, self._period, self._physics = examination, period, physics
         like = np.zeros_like(physics.q())
@@ -242,7 +240,6 @@ class _Observer:
             self._error.update({"error": error, "squared_error": error * error}, steady)
 
     def costs(self, true: ArmParameters) -> np.ndarray:
-        """The cost of each arm, shape (n,)."""
         with np.errstate(all="ignore"):
             rms, rattle = self._error.result()["rms_error"], self._chattering.result()["chattering"]
             e = root_mean_square(rms / np.repeat([SLIDE_SCALE, BEND_SCALE], true.modules))
