@@ -11,7 +11,7 @@ import octarm
 from controllers import CONTROLLERS, make_controller
 from octarm.arm.actuation import ACTUATIONS, GroundedActuation
 from octarm.arm.lagrange import equilibrium
-from octarm.arm.mjcf import build_model, build_slim_model
+from octarm.arm.mjcf import build_model, build_slim_model, read_parameters
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
 from octarm.commands.cli import main
@@ -91,7 +91,7 @@ def test_a_model_holds_the_range_of_each_column(build, n):
             column = 2 * (i - 1) + a - 1
             push = model.actuator(f"push_{a}_{i}").ctrlrange
             np.testing.assert_array_equal(push, ends[:, column])
-    np.testing.assert_array_equal(ArmParameters.from_model(model).input_range, ends)
+    np.testing.assert_array_equal(read_parameters(model).input_range, ends)
 
 
 # The loop

@@ -9,13 +9,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from octarm.arm.parameters import ArmParameters
+from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.arm.quantities import quantity
 from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
 from octarm.errors import OctarmError
 from octarm.formats import Array, Model, one_of
-
-_MOST = 100  # modules
 
 
 def _of(kind: str) -> AfterValidator:
@@ -24,7 +22,7 @@ def _of(kind: str) -> AfterValidator:
 
 
 Length = Annotated[Any, _of("length")]
-Modules = Annotated[int, Field(ge=1, le=_MOST)]
+Modules = Annotated[int, Field(ge=1, le=MOST_MODULES)]
 Stiffness = Annotated[Any, _of("stiffness")]
 BendingStiffness = Annotated[Any, _of("bending stiffness")]
 Damping = Annotated[Any, _of("damping")]

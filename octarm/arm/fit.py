@@ -30,13 +30,12 @@ from scipy.optimize import least_squares
 
 from octarm.arm import lagrange
 from octarm.arm.behaviour import Behaviour, behaviour_of
-from octarm.arm.parameters import ArmParameters
-from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
-from octarm.errors import OctarmError, closest
+from octarm.arm.parameters import MOST_MODULES, ArmParameters
+from octarm.arm.rod import Rod, arm_from_rod, check_layout
+from octarm.errors import OctarmError
 
 _FITTED = ("mass", "inertia", "stiffness", "width", "damping")
 _FINE = 10  # modules for each one of the fitted chain, where a rod is given
-_MOST = 100  # modules that a rod is cut into
 _LARGEST = 50.0  # ratio of a parameter to where it starts
 _MOST_TRIALS = 100  # undamped chains, whose phases compete, need more than the usual 20
 _PRIOR = 0.01  # weight of the logarithm of such a ratio
@@ -102,10 +101,9 @@ def fit_modules(plant: ArmParameters | Rod, modules: int = 3, layout: str = "pap
     layout, a number of modules that does not divide the plant's, a batch of plants, or a plant that
     does not hang stably.
     """
-    if layout not in LAYOUTS:
-        raise OctarmError(f"unknown layout {layout!r}{closest(layout, LAYOUTS)}")
+    check_layout(layout)
     if isinstance(plant, Rod):
-        size = max(1, min(_FINE, _MOST // max(modules, 1)))
+        size = max(1, min(_FINE, MOST_MODULES // max(modules, 1)))
         plant = arm_from_rod(plant, size * modules, "centred")
     if plant.batch_shape:
         raise OctarmError(f"the plant has batch axes {plant.batch_shape}; one arm is fitted")

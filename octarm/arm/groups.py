@@ -30,13 +30,12 @@ import numpy as np
 
 from octarm.arm.actuation import InternalActuation
 from octarm.arm.kinematics import last_axis, tip
-from octarm.arm.parameters import ArmParameters
-from octarm.arm.rod import LAYOUTS
+from octarm.arm.parameters import MOST_MODULES, ArmParameters
+from octarm.arm.rod import LAYOUTS, check_layout
 from octarm.arrays import Entry, split
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError
 
 PAPER, CENTRED = LAYOUTS
-MOST_MODULES = 100
 
 _Rows = tuple[tuple[tuple[int, float], ...], ...]  # of a matrix: places and values that are not 0
 
@@ -66,8 +65,7 @@ class Groups:
         Its batch axes are the arm's. Raises OctarmError for another layout, or an N that is no
         multiple of M up to 100.
         """
-        if layout not in LAYOUTS:
-            raise OctarmError(f"unknown layout {layout!r}{closest(layout, LAYOUTS)}")
+        check_layout(layout)
         groups = arm.modules
         if not groups <= modules <= MOST_MODULES or modules % groups:
             raise OctarmError(

@@ -21,11 +21,10 @@ import mujoco
 import numpy as np
 
 from octarm.arm.lagrange import NO_EQUILIBRIUM, newton, potential_hessian
-from octarm.arm.parameters import ArmParameters
+from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.errors import FileError, OctarmError
 
 _COLUMN_SIDES = ((1, 1.0), (2, -1.0))  # column 1 lengthens with +theta
-MOST_MODULES = 100
 _FARTHEST = 1e9  # [m], [rad]; of springs so soft, MuJoCo's forces are nothing but rounding
 _PARTS = ("column_1", "column_2", "backbone")
 
@@ -47,7 +46,37 @@ def template_model() -> mujoco.MjModel:
 @functools.cache
 def nominal_parameters() -> ArmParameters:
     """The nominal arm: the numbers of `models/octarm.xml`."""
-    return ArmParameters.from_model(template_model())
+    return read_parameters(template_model())
+
+
+def read_parameters(model: mujoco.MjModel) -> ArmParameters:
+    """The parameters of a compiled arm, read by the names in `models/octarm.xml`.
+
+    The arm hangs along the negative z axis of the world.
+    """
+    modules = range(1, model.nq // 2 + 1)
+    bodies = [model.body(f"module_{i}") for i in modules]
+    columns = [[model.tendon(f"column_{a}_{i}") for i in modules] for a in (1, 2)]
+    widths = [2.0 * model.wrap_prm[model.tendon_adr[column.id] + 1] for column in columns[0]]
+    pushes = [model.actuator(f"push_{a}_{i}").ctrlrange for i in modules for a in (1, 2)]
+    alike = all(np.array_equal(push, pushes[0]) for push in pushes)
+    rest = [model.tendon_lengthspring[c.id, 0] for c in columns[0]]
+    joints = [[model.joint(f"{kind}_{i}") for i in modules] for kind in ("s", "theta")]
+    free = [[model.qpos_spring[j.qposadr[0]] for j in row] for row in joints]
+    return ArmParameters(
+        mass=[body.mass[0] for body in bodies],
+        inertia=[body.inertia[2] for body in bodies],
+        width=widths[:1] if len(set(widths)) == 1 else widths,
+        stiffness=[[model.tendon_stiffness[c.id] for c in row] for row in columns],
+        damping=[[model.tendon_damping[c.id] for c in row] for row in columns],
+        rest_length=free[0] if np.any(free) else rest,
+        gravity=-model.opt.gravity[2],
+        tip_length=model.site("tip").pos[0],
+        input_range=np.transpose(pushes[:1] if alike else pushes),
+        rest_angle=free[1],
+        backbone_stiffness=[[model.jnt_stiffness[j.id] for j in row] for row in joints],
+        backbone_damping=[[model.dof_damping[j.dofadr[0]] for j in row] for row in joints],
+    )
 
 
 def physics_step(timestep: float | None = None) -> float:
@@ -162,6 +191,11 @@ def paper_order(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     modules = range(1, model.nq // 2 + 1)
     joints = [model.joint(f"{kind}_{i}") for kind in ("s", "theta") for i in modules]
     return np.array([j.qposadr[0] for j in joints]), np.array([j.dofadr[0] for j in joints])
+
+
+def rest_of(model: mujoco.MjModel) -> np.ndarray:
+    """The loaded equilibrium of a model in the paper's order, shape (2N,) [m], [rad]."""
+    return model.key("hanging").qpos[paper_order(model)[0]]
 
 
 def world_position(position: np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
 """The arm linearised about a pose: its modes, and the longest physics step that bears them.
 
-About a pose q0 that a constant generalised force holds, x = (q - q0, v) moves by x' = A x + B tau,
+About a pose q0 that a constant generalised force holds, x = (q - q0, v) moves by x' = A x,
 
-    A = [[0, 1], [-D^-1 dG/dq, -D^-1 B_c]],    B = [0; D^-1 F_coeff]        all of them at q0
+    A = [[0, 1], [-D^-1 dG/dq, -D^-1 B_c]]        all of it at q0
 
 with the damping matrix B_c of the columns, eq (4). An eigenvalue of A is a mode: it decays, swings,
 or grows, which is physics and no fault of a step.
@@ -33,15 +33,6 @@ def state_matrix(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     """
     stiffness, damping = _per_inertia(p, q)
     return _companion(-stiffness, -damping)
-
-
-def input_matrix(p: ArmParameters, q: np.ndarray) -> np.ndarray:
-    """B = d(v, v')/d tau at q, shape (..., 4N, 2N), with Q = F_coeff(q) tau, eq (2)."""
-    q = _spread(p, q)
-    out = np.zeros((*q.shape[:-1], 2 * p.coordinates, p.coordinates))
-    inertia, columns = lagrange.mass_matrix(p, q), lagrange.force_coefficients(p, q)
-    out[..., p.coordinates :, :] = np.linalg.solve(inertia, columns)
-    return out
 
 
 def rates(p: ArmParameters, q: np.ndarray) -> np.ndarray:

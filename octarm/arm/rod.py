@@ -22,7 +22,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from octarm.arm.parameters import ArmParameters
+from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.errors import OctarmError, closest
 
 LAYOUTS = ("paper", "centred")
@@ -80,16 +80,22 @@ class Rod:
         return lambda x: base + (tip - base) * (x / self.length)
 
 
+def check_layout(name: str) -> None:
+    """Raises OctarmError unless it is one of `LAYOUTS`."""
+    if name not in LAYOUTS:
+        raise OctarmError(f"unknown layout {name!r}{closest(name, LAYOUTS)}")
+
+
 def arm_from_rod(rod: Rod, modules: int, layout: str = "paper") -> ArmParameters:
     """The chain of N modules, 1 to 100, that stands for a rod in a layout; see this module.
 
     Both columns of a module are alike; widths differ between modules where the rod tapers, and
     where the layout is `centred`. Raises OctarmError for another layout or number of modules.
     """
-    if layout not in LAYOUTS:
-        raise OctarmError(f"unknown layout {layout!r}{closest(layout, LAYOUTS)}")
-    if not 1 <= modules <= 100:
-        raise OctarmError(f"a rod was to be cut into {modules} modules; it must be 1 to 100")
+    check_layout(layout)
+    if not 1 <= modules <= MOST_MODULES:
+        most = f"1 to {MOST_MODULES}"
+        raise OctarmError(f"a rod was to be cut into {modules} modules; it must be {most}")
     h = rod.length / modules
     borders = np.linspace(0.0, rod.length, modules + 1)
     axial = h / _integrals(rod, rod.EA, borders, -1)  # springs in series: compliances add

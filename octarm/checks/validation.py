@@ -11,23 +11,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from octarm.arm import lagrange
-from octarm.arm.mjcf import (
-    MOST_MODULES,
-    build_model,
-    nominal_parameters,
-    paper_order,
-    template_model,
-)
+from octarm.arm.mjcf import build_model, nominal_parameters, paper_order, template_model
 from octarm.arm.modes import longest_step
-from octarm.arm.parameters import ArmParameters
-from octarm.checks import forced_motion, free_motion
-from octarm.checks.mechanics import (
-    lagrange_mechanics,
-    levers,
-    mujoco_mechanics,
-    random_states,
-    relative_error,
-)
+from octarm.arm.parameters import MOST_MODULES, ArmParameters
+from octarm.checks import forced_motion, free_motion, mechanics
 from octarm.errors import OctarmError
 from octarm.memory import check_memory
 from octarm.simulation.steps import fitting_step
@@ -153,9 +140,12 @@ def _compare_template() -> Iterator[Check]:
 def _compare_states(
     model: mujoco.MjModel, p: ArmParameters, count: int, rng: np.random.Generator
 ) -> Iterator[Check]:
-    states = random_states(p, count, rng)
-    by_mujoco, by_lagrange = mujoco_mechanics(model, p, states), lagrange_mechanics(p, states)
-    r = levers(p)  # makes one unit of the entries of each quantity: forces and lengths
+    states = mechanics.random_states(p, count, rng)
+    by_mujoco, by_lagrange = (
+        mechanics.mujoco_mechanics(model, p, states),
+        mechanics.lagrange_mechanics(p, states),
+    )
+    r = mechanics.levers(p)  # makes one unit of the entries of each quantity: forces and lengths
     force, column = 1.0 / r, 1.0 / r[:, None]
     rows: tuple[tuple[str, str, np.ndarray | float, float], ...] = (
         ("positions of the modules", "positions", 1.0, 1e-12),
@@ -172,7 +162,7 @@ def _compare_states(
         ("kinetic energy", "kinetic", 1.0, 1e-12),
     )
     for what, name, weight, allowed in rows:
-        error = relative_error(weight * by_mujoco[name], weight * by_lagrange[name])
+        error = mechanics.relative_error(weight * by_mujoco[name], weight * by_lagrange[name])
         yield Check(what, error, allowed)
     # Potential energies may differ by a constant; both models happen to put it at zero.
     difference = by_mujoco["potential"] - by_lagrange["potential"]
@@ -185,12 +175,12 @@ def _compare_states(
 def _compare_equilibrium(model: mujoco.MjModel, p: ArmParameters) -> Iterator[Check]:
     q = lagrange.equilibrium(p)
     qpos, dof = paper_order(model)
-    error = np.max(np.abs(model.key("hanging").qpos[qpos] - q) * levers(p))
+    error = np.max(np.abs(model.key("hanging").qpos[qpos] - q) * mechanics.levers(p))
     yield Check("equilibrium, keyframe", float(error), 1e-10, unit="m")
     data = mujoco.MjData(model)
     data.qpos[qpos] = q
     mujoco.mj_forward(model, data)
-    acceleration = np.max(np.abs(data.qacc[dof]) * levers(p))
+    acceleration = np.max(np.abs(data.qacc[dof]) * mechanics.levers(p))
     yield Check("equilibrium, acceleration left", float(acceleration), 1e-9, unit="m/s^2")
 
 

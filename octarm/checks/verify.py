@@ -10,16 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from octarm.checks import run_files
 from octarm.checks.differences import Comparison, Difference, compare, listed, origin
-from octarm.checks.run_files import (
-    Deviation,
-    checksum_differences,
-    deviations,
-    form_differences,
-    recording_differences,
-    saved_arrays,
-    stored_arrays,
-)
 from octarm.declared import CodeChanged
 from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory
@@ -53,7 +45,7 @@ class RunCheck(Comparison):
     rows: int
     arrays: int
     recorded: bool
-    deviations: tuple[Deviation, ...]
+    deviations: tuple[run_files.Deviation, ...]
     digests: tuple[str, str, str]
 
     @property
@@ -130,20 +122,22 @@ def check_run(
     again, described = perform(environment, controller, announced, progress=progress)
     if again.status == "interrupted" and not (interrupted and len(again) == len(was["t"])):
         raise KeyboardInterrupt
-    now, written = saved_arrays(again), runs.written(described)
-    form = [*form_differences(was, now)]
-    found = deviations(was, now, environment.physics.coordinates.names)
+    now, written = run_files.saved_arrays(again), runs.written(described)
+    form = [*run_files.form_differences(was, now)]
+    found = run_files.deviations(was, now, environment.physics.coordinates.names)
     stated = {key: value for key, value in description.items() if key != runs.SUMS}
     if found:  # what was measured of another motion is another one anyway
         form = [d for d in form if d.key != f"digest in {runs.ARRAYS}"]
         stated |= {key: written[key] for key in _RESULTS if key in stated}
     may_differ = (*_MAY_DIFFER, *(_OF_INTERRUPTED if interrupted else ()))
     entries = [*compare(stated, written, may_differ)]
-    sums = _unexplained(checksum_differences(folder, description), entries, [*form, *found])
+    sums = _unexplained(
+        run_files.checksum_differences(folder, description), entries, [*form, *found]
+    )
     recording = folder / runs.RECORDING
     if recording.is_file() and not (entries or form or found or sums):
         as_then = written | {key: description[key] for key in may_differ}
-        sums = [*recording_differences(recording, again, as_then)]
+        sums = [*run_files.recording_differences(recording, again, as_then)]
     return RunCheck(
         rows=len(was["t"]),
         arrays=len(was.keys() - Ending._fields),
@@ -162,7 +156,7 @@ def _stored(folder: Path, description: Mapping[str, Any]) -> dict[str, np.ndarra
         killed = description.get("status") == runs.RUNNING
         why = "it is still going on or was killed" if killed else "it is incomplete"
         raise OctarmError(f"{folder} has no {runs.ARRAYS} to compare with: {why}")
-    return stored_arrays(file)
+    return run_files.stored_arrays(file)
 
 
 def _interrupting(rows: int, progress: Callable[[], object] | None) -> Callable[[], object]:

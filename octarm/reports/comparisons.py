@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octarm.errors import OctarmError, closest, quoted
-from octarm.reports.frame import Episodes, Factor, Measure
+from octarm.reports.factors import Factor
+from octarm.reports.frame import Episodes, Measure
 from octarm.reports.statistics import (
     FEWEST,
     Interval,

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from octarm.reports.comparisons import partners
-from octarm.reports.frame import Episodes, Factor
+from octarm.reports.factors import Factor
+from octarm.reports.frame import Episodes
 from octarm.reports.statistics import FEWEST
 from octarm.sweeps.engine_check import LIMIT, sentence
 

@@ -60,12 +60,6 @@ def _plain(value: Any) -> Any:
     return plain(value.item()) if isinstance(value, np.generic) else type(value).__name__
 
 
-def write_run(folder: Path, rows: Trajectory, description: Mapping[str, Any]) -> None:
-    """Writes `run.npz`, then `run.json`, with which the run is complete, into a folder."""
-    rows.save(folder / ARRAYS)
-    write_description(folder, description)
-
-
 def write_description(folder: Path, description: Mapping[str, Any]) -> None:
     """Writes `run.json`, with the version of its format and the `checksums` of what is there.
 

@@ -18,11 +18,11 @@ from mujoco.batch import Batch
 
 from octarm.arm.actuation import Actuation, GroundedActuation
 from octarm.arm.kinematics import tip_position
-from octarm.arm.mjcf import build_slim_model
+from octarm.arm.mjcf import build_slim_model, read_parameters, rest_of
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import coordinate_names
 from octarm.disturbances.episode import Plant
-from octarm.simulation.stepping import AnyPhysics, rest_of
+from octarm.simulation.stepping import AnyPhysics
 
 with warnings.catch_warnings():  # without a display, glfw complains although nothing is drawn
     warnings.simplefilter("ignore")
@@ -58,7 +58,7 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
             model,
             lambda name: getattr(data.ptr, name),
             lambda name: operator.attrgetter(name)(model),
-            ArmParameters.from_model(model),
+            read_parameters(model),
         )
         tip = model.sensor("tip_position").adr[0]
         self._state_size = mujoco.mj_stateSize(model, _INTEGRATION)
@@ -125,7 +125,7 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
         """The arm as it is in MuJoCo's model."""
         gravity = self.model.ptr.opt.gravity
         angle = float(np.arctan2(gravity[0], -gravity[2]))
-        return Plant(ArmParameters.from_model(self.model.ptr), angle)
+        return Plant(read_parameters(self.model.ptr), angle)
 
     def integration_state(self) -> np.ndarray:
         """All that the next step depends on (mjSTATE_INTEGRATION), shape (k,)."""
@@ -173,7 +173,7 @@ class BatchPhysics(AnyPhysics):
         self.batch = Batch(model, arms, threads)
         self.batch_shape = (arms,)
         self.actuation = actuation
-        undisturbed = each or ArmParameters.from_model(model)
+        undisturbed = each or read_parameters(model)
         self._attach(model, self.batch.bind, self.batch.expand, undisturbed)
         if each is not None:
             self._fields.write(each)

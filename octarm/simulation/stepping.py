@@ -20,7 +20,7 @@ from dm_control.rl import control
 from octarm.arm.actuation import Actuation
 from octarm.arm.groups import Groups
 from octarm.arm.limits import Limits
-from octarm.arm.mjcf import PlantFields, paper_order
+from octarm.arm.mjcf import PlantFields, paper_order, rest_of
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Coordinates, planar_coordinates, stacked
 from octarm.disturbances.active import ActiveDisturbances
@@ -38,12 +38,9 @@ class AnyPhysics(control.Physics):
     its groups: its own coordinates are those of the methods `plant_..` and of `set_motion`.
 
     Attributes:
-        batch_shape: batch axes of all arrays.
-        coordinates: names and units of the coordinates and inputs.
-        actuation: how inputs act on the arms.
-        limits: beyond which an arm has diverged.
+        limits: beyond which an arm has diverged; `plant_limits` are those of each module of the
+            plant.
         groups: through which a plant of more modules is seen; None where every module is measured.
-        plant_limits: the limits of each module of the plant.
         active: the disturbances of this episode; None before the first one.
         watch: called when an episode begins, and after every physics step.
         exclusive: by which `reset`, `set_control` and `step` refuse a second user.
@@ -111,10 +108,7 @@ class AnyPhysics(control.Physics):
         """Makes MuJoCo's constants follow inertias that were written."""
 
     def divergence(self) -> str:
-        """How an arm alone has left its limits and when, as a sentence; empty if it has not.
-
-        It is empty for a batch, whose arms diverge one by one, see `intact`.
-        """
+        """How an arm alone has left its limits and when; empty if it has not, and for a batch."""
         violation = "" if self.batch_shape else self._violation()
         return f"diverged at t = {self.time():.6g} s: {violation}" if violation else ""
 
@@ -161,19 +155,15 @@ class AnyPhysics(control.Physics):
     def within(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """The physics steps of the last `step`, of which there were several.
 
-        Returns:
-            `q`, `received` and `plant_tip` of an `octarm.interfaces.Within`, shapes (m, ..., 2N),
-            (m, ..., 2N) and (m, ..., 2) [m], [rad], [N]. A step that was not taken any more, as no
-            arm was left, is like the last one.
+        They are `q`, `received` and `plant_tip` of an `octarm.interfaces.Within`, shapes (m, ...,
+        2N), (m, ..., 2N) and (m, ..., 2). A step that was not taken any more, as no arm was left,
+        is like the last.
         """
         q, received, *tip = self._within
         return q, received, tip[0] if tip else None
 
     def reachable_inputs(self) -> tuple[np.ndarray, np.ndarray]:
-        """The input range, narrowed by what this episode's disturbances limit the inputs to.
-
-        The lowest and the highest input forces, each of shape (..., 2N) [N].
-        """
+        """The input range, narrowed by this episode's disturbances, each of shape (..., 2N) [N]."""
         low, high = self.input_range()
         for bound in () if self.active is None else self.active.input_bounds:
             low, high = np.maximum(low, -np.asarray(bound)), np.minimum(high, bound)
@@ -237,18 +227,15 @@ class AnyPhysics(control.Physics):
     def set_control(self, control: np.ndarray) -> None:
         """Holds tau, shape (..., 2N) [N], until the next call; OctarmError for another shape."""
         with self.exclusive:
+            shape = self._zero.shape
             try:
                 tau = np.array(control, dtype=np.float64)
             except (TypeError, ValueError):
-                raise OctarmError(
-                    f"the action is {quoted(control)}; it must be an array of numbers"
-                ) from None
-            if tau.shape != self._zero.shape:
-                raise OctarmError(
-                    f"the action has shape {tau.shape}; it must be {self._zero.shape}"
-                )
-            self._tau = tau
-            self._possible = self._within_range(self._tau)
+                what = f"the action is {quoted(control)}; it must be an array of numbers"
+                raise OctarmError(what) from None
+            if tau.shape != shape:
+                raise OctarmError(f"the action has shape {tau.shape}; it must be {shape}")
+            self._tau, self._possible = tau, self._within_range(tau)
 
     @contextlib.contextmanager
     def reset_context(self) -> Generator[AnyPhysics]:
@@ -259,7 +246,7 @@ class AnyPhysics(control.Physics):
     def begin(self, active: ActiveDisturbances) -> None:
         """Starts an episode under these disturbances, the arms standing where they were placed."""
         self.active = active
-        self._change(active)
+        self._write(active.plant(self._steps))
         active.record(0, self.q(), self.v())
         if self.watch is not None:
             self.watch(self)
@@ -309,7 +296,7 @@ class AnyPhysics(control.Physics):
     def _receive(self, nstep: int) -> None:
         received, active = self._possible, self.active
         if active is not None:
-            self._change(active)
+            self._write(active.plant(self._steps))
             if active.actuators:
                 received = self._within_range(active.received(self._steps, received))
             if active.forces:
@@ -326,9 +313,9 @@ class AnyPhysics(control.Physics):
     def _middle(self) -> np.ndarray:
         """Where the plants will be in the middle of a step, shape (..., 2N) [m], [rad].
 
-        Forces that depend on q are taken there and held over the step. Taken at its start, they
-        would be late by half a step: of first order, and a spring would feed the arm energy. So
-        they are of second order.
+        Forces that depend on q are taken there and held over the step: they are of second order.
+        Taken at its start, they would be late by half a step, and a spring would feed the arm
+        energy.
         """
         return self.plant_q() + (0.5 * self._timestep) * self.plant_v()
 
@@ -345,13 +332,9 @@ class AnyPhysics(control.Physics):
         low, high = self._input_range
         return np.minimum(np.maximum(tau, low), high)
 
-    def _change(self, active: ActiveDisturbances) -> None:
-        plant = active.plant(self._steps)
-        if plant is not None:
-            self._write(plant)
-
-    def _write(self, plant: Plant) -> None:
-        if self._fields.write(plant.parameters, plant.gravity_angle):
+    def _write(self, plant: Plant | None) -> None:
+        """Makes the plants these, if they have changed."""
+        if plant is not None and self._fields.write(plant.parameters, plant.gravity_angle):
             self._follow_inertias()
 
     def _forget(self) -> None:
@@ -370,8 +353,3 @@ class AnyPhysics(control.Physics):
         """The same row for every arm, shape (..., k), contiguous along the arms."""
         shape = (len(row), *self.batch_shape)
         return np.broadcast_to(row.reshape(-1, *[1] * len(self.batch_shape)), shape).copy().T
-
-
-def rest_of(model: mujoco.MjModel) -> np.ndarray:
-    """The loaded equilibrium of a model in the paper's order, shape (2N,) [m], [rad]."""
-    return model.key("hanging").qpos[paper_order(model)[0]]

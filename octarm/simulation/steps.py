@@ -17,7 +17,7 @@ import numpy as np
 
 from octarm.arm.groups import Groups
 from octarm.arm.lagrange import equilibrium
-from octarm.arm.mjcf import build_slim_model
+from octarm.arm.mjcf import physics_step
 from octarm.arm.modes import INTEGRATORS, longest_step, rate_bound, rates
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.active import ActiveDisturbances
@@ -131,7 +131,7 @@ def check_arms(
     Of the disturbances those count that change the arm. The step is that of `models/octarm.xml` if
     None.
     """
-    step = usual_step() if timestep is None else timestep
+    step = physics_step() if timestep is None else timestep
 
     def look(rest: np.ndarray, arms: ArmParameters) -> None:
         _check(rest, step, integrator, arms)
@@ -153,7 +153,7 @@ def _survey(
     still = Reference(q, np.zeros_like(q), np.zeros_like(q))
     episode = Episode(
         parameters=arm,
-        timestep=usual_step(),
+        timestep=physics_step(),
         reference=lambda t: still,
         seeds=seeds,
         batch_shape=batch_shape,
@@ -170,7 +170,7 @@ def fitting_step(longest: float, control_period: float | None) -> tuple[float, f
     least, and at most that of `models/octarm.xml`, which the period is if None. Raises OctarmError
     if it would be below 1e-7 s.
     """
-    usual = usual_step()
+    usual = physics_step()
     period = usual if control_period is None else control_period
     if not period > 0.0:
         raise OctarmError(f"control period is {period:g} s; it must be positive")
@@ -195,9 +195,3 @@ def check_period(period: float, step: float) -> None:
             f"control period is {period:g} s; it must be at most {most:g} s: an arm that is left "
             "alone for longer than it swings is not controlled"
         )
-
-
-@functools.cache
-def usual_step() -> float:
-    """The physics step of `models/octarm.xml` [s]."""
-    return float(build_slim_model().opt.timestep)

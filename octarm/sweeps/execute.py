@@ -7,14 +7,8 @@ import contextlib
 import dataclasses
 import time
 from collections.abc import Callable
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    wait,
-)
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from concurrent.futures import wait as first_of
 from pathlib import Path
 from typing import NamedTuple
 
@@ -143,7 +137,7 @@ class _Run:
                 if self._interrupted and not useful:
                     return
                 self._begin(max(1, useful))
-                for future in wait(self._at_work, _GLANCE, FIRST_COMPLETED).done:
+                for future in first_of(self._at_work, _GLANCE, "FIRST_COMPLETED").done:
                     self._take(self._at_work[future], future)
                     del self._at_work[future]
                 future = None  # a cluster keeps the result for as long as anybody might ask for it

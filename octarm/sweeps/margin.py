@@ -1,10 +1,9 @@
 """Robustness margins: how far something may grow before an error bound is broken.
 
 Each seed has a margin of its own. The bound is tried on a coarse grid of values, the same for all
-seeds, and then at some values between the last one that met it and the first one that did not, of
-every seed at once, until that gap is small. It is taken for granted that the bound is not met again
-further on; where the grid shows that it is, that is reported, and the margin is that of the first
-failure.
+seeds, and then within the gap between the last one that met it and the first one that did not, of
+every seed at once, until that is small. Where the grid shows that the bound is met again further
+on, that is reported, and the margin is that of the first failure.
 """
 
 from __future__ import annotations
@@ -42,8 +41,8 @@ class Attempt(NamedTuple):
     """What came of some arms.
 
     Attributes:
-        excess: the measure over its bound, the largest of them if there are several, shape (n,)
-            [1]; the bound is met up to 1. Infinite for an arm that diverged.
+        excess: the measure over its bound, the largest of several, shape (n,) [1]; the bound is met
+            up to 1. Infinite for an arm that diverged.
         digest: a number that stands for the motion, shape (n,).
     """
 
@@ -86,8 +85,7 @@ class Brackets:
 def search(attempt: Try, seeds: int, *, intervals: int = 8, resolution: float = 0.01) -> Brackets:
     """The brackets of seeds 0, 1, ..; that of a seed does not depend on the other seeds.
 
-    The coarse grid has so many intervals; the gap between `met` and `failed` becomes at most the
-    resolution, a share of `failed` [1].
+    The gap between `met` and `failed` becomes at most the resolution, a share of `failed` [1].
     """
     grid = np.arange(intervals + 1) / intervals
     tried = attempt(np.repeat(np.arange(seeds), len(grid)), np.tile(grid, seeds))
@@ -119,10 +117,8 @@ def search(attempt: Try, seeds: int, *, intervals: int = 8, resolution: float = 
 class Margin(NamedTuple):
     """A margin of all seeds, in shares of the way; inf: beyond the high value, -inf: below the low.
 
-    Attributes:
-        value: the largest that so many of the seeds bear.
-        low: lower end of its confidence interval; NaN where the seeds cannot carry one.
-        high: upper end, likewise.
+    It is the largest that so many of the seeds bear. The ends of its confidence interval are NaN
+    where the seeds cannot carry one.
     """
 
     value: float
@@ -188,13 +184,11 @@ def parse_bound(text: str) -> tuple[str, float]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Varied:
-    """What varies, and between which values.
+    """What varies: a disturbance by its first field, or `nominal-mismatch`.
 
     Attributes:
-        name: of a disturbance, or `nominal-mismatch`.
         low: value at which the bound should be met; need not be the smaller one.
         high: value up to which it is tried.
-        unit: of the values.
         disturbance: the one whose first field varies; None for `nominal-mismatch`.
     """
 
@@ -276,7 +270,6 @@ class MarginRuns:
 
     Attributes:
         factory: makes the controller from its nominal model.
-        varied: what varies.
         bounds: metrics, and what their absolute values may be at most, all of them.
         disturbances: what acts in addition.
         mismatch: of the controller's nominal model [1].
