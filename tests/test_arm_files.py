@@ -13,8 +13,8 @@ import octarm
 from controllers import make_controller
 from octarm.arm import lagrange
 from octarm.arm.file import Arm, arm_of, arm_toml, read_arm_file, shipped_arms
+from octarm.arm.file_content import quantity
 from octarm.arm.parameters import ArmParameters
-from octarm.arm.quantities import quantity
 from octarm.arm.reach import reach
 from octarm.arm.rod import Rod, arm_from_rod
 from octarm.checks.validation import random_arm
