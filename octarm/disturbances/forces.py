@@ -163,10 +163,10 @@ def _sine(
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class PulseForce(_PushForce):
-    """A constant force on joints or tip from the time `at` on, for a while; see `SineForce`.
+    """A constant force on joints or tip from the time `at` on, for a while.
 
     A physics step that it covers in part gets that part of the force, so that the impulse is
-    amplitude times length for any timestep.
+    amplitude times length for any timestep. See `SineForce` for `on`.
 
     Attributes:
         amplitude: shape (...) [N], or [N m] on a bend.
@@ -183,11 +183,12 @@ class PulseForce(_PushForce):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class StepForce(_PushForce):
-    """A constant force on joints or tip from the time `at` on, to the end; see `SineForce`.
+    """A constant force on joints or tip from the time `at` on, to the end.
 
     Attributes:
         amplitude: shape (...) [N], or [N m] on a bend.
         at: when it begins, shape (...) [s].
+        on: as for `SineForce`.
     """
 
     name: ClassVar[str] = "step"
