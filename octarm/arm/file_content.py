@@ -17,6 +17,64 @@ from octarm.formats import Array, Model, one_of, spelt
 from octarm.units import NUMBER, UNITS, closed_up
 
 
+def quantity(kind: str, given: Any) -> np.ndarray:
+    """The numbers of a quantity of a kind of `UNITS`, of any shape, in SI units.
+
+    A file has it as a word, `"120 mm"`, a list of words, or a table `{ value = [1200, 1000], unit =
+    "N/m" }`. A ValueError says what it must be.
+    """
+    si = next(iter(UNITS[kind]))
+    match given:
+        case str():
+            number = NUMBER.match(given)
+            if number is None or number.end() == len(given):
+                raise ValueError(f'a number with a unit, such as "1 {si}"')
+            return np.array(float(number[0])) * _unit_size(given[number.end() :], kind)
+        case {"value": value, "unit": str() as unit, **rest} if not rest:
+            return _numbers(value) * _unit_size(unit, kind)
+        case dict():
+            raise ValueError(f'a table such as {{ value = [1, 2], unit = "{si}" }}')
+        case list() | tuple() if given:
+            parts = [quantity(kind, part) for part in cast(Sequence[Any], given)]
+            if len({part.shape for part in parts}) > 1:
+                raise ValueError("a list of as many values in each row")
+            return np.stack(parts)
+        case bool() | int() | float():
+            raise ValueError(f'given with a unit, such as "{spelt(given)} {si}"')
+        case _:
+            raise ValueError(f'a number with a unit, such as "1 {si}"')
+
+
+def _numbers(value: Any) -> np.ndarray:
+    rows: list[Any] = [value]
+    while rows:
+        part = rows.pop()
+        if isinstance(part, list | tuple):
+            rows += cast(Sequence[Any], part)
+        elif isinstance(part, bool) or not isinstance(part, int | float):
+            raise ValueError("a table whose value is a number, or a list of numbers")
+    try:
+        return _finite_or_inf(np.array(value, dtype=np.float64))
+    except (ValueError, OverflowError):
+        raise ValueError("a list of as many numbers in each row") from None
+
+
+def _finite_or_inf(x: Any) -> np.ndarray:
+    numbers = np.asarray(x, dtype=np.float64)
+    if not numbers.size or np.isnan(numbers).any():
+        raise ValueError("made of numbers")
+    return numbers
+
+
+def _unit_size(unit: str, kind: str) -> float:
+    units = UNITS[kind]
+    known = {closed_up(name): size for name, size in units.items()}
+    if closed_up(unit) not in known:
+        *most, last = units
+        raise ValueError(f"in {', '.join(most)} or {last}, which are the units of {kind}")
+    return known[closed_up(unit)]
+
+
 def _of(kind: str) -> AfterValidator:
     """An annotation: a quantity of this kind, as an array in SI units."""
     return AfterValidator(functools.partial(quantity, kind))
@@ -267,61 +325,3 @@ def _size(value: np.ndarray) -> str:
     if value.ndim < 2:
         return f"{value.size} values"
     return " x ".join(map(str, value.shape)) + " values"
-
-
-def quantity(kind: str, given: Any) -> np.ndarray:
-    """The numbers of a quantity of a kind of `UNITS`, of any shape, in SI units.
-
-    A file has it as a word, `"120 mm"`, a list of words, or a table `{ value = [1200, 1000], unit =
-    "N/m" }`. A ValueError says what it must be.
-    """
-    si = next(iter(UNITS[kind]))
-    match given:
-        case str():
-            number = NUMBER.match(given)
-            if number is None or number.end() == len(given):
-                raise ValueError(f'a number with a unit, such as "1 {si}"')
-            return np.array(float(number[0])) * _unit_size(given[number.end() :], kind)
-        case {"value": value, "unit": str() as unit, **rest} if not rest:
-            return _numbers(value) * _unit_size(unit, kind)
-        case dict():
-            raise ValueError(f'a table such as {{ value = [1, 2], unit = "{si}" }}')
-        case list() | tuple() if given:
-            parts = [quantity(kind, part) for part in cast(Sequence[Any], given)]
-            if len({part.shape for part in parts}) > 1:
-                raise ValueError("a list of as many values in each row")
-            return np.stack(parts)
-        case bool() | int() | float():
-            raise ValueError(f'given with a unit, such as "{spelt(given)} {si}"')
-        case _:
-            raise ValueError(f'a number with a unit, such as "1 {si}"')
-
-
-def _numbers(value: Any) -> np.ndarray:
-    rows: list[Any] = [value]
-    while rows:
-        part = rows.pop()
-        if isinstance(part, list | tuple):
-            rows += cast(Sequence[Any], part)
-        elif isinstance(part, bool) or not isinstance(part, int | float):
-            raise ValueError("a table whose value is a number, or a list of numbers")
-    try:
-        return _finite_or_inf(np.array(value, dtype=np.float64))
-    except (ValueError, OverflowError):
-        raise ValueError("a list of as many numbers in each row") from None
-
-
-def _finite_or_inf(x: Any) -> np.ndarray:
-    numbers = np.asarray(x, dtype=np.float64)
-    if not numbers.size or np.isnan(numbers).any():
-        raise ValueError("made of numbers")
-    return numbers
-
-
-def _unit_size(unit: str, kind: str) -> float:
-    units = UNITS[kind]
-    known = {closed_up(name): size for name, size in units.items()}
-    if closed_up(unit) not in known:
-        *most, last = units
-        raise ValueError(f"in {', '.join(most)} or {last}, which are the units of {kind}")
-    return known[closed_up(unit)]
