@@ -26,7 +26,8 @@ from paper.plants import MeanSquare
 from paper.studies import BENDS, SCALE, Effort
 from paper.variants import Variant
 
-SHORTEST, LONGEST = 5e-5, 0.01  # periods that are looked at [s]
+SHORTEST, LONGEST = 1e-5, 0.01  # periods that are looked at [s]
+SHORTEST_TRACKED = 5e-5  # of laws that are to track [s]
 CLOSE = 1.05  # shortest that fails over longest that does not, where the search ends [1]
 FEWEST, MOST, LASTING = 200, 1600, 0.5  # control periods of a run about rest, and its length [s]
 STEP = 1e-7  # of the reference about rest, as a share of the motion [1]
@@ -69,24 +70,24 @@ def searches(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Search
         yield Search(variants[label], tuple(effort.plants))
 
 
-def longest(bears: Callable[[float], bool], start: float) -> float:
+def longest(bears: Callable[[float], bool], start: float, shortest: float = SHORTEST) -> float:
     """The longest period that is borne, by a bracket that widens and then bisection [s].
 
-    It is 0 if `SHORTEST` is not borne, infinite if `LONGEST` is.
+    It is 0 if the shortest one is not borne, infinite if `LONGEST` is.
     """
     good, bad, factor = 0.0, math.inf, 1.2
-    period = min(max(start, SHORTEST), LONGEST)
+    period = min(max(start, shortest), LONGEST)
     while not (good and bad / good <= CLOSE):
         if bears(period):
             good = period
         else:
             bad = period
-        if good >= LONGEST or bad <= SHORTEST:
+        if good >= LONGEST or bad <= shortest:
             return math.inf if good else 0.0
         if good and math.isfinite(bad):
             period = math.sqrt(good * bad)
         else:
-            period = min(good * factor, LONGEST) if good else max(bad / factor, SHORTEST)
+            period = min(good * factor, LONGEST) if good else max(bad / factor, shortest)
             factor *= factor
     return good
 
@@ -99,7 +100,7 @@ def _longest_two(variant: Variant, modules: int) -> tuple[float, float]:
     try:
         predicted = Loop(plant, variant.controls(arm)).longest_period()
     except NoSlopeError:
-        return math.nan, longest(partial(_tracks, variant, modules), 1e-3)
+        return math.nan, longest(partial(_tracks, variant, modules), 1e-3, SHORTEST_TRACKED)
     return predicted, longest(partial(_rests, variant, modules, plant.rest), 0.9 * predicted)
 
 

@@ -17,7 +17,7 @@ from octarm.reports.statistics import Interval, binomial
 from paper.claims import Claim, worded, words
 from paper.evidence import Cell, Evidence, interval
 from paper.numbers import percent
-from paper.periods import LONGEST, SHORTEST
+from paper.periods import LONGEST, SHORTEST, SHORTEST_TRACKED
 from paper.runs import EVERY, LONG
 from paper.studies import (
     BENDS,
@@ -183,11 +183,11 @@ def _rank(evidence: Evidence, cell: Cell, names: Sequence[str]) -> Entry:
 
 def periods(evidence: Evidence) -> Table:
     """The longest control periods of each law, predicted and simulated."""
-    rows = [
-        (name, *(_period(x) for pair in zip(own["predicted"], own["simulated"], strict=True)
-                 for x in pair))
-        for name, own in evidence.periods.items()
-    ]  # fmt: skip
+    rows: list[Sequence[Entry]] = []
+    for name, own in evidence.periods.items():
+        sorts = [SHORTEST_TRACKED if math.isnan(x) else SHORTEST for x in own["predicted"]]
+        pairs = zip(own["predicted"], own["simulated"], sorts, strict=True)
+        rows.append((name, *(_period(x, shortest) for *pair, shortest in pairs for x in pair)))
     heads = [
         f"{modules} modules, {kind} [ms]"
         for modules in evidence.effort.plants
@@ -196,12 +196,13 @@ def periods(evidence: Evidence) -> Table:
     return _table("periods", rows, heads)
 
 
-def _period(seconds: float) -> Entry:
+def _period(seconds: float, shortest: float) -> Entry:
+    """In milliseconds, or beyond which one it is [s]."""
     if math.isnan(seconds):
         return "no slope"
     if seconds > LONGEST:
         return f"above {1e3 * LONGEST:g}"
-    return f"below {1e3 * SHORTEST:g}" if seconds < SHORTEST else 1e3 * float(seconds)
+    return f"below {1e3 * shortest:g}" if seconds < shortest else 1e3 * float(seconds)
 
 
 def _least(evidence: Evidence, cells: Sequence[Cell]) -> Cell:
