@@ -167,7 +167,8 @@ def _slopes(
         _resting(rest, rows),
     )
     z = _flat(state, rows)
-    learnt = h * (1.0 + np.abs(z[-1])) if k else np.empty(0)
+    # A state may be small: an integral of e that gives way at 1e-5 m s acts like any other.
+    learnt = 1e-3 * h * (1.0 + np.abs(z[-1])) if k else np.empty(0)
     z = z.copy()
     z[4 * n : 4 * n + k] += np.diag(learnt)
     z[4 * n + k :] -= np.diag(learnt)

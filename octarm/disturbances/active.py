@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from octarm.arm.groups import Groups
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import (
     ActuatorFault,
@@ -59,6 +58,7 @@ class ActiveDisturbances:
         bounds = (disturbance.input_bound() for disturbance in disturbances)
         self.input_bounds = [bound for bound in bounds if bound is not None]
         self.shares: dict[str, np.ndarray] = {}
+        self._own: dict[str, np.ndarray] = {}  # what the forces gave, a tip's on the plant
         self.inputs: dict[str, np.ndarray] = {}
         self.commanded = np.empty(0)
         self.readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
@@ -74,6 +74,7 @@ class ActiveDisturbances:
             process = disturbance.start(episode if count == 1 else episode.again(count))
             started[disturbance.family].append((numbered(name, count), process))
         self.forces: list[tuple[str, ForceProcess]] = started[Force.family]
+        self._tips = {name for name, process in self.forces if isinstance(process, TipProcess)}
         self.plant_changes: list[tuple[str, PlantProcess]] = started[PlantChange.family]
         self.actuators: list[tuple[str, ActuatorProcess]] = started[ActuatorFault.family]
         self.sensors: list[tuple[str, SensorProcess]] = started[SensorFault.family]
@@ -102,35 +103,27 @@ class ActiveDisturbances:
         """
         if not self.forces:
             return np.zeros_like(q)
-        if self.episode.groups is not None and plant_q is not None:
-            return self._force_on(self.episode.groups, step, q, plant_q)
-        shares = {name: process(step, q) for name, process in self.forces}
-        if not self.shares or not all(map(is_, shares.values(), self.shares.values())):
-            self.shares = shares
-            self._total = sum(shares.values(), start=np.zeros(()))  # 0.0, never -0.0
+        groups, tips = (None, set[str]()) if plant_q is None else (self.episode.groups, self._tips)
+        own = {
+            name: process(step, q if plant_q is None or name not in tips else plant_q)
+            for name, process in self.forces
+        }
+        if not self._own or not all(map(is_, own.values(), self._own.values())):
+            self._own = self.shares = own
+            forces = list(own.values())
+            if groups is not None:  # by virtual work; a tip is pushed where it is
+                self.shares = own | {name: groups.mean_force(own[name]) for name in tips}
+                forces = [f if name in tips else groups.force(f) for name, f in own.items()]
+            self._total = sum(forces, start=np.zeros(()))  # 0.0, never -0.0
             self._total.setflags(write=False)
             self._measured = self._total
+            if groups is not None:
+                self._measured = sum(self.shares.values(), start=np.zeros(()))
         return self._total
 
     def measured_force(self) -> np.ndarray:
         """The last `force` as far as it is measured, the sum of `shares`, shape (..., 2N)."""
         return self._measured
-
-    def _force_on(
-        self, groups: Groups, step: int, q: np.ndarray, plant_q: np.ndarray
-    ) -> np.ndarray:
-        """The same on a plant of more modules, by virtual work; a tip is pushed where it is."""
-        total = np.zeros_like(plant_q)
-        for name, process in self.forces:
-            if isinstance(process, TipProcess):
-                force = process(step, plant_q)
-                self.shares[name] = groups.mean_force(force)
-            else:
-                self.shares[name] = process(step, q)
-                force = groups.force(self.shares[name])
-            total = total + force
-        self._measured = sum(self.shares.values(), start=np.zeros(()))
-        return total
 
     def plant_changes_at(self, step: int) -> bool:
         """Whether `plant` at this physics step differs from the one before it."""

@@ -295,20 +295,25 @@ class AnyPhysics(control.Physics):
 
     def _receive(self, nstep: int) -> None:
         received, active = self._possible, self.active
+        middle = q = self._zero
+        if self.groups is not None or (active is not None and active.forces):
+            middle = self._middle()
+            q = middle if self.groups is None else self.groups.measured(middle)
         if active is not None:
             self._write(active.plant(self._steps))
             if active.actuators:
                 received = self._within_range(active.received(self._steps, received))
             if active.forces:
-                middle = self._middle()
-                q = middle if self.groups is None else self.groups.measured(middle)
                 self._added[self._qvel_index] = active.force(self._steps, q, middle).T
                 mean = active.measured_force() / nstep
                 if not self._all_intact:
                     mean = np.where(self._intact[..., None], mean, 0.0)
                 self._disturbance = self._disturbance + mean
         self._received = received
-        self._ctrl[...] = self._motors(received)
+        if self.groups is None:
+            self._ctrl[...] = self.actuation.ctrl(received)
+        else:
+            self._ctrl[...] = self.groups.ctrl(self.actuation.force(q, received))
 
     def _middle(self) -> np.ndarray:
         """Where the plants will be in the middle of a step, shape (..., 2N) [m], [rad].
@@ -318,13 +323,6 @@ class AnyPhysics(control.Physics):
         energy.
         """
         return self.plant_q() + (0.5 * self._timestep) * self.plant_v()
-
-    def _motors(self, tau: np.ndarray) -> np.ndarray:
-        """`ctrl` under input forces tau, shapes (..., 4N - 2) and (..., 2N) [N]."""
-        if self.groups is None:
-            return self.actuation.ctrl(tau)
-        q = self.groups.measured(self._middle())
-        return self.groups.ctrl(self.actuation.force(q, tau))
 
     def _within_range(self, tau: np.ndarray) -> np.ndarray:
         if not self._limited:
