@@ -31,8 +31,7 @@ def entry_points(group: str) -> tuple[importlib.metadata.EntryPoint, ...]:
 def loaded(source: str) -> tuple[types.ModuleType, str]:
     """A module, or a file as a module of its own, and the SHA-256 of its file.
 
-    Raises:
-        OctarmError: if there is no such module or file, or it cannot be imported.
+    Raises OctarmError if there is no such module or file, or it cannot be imported.
     """
     content = content_of(source)
     sha256 = sha256_of(content)
@@ -64,9 +63,7 @@ def _module_of(file: str, content: bytes) -> types.ModuleType:
 def content_of(source: str) -> bytes:
     """The bytes of a file, or of that of a module; nothing is imported.
 
-    Raises:
-        FileError: if the file cannot be read.
-        OctarmError: if there is no such module.
+    Raises FileError if the file cannot be read, OctarmError if there is no such module.
     """
     file = located(source)
     try:
@@ -78,10 +75,8 @@ def content_of(source: str) -> bytes:
 def located(source: str) -> str:
     """A file, or that of a module; modules may also be in the working folder.
 
-    Packages above it are not imported, unlike by `importlib.util.find_spec`.
-
-    Raises:
-        OctarmError: if there is no such module, or it has no file.
+    Packages above it are not imported, unlike by `importlib.util.find_spec`. Raises OctarmError if
+    there is no such module, or it has no file.
     """
     if source.endswith(".py"):
         return source

@@ -4,18 +4,75 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Annotated, Any
+from collections.abc import Sequence
+from typing import Annotated, Any, cast
 
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from octarm.arm.parameters import ArmParameters
-from octarm.arm.quantities import quantity
+from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
 from octarm.errors import OctarmError
-from octarm.formats import Array, Model, one_of
+from octarm.formats import Array, Model, one_of, spelt
+from octarm.units import NUMBER, UNITS, closed_up
 
-_MOST = 100  # modules
+
+def quantity(kind: str, given: Any) -> np.ndarray:
+    """The numbers of a quantity of a kind of `UNITS`, of any shape, in SI units.
+
+    A file has it as a word, `"120 mm"`, a list of words, or a table `{ value = [1200, 1000], unit =
+    "N/m" }`. A ValueError says what it must be.
+    """
+    si = next(iter(UNITS[kind]))
+    match given:
+        case str():
+            number = NUMBER.match(given)
+            if number is None or number.end() == len(given):
+                raise ValueError(f'a number with a unit, such as "1 {si}"')
+            return np.array(float(number[0])) * _unit_size(given[number.end() :], kind)
+        case {"value": value, "unit": str() as unit, **rest} if not rest:
+            return _numbers(value) * _unit_size(unit, kind)
+        case dict():
+            raise ValueError(f'a table such as {{ value = [1, 2], unit = "{si}" }}')
+        case list() | tuple() if given:
+            parts = [quantity(kind, part) for part in cast(Sequence[Any], given)]
+            if len({part.shape for part in parts}) > 1:
+                raise ValueError("a list of as many values in each row")
+            return np.stack(parts)
+        case bool() | int() | float():
+            raise ValueError(f'given with a unit, such as "{spelt(given)} {si}"')
+        case _:
+            raise ValueError(f'a number with a unit, such as "1 {si}"')
+
+
+def _numbers(value: Any) -> np.ndarray:
+    rows: list[Any] = [value]
+    while rows:
+        part = rows.pop()
+        if isinstance(part, list | tuple):
+            rows += cast(Sequence[Any], part)
+        elif isinstance(part, bool) or not isinstance(part, int | float):
+            raise ValueError("a table whose value is a number, or a list of numbers")
+    try:
+        return _finite_or_inf(np.array(value, dtype=np.float64))
+    except (ValueError, OverflowError):
+        raise ValueError("a list of as many numbers in each row") from None
+
+
+def _finite_or_inf(x: Any) -> np.ndarray:
+    numbers = np.asarray(x, dtype=np.float64)
+    if not numbers.size or np.isnan(numbers).any():
+        raise ValueError("made of numbers")
+    return numbers
+
+
+def _unit_size(unit: str, kind: str) -> float:
+    units = UNITS[kind]
+    known = {closed_up(name): size for name, size in units.items()}
+    if closed_up(unit) not in known:
+        *most, last = units
+        raise ValueError(f"in {', '.join(most)} or {last}, which are the units of {kind}")
+    return known[closed_up(unit)]
 
 
 def _of(kind: str) -> AfterValidator:
@@ -24,7 +81,7 @@ def _of(kind: str) -> AfterValidator:
 
 
 Length = Annotated[Any, _of("length")]
-Modules = Annotated[int, Field(ge=1, le=_MOST)]
+Modules = Annotated[int, Field(ge=1, le=MOST_MODULES)]
 Stiffness = Annotated[Any, _of("stiffness")]
 BendingStiffness = Annotated[Any, _of("bending stiffness")]
 Damping = Annotated[Any, _of("damping")]
@@ -76,8 +133,7 @@ class ArmFile(Model):
 def parameters_of(content: ArmFile) -> ArmParameters:
     """The parameters of one arm; numbers are broadcast, and what is not given is completed.
 
-    Raises:
-        OctarmError: if something is missing, or does not fit; the sentence begins with its key.
+    Raises OctarmError if something is missing or does not fit; the sentence begins with its key.
     """
     rod = content.rod
     with np.errstate(all="ignore"):  # a width of 0 is refused in the end
@@ -85,7 +141,6 @@ def parameters_of(content: ArmFile) -> ArmParameters:
 
 
 def _rod(content: ArmFile, rod: RodTable) -> ArmParameters:
-    """The chain that a table `[rod]` asks for."""
     given = content.model_fields_set - {"rod", "name", "source", "converted", "assumed"}
     wrong = sorted(given - {"gravity", "input_range"})
     if wrong:
@@ -139,7 +194,6 @@ class _Reader:
         return value
 
     def _counted(self) -> int:
-        """The number of modules that the lists have."""
         for key in ("mass", "inertia", "width", "rest_length", "rest_angle", *_WHOLE):
             value = getattr(self._content, key)
             if value is not None and value.ndim == 1:
@@ -151,14 +205,12 @@ class _Reader:
         raise OctarmError("it needs a value of modules, since no list says how many there are")
 
     def _each(self, key: str) -> np.ndarray:
-        """One number a module, shape (N,)."""
         value = self._given(key)
         if value.shape not in ((), (1,), (self._modules,)):
             raise OctarmError(f"{key} has {_size(value)}; it needs {self._one_or_all()}")
         return np.broadcast_to(value, self._modules)
 
     def _columns(self, key: str) -> np.ndarray:
-        """One number a column, shape (2, N)."""
         value = self._given(key)
         rows = value if value.ndim == 2 else value[None]
         if value.ndim > 2 or len(rows) > 2 or rows.shape[-1:] not in ((), (1,), (self._modules,)):
@@ -203,7 +255,6 @@ class _Reader:
         return _shared(self._columns("damping"), whole, width, "damping")
 
     def _shape(self, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rest lengths and rest angles, shapes (N,)."""
         lengths, angle = self._columns("rest_length"), self._content.rest_angle
         if np.array_equal(lengths[0], lengths[1]):
             return lengths[0], np.zeros(self._modules) if angle is None else self._each(
@@ -226,13 +277,8 @@ def _shared(
     """What the columns have, shape (2, N), and what is left for the backbone, shape (2, N).
 
     The backbone has what a whole module has beyond its columns. Where columns would have more than
-    the whole module, that is taken off both of them alike.
-
-    Args:
-        columns: shape (2, N); as much as they can have if None.
-        whole: axial and in bending, shapes (N,); what the columns give if None.
-        width: shape (N,) [m].
-        what: stiffness or damping.
+    the whole module, that is taken off both of them alike. Where columns are None they have as much
+    as they can; where an axial or bending value of the whole is None, it is what the columns give.
     """
     lever = 0.25 * width * width
     both = np.full_like(width, np.inf) if columns is None else columns[0] + columns[1]

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, FiniteFloat
 
 from octarm.declared import Code
-from octarm.disturbances.drawn import Drawn
+from octarm.disturbances.ledger import Drawn
 from octarm.formats import Array, Model
 
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]

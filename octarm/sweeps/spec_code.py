@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from octarm.declared import Declared, absolute, named
-from octarm.disturbances.catalogue import DISTURBANCES
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError
 from octarm.formats import Document
 from octarm.metrics.declared import ACCUMULATORS
@@ -58,7 +58,6 @@ def with_names(document: Document) -> Document:
 
 
 def _words(content: Mapping[str, Any]) -> Iterator[tuple[Declared[Any], str, tuple[str, ...]]]:
-    """The words of a spec that may name code, each with its kind and the keys where it stands."""
     for place in ((), ("grid",)):
         for kind, table in _TABLES.items():
             value = _at(content, *place).get(kind)
@@ -72,8 +71,6 @@ def _words(content: Mapping[str, Any]) -> Iterator[tuple[Declared[Any], str, tup
 
 
 def _renamed(content: Mapping[str, Any], name: Callable[[str, str], str]) -> dict[str, Any]:
-    """The content with the names of words, given their kind, in place of the words."""
-
     def value(kind: str, old: Any) -> Any:
         if isinstance(old, list):
             return [value(kind, item) for item in cast("list[Any]", old)]

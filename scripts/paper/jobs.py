@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from tqdm import tqdm
@@ -17,12 +17,26 @@ from controllers import make_controller
 from octarm.files import write_files
 from octarm.sweeps.workers import WorkerProcesses, cores
 from paper import runs
+from paper.periods import searches
+from paper.plants import planted
 from paper.runs import Request
 from paper.studies import MODELS, Effort, Sweep, sweeps
 from paper.variants import CONTROLLERS, Variant
 
 SPECS, SWEEPS, SERIES, RUNS = "specs", "sweeps", "series", "runs"  # folders
 Advance = Callable[[float], None]  # takes simulated seconds that are done
+
+
+class Task(Protocol):
+    """Something whose arrays are kept in a file of its name; `seconds` says what it weighs [s]."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+
+    @property
+    def seconds(self) -> float: ...  # noqa: D102
+
+    def perform(self) -> Mapping[str, np.ndarray]: ...  # noqa: D102
 
 
 class Job(NamedTuple):
@@ -64,6 +78,8 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
     jobs = [
         *(_sweep_job(sweep, out) for sweep in sweeps(variants, effort)),
         *(_run_job(request, out) for request in requests),
+        *(_run_job(one, out) for one in planted(variants, effort)),
+        *(_run_job(one, out) for one in searches(variants, effort)),
         *(_recording_job(r, model, out) for r in figure_1 for model in MODELS),
     ]
     jobs.sort(key=lambda job: -job.seconds)
@@ -109,11 +125,11 @@ def _sweep_job(sweep: Sweep, out: Path) -> Job:
     return Job(sweep.seconds, do)
 
 
-def _run_job(request: Request, out: Path) -> Job:
+def _run_job(request: Task, out: Path) -> Job:
     def do(pool: Executor, advance: Advance) -> None:
         if not series_file(out, request).is_file():
             content = io.BytesIO()
-            np.savez(content, allow_pickle=False, **pool.submit(runs.perform, request).result())
+            np.savez(content, allow_pickle=False, **pool.submit(request.perform).result())
             write_files({series_file(out, request): content.getvalue()})
         advance(request.seconds)
 
@@ -132,12 +148,12 @@ def _recording_job(request: Request, model: float, out: Path) -> Job:
     return Job(seconds, do)
 
 
-def series_file(out: Path, request: Request) -> Path:
+def series_file(out: Path, request: Task) -> Path:
     """Where what was kept of a run stands."""
     return out / SERIES / f"{request.name}.npz"
 
 
-def read_arrays(out: Path, requests: Iterable[Request]) -> dict[str, dict[str, np.ndarray]]:
+def read_arrays(out: Path, requests: Iterable[Task]) -> dict[str, dict[str, np.ndarray]]:
     """What was kept of runs, by their names.
 
     Raises:

@@ -84,6 +84,10 @@ class Request(NamedTuple):
         """What is simulated, all arms counted [s]."""
         return len(self.mismatch) * self.duration
 
+    def perform(self) -> Arrays:
+        """Runs the arms; what is kept of them."""
+        return perform(self)
+
 
 def requests(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Request]:
     """Those of figures 1 and 2 in both readings, the long ones, those of the Lyapunov functions."""
