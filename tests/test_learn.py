@@ -30,7 +30,7 @@ def test_a_learned_policy_is_the_same_twice_and_swept_and_reported(tmp_path, mon
     assert main(["report", str(out)]) == 0
     table = octarm.read_sweep(out, ["controller", "status"]).to_pydict()
     assert set(table["controller"]) == {"pd", "Learned"} and set(table["status"]) == {"ok"}
-    assert "Learned" in (out / "report.html").read_text("utf-8")
+    assert "Learned" in (out / "report" / "report.html").read_text("utf-8")
 
 
 def test_the_policy_adds_what_its_actions_did_in_the_environment(tmp_path, monkeypatch):
