@@ -164,6 +164,14 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
         part.write_text(text, encoding="utf-8")
 
 
+def read_bytes(path: str | os.PathLike[str]) -> bytes:
+    """The bytes of a file; raises FileError if it cannot be read."""
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror}") from None
+
+
 @contextlib.contextmanager
 def piped(path: Path) -> Generator[str]:
     """A name for a library to write `path` through, if the library hangs on a full disk.

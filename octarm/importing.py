@@ -14,10 +14,10 @@ import inspect
 import os
 import sys
 import types
-from pathlib import Path
 from typing import Any
 
-from octarm.errors import FileError, OctarmError, quoted
+from octarm.errors import OctarmError, quoted
+from octarm.files import read_bytes
 
 ALLOWED = "it must be a known name, MODULE:NAME, or FILE.py:NAME"
 
@@ -65,11 +65,7 @@ def content_of(source: str) -> bytes:
 
     Raises FileError if the file cannot be read, OctarmError if there is no such module.
     """
-    file = located(source)
-    try:
-        return Path(file).read_bytes()
-    except OSError as error:
-        raise FileError(f"{file} cannot be read: {error.strerror}") from None
+    return read_bytes(located(source))
 
 
 def located(source: str) -> str:

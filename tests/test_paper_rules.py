@@ -342,7 +342,7 @@ def test_a_table_as_csv():
 def test_the_claims_go_between_the_markers():
     claim = {"letter": "a", "quote": "x | y", "place": "p", "verdict": "holds", "condition": "",
              "stays": "5 of 6", "headline": "1"}  # fmt: skip
-    written = {"claims": [claim], "questions": [], "best": [], "plants": []}
+    written = {"claims": [claim], "questions": [], "best": [], "plants": [], "periods": []}
     before = f"# t\n\n{writeup.START}\nearlier\n{writeup.END}\n\nrest\n"
     after = writeup.with_claims(before, written)
     assert after.startswith("# t\n\n") and after.endswith("\n\nrest\n")

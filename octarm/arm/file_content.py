@@ -165,8 +165,8 @@ class _Reader:
     def parameters(self) -> ArmParameters:
         content = self._content
         width = self._each("width")
-        stiffness, springs = self._springs(width)
-        damping, dampers = self._dampers(width, stiffness, springs)
+        stiffness, springs = self._shares("stiffness", width)
+        damping, dampers = self._damping(width, stiffness, springs)
         length, angle = self._shape(width)
         ranged = content.input_range is not None
         alike = bool(np.all(width == width[0]))
@@ -232,27 +232,23 @@ class _Reader:
             raise OctarmError(f"{key} holds {np.min(value):g}; it must be at least 0")
         return value
 
-    def _springs(self, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        whole = self._whole("axial_stiffness"), self._whole("bending_stiffness")
-        if self._content.stiffness is None and not any(x is None for x in whole):
-            return _shared(None, whole, width, "stiffness")
-        return _shared(self._columns("stiffness"), whole, width, "stiffness")
-
-    def _dampers(
+    def _damping(
         self, width: np.ndarray, stiffness: np.ndarray, springs: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        content, whole = (
-            self._content,
-            (self._whole("axial_damping"), self._whole("bending_damping")),
-        )
-        if content.damping_time is not None:
-            if content.damping is not None or any(x is not None for x in whole):
-                raise OctarmError("damping_time is given beside damping, which says it already")
-            time = _single("damping_time", content.damping_time)
-            return time * stiffness, time * springs
-        if content.damping is None and not any(x is None for x in whole):
-            return _shared(None, whole, width, "damping")
-        return _shared(self._columns("damping"), whole, width, "damping")
+        content = self._content
+        if content.damping_time is None:
+            return self._shares("damping", width)
+        others = (content.damping, content.axial_damping, content.bending_damping)
+        if any(x is not None for x in others):
+            raise OctarmError("damping_time is given beside damping, which says it already")
+        time = _single("damping_time", content.damping_time)
+        return time * stiffness, time * springs
+
+    def _shares(self, what: str, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What columns and backbone have of stiffness or damping, shapes (2, N)."""
+        whole = self._whole(f"axial_{what}"), self._whole(f"bending_{what}")
+        left_out = getattr(self._content, what) is None and not any(x is None for x in whole)
+        return _shared(None if left_out else self._columns(what), whole, width, what)
 
     def _shape(self, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         lengths, angle = self._columns("rest_length"), self._content.rest_angle

@@ -29,7 +29,7 @@ from octarm.metrics.table import Metrics, as_json
 from octarm.references import REFERENCES
 from octarm.runs import folder as runs
 from octarm.runs.archive import Archive
-from octarm.runs.description import Inputs
+from octarm.runs.description import REPEATED, Description
 from octarm.runs.place import new_folder
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import MUJOCO
@@ -168,7 +168,11 @@ class Experiment:
         Raises OctarmError if something is missing or not allowed, or the reference is a custom one,
         CodeChanged if the code of a disturbance is not what it was.
         """
-        inputs = Document(runs.DESCRIPTION, description).read(Inputs)
+        document = Document(runs.DESCRIPTION, description)
+        inputs = document.read(Description)
+        for key in REPEATED:
+            if description.get(key) is None:
+                raise document.error(f"it needs a value of {key}", key)
         reference = inputs.reference.name
         if reference not in (*REFERENCES, *inputs.code):
             raise OctarmError(

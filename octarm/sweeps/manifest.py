@@ -15,7 +15,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
-from octarm.errors import FileError, OctarmError
+from octarm.errors import OctarmError
+from octarm.files import read_bytes
 from octarm.formats import FORMAT, check_format, read_json, spelt
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spec import hash_of
@@ -73,10 +74,7 @@ def open_sweep(folder: Path) -> tuple[Plan, dict[str, Any]]:
 
 def _plan(file: Path, sha256: Any) -> Plan:
     """The plan of `spec.toml`, which has to be the file that the sweep was begun with."""
-    try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise FileError(f"{file} cannot be read: {error.strerror}") from None
+    content = read_bytes(file)
     if hashlib.sha256(content).hexdigest() != sha256:
         raise OctarmError(
             f"{file} was changed: it is not what the sweep was run with, or {MANIFEST} was changed"

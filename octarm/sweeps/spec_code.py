@@ -6,6 +6,7 @@ of the spec that the sweep keeps. Whoever reads that one imports nothing: see `o
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -84,7 +85,7 @@ def _renamed(content: Mapping[str, Any], name: Callable[[str, str], str]) -> dic
     def controller(word: str) -> str:
         return name("controller", word)
 
-    new = _copied(content)
+    new = copy.deepcopy(dict(content))
     for place in ((), ("grid",)):
         table = _at(new, *place)
         table |= {kind: value(kind, table[kind]) for kind in _TABLES if kind in table}
@@ -95,15 +96,6 @@ def _renamed(content: Mapping[str, Any], name: Callable[[str, str], str]) -> dic
             table.clear()
             table |= items
     return new
-
-
-def _copied(content: Mapping[str, Any]) -> dict[str, Any]:
-    tables = {
-        key: _copied(cast("dict[str, Any]", value))
-        for key, value in content.items()
-        if isinstance(value, dict)
-    }
-    return {**content, **tables}
 
 
 def _at(content: Mapping[str, Any], *keys: str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -17,26 +17,15 @@ from controllers import make_controller
 from octarm.files import write_files
 from octarm.sweeps.workers import WorkerProcesses, cores
 from paper import runs
-from paper.periods import searches
-from paper.plants import planted
+from paper.periods import Search, searches
+from paper.plants import Planted, planted
 from paper.runs import Request
 from paper.studies import MODELS, Effort, Sweep, sweeps
 from paper.variants import CONTROLLERS, Variant
 
 SPECS, SWEEPS, SERIES, RUNS = "specs", "sweeps", "series", "runs"  # folders
+Task = Request | Planted | Search  # whose arrays are kept in a file of its name
 Advance = Callable[[float], None]  # takes simulated seconds that are done
-
-
-class Task(Protocol):
-    """Something whose arrays are kept in a file of its name; `seconds` says what it weighs [s]."""
-
-    @property
-    def name(self) -> str: ...  # noqa: D102
-
-    @property
-    def seconds(self) -> float: ...  # noqa: D102
-
-    def perform(self) -> Mapping[str, np.ndarray]: ...  # noqa: D102
 
 
 class Job(NamedTuple):

@@ -59,7 +59,7 @@ class Search(NamedTuple):
 
     def perform(self) -> dict[str, np.ndarray]:
         """`predicted`, NaN without a slope, and `simulated`, shapes (plants,) [s]."""
-        pairs = [_longest_two(self.variant, modules) for modules in self.plants]
+        pairs = [longest_two(self.variant, modules) for modules in self.plants]
         predicted, simulated = np.array(pairs).T
         return {"predicted": predicted, "simulated": simulated}
 
@@ -92,7 +92,7 @@ def longest(bears: Callable[[float], bool], start: float, shortest: float = SHOR
     return good
 
 
-def _longest_two(variant: Variant, modules: int) -> tuple[float, float]:
+def longest_two(variant: Variant, modules: int) -> tuple[float, float]:
     """By the spectral radius, infinite where all periods are stable, and in simulation [s]."""
     arm = octarm.nominal_parameters()
     groups = Groups.of(arm, modules)
@@ -100,11 +100,11 @@ def _longest_two(variant: Variant, modules: int) -> tuple[float, float]:
     try:
         predicted = Loop(plant, variant.controls(arm)).longest_period()
     except NoSlopeError:
-        return math.nan, longest(partial(_tracks, variant, modules), 1e-3, SHORTEST_TRACKED)
-    return predicted, longest(partial(_rests, variant, modules, plant.rest), 0.9 * predicted)
+        return math.nan, longest(partial(tracks, variant, modules), 1e-3, SHORTEST_TRACKED)
+    return predicted, longest(partial(rests, variant, modules, plant.rest), 0.9 * predicted)
 
 
-def _rests(variant: Variant, modules: int, rest: np.ndarray, period: float) -> bool:
+def rests(variant: Variant, modules: int, rest: np.ndarray, period: float) -> bool:
     """Whether the arm comes to rest after a tiny step of the reference."""
     arm = octarm.nominal_parameters()
     scale = np.repeat(list(SCALE.values()), arm.modules)
@@ -124,7 +124,7 @@ def _rests(variant: Variant, modules: int, rest: np.ndarray, period: float) -> b
     return bool(late <= max(FALLING * early, CALM * STEP))
 
 
-def _tracks(variant: Variant, modules: int, period: float) -> bool:
+def tracks(variant: Variant, modules: int, period: float) -> bool:
     """Whether the error of the arm under the sine stays small."""
     arm = octarm.nominal_parameters()
     environment = octarm.load(
