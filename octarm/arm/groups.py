@@ -29,13 +29,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from octarm.arm.kinematics import last_axis, tip
-from octarm.arm.parameters import ArmParameters
-from octarm.arm.rod import LAYOUTS
+from octarm.arm.parameters import MOST_MODULES, ArmParameters
+from octarm.arm.rod import LAYOUTS, check_layout
 from octarm.arrays import Entry
-from octarm.errors import OctarmError, closest
+from octarm.errors import OctarmError
 
 PAPER, CENTRED = LAYOUTS
-MOST_MODULES = 100
 
 _Rows = Sequence[tuple[slice | np.ndarray, np.ndarray | None]]  # of a matrix, see `_rows`
 
@@ -60,18 +59,12 @@ class Groups:
 
     @classmethod
     def of(cls, arm: ArmParameters, modules: int, layout: str = PAPER) -> Groups:
-        """The plant of so many modules that the arm stands for.
+        """The plant of N modules, in a layout, that the arm of M stands for.
 
-        Args:
-            arm: of M modules, each of the same rod all along; its batch axes are the plant's.
-            modules: N, a multiple of M up to 100.
-            layout: `paper` or `centred`.
-
-        Raises:
-            OctarmError: for another layout or number of modules.
+        Its batch axes are the arm's. Raises OctarmError for another layout, or an N that is no
+        multiple of M up to 100.
         """
-        if layout not in LAYOUTS:
-            raise OctarmError(f"unknown layout {layout!r}{closest(layout, LAYOUTS)}")
+        check_layout(layout)
         groups = arm.modules
         if not groups <= modules <= MOST_MODULES or modules % groups:
             raise OctarmError(
@@ -97,6 +90,10 @@ class Groups:
     def rates(self, v: np.ndarray) -> np.ndarray:
         """v_M of the plant's velocities, shapes (..., 2M) and (..., 2N) [m/s], [rad/s]."""
         return _product(self._sums, v)
+
+    def spread(self, change: np.ndarray) -> np.ndarray:
+        """The least change of q_N that changes q_M so, shapes (..., 2N) and (..., 2M)."""
+        return _product(_rows(np.linalg.pinv(self.matrix)), change)
 
     def force(self, force: np.ndarray) -> np.ndarray:
         """Q_N = B^T Q_M, shapes (..., 2N) and (..., 2M) [N], [N m]."""

@@ -46,7 +46,6 @@ def jacobian_rate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _normal(u: np.ndarray) -> np.ndarray:
-    """n(a) to u(a), shapes (..., 2)."""
     return np.stack([-u[..., 1], u[..., 0]], axis=-1)
 
 

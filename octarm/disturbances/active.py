@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from octarm.arm.parameters import ArmParameters
-from octarm.disturbances.catalogue import DISTURBANCES
 from octarm.disturbances.episode import (
     ActuatorFault,
     ActuatorProcess,
@@ -28,6 +27,7 @@ from octarm.disturbances.episode import (
     occurrences,
 )
 from octarm.disturbances.forces import TipProcess
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError
 
 _SIMULATED = (1e-14, 1e14)  # masses [kg] and inertias [kg m^2]; beyond, MuJoCo divides by zero
@@ -42,15 +42,11 @@ class ActiveDisturbances:
     on, in order; asking again for the same step gives the same, except for `received`.
 
     Attributes:
-        episode: that they act in.
-        forces: names and processes, in order.
-        plant_changes: likewise.
-        actuators: likewise.
-        sensors: likewise.
+        forces: names and processes, in order; likewise `plant_changes`, `actuators` and `sensors`.
         shares: each force's own share of the last `force`, by name, shape (..., 2N) [N], [N m]; of
             a force on the tip of a plant of more modules, what is nearest to it.
-        inputs: what came out of each actuator fault in the last `received`, by name, shape
-            (..., 2N) [N].
+        inputs: what came out of each actuator fault in the last `received`, by name, shape (...,
+            2N) [N].
         commanded: the input forces tau that the last `received` was given, shape (..., 2N) [N].
         readings: what came out of each sensor fault in the last `sensed`, by name.
         input_bounds: what |tau| is limited to by disturbances, each broadcasts to (..., 2N) [N].
@@ -102,10 +98,8 @@ class ActiveDisturbances:
     def force(self, step: int, q: np.ndarray, plant_q: np.ndarray | None = None) -> np.ndarray:
         """The generalised force held over a physics step, shape (..., 2N) [N], [N m]; read-only.
 
-        Args:
-            step: number of the physics step.
-            q: true coordinates at its middle, shape (..., 2N) [m], [rad].
-            plant_q: those of all modules of the plant, which the force is on; q if not given.
+        It is given the true coordinates at its middle, shape (..., 2N) [m], [rad], and those of all
+        modules of the plant, which the force is on, where it has more.
         """
         if not self.forces:
             return np.zeros_like(q)
@@ -138,11 +132,8 @@ class ActiveDisturbances:
     def plant(self, step: int) -> Plant | None:
         """The true arm from this physics step on; None when it is the one of the step before.
 
-        At step 0 it is None only when nothing ever changes it.
-
-        Raises:
-            OctarmError: for an arm that cannot be simulated, so light or so heavy, or with modes
-                too fast for the physics step.
+        At step 0 it is None only when nothing ever changes it. Raises OctarmError for an arm that
+        cannot be simulated, so light or so heavy, or with modes too fast for the physics step.
         """
         plant = self._changed_plant(step)
         if plant is None:
