@@ -68,9 +68,17 @@ def content_of(source: str) -> bytes:
         FileError: if the file cannot be read.
         OctarmError: if there is no such module.
     """
-    file = located(source)
+    return content_at(Path(located(source)))
+
+
+def content_at(file: Path) -> bytes:
+    """The bytes of a file.
+
+    Raises:
+        FileError: if it cannot be read.
+    """
     try:
-        return Path(file).read_bytes()
+        return file.read_bytes()
     except OSError as error:
         raise FileError(f"{file} cannot be read: {error.strerror}") from None
 

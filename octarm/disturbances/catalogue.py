@@ -19,8 +19,8 @@ from octarm.disturbances.episode import (
     PlantChange,
     SensorFault,
 )
-from octarm.disturbances.fields import Quantity, Words, field_keys, field_kinds
 from octarm.errors import quoted
+from octarm.fields import Quantity, field_keys, field_kinds
 
 _FAMILIES = (Force, PlantChange, ActuatorFault, SensorFault)
 _NAME = re.compile(r"(?!.*-\d+$)[a-z][a-z0-9-]*")  # -2 is put behind the second one's
@@ -44,13 +44,13 @@ def _lacks(thing: Any) -> str:
         kinds = [*field_kinds(thing).values()]
     except (AttributeError, NameError, TypeError):
         kinds = []
-    if not kinds or not isinstance(kinds[0], Quantity) or not _are_kinds(kinds):
+    if (
+        len(kinds) < len(vars(thing)["__dataclass_fields__"])
+        or not kinds
+        or not isinstance(kinds[0], Quantity)
+    ):
         return "needs fields annotated with Quantity or Words, and a Quantity first"
     return ""
-
-
-def _are_kinds(kinds: list[Any]) -> bool:
-    return all(isinstance(kind, Quantity | Words) for kind in kinds)
 
 
 def _declares(thing: type[Disturbance]) -> dict[str, dict[str, Any]]:
