@@ -197,13 +197,13 @@ def _check(p: ArmParameters, q: np.ndarray, solved: np.ndarray, ways: np.ndarray
     i = np.argmin(reached)
     why = limits.violation(q[i], still[i])
     if not solved[i]:
-        why = "no pose has the tip"
+        why = "no pose has the tip there"
     elif not why:
         worst = tau[i][np.argmax(np.maximum(tau[i] - high, low - tau[i]))]
-        why = f"an input of {worst:.4g} N would be needed, which is beyond the range,"
+        why = f"an input of {worst:.4g} N is needed, beyond the input range"
+    along, across = 1e3 * ways[i]
     raise OctarmError(
-        f"{why} {1e3 * ways[i, 0]:.3g} mm along the arm and {1e3 * ways[i, 1]:.3g} mm across from "
-        "its place at rest"
+        f"{along:.3g} mm along the arm and {across:.3g} mm across from its place at rest, {why}"
     )
 
 
