@@ -322,8 +322,16 @@ def test_words_that_are_not_known_are_refused_with_the_closest():
     assert refused("run", "--reference", "sine:amplitude=1m") == (
         "amplitude of 'sine:amplitude=1m' is '1m'; its unit must be rad, mrad or deg"
     )
-    assert refused("margin", "pd", "--disturbance", "noise", "--bound", "tip_rms_error:1",
-                   "--reference", "tip:size=9m").startswith("the tip cannot follow the circle")
+    assert refused(
+        "margin",
+        "pd",
+        "--disturbance",
+        "noise",
+        "--bound",
+        "tip_rms_error:1",
+        "--reference",
+        "tip:size=9m",
+    ).startswith("the tip cannot follow the circle")
     assert refused("run", "--actuation", "extern").startswith("unknown actuation 'extern'")
     assert refused("run", "--disturbance", "nois:1").startswith("unknown disturbance 'nois'")
     assert refused("run", "--nominal", "mas:1").startswith("unknown parameter 'mas'")

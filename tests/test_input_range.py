@@ -207,7 +207,7 @@ def test_a_heavy_arm_with_its_own_range_is_not_cut_off():
     shares, peaks, ends = [], [], []
     for most in (706.0, 200.0, np.inf):
         arm = limited(-most, most, heavy)
-        environment = octarm.load("smooth-step", parameters=arm)
+        environment = octarm.load("smooth-step:amplitude=0.35,slide=0.01", parameters=arm)
         assert environment.action_spec().maximum.tolist() == [most] * 6
         controller = make_controller("computed-torque", arm)
         run = octarm.rollout(environment, controller, 1.5)
@@ -289,9 +289,9 @@ def overshoot(run) -> float:
 def test_a_set_point_with_12_newtons_is_not_overshot_more_than_without_a_limit(
     name, wound_up, mended
 ):
-    before = overshoot(run_with(name, False, 12.0, "set-point", 1.0))
-    after = overshoot(run_with(name, True, 12.0, "set-point", 1.0))
-    free = overshoot(run_with(name, True, np.inf, "set-point", 1.0))
+    before = overshoot(run_with(name, False, 12.0, "set-point:0.2", 1.0))
+    after = overshoot(run_with(name, True, 12.0, "set-point:0.2", 1.0))
+    free = overshoot(run_with(name, True, np.inf, "set-point:0.2", 1.0))
     assert before > wound_up
     assert after < mended
     assert after <= free + 1e-4
@@ -324,7 +324,7 @@ def test_what_was_out_of_reach_for_a_while_leaves_nothing_behind(name):
 def test_nothing_is_learnt_while_the_arm_cannot_follow(name):
     E = []
     for told in (False, True):
-        run = run_with(name, told, 5.0, "multi-sine", 1.5)
+        run = run_with(name, told, 5.0, "multi-sine:amplitude=0.2,slide=0.008", 1.5)
         E.append(np.abs(run.signals["E"][-1]).max() + np.abs(run.signals["theta"][-1]).max())
     assert E[1] < 0.9 * E[0]
 
@@ -394,7 +394,7 @@ def test_a_law_does_not_stop_an_arm_of_a_batch_because_of_another_one(name):
 
 def test_a_run_with_a_range_is_recorded_and_repeated(tmp_path, capsys):
     out = tmp_path / "run"
-    words = ["run", "--out", str(out), "--duration", "0.1", "--reference", "set-point"]
+    words = ["run", "--out", str(out), "--duration", "0.1", "--reference", "set-point:0.2"]
     words += ["--controller", "smc-integral", "--parameter", "input_range:-12,12"]
     assert main(words) == 0
     description = json.loads((out / "run.json").read_text())

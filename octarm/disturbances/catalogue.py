@@ -7,8 +7,9 @@ name and its fields.
 
 from __future__ import annotations
 
+import dataclasses
 import re
-from typing import Any
+from typing import Any, cast
 
 from octarm.declared import Declared, lacking
 from octarm.disturbances import actuators, forces, plant, sensors
@@ -45,7 +46,7 @@ def _lacks(thing: Any) -> str:
     except (AttributeError, NameError, TypeError):
         kinds = []
     if (
-        len(kinds) < len(vars(thing)["__dataclass_fields__"])
+        len(kinds) < len(dataclasses.fields(cast(Any, thing)))
         or not kinds
         or not isinstance(kinds[0], Quantity)
     ):

@@ -150,9 +150,9 @@ class SetPoints(Fields):
 
     Attributes:
         points: the places, the first one being where it begins, shape (K + 1, ..., 2N) [m], [rad].
-        begin: when the first motion begins [s].
-        duration: how long each takes, positive [s].
-        pause: rest between two of them [s].
+        begin: when the first motion begins, shape () [s].
+        duration: how long each takes, positive, shape () [s].
+        pause: rest between two of them, shape () [s].
     """
 
     points: np.ndarray
@@ -192,7 +192,7 @@ class Chirp(Fields):
         amplitude: shape (..., 2N) [m], [rad]; zero for the coordinates that rest.
         start: frequency at the beginning, broadcasts to (..., 2N) [Hz].
         end: frequency from `duration` on, broadcasts to (..., 2N) [Hz].
-        duration: how long the frequency changes, positive [s].
+        duration: how long the frequency changes, positive, shape () [s].
     """
 
     center: np.ndarray
@@ -227,7 +227,7 @@ class Spline(Fields):
     Attributes:
         times: rising, one more of them than the degree at least, shape (K,) [s].
         points: coordinates at these times, shape (K, 2N) [m], [rad].
-        degree: 5, or 3.
+        degree: 5, or 3, shape ().
 
     Raises:
         OctarmError: if a field has a wrong shape, or the times do not rise.

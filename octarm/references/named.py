@@ -209,7 +209,11 @@ class RisingSine(NamedReference):
 class MinimumJerk(NamedReference):
     """Set-points of theta1, and 5/7 of them of theta2, from rest to rest on minimum-jerk quintics.
 
-    Several are separated by `/`: `points=20deg/-20deg/0`.
+    Attributes:
+        points: those of theta1, shape () or (K,) [rad]; separated by `/` in a spelling.
+        begin: when the first motion begins [s].
+        duration: of each [s].
+        pause: between two of them [s].
     """
 
     nominal: ClassVar[Sizes] = {"points": np.array([0.35, -0.35, 0.0])}
