@@ -29,20 +29,10 @@ from typing import Any, Literal, NamedTuple, TypeVar
 
 from pydantic import Field
 
+from octarm import importing
 from octarm.errors import OctarmError, closest, quoted
+from octarm.files import read_bytes
 from octarm.formats import Model
-from octarm.importing import (
-    ALLOWED,
-    content_at,
-    content_of,
-    distribution_of,
-    entry_points,
-    is_module,
-    loaded,
-    located,
-    public_names,
-    sha256_of,
-)
 
 T = TypeVar("T")
 Kind = Literal["controller", "reference", "disturbance", "metric"]
@@ -106,13 +96,10 @@ class Declared(collections.UserDict[str, T]):
         check: Callable[[Any], str],
         declares: Callable[[T], dict[str, dict[str, Any]]] = lambda thing: {},
     ) -> None:
-        """A table.
+        """A table of what is built in.
 
-        Args:
-            kind: of the things.
-            built_in: those that the package brings, by name.
-            check: what an object of a user lacks, such as "has no method start"; empty if nothing.
-            declares: see `Code`.
+        The check says what an object of a user lacks, such as "has no method start", or nothing;
+        `declares` is for `Code`.
         """
         super().__init__(built_in)
         self.kind: Kind = kind
@@ -133,7 +120,7 @@ class Declared(collections.UserDict[str, T]):
         """The word with which a text begins, and the rest: `noise:0.4`, `./gust.py:Gust:5,at=1`."""
         name, _, rest = text.partition(":")
         match = None if name in self or name in self._points() else _PATH.fullmatch(text)
-        if match is None or not ("/" in name or "." in name or is_module(name)):
+        if match is None or not ("/" in name or "." in name or importing.is_module(name)):
             return Spelt(name, rest)
         return Spelt(f"{match[1]}:{match[2]}", match[3] or "")
 
@@ -144,13 +131,14 @@ class Declared(collections.UserDict[str, T]):
     def code(self, text: str) -> Code | None:
         """Where something comes from; None for what is built in.
 
-        Raises:
-            OctarmError: for a word that means nothing of this kind.
-            FileError: for a file of samples that cannot be read.
+        Raises OctarmError for a word that means nothing of this kind, FileError for a file of
+        samples that cannot be read.
         """
         word = self.named_by(text).word
         if word in self and (path := samples_of(text)) is not None:
-            return Code(kind=self.kind, path=absolute(text), sha256=sha256_of(content_at(path)))
+            return Code(
+                kind=self.kind, path=absolute(text), sha256=importing.sha256_of(read_bytes(path))
+            )
         if word in self:
             return None
         thing, path, sha256, distribution = self._found(word)
@@ -163,8 +151,7 @@ class Declared(collections.UserDict[str, T]):
         )
 
     def _points(self) -> dict[str, importlib.metadata.EntryPoint]:
-        """The entry points of installed packages, by name."""
-        return {point.name: point for point in entry_points(f"octarm.{self.kind}s")}
+        return {point.name: point for point in importing.entry_points(f"octarm.{self.kind}s")}
 
     def _found(self, word: str) -> tuple[T, str, str, str]:
         """A thing that is not built in, its import path or file, SHA-256 and distribution."""
@@ -173,31 +160,31 @@ class Declared(collections.UserDict[str, T]):
         match = _PATH.fullmatch(path)
         if match is None or match[3] is not None:
             if word.endswith(".py") or ":" in word:
-                raise OctarmError(f"{self.kind} is {quoted(word)}; {ALLOWED}")
+                raise OctarmError(f"{self.kind} is {quoted(word)}; {importing.ALLOWED}")
             known = closest(word, self.names())
             raise OctarmError(f"unknown {self.kind} {quoted(word)}{known}")
         source, name = match[1], match[2]
-        module, sha256 = loaded(source)
+        module, sha256 = importing.loaded(source)
         try:
             thing: Any = operator.attrgetter(name)(module)
         except AttributeError:
-            known = public_names(module)
+            known = importing.public_names(module)
             hint = closest(name, known) if known else ""
             raise OctarmError(f"{source} holds no {quoted(name)}{hint}") from None
         if lacks := self._check(thing):
             raise OctarmError(f"{path} is no {self.kind} of octarm: it {lacks}")
         if point is not None and point.dist is not None:
             return thing, path, sha256, point.dist.name
-        return thing, path, sha256, "" if source.endswith(".py") else distribution_of(source)
+        return (
+            thing,
+            path,
+            sha256,
+            "" if source.endswith(".py") else importing.distribution_of(source),
+        )
 
 
 def lacking(cls: type, **methods: Sequence[str]) -> str:
-    """Which of some methods a class lacks, or has with other arguments; empty if none.
-
-    Args:
-        cls: the class.
-        methods: names of the arguments of each, which are given by their place, but `self`.
-    """
+    """Which of some methods a class lacks, or has with other arguments; empty if none."""
     held = {name: value for base in reversed(cls.__mro__) for name, value in vars(base).items()}
     for name, arguments in methods.items():
         if name not in held or name in vars(cls).get("__abstractmethods__", ()):
@@ -236,10 +223,8 @@ def named(words: Iterable[tuple[Declared[Any], str]]) -> tuple[list[str], dict[s
     """Names for the words of one experiment, short and unique, and the code that they stand for.
 
     What is built in, an entry point, or a disturbance keeps its name. Others are called as in their
-    file, `Backstepping`, or `laws.Backstepping` and so on where that would mean two things.
-
-    Raises:
-        OctarmError: for a word that means nothing, or two disturbances of the same name.
+    file, `Backstepping`, or `laws.Backstepping` and so on where that would mean two things. Raises
+    OctarmError for a word that means nothing, or two disturbances of the same name.
     """
     words = list(words)
     codes = [table.code(text) for table, text in words]
@@ -267,10 +252,8 @@ def named(words: Iterable[tuple[Declared[Any], str]]) -> tuple[list[str], dict[s
 def word_of(name: str, code: Mapping[str, Code]) -> str:
     """The word for a name of an experiment, whose code is what it was.
 
-    Raises:
-        OctarmError: for a path that is no name of the experiment.
-        CodeChanged: if the file that holds it has another SHA-256, or is gone. Nothing has been
-            imported then.
+    Raises OctarmError for a path that is no name of the experiment, CodeChanged if the file that
+    holds it has another SHA-256, or is gone. Nothing has been imported then.
     """
     head, colon, parameters = name.partition(":")
     if name not in code:
@@ -283,9 +266,9 @@ def word_of(name: str, code: Mapping[str, Code]) -> str:
     match, samples = _PATH.fullmatch(path), samples_of(path)
     try:
         if samples is not None:
-            now = sha256_of(content_at(samples))
+            now = importing.sha256_of(read_bytes(samples))
         else:
-            now = "" if match is None else sha256_of(content_of(match[1]))
+            now = "" if match is None else importing.sha256_of(importing.content_of(match[1]))
     except OctarmError as error:
         raise CodeChanged(f"{name} cannot be run again: {error}") from None
     if now != sha256:
@@ -297,12 +280,8 @@ def word_of(name: str, code: Mapping[str, Code]) -> str:
 
 
 def file_of(path: str) -> Path:
-    """The file of what MODULE:NAME or FILE.py:NAME names; nothing is imported.
-
-    Raises:
-        OctarmError: if there is no such module.
-    """
-    return samples_of(path) or Path(located(path.rpartition(":")[0]))
+    """The file of what MODULE:NAME or FILE.py:NAME names; OctarmError if there is none."""
+    return samples_of(path) or Path(importing.located(path.rpartition(":")[0]))
 
 
 def distributions(code: Mapping[str, Code]) -> dict[str, str]:

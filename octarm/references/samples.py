@@ -21,7 +21,7 @@ import numpy as np
 from octarm.arrays import coordinate_names
 from octarm.errors import OctarmError, closest, quoted
 from octarm.fields import FileName, Words
-from octarm.importing import content_at
+from octarm.files import read_bytes
 from octarm.interfaces import Motion
 from octarm.references.hanging import Hanging
 from octarm.references.motions import Spline
@@ -74,7 +74,7 @@ def _motion(columns: Mapping[str, np.ndarray], rest: np.ndarray) -> tuple[np.nda
 def _arrays(file: Path) -> dict[str, np.ndarray]:
     """The arrays t and q of an NPZ file, or all of them."""
     try:
-        with np.load(io.BytesIO(content_at(file)), allow_pickle=False) as arrays:
+        with np.load(io.BytesIO(read_bytes(file)), allow_pickle=False) as arrays:
             names = arrays.files
             if {"t", "q"} <= set(names):
                 names = ["t", "q"]
@@ -89,7 +89,7 @@ def _arrays(file: Path) -> dict[str, np.ndarray]:
 
 def _table(file: Path, modules: int) -> dict[str, np.ndarray]:
     """The columns of a CSV file by name, shapes (K,)."""
-    text = content_at(file).decode("utf-8-sig", "replace")
+    text = read_bytes(file).decode("utf-8-sig", "replace")
     lines = csv.reader(io.StringIO(text))
     try:
         rows = [(lines.line_num, row) for row in lines if row and not row[0].startswith("#")]
