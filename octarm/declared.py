@@ -31,6 +31,7 @@ from pydantic import Field
 
 from octarm import importing
 from octarm.errors import OctarmError, closest, quoted
+from octarm.files import read_bytes
 from octarm.formats import Model
 
 T = TypeVar("T")
@@ -39,6 +40,8 @@ Kind = Literal["controller", "reference", "disturbance", "metric"]
 _NAME = r"[A-Za-z_][\w.]*"
 # The file or module, the name in it, and what follows, such as the numbers of a disturbance.
 _PATH = re.compile(rf"(.+\.py|[A-Za-z_]\w*(?:\.\w+)*):({_NAME})(?::(.*))?", re.DOTALL)
+# A file of samples, which is data and no code, and what follows: file:PATH[,KEY=VALUE]*.
+_SAMPLES = re.compile(r"file:(.+?)((?:,[a-z][a-z0-9-]*=.*)?)", re.DOTALL)
 _PARTS = re.compile(r"[^/:.]+")
 
 
@@ -47,7 +50,8 @@ class Code(Model):
 
     Attributes:
         kind: what it is used as.
-        path: `MODULE:NAME`, or `FILE.py:NAME` with the absolute path of the file.
+        path: `MODULE:NAME`, or `FILE.py:NAME` with the absolute path of the file; of a motion in a
+            file of samples `file:PATH` and its parameters.
         sha256: of the file that holds it; files that this one imports are not covered.
         distribution: the installed package that brought it; empty if there is none.
         declares: what a reader of results has to know of it: of a disturbance the fields by key,
@@ -120,11 +124,21 @@ class Declared(collections.UserDict[str, T]):
             return Spelt(name, rest)
         return Spelt(f"{match[1]}:{match[2]}", match[3] or "")
 
-    def code(self, word: str) -> Code | None:
+    def named_by(self, text: str) -> Spelt:
+        """The word that names something, and its parameters; only references have some here."""
+        return self.split(text) if self.kind == "reference" else Spelt(text, "")
+
+    def code(self, text: str) -> Code | None:
         """Where something comes from; None for what is built in.
 
-        Raises OctarmError for a word that means nothing of this kind.
+        Raises OctarmError for a word that means nothing of this kind, FileError for a file of
+        samples that cannot be read.
         """
+        word = self.named_by(text).word
+        if word in self and (path := samples_of(text)) is not None:
+            return Code(
+                kind=self.kind, path=absolute(text), sha256=importing.sha256_of(read_bytes(path))
+            )
         if word in self:
             return None
         thing, path, sha256, distribution = self._found(word)
@@ -184,11 +198,19 @@ def lacking(cls: type, **methods: Sequence[str]) -> str:
 
 def absolute(word: str, folder: Path | None = None) -> str:
     """A word with the absolute path of its file, if it has one, seen from a folder or from here."""
-    match = _PATH.fullmatch(word)
-    if match is None or not match[1].endswith(".py"):
-        return word
+    match, before = _SAMPLES.fullmatch(word), "file:"
+    if match is None:
+        match, before = _PATH.fullmatch(word), ""
+        if match is None or not match[1].endswith(".py"):
+            return word
     file = (folder or Path()) / Path(match[1]).expanduser()
-    return os.path.abspath(file) + word[len(match[1]) :]
+    return before + os.path.abspath(file) + word[match.end(1) :]
+
+
+def samples_of(word: str) -> Path | None:
+    """The file of samples that a word names; None if it names none."""
+    match = _SAMPLES.fullmatch(word)
+    return None if match is None else Path(match[1])
 
 
 def short_name(word: str) -> str:
@@ -205,22 +227,25 @@ def named(words: Iterable[tuple[Declared[Any], str]]) -> tuple[list[str], dict[s
     OctarmError for a word that means nothing, or two disturbances of the same name.
     """
     words = list(words)
-    codes = [table.code(word) for table, word in words]
+    codes = [table.code(text) for table, text in words]
+    samples = {code.path for code in codes if code is not None and samples_of(code.path)}
     names: list[str] = []
-    for (table, word), code in zip(words, codes, strict=True):
+    known: dict[str, Code] = {}
+    for (table, text), code in zip(words, codes, strict=True):
+        word, rest = table.named_by(text)
         if code is not None and table.kind == "disturbance":
             word = str(table[word].name)  # by which its random numbers are called
         elif code is not None and ":" in word:
             others = {c.path for c in codes if c is not None} - {code.path}
             word = _short(code.path, others, {*table, *(w for _, w in words if ":" not in w)})
-        names.append(word)
-    known: dict[str, Code] = {}
-    for name, code in zip(names, codes, strict=True):
-        if code is not None and known.setdefault(name, code) != code:
+        elif code is not None and code.path in samples:
+            word, rest = _short_samples(code.path, samples), ""
+        if code is not None and known.setdefault(word, code) != code:
             raise OctarmError(
-                f"{known[name].path} and {code.path} are both called {name}; give one of them "
+                f"{known[word].path} and {code.path} are both called {word}; give one of them "
                 "another name"
             )
+        names.append(f"{word}:{rest}" if rest else word)
     return names, known
 
 
@@ -230,14 +255,20 @@ def word_of(name: str, code: Mapping[str, Code]) -> str:
     Raises OctarmError for a path that is no name of the experiment, CodeChanged if the file that
     holds it has another SHA-256, or is gone. Nothing has been imported then.
     """
+    head, colon, parameters = name.partition(":")
     if name not in code:
+        if colon and head in code and code[head].kind == "reference":
+            return f"{word_of(head, code)}:{parameters}"
         if ":" in name:  # a file of results may hold anything
             raise OctarmError(f"{quoted(name)} is code that is not recorded with its SHA-256")
         return name
     path, sha256 = code[name].path, code[name].sha256
-    match = _PATH.fullmatch(path)
+    match, samples = _PATH.fullmatch(path), samples_of(path)
     try:
-        now = "" if match is None else importing.sha256_of(importing.content_of(match[1]))
+        if samples is not None:
+            now = importing.sha256_of(read_bytes(samples))
+        else:
+            now = "" if match is None else importing.sha256_of(importing.content_of(match[1]))
     except OctarmError as error:
         raise CodeChanged(f"{name} cannot be run again: {error}") from None
     if now != sha256:
@@ -250,7 +281,7 @@ def word_of(name: str, code: Mapping[str, Code]) -> str:
 
 def file_of(path: str) -> Path:
     """The file of what MODULE:NAME or FILE.py:NAME names; OctarmError if there is none."""
-    return Path(importing.located(path.rpartition(":")[0]))
+    return samples_of(path) or Path(importing.located(path.rpartition(":")[0]))
 
 
 def distributions(code: Mapping[str, Code]) -> dict[str, str]:
@@ -260,6 +291,17 @@ def distributions(code: Mapping[str, Code]) -> dict[str, str]:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             found[name] = importlib.metadata.version(name)
     return found
+
+
+def _short_samples(path: str, others: set[str]) -> str:
+    """`file:` with the name of the file, or with its path where others have the same name."""
+
+    def brief(path: str) -> str:
+        file = str(samples_of(path))
+        return path.replace(file, os.path.basename(file), 1)
+
+    alike = [other for other in others if brief(other) == brief(path)]
+    return path if len(alike) > 1 else brief(path)
 
 
 def _short(path: str, others: set[str], taken: set[str]) -> str:

@@ -316,6 +316,22 @@ def test_words_that_are_not_known_are_refused_with_the_closest():
         "unknown controller 'smc-boundry', did you mean 'smc-boundary'? known are pd, "
     )
     assert refused("run", "--reference", "cosine").startswith("unknown reference 'cosine'")
+    assert refused("run", "--reference", "sine:amplitud=1").startswith(
+        "sine has no key 'amplitud', did you mean 'amplitude'? known are amplitude, frequency"
+    )
+    assert refused("run", "--reference", "sine:amplitude=1m") == (
+        "amplitude of 'sine:amplitude=1m' is '1m'; its unit must be rad, mrad or deg"
+    )
+    assert refused(
+        "margin",
+        "pd",
+        "--disturbance",
+        "noise",
+        "--bound",
+        "tip_rms_error:1",
+        "--reference",
+        "tip:size=9m",
+    ).startswith("the tip cannot follow the circle")
     assert refused("run", "--actuation", "extern").startswith("unknown actuation 'extern'")
     assert refused("run", "--disturbance", "nois:1").startswith("unknown disturbance 'nois'")
     assert refused("run", "--nominal", "mas:1").startswith("unknown parameter 'mas'")
@@ -361,6 +377,8 @@ def test_the_names_to_choose_from_stand_in_the_help():
     for name in [*CONTROLLERS, *REFERENCES, *ACTUATIONS]:
         assert re.search(rf"(?<![\w-]){name}(?![\w-])", words), name
     listed = text.partition("\nexamples:\n")[2]
+    for name in REFERENCES:
+        assert re.search(rf"^  {name}:\w", listed, re.MULTILINE), name
     for name in DISTURBANCES:
         assert re.search(rf"^  (?:.*  )?{name}:", listed, re.MULTILINE), name
     for name in CONTROLLERS:

@@ -207,7 +207,7 @@ def test_a_heavy_arm_with_its_own_range_is_not_cut_off():
     shares, peaks, ends = [], [], []
     for most in (706.0, 200.0, np.inf):
         arm = limited(-most, most, heavy)
-        environment = octarm.load("smooth-step", parameters=arm)
+        environment = octarm.load("smooth-step:amplitude=0.35,slide=0.01", parameters=arm)
         assert environment.action_spec().maximum.tolist() == [most] * 6
         controller = make_controller("computed-torque", arm)
         run = octarm.rollout(environment, controller, 1.5)
@@ -271,7 +271,9 @@ def overshoot(name: str, told: bool, most: float) -> float:
     """Of theta1 beyond a set-point, as a share of the way, with a range that the law is told."""
     arm = limited(-most, most)
     nominal = arm if told else limited(*INFINITE)
-    run = octarm.rollout(octarm.load("set-point", parameters=arm), hard(name, nominal, 50.0), 1.0)
+    run = octarm.rollout(
+        octarm.load("set-point:0.2", parameters=arm), hard(name, nominal, 50.0), 1.0
+    )
     way = run.q_d[-1, 3] - run.q[0, 3]
     return max(0.0, float(np.max((run.q[:, 3] - run.q_d[:, 3]) / way)))
 
@@ -323,7 +325,7 @@ def test_nothing_is_learnt_while_the_arm_cannot_follow(name):
     for told in (False, True):
         arm = limited(-5.0, 5.0)
         nominal = arm if told else limited(*INFINITE)
-        environment = octarm.load("multi-sine", parameters=arm)
+        environment = octarm.load("multi-sine:amplitude=0.2,slide=0.008", parameters=arm)
         run = octarm.rollout(environment, make_controller(name, nominal), 1.5)
         E.append(np.abs(run.signals["E"][-1]).max() + np.abs(run.signals["theta"][-1]).max())
     assert E[1] < 0.9 * E[0]
@@ -394,7 +396,7 @@ def test_a_law_does_not_stop_an_arm_of_a_batch_because_of_another_one(name):
 
 def test_a_run_with_a_range_is_recorded_and_repeated(tmp_path, capsys):
     out = tmp_path / "run"
-    words = ["run", "--out", str(out), "--duration", "0.1", "--reference", "set-point"]
+    words = ["run", "--out", str(out), "--duration", "0.1", "--reference", "set-point:0.2"]
     words += ["--controller", "smc-integral", "--parameter", "input_range:-12,12"]
     assert main(words) == 0
     description = json.loads((out / "run.json").read_text())

@@ -16,6 +16,7 @@ LAYERS = [
     "errors interrupts tolerances",
     "arrays files memory",
     "formats importing units",
+    "fields",
     "declared",
     "interfaces",
     "arm",

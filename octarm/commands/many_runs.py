@@ -139,7 +139,7 @@ def margin(
         share: share of the seeds that have to meet the bounds; 1 for all of them
         metric: what is measured as well, FILE.py:NAME or MODULE:NAME; for a bound of your own
         mismatch: error of the nominal model
-        reference: the desired motion
+        reference: the desired motion, NAME[:KEY=VALUE..], as in octarm run
         duration: length of each run [s]
         timestep: physics step [s], or auto for one that suits the fastest mode of all arms
         control_period: time between control actions [s]

@@ -42,7 +42,7 @@ def run(
 
     Args:
         controller: the control law
-        reference: the desired motion
+        reference: the desired motion, NAME[:KEY=VALUE..]; see below
         disturbance: NAME:VALUE[,KEY=VALUE..], what acts on the arm unknown to the controller; see
             below
         metric: what is measured as well, FILE.py:NAME or MODULE:NAME
@@ -76,6 +76,8 @@ def run(
       octarm run --view
       octarm run --controller afsmc --mismatch -0.3 --out runs/adaptive
       octarm run --disturbance noise:0.4 --disturbance payload:0.2,at=3
+      octarm run --reference sine:amplitude=20deg,frequency=1
+      octarm run --reference tip:circle,size=3cm,period=2
       octarm run --controller smc --gain lambda:20 --parameter mass:0.4,0.3,0.2
       octarm run --controller ./mine.py:Law --disturbance ./mine.py:Gust:5,at=1
       octarm run --arm eth --controller afsmc
@@ -86,6 +88,12 @@ def run(
     that lag by 5 ms; those that end sooner:
 
     {limits}
+
+    References; parameters with what they are on the nominal arm, whose sizes suit
+    other arms where they are not given. A number may have a unit, as in
+    sine:amplitude=20deg, and a path is that of a CSV or NPZ file:
+
+    {references}
 
     Disturbances, by what they act on; keys with their defaults:
 

@@ -63,6 +63,10 @@ def page(app: App, name: str) -> str:
         from octarm.disturbances.spelling import help_text
 
         examples = examples.replace("{disturbances}", help_text())
+    if "{references}" in examples:
+        from octarm.references.catalogue import help_text as references_text
+
+        examples = examples.replace("{references}", references_text())
     if "{limits}" in examples:
         from controllers import limits_text
 

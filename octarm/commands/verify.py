@@ -14,7 +14,7 @@ from controllers import make_controller
 from octarm.checks.differences import listed
 from octarm.checks.run_files import sweep_differences
 from octarm.checks.verify import check_episode, check_run
-from octarm.declared import Code, CodeChanged, file_of, word_of
+from octarm.declared import Code, CodeChanged, file_of, samples_of, word_of
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.formats import Document
 from octarm.runs import folder as runs
@@ -82,6 +82,8 @@ def _announce(folder: Path, code: Mapping[str, Code]) -> None:
         OctarmError: for a file within the folder, which whoever made the folder may have written.
     """
     for path in [word_of(name, code) for name in code]:
+        if samples_of(path) is not None:
+            continue
         if file_of(path).resolve().is_relative_to(folder.resolve()):
             raise OctarmError(f"{path} is within the folder that is to be verified; it is not run")
         print(f"octarm: runs {printable(path)}, the same file as then", file=sys.stderr)

@@ -7,10 +7,11 @@ Commands, specs, `run.json`, the ledger and the recordings then know it by its n
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import textwrap
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -18,20 +19,20 @@ from octarm.arrays import plain
 from octarm.declared import BUILT_IN, Code, Declared, lacking, word_of
 from octarm.disturbances import actuators, forces, plant, sensors
 from octarm.disturbances.episode import ActuatorFault, Disturbance, Force, PlantChange, SensorFault
-from octarm.disturbances.fields import (
-    Amount,
+from octarm.errors import OctarmError, closest, quoted
+from octarm.fields import (
     Quantity,
-    Words,
     field_defaults,
     field_keys,
     field_kinds,
+    help_entry,
+    parsed_fields,
+    spelt_value,
+    usage_of,
 )
-from octarm.errors import OctarmError, closest, quoted
-from octarm.units import number
 
 _FAMILIES = (Force, PlantChange, ActuatorFault, SensorFault)
 _NAME = re.compile(r"(?!.*-\d+$)[a-z][a-z0-9-]*")  # -2 is put behind the second one's
-_SEPARATOR = re.compile(r"/(?=[-+.\di])")  # between numbers; units hold a / before a letter
 
 
 def _lacks(thing: Any) -> str:
@@ -52,13 +53,10 @@ def _lacks(thing: Any) -> str:
         kinds = [*field_kinds(thing).values()]
     except (AttributeError, NameError, TypeError):
         kinds = []
-    if not kinds or not isinstance(kinds[0], Quantity) or not _are_kinds(kinds):
+    declared = len(kinds) == len(dataclasses.fields(cast(Any, thing)))
+    if not declared or not kinds or not isinstance(kinds[0], Quantity):
         return "needs fields annotated with Quantity or Words, and a Quantity first"
     return ""
-
-
-def _are_kinds(kinds: list[Any]) -> bool:
-    return all(isinstance(kind, Quantity | Words) for kind in kinds)
 
 
 def _declares(thing: type[Disturbance]) -> dict[str, dict[str, Any]]:
@@ -107,18 +105,7 @@ def parse_disturbance(text: str) -> Disturbance:
     """
     word, rest = DISTURBANCES.split(text)
     cls = DISTURBANCES[word]
-    name, keys = cls.name, field_keys(cls)
-    values: dict[str, Any] = {}
-    for i, item in enumerate(rest.split(",") if rest else []):
-        key, equals, value = item.partition("=")
-        if not equals and i > 0:
-            raise OctarmError(f"{quoted(text)} has {quoted(item)}; it must read {_usage(cls)}")
-        key, value = (key, value) if equals else (next(iter(keys)), item)
-        if key not in keys:
-            raise OctarmError(f"{name} has no key {quoted(key)}{closest(key, keys)}")
-        if keys[key] in values:
-            raise OctarmError(f"{quoted(text)} gives {key} twice")
-        values[keys[key]] = _value(text, key, value, field_kinds(cls)[keys[key]])
+    values: dict[str, Any] = parsed_fields(cls.name, text, rest, field_kinds(cls), _usage(cls))
     if not values or not field_kinds(cls).keys() <= values.keys() | field_defaults(cls).keys():
         raise OctarmError(f"{quoted(text)} is incomplete; it must read {_usage(cls)}")
     return cls(**values)
@@ -133,7 +120,7 @@ def spelling(disturbance: Disturbance) -> str:
     defaults = field_defaults(type(disturbance))
     values = {key: getattr(disturbance, field) for key, field in keys.items()}
     parts = [
-        f"{key}={_format(value)}"
+        f"{key}={spelt_value(value)}"
         for key, value in values.items()
         if value is not None and (key == main or np.ndim(value) > 0 or value != defaults[keys[key]])
     ]
@@ -170,12 +157,7 @@ def help_text() -> str:
     """All disturbances by family: spelling, meaning and units, in lines of at most 80 columns."""
     sections: dict[str, list[str]] = {}
     for cls in map(DISTURBANCES.__getitem__, DISTURBANCES.names()):
-        keys = zip(field_keys(cls), field_kinds(cls).values(), strict=True)
-        units = [f"{key} [{kind.unit}]" for key, kind in keys if kind.unit not in ("", "1")]
-        meaning = (cls.__doc__ or "").partition("\n")[0].rstrip(".:")
-        text = f"{meaning}; {', '.join(units)}" if units else meaning
-        lines = [f"  {_usage(cls)}", textwrap.indent(textwrap.fill(text, 74), " " * 6)]
-        sections.setdefault(cls.family, [cls.family]).extend(lines)
+        sections.setdefault(cls.family, [cls.family]).append(help_entry(_usage(cls), cls))
     blocks = ["\n".join(lines) for lines in sections.values()]
     several = ", ".join(cls.name for cls in DISTURBANCES.values() if first_field(cls)[1].each)
     each = f"{several} take a number for each coordinate or column as well: 0/0/0.5/0/0/0"
@@ -191,24 +173,4 @@ def first_field(cls: type[Disturbance]) -> tuple[str, Quantity]:
 
 
 def _usage(cls: type[Disturbance]) -> str:
-    main, *others = keys = field_keys(cls)
-    parts = [f"{cls.name}:{main.upper()}"]
-    for key in others:
-        default = field_defaults(cls).get(keys[key], key.upper())
-        parts += [f"{key}={_format(default)}"] if default is not None else []
-    return ",".join(parts)
-
-
-def _value(text: str, key: str, value: str, kind: Quantity | Words) -> Amount | str:
-    if not isinstance(kind, Quantity):
-        return value
-    of = f"{key} of {quoted(text)}"
-    numbers = [number(of, part, kind.unit) for part in _SEPARATOR.split(value)]
-    if len(numbers) > 1 and not kind.each:
-        raise OctarmError(f"{quoted(text)} gives {key} {len(numbers)} numbers; it takes one")
-    return numbers[0] if len(numbers) == 1 else np.array(numbers)
-
-
-def _format(value: Any) -> str:
-    numbers = value.tolist() if isinstance(value, np.ndarray) else [value]
-    return "/".join(x if isinstance(x, str) else f"{x:g}" for x in numbers)
+    return usage_of(cls.name, field_kinds(cls), field_defaults(cls))

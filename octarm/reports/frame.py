@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,18 +12,22 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from octarm.arm.lagrange import equilibrium
+from octarm.arrays import coordinate_names
 from octarm.declared import Code
 from octarm.errors import OctarmError, closest, printable, quoted
 from octarm.metrics.declared import declared_metrics
 from octarm.metrics.metric import SETTLED_AFTER, Metric
-from octarm.references import REFERENCES, named_reference
+from octarm.references import is_built_in, named_reference
 from octarm.reports.factors import LONGEST, Factor, factors_of, places
 from octarm.sweeps import engine_check
 from octarm.sweeps.manifest import open_sweep
+from octarm.sweeps.spec import ARM, SweepSpec
 from octarm.sweeps.store import metadata_of, read_schema, read_sweep
 
 DEFAULT = ("rms_error", "tip_rms_error", "chattering", "effort", "overshoot")
 
+_STILL = 1e-9  # rms of a coordinate that a reference lets rest [m], [rad]
 _TOGETHER = {"rms": ", over all inputs", "max": ", of any input", "mean": ", mean of the inputs"}
 
 
@@ -140,10 +145,10 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
     known = declared_metrics(code)
     columns = [column for field in schema if (column := _column(field, known)) is not None]
     words = [name for word in metrics or DEFAULT for name in _metrics_of(word, code)]
-    wanted = {name: _measures(name, columns, spec, known) for name in words}
+    wanted = {name: _measures(name, columns, plan.spec, known) for name in words}
     asked = [measure for measures in wanted.values() for measure in measures]
-    errors = [column.name for column in columns if column.metric == "rms_error"]
-    needed = ["controller", "seed", "status", "digest", *names, *errors]
+    errors = [column for column in columns if column.metric == "rms_error"]
+    needed = ["controller", "seed", "status", "digest", *names, *(e.name for e in errors)]
     needed += [name for name in (engine_check.COLUMN,) if name in schema.names]
     for measure in asked:
         needed += [*measure.columns, *(name for name in _awaited(measure) if name in schema.names)]
@@ -172,7 +177,7 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
         raise OctarmError(
             f"{folder} has no value of {', '.join(absent)} in any finished episode; {why}"
         )
-    lost, exact = _suspects(held, errors, spec["duration"])
+    lost, exact = _suspects(held, errors, plan.spec)
     factors = factors_of(held, spec, names, code)
     return Episodes(
         manifest=manifest,
@@ -215,7 +220,7 @@ def _column(field: pa.Field, known: Mapping[str, Metric]) -> Measure | None:
 
 
 def _measures(
-    name: str, columns: Sequence[Measure], spec: Mapping[str, Any], known: Mapping[str, Metric]
+    name: str, columns: Sequence[Measure], spec: SweepSpec, known: Mapping[str, Metric]
 ) -> list[Measure]:
     """The measures that the name of a metric or column stands for; none if it has no column."""
     of_metric = [column for column in columns if column.metric == name]
@@ -228,25 +233,45 @@ def _measures(
         names = tuple(column.name for column in of_metric)
         return [Measure(name, name, "", names, of_metric[0].unit, known[name])]
     if known[name].of == "coordinate":
-        moving = _moved(spec.get("grid.reference", ()), len(of_metric))
+        moving = _moved(spec, [column.of for column in of_metric])
         return [column for column, moves in zip(of_metric, moving, strict=True) if moves]
     return of_metric
 
 
-def _moved(references: Sequence[str], coordinates: int) -> np.ndarray:
-    """Which coordinates a reference moves from rest, shape (2N,); all if one is not built in."""
-    known = references if all(name in REFERENCES for name in references) else ()
-    moving = np.any([_hanging_error(name, coordinates, 10.0) > 0.0 for name in known], axis=0)
-    return np.broadcast_to(moving if np.any(moving) else ~moving, (coordinates,))
+def _moved(spec: SweepSpec, names: Sequence[str]) -> np.ndarray:
+    """Which coordinates of these names move from rest, shape (k,); all if that is not known."""
+    known = all(map(is_built_in, spec.references))
+    errors = _hanging_errors(spec, names, 0.0, 10.0) if known else {}
+    moving = np.any([error > _STILL for error in errors.values()], axis=0)
+    return np.broadcast_to(moving if np.any(moving) else ~moving, (len(names),))
 
 
-def _hanging_error(
-    reference: str, coordinates: int, duration: float, begin: float = 0.0
-) -> np.ndarray:
-    """The rms error of an arm that hangs still, from `begin` on, shape (2N,) [m], [rad]."""
-    motion = named_reference(reference, np.zeros(coordinates))
-    squares = [np.square(motion(t).q) for t in np.linspace(begin, duration, 1000)]
-    return np.sqrt(np.mean(np.broadcast_to(squares, (1000, coordinates)), axis=0))
+def _hanging_errors(
+    spec: SweepSpec, names: Sequence[str], begin: float, end: float
+) -> dict[tuple[str, str], np.ndarray]:
+    """The rms errors of arms that hang still, of each built-in reference and arm.
+
+    Args:
+        spec: of the sweep.
+        names: of the coordinates.
+        begin: from when on [s].
+        end: until when [s].
+
+    Returns:
+        By the names of the reference and of the arm, shape (k,) [m], [rad]; 0 for a coordinate that
+        the arm does not have.
+    """
+    errors: dict[tuple[str, str], np.ndarray] = {}
+    for reference, arm in itertools.product(spec.references, spec.arms or [""]):
+        if is_built_in(reference):
+            parameters = spec.arm(arm)
+            rest = equilibrium(parameters)
+            motion = named_reference(reference, rest, parameters)
+            ways = [motion(t).q - rest for t in np.linspace(begin, end, 1000)]
+            rms = np.sqrt(np.mean(np.square(ways), axis=0)).tolist()
+            of = dict(zip(coordinate_names(parameters.modules), rms, strict=True))
+            errors[reference, arm] = np.array([of.get(name, 0.0) for name in names])
+    return errors
 
 
 def _awaited(measure: Measure) -> list[str]:
@@ -280,17 +305,20 @@ def _values(
 
 
 def _suspects(
-    held: Mapping[str, np.ndarray], errors: Sequence[str], duration: float
+    held: Mapping[str, np.ndarray], errors: Sequence[Measure], spec: SweepSpec
 ) -> tuple[np.ndarray, np.ndarray]:
     """`Episodes.lost` and `Episodes.exact`, given the columns of `rms_error`."""
-    reference = held["reference"]
-    lost, exact = np.zeros((2, len(reference)), dtype=bool)
-    for name in set(reference.tolist()) & set(REFERENCES) if duration > SETTLED_AFTER else ():
-        hanging, here = (
-            _hanging_error(name, len(errors), duration, SETTLED_AFTER),
-            reference == name,
-        )
+    lost, exact = np.zeros((2, len(held["reference"])), dtype=bool)
+    if not spec.duration > SETTLED_AFTER:
+        return lost, exact
+    names = [column.of for column in errors]
+    for (reference, arm), hanging in _hanging_errors(
+        spec, names, SETTLED_AFTER, spec.duration
+    ).items():
+        here = held["reference"] == reference
+        if arm:
+            here &= held[ARM] == arm
         for column, limit in zip(errors, hanging, strict=True):
-            lost |= here & (limit > 0.0) & (held[column] >= limit)
-            exact |= here & (limit > 0.0) & (held[column] == 0.0)
+            lost |= here & (limit > _STILL) & (held[column.name] >= limit)
+            exact |= here & (limit > _STILL) & (held[column.name] == 0.0)
     return lost, exact

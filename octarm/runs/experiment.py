@@ -26,7 +26,7 @@ from octarm.interfaces import Controller, ControllerFactory, Rows
 from octarm.interrupts import ignored_interrupts
 from octarm.metrics.declared import measured as measured_by
 from octarm.metrics.table import Metrics, as_json
-from octarm.references import REFERENCES
+from octarm.references import REFERENCES, recorded_word
 from octarm.runs import folder as runs
 from octarm.runs.archive import Archive
 from octarm.runs.description import REPEATED, Description
@@ -104,7 +104,7 @@ class Experiment:
         if self.spawn_key:
             seed = np.random.SeedSequence(self.seed, spawn_key=self.spawn_key)
         environment = load(
-            word_of(self.reference, self.code),
+            recorded_word(self.reference, self.code),
             disturbances=self.disturbances,
             parameters=self.parameters,
             timestep=self.timestep,
@@ -174,7 +174,7 @@ class Experiment:
             if description.get(key) is None:
                 raise document.error(f"it needs a value of {key}", key)
         reference = inputs.reference.name
-        if reference not in (*REFERENCES, *inputs.code):
+        if {reference, reference.partition(":")[0]}.isdisjoint({*REFERENCES, *inputs.code}):
             raise OctarmError(
                 f"the run followed a custom reference, {quoted(reference)}, which its folder does "
                 f"not hold{closest(reference, REFERENCES)}"

@@ -72,8 +72,9 @@ def load(
     once more, write its number to `environment.task.next_episode` before the reset.
 
     Args:
-        reference: a name of `octarm.references.REFERENCES`, or a function of time that gives
-            the desired coordinates, velocities and accelerations.
+        reference: a name of `octarm.references.REFERENCES`, which may have parameters behind it,
+            `sine:amplitude=0.2,frequency=1`, or a function of time that gives the desired
+            coordinates, velocities and accelerations.
         disturbances: what acts on the arm that the controller does not know.
         parameters: the true arm; the nominal one when not given. The arms of a batch may have
             their own, with batch axis (n,).
@@ -168,7 +169,7 @@ def load(
     rest, plant_rest = physics.hanging(), physics.plant_rest()
     if not true.batch_shape:  # one for all arms that hang alike
         rest, plant_rest = (x[*[0] * (x.ndim - 1)] for x in (rest, plant_rest))
-    motion = named_reference(reference, rest) if isinstance(reference, str) else reference
+    motion = named_reference(reference, rest, true) if isinstance(reference, str) else reference
     wanted(motion, 0.0, physics.q().shape)  # before it is used
     period = steps_a_period * step
     episode = Episode(

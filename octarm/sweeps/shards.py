@@ -13,9 +13,9 @@ import pyarrow as pa
 from dm_control.rl import control
 
 from octarm.arm.nominal import LagrangeModel
-from octarm.declared import word_of
 from octarm.interfaces import Controller, ControllerFactory, Instant
 from octarm.metrics.table import METRICS, Catalogue, Metrics, columns
+from octarm.references import recorded_word
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.folder import gains_of
 from octarm.runs.versions import host, versions
@@ -120,7 +120,7 @@ def begin(
     """
     arm = spec.arm(arms.arm)
     environment = load(
-        word_of(arms.reference, spec.code),
+        recorded_word(arms.reference, spec.code),
         parameters=arm,
         disturbances=arms.disturbances,
         batch=arms.batch,

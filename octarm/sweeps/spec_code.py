@@ -17,7 +17,7 @@ from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError
 from octarm.formats import Document
 from octarm.metrics.declared import ACCUMULATORS
-from octarm.references import REFERENCES
+from octarm.references import REFERENCES, parameters_of
 from octarm.sweeps.spec import which
 
 # Whoever makes controllers knows which are built in, and what a controller is.
@@ -44,6 +44,8 @@ def with_names(document: Document) -> Document:
             continue
         try:
             table.code(path)
+            if table is REFERENCES:
+                parameters_of(path)
         except OctarmError as error:
             if ":" not in word and not word.endswith(".py"):
                 continue  # a misspelt name, of which more is said where it is read

@@ -22,7 +22,8 @@ as `run.json` has them.
 A number may be a text with a unit, such as `"40%"`, `"100 g"`, `"15deg"` or `"60ms"`.
 
 Controllers, references and disturbances may be `MODULE:NAME` or `FILE.py:NAME`, and so may those of
-`metric`, what is measured as well; see `octarm.sweeps.spec_code`.
+`metric`, what is measured as well; see `octarm.sweeps.spec_code`. A reference may have parameters
+behind it, `"sine:amplitude=0.2,frequency=1"`, or be a file of samples, `"file:./motion.csv"`.
 
 A further disturbance of the same class has its number behind its name, from 2 on: `pulse-2`,
 `noise-2.time`. It has columns and random numbers of its own.

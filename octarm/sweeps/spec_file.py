@@ -228,9 +228,10 @@ def _own_axis(name: str, document: Document, content: SpecFile) -> Axis | None:
     value = next(iter(given.values()), ("sine",) if name == "reference" else (0.0,))
     if name == "reference":
         known = (*REFERENCES, *content.code)
-        for word in [word for word in cast("tuple[str, ...]", value) if word not in known]:
-            keys = next(iter(given))
-            raise document.error(f"unknown reference {spelt(word)}{closest(word, known)}", *keys)
+        for word in cast("tuple[str, ...]", value):
+            if {word, head := word.partition(":")[0]}.isdisjoint(known):
+                hint = closest(head, known)
+                raise document.error(f"unknown reference {spelt(head)}{hint}", *next(iter(given)))
     axis = Axis(name=name)
     if isinstance(value, Bounds):
         return _drawn(axis, value)

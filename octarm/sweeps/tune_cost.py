@@ -179,7 +179,7 @@ def _costs(
 
     true, seeds = rig.arm(), examination.seeds()
     names = list(dict.fromkeys(s.reference for s in scenarios))
-    motions = [named_reference(name, rest) for rest in [rig.rest()] for name in names]
+    motions = [named_reference(name, rest, true) for rest in [rig.rest()] for name in names]
     environment = load(
         EachItsOwn(motions, each([names.index(s.reference) for s in scenarios])),
         disturbances=disturbances([scenario for _ in range(n) for scenario in scenarios]),

@@ -1,0 +1,237 @@
+"""The references that have a name: each suits its arm, unless its numbers are given.
+
+Where a size is not given, it is the nominal arm's times what `Hanging` says of the arm. One that is
+given is that of the first coordinate that moves; the others keep their proportion to it.
+"""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from octarm.fields import Quantity
+from octarm.interfaces import Motion
+from octarm.references.hanging import Hanging
+from octarm.references.motions import Chirp, MultiSine, SetPoint, SetPoints, Sine, SmoothStep
+
+BEND = Quantity("rad", at_least=-np.pi, at_most=np.pi)
+BENDS = Quantity("rad", at_least=-np.pi, at_most=np.pi, each=True)
+SLIDE = Quantity("m", at_least=-1.0, at_most=1.0)
+FREQUENCY = Quantity("Hz", above=0.0, at_most=100.0)
+TIME = Quantity("s", above=0.0, at_most=3600.0)
+LATER = Quantity("s", at_least=0.0, at_most=3600.0)
+Sizes = Mapping[str, float | np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class NamedReference(abc.ABC):
+    """A desired motion that is yet to begin, whose fields declare what they may be.
+
+    Attributes:
+        nominal: what fields are on the nominal arm that suit the arm when they are None.
+    """
+
+    nominal: ClassVar[Sizes] = {}
+
+    @abc.abstractmethod
+    def start(self, arm: Hanging) -> Motion:
+        """The motion of an arm, about the pose in which it hangs.
+
+        Raises:
+            OctarmError: if the arm cannot do it.
+        """
+
+
+def poses(
+    arm: Hanging,
+    *,
+    bends: Sequence[float] = (),
+    slides: Sequence[float] = (),
+    bend: float | None = None,
+    slide: float | None = None,
+) -> np.ndarray:
+    """How far the first modules move from rest, shape (..., 2N) [m], [rad].
+
+    Args:
+        arm: that moves.
+        bends: those of the nominal arm, from the first module on [rad].
+        slides: likewise [m].
+        bend: that of the first module; the one that suits the arm when None [rad].
+        slide: likewise [m].
+    """
+    out, n = np.zeros_like(arm.rest, dtype=np.float64), arm.modules
+    if bends:
+        size = arm.bend() if bend is None else np.asarray(bend / bends[0])
+        out[..., n : n + len(bends[:n])] = np.array(bends[:n]) * size
+    if slides:
+        size = arm.slide() if slide is None else np.asarray(slide / slides[0])
+        k = len(slides[:n])
+        out[..., :k] = np.array(slides[:n]) * (size[..., :k] if size.ndim else size)
+    return out
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class BendSine(NamedReference):
+    """Sine of theta1 and, 5/7 as large, of theta2: the paper's first two joints."""
+
+    nominal: ClassVar[Sizes] = {"amplitude": 0.35}
+    amplitude: Annotated[float | None, BEND] = None
+    frequency: Annotated[float, FREQUENCY] = 0.5
+
+    def start(self, arm: Hanging) -> Sine:  # noqa: D102
+        amplitude = poses(arm, bends=(0.35, 0.25), bend=self.amplitude)
+        return Sine(center=arm.rest, amplitude=amplitude, frequency=self.frequency)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SlideSine(NamedReference):
+    """Sine of s1 and, 3/4 as large, of s2: the literal reading of "first two links"."""
+
+    nominal: ClassVar[Sizes] = {"amplitude": 0.02}
+    amplitude: Annotated[float | None, SLIDE] = None
+    frequency: Annotated[float, FREQUENCY] = 0.5
+
+    def start(self, arm: Hanging) -> Sine:  # noqa: D102
+        amplitude = poses(arm, slides=(0.02, 0.015), slide=self.amplitude)
+        return Sine(center=arm.rest, amplitude=amplitude, frequency=self.frequency)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ThreeTones(NamedReference):
+    """Three tones of theta1, theta2, s1 and s2, at 1, sqrt(2) and sqrt(5) times the frequency."""
+
+    nominal: ClassVar[Sizes] = {"amplitude": 0.2, "slide": 0.008}
+    amplitude: Annotated[float | None, BEND] = None
+    slide: Annotated[float | None, SLIDE] = None
+    frequency: Annotated[float, FREQUENCY] = 0.3
+
+    def start(self, arm: Hanging) -> MultiSine:  # noqa: D102
+        big = poses(
+            arm, bends=(0.20, 0.15), slides=(0.008, 0.006), bend=self.amplitude, slide=self.slide
+        )
+        tones = ((arm.rest, 1.0, 1.0, 0.0), (0.0 * arm.rest, 0.5, 2**0.5, 1.0),
+                 (0.0 * arm.rest, 0.25, 5**0.5, 2.0))  # fmt: skip
+        return MultiSine(
+            tones=tuple(
+                Sine(
+                    center=center,
+                    amplitude=share * big,
+                    frequency=self.frequency * ratio,
+                    phase=phase,
+                )
+                for center, share, ratio, phase in tones
+            )
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FastSine(NamedReference):
+    """Two large tones of theta1, theta2, s1 and s2, sqrt(2) apart, near the lowest mode.
+
+    Inertial and Coriolis forces are more than 20 % of each coordinate's Q there, in rms, on the
+    nominal arm.
+    """
+
+    nominal: ClassVar[Sizes] = {"amplitude": 0.6, "slide": 0.015, "frequency": 1.6}
+    amplitude: Annotated[float | None, BEND] = None
+    slide: Annotated[float | None, SLIDE] = None
+    frequency: Annotated[float | None, FREQUENCY] = None
+
+    def start(self, arm: Hanging) -> MultiSine:  # noqa: D102
+        big = poses(
+            arm, bends=(0.6, 0.5), slides=(0.015, 0.012), bend=self.amplitude, slide=self.slide
+        )
+        frequency = 1.6 * arm.pace() if self.frequency is None else self.frequency
+        second = frequency * 2**0.5
+        return MultiSine(
+            tones=(
+                Sine(center=arm.rest, amplitude=big, frequency=frequency),
+                Sine(center=0.0 * arm.rest, amplitude=0.5 * big, frequency=second, phase=1.0),
+            )
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Step(NamedReference):
+    """From rest to a bent and stretched pose on a minimum-jerk quintic, and rest there."""
+
+    nominal: ClassVar[Sizes] = {"amplitude": 0.35, "slide": 0.01}
+    amplitude: Annotated[float | None, BEND] = None
+    slide: Annotated[float | None, SLIDE] = None
+    begin: Annotated[float, LATER] = 0.5
+    duration: Annotated[float, TIME] = 1.0
+
+    def start(self, arm: Hanging) -> SmoothStep:  # noqa: D102
+        way = poses(
+            arm, bends=(0.35, 0.25), slides=(0.01, 0.01), bend=self.amplitude, slide=self.slide
+        )
+        goal = arm.rest + way
+        return SmoothStep(start=arm.rest, goal=goal, begin=self.begin, duration=self.duration)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Jump(NamedReference):
+    """A bent pose at once, from rest: a step response."""
+
+    nominal: ClassVar[Sizes] = {"amplitude": 0.2}
+    amplitude: Annotated[float | None, BEND] = None
+
+    def start(self, arm: Hanging) -> SetPoint:  # noqa: D102
+        return SetPoint(q=arm.rest + poses(arm, bends=(0.2, 0.15), bend=self.amplitude))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RisingSine(NamedReference):
+    """Chirp of theta1 and theta2, whose frequency changes evenly and then stays."""
+
+    nominal: ClassVar[Sizes] = {"amplitude": 0.35, "start_frequency": 0.1, "end_frequency": 1.6}
+    amplitude: Annotated[float | None, BEND] = None
+    start_frequency: Annotated[float | None, dataclasses.replace(FREQUENCY, key="from")] = None
+    end_frequency: Annotated[float | None, dataclasses.replace(FREQUENCY, key="to")] = None
+    duration: Annotated[float, TIME] = 8.0
+
+    def start(self, arm: Hanging) -> Chirp:  # noqa: D102
+        first, last = self.start_frequency, self.end_frequency
+        return Chirp(
+            center=arm.rest,
+            amplitude=poses(arm, bends=(0.35, 0.25), bend=self.amplitude),
+            start=0.1 * arm.pace() if first is None else first,
+            end=1.6 * arm.pace() if last is None else last,
+            duration=self.duration,
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MinimumJerk(NamedReference):
+    """Set-points of theta1, and 5/7 of them of theta2, from rest to rest on minimum-jerk quintics.
+
+    Attributes:
+        points: those of theta1, shape () or (K,) [rad]; separated by `/` in a spelling.
+        begin: when the first motion begins [s].
+        duration: of each [s].
+        pause: between two of them [s].
+    """
+
+    nominal: ClassVar[Sizes] = {"points": np.array([0.35, -0.35, 0.0])}
+    points: Annotated[float | np.ndarray | None, BENDS] = None
+    begin: Annotated[float, LATER] = 0.5
+    duration: Annotated[float, TIME] = 1.0
+    pause: Annotated[float, LATER] = 0.5
+
+    def start(self, arm: Hanging) -> SetPoints:  # noqa: D102
+        ways = [np.zeros_like(arm.rest)]
+        if self.points is None:
+            ways += [factor * poses(arm, bends=(0.35, 0.25)) for factor in (1.0, -1.0, 0.0)]
+        else:
+            given = np.atleast_1d(self.points).tolist()
+            ways += [poses(arm, bends=(0.35, 0.25), bend=point) for point in given]
+        return SetPoints(
+            points=arm.rest + np.stack(ways),
+            begin=self.begin,
+            duration=self.duration,
+            pause=self.pause,
+        )

@@ -1,0 +1,67 @@
+"""What a desired motion, which may be a function of the user's, wants at an instant."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from octarm.errors import OctarmError, quoted
+from octarm.interfaces import Motion, Reference
+
+REAL = "fiu"  # NumPy's kinds of real numbers
+
+
+def wanted(motion: Motion, t: float, shape: tuple[int, ...]) -> Reference:
+    """What a desired motion wants, which may be a function of the user's.
+
+    Args:
+        motion: the desired motion.
+        t: the time [s].
+        shape: of the coordinates, (..., 2N), to which the answer must broadcast.
+
+    Raises:
+        OctarmError: unless the answer is a Reference of three arrays of finite numbers.
+    """
+    answer: Any = motion(t)
+    if _plainly_right(answer, shape):
+        return answer
+    if type(answer) is not Reference:
+        raise OctarmError(
+            f"the reference answers {quoted(answer)} at t = {t:g} s; it must be a Reference of "
+            "arrays q, v and a"
+        )
+    for name, part in zip(("q", "v", "a"), answer, strict=True):
+        if type(part) is not np.ndarray or part.dtype.kind not in REAL:
+            wrong = f"is {quoted(part)}; it must be an array of real numbers"
+        elif part.shape != shape and not _broadcasts(part.shape, shape):
+            wrong = f"has shape {part.shape}; it must be {shape}"
+        elif not np.isfinite(part).all():
+            wrong = f"holds {part[~np.isfinite(part)].flat[0]:g}; it must be finite"
+        else:
+            continue
+        raise OctarmError(f"the reference's {name} at t = {t:g} s {wrong}")
+    return answer
+
+
+def _plainly_right(answer: Any, shape: tuple[int, ...]) -> bool:
+    """Whether an answer for one arm is right at a glance, which costs a microsecond."""
+    if type(answer) is not Reference or len(shape) != 1:
+        return False
+    total = 0.0
+    for part in answer:
+        if type(part) is not np.ndarray or part.dtype.char != "d" or part.shape != shape:
+            return False
+        total += sum(part.tolist())
+    return math.isfinite(total)
+
+
+def _broadcasts(shape: tuple[int, ...], wanted: tuple[int, ...]) -> bool:
+    """Whether arms may share coordinates of this shape; an arm has all of its coordinates."""
+    arms = zip(reversed(shape[:-1]), reversed(wanted[:-1]), strict=False)
+    return (
+        shape[-1:] == wanted[-1:]
+        and len(shape) <= len(wanted)
+        and all(n in (1, m) for n, m in arms)
+    )
