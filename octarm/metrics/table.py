@@ -82,6 +82,7 @@ class Metrics:
         layer: npt.ArrayLike | None = None,
         band: npt.ArrayLike | None = None,
         corner: float = CORNER,
+        settle: float = SETTLED_AFTER,
         actuation: Actuation | None = None,
         catalogue: Catalogue = METRICS,
     ) -> None:
@@ -92,7 +93,7 @@ class Metrics:
         """
         self._settings = Settings(
             control_period=control_period, input_range=input_range, layer=layer, band=band,
-            corner=corner,
+            corner=corner, settle=settle,
         )  # fmt: skip
         self._actuation = actuation
         self._catalogue = catalogue
@@ -138,7 +139,7 @@ class Metrics:
     def _take(self, rows: Rows, accumulators: Sequence[Accumulator]) -> None:
         """Hands rows, whose `received` is that of one step, to accumulators, a few at a time."""
         most = max(1, _NUMBERS_A_PART // rows["q"][0].size)
-        settled, count = int(np.searchsorted(rows["t"], SETTLED_AFTER)), len(rows["t"])
+        settled, count = int(np.searchsorted(rows["t"], self._settings.settle)), len(rows["t"])
         starts = [*range(0, settled, most), *range(settled, count, most)]
         with np.errstate(all="ignore"):  # a diverged arm may hold anything
             for start, end in itertools.pairwise([*starts, count]):

@@ -18,11 +18,11 @@ from octarm.disturbances.episode import field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError, closest, printable, quoted
 from octarm.metrics.declared import declared_metrics
-from octarm.metrics.metric import SETTLED_AFTER, Metric
+from octarm.metrics.metric import Metric, unsettled
 from octarm.references import REFERENCES, named_reference
 from octarm.sweeps import engine_check
 from octarm.sweeps.manifest import open_sweep
-from octarm.sweeps.spec import which
+from octarm.sweeps.spec import SweepSpec, which
 from octarm.sweeps.store import metadata_of, read_schema, read_sweep
 
 DEFAULT = ("rms_error", "tip_rms_error", "chattering", "effort", "overshoot")
@@ -207,15 +207,12 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
             raise OctarmError(
                 f"all finished episodes of {folder} diverged; there is nothing to report of them"
             )
-        why = (
-            f"they last {spec['duration']:g} s, and most metrics count from {SETTLED_AFTER:g} s on"
-        )
-        if spec["duration"] > SETTLED_AFTER:
-            why = "its controllers do not have it, or all episodes diverged of those that have it"
+        why = "its controllers do not have it, or all episodes diverged of those that have it"
+        why = unsettled(plan.spec.duration, plan.spec.settle, "settle =") or why
         raise OctarmError(
             f"{folder} has no value of {', '.join(absent)} in any finished episode; {why}"
         )
-    lost, exact = _suspects(held, errors, spec["duration"])
+    lost, exact = _suspects(held, errors, plan.spec)
     factors = _factors(held, spec, names, code)
     return Episodes(
         manifest=manifest,
@@ -327,14 +324,14 @@ def _values(
 
 
 def _suspects(
-    held: Mapping[str, np.ndarray], errors: Sequence[str], duration: float
+    held: Mapping[str, np.ndarray], errors: Sequence[str], spec: SweepSpec
 ) -> tuple[np.ndarray, np.ndarray]:
     """`Episodes.lost` and `Episodes.exact`, given the columns of `rms_error`."""
-    reference = held["reference"]
+    reference, duration, settle = held["reference"], spec.duration, spec.settle
     lost, exact = np.zeros((2, len(reference)), dtype=bool)
-    for name in set(reference.tolist()) & set(REFERENCES) if duration > SETTLED_AFTER else ():
+    for name in set(reference.tolist()) & set(REFERENCES) if duration > settle else ():
         hanging, here = (
-            _hanging_error(name, len(errors), duration, SETTLED_AFTER),
+            _hanging_error(name, len(errors), duration, settle),
             reference == name,
         )
         for column, limit in zip(errors, hanging, strict=True):

@@ -111,7 +111,7 @@ def page(
             source=source,
             seeds=len(np.unique(comparisons.episodes.seed)),
             fewest=FEWEST,
-            settled_after=f"{SETTLED_AFTER:g}",
+            settled_after=f"{manifest['spec'].get('settle', SETTLED_AFTER):g}",
             machines="; ".join(dict.fromkeys(machines)),
             gains="\n".join(gains),
         )

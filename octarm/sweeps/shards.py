@@ -15,6 +15,7 @@ from dm_control.rl import control
 from octarm.arm.nominal import LagrangeModel
 from octarm.declared import word_of
 from octarm.interfaces import Controller, ControllerFactory, Instant
+from octarm.metrics.metric import SETTLED_AFTER
 from octarm.metrics.table import METRICS, Catalogue, Metrics, columns
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.folder import gains_of
@@ -96,7 +97,9 @@ def run_arms(
     environment, controller = begin(plan.spec, arms, factory)
     length = plan.spec.duration if duration is None else duration
     catalogue = plan.spec.catalogue()
-    outcome = measure(environment, controller, length, *observers, catalogue=catalogue)
+    outcome = measure(
+        environment, controller, length, *observers, catalogue=catalogue, settle=plan.spec.settle
+    )
     n = len(arms.episodes)
     values = plan.values(arms.episodes)
     held: dict[str, Any] = {
@@ -167,10 +170,14 @@ class Observer:
     """Measures a run while it goes on, and keeps nothing of it but a few instants."""
 
     def __init__(
-        self, environment: control.Environment, duration: float, catalogue: Catalogue = METRICS
+        self,
+        environment: control.Environment,
+        duration: float,
+        catalogue: Catalogue = METRICS,
+        settle: float = SETTLED_AFTER,
     ) -> None:
-        """An observer of a run of so many seconds, for `simulate`, and what it measures."""
-        self._catalogue = catalogue
+        """An observer of a run of so many seconds, for `simulate`; see `measure`."""
+        self._catalogue, self._settle = catalogue, settle
         self._physics: AnyPhysics = environment.physics
         self._period = environment.control_timestep()
         periods = whole_periods(duration, self._period)
@@ -184,6 +191,7 @@ class Observer:
                 control_period=self._period,
                 input_range=self._physics.reachable_inputs(),
                 layer=instant.command.layer,
+                settle=self._settle,
                 actuation=self._physics.actuation,
                 catalogue=self._catalogue,
             )
@@ -222,6 +230,7 @@ def measure(
     duration: float,
     *observers: Observe,
     catalogue: Catalogue = METRICS,
+    settle: float = SETTLED_AFTER,
 ) -> Outcome:
     """Runs a controller against a batch or one arm, and measures while it runs.
 
@@ -231,8 +240,9 @@ def measure(
         duration: of the run [s].
         observers: called at every control instant.
         catalogue: what is measured.
+        settle: when metrics of the steady regime begin [s].
     """
-    observer = Observer(environment, duration, catalogue)
+    observer = Observer(environment, duration, catalogue, settle)
 
     def observe(instant: Instant) -> None:
         for each in (observer, *observers):

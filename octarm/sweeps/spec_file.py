@@ -1,9 +1,10 @@
 """A sweep's TOML file, checked word by word before anything happens.
 
-At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep` (or `"auto"`),
-`control_period` [s], `actuation`, `integrator`, `engine`, `batch` and `gain_set`, and `controller`,
-`reference`, `mismatch`, `plant_modules` and `layout` (of a plant of more modules, see
-`octarm.arm.groups`) where they have one value. The tables are:
+At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `settle` (when metrics of the
+steady regime begin), `timestep` (or `"auto"`), `control_period` [s], `actuation`, `integrator`,
+`engine`, `batch` and `gain_set`, and `controller`, `reference`, `mismatch`, `plant_modules` and
+`layout` (of a plant of more modules, see `octarm.arm.groups`) where they have one value. The tables
+are:
 
 - `[grid]`: `controller`, `reference`, `mismatch`, `plant_modules` and `layout` as lists;
 - `[grid.disturbance]`: lists of values of disturbances, spelt as on the command line: `noise` for
@@ -56,6 +57,7 @@ from octarm.disturbances.fields import Words, field_defaults, field_keys, field_
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError, OctarmError, closest, quoted
 from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml, spelt
+from octarm.metrics.metric import SETTLED_AFTER
 from octarm.references import REFERENCES
 from octarm.simulation.engines import ENGINES, MUJOCO
 from octarm.simulation.steps import AUTO
@@ -80,6 +82,7 @@ _LIKE_A_NUMBER = re.compile(r"\s*[-+.]{0,2}\d")  # how a number begins, with a u
 # The units of what is no field of a disturbance; numbers may be texts with another unit.
 _UNITS = {
     ("duration",): "s",
+    ("settle",): "s",
     ("timestep",): "s",
     ("control_period",): "s",
     ("mismatch",): "1",
@@ -177,6 +180,7 @@ class SpecFile(Model):
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
     episodes: Annotated[int, Field(ge=1)] = 1
     duration: Positive = 10.0
+    settle: Annotated[FiniteFloat, Field(ge=0.0)] = SETTLED_AFTER
     timestep: Step | None = None
     control_period: Annotated[FiniteFloat, Field(gt=0.0, le=10.0)] | None = None
     actuation: Annotated[str, one_of(ACTUATIONS)] = "f-coeff"
