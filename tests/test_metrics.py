@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from octarm.interfaces import Rows
 from octarm.metrics import table as metrics
-from octarm.metrics.table import METRICS, SETTLED_AFTER, Metrics, as_json, columns
+from octarm.metrics.metric import STEADY
+from octarm.metrics.table import METRICS, Metrics, as_json, columns
 
 PERIOD = 1e-2
 ROWS = 420  # past SETTLED_AFTER, and past 255

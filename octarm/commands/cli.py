@@ -51,13 +51,14 @@ def _code(arguments: Sequence[str] | None, begin: Callable[[], None] | None) -> 
         print(printable("; ".join(["octarm: interrupted", *error.args])), file=sys.stderr)
         return ExitCode.INTERRUPTED
     except Exception as error:
-        sentence = " ".join(str(_mendable(error)).split())
+        mendable = _mendable(error)
+        sentence = " ".join(str(mendable).split())
         print(f"octarm: {sentence}", file=sys.stderr)
         try:
             sys.stdout.flush()
         except OSError:
             silence(sys.stdout)  # it would fail once more at the very end
-        return ExitCode.BAD_INPUT
+        return mendable.exit_code
 
 
 def _mendable(error: Exception) -> OctarmError:

@@ -84,6 +84,13 @@ def _arm(option: str, word: str) -> str:
     return word
 
 
+def _duration(option: str, word: str) -> float:
+    seconds = number(option, word, "s")
+    if not seconds > 0.0:
+        raise OctarmError(f"duration is {seconds:g} s; it must be positive")
+    return seconds
+
+
 def _gains(option: str, word: str) -> str:
     from controllers.gain_sets import gain_set_of, read_gain_set
 
@@ -232,7 +239,7 @@ def _step(option: str, word: str) -> float | str:
 STEP = _converted("S", _step)
 X = _converted("X", _real("1"))
 S = _converted("S", _real("s"))
-SETTLE = _converted("S", _real("s", 0.0))
+DURATION, SETTLE = _converted("S", _duration), _converted("S", _real("s", 0.0))
 HZ = _converted("HZ", _real("Hz"))
 AMOUNT = _converted("X", _number_as_text)  # a number whose unit depends on another option
 RUN, DIR = text("RUN"), text("DIR")

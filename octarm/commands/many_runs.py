@@ -10,6 +10,7 @@ from octarm.commands import kinds
 from octarm.commands.kinds import Work
 from octarm.commands.options import NOMINAL_ARM, USUAL_GAINS, ArmOptions, GainOptions
 from octarm.commands.terminal import surviving_output
+from octarm.errors import OctarmError
 
 
 def sweep(
@@ -67,11 +68,12 @@ def sweep(
 
 
 def report(
-    sweep: Annotated[Path, kinds.text("SWEEP")],
+    sweep: Annotated[Path | None, kinds.text("SWEEP")] = None,
     /,
     *,
     baseline: Annotated[str | None, kinds.CALLED] = None,
     metric: Annotated[tuple[str, ...], kinds.COLUMN] = (),
+    columns: bool = False,
     out: Annotated[Path | None, kinds.DIR] = None,
     force: bool = False,
 ) -> Work:
@@ -87,14 +89,23 @@ def report(
             one when not given
         metric: metric, or column of the table (rms_error, rms_error_theta3); rms_error,
             tip_rms_error, chattering, effort and overshoot when not given
+        columns: print instead what each column of the sweep's table means, its unit, and which
+            values are better; of any sweep without SWEEP
         out: folder to write; report in the sweep's when not given
         force: replace a report that is there
 
     Examples:
       octarm report runs/noise --baseline smc-boundary --metric tip_rms_error
+      octarm report --columns
     """
-    if (refuse := kinds.refusal(sweep, "manifest.json", "a sweep")) is not None:
+    if sweep is None and not columns:
+        raise OctarmError("octarm report needs SWEEP, folder of the sweep")
+    if sweep and (refuse := kinds.refusal(sweep, "manifest.json", "a sweep")) is not None:
         return refuse
+    if sweep is None or columns:
+        from octarm.commands import report as work
+
+        return partial(work.columns, sweep)
     kinds.check_free(force, (out or sweep / "report") / "report.html")
     from octarm.commands import report as work
 
@@ -113,7 +124,7 @@ def margin(
     model: ArmOptions = NOMINAL_ARM,
     gain_options: GainOptions = USUAL_GAINS,
     reference: Annotated[str, kinds.REFERENCE, kinds.RUNS] = "sine",
-    duration: Annotated[float, kinds.S, kinds.RUNS] = 6.0,
+    duration: Annotated[float, kinds.DURATION, kinds.RUNS] = 6.0,
     settle: Annotated[float, kinds.SETTLE, kinds.RUNS] = 2.0,
     timestep: Annotated[float | str | None, kinds.STEP, kinds.RUNS] = None,
     control_period: Annotated[float | None, kinds.S, kinds.RUNS] = None,

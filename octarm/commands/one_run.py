@@ -18,7 +18,7 @@ def run(
     reference: Annotated[str, kinds.REFERENCE, kinds.EXPERIMENT] = "sine",
     disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = (),
     metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.EXPERIMENT] = (),
-    duration: Annotated[float, kinds.S, kinds.EXPERIMENT] = 10.0,
+    duration: Annotated[float, kinds.DURATION, kinds.EXPERIMENT] = 10.0,
     settle: Annotated[float, kinds.SETTLE, kinds.EXPERIMENT] = 2.0,
     seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
     model: ArmOptions = NOMINAL_ARM,

@@ -57,6 +57,11 @@ class Metric(NamedTuple):
         """1 when less is better, -1 when more is, 0 when neither."""
         return {"less": 1, "more": -1, "neither": 0}[self.better]
 
+    @property
+    def direction(self) -> str:
+        """Which values are better, in words."""
+        return "nearer to zero" if self.zero_best else self.better
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Settings:

@@ -233,6 +233,7 @@ class Column(NamedTuple):
         of: the coordinate or input whose number it holds; empty for the arm.
         place: of that number along the last axis of the metric.
         unit: of the values.
+        declared: the declaration of the metric.
     """
 
     name: str
@@ -240,11 +241,21 @@ class Column(NamedTuple):
     of: str
     place: int
     unit: str
+    declared: Metric
 
     @property
     def metadata(self) -> dict[str, str]:
         """What a table's schema says of the column, so that nobody has to parse its name."""
         return {"metric": self.metric, "of": self.of, "unit": self.unit}
+
+    @property
+    def description(self) -> dict[str, str]:
+        """What a table's schema says of it, with its meaning and which values are better."""
+        return {
+            **self.metadata,
+            "text": self.declared.text,
+            "better": self.declared.direction,
+        }
 
 
 def columns(
@@ -263,5 +274,5 @@ def columns(
         parts = {"coordinate": coordinates, "input": inputs, "arm": [""]}[metric.of]
         for place, part in enumerate(parts):
             unit = metric.unit_for(units[place] if metric.of == "coordinate" else "m")
-            held.append(Column(f"{name}_{part}" if part else name, name, part, place, unit))
+            held.append(Column(f"{name}_{part}" if part else name, name, part, place, unit, metric))
     return held
