@@ -96,7 +96,9 @@ def located(source: str) -> str:
         places = None if spec is None else spec.submodule_search_locations
         spec = None if places is None else _spec(name, places)
     if spec is None:
-        raise OctarmError(f"there is no module {quoted(name)}; {ALLOWED}")
+        beside = Path(top, *parts).with_suffix(".py")
+        hint = f"; {top} is not that of this folder: give ./{beside}:NAME" * beside.is_file()
+        raise OctarmError(f"there is no module {quoted(name)}{hint or f'; {ALLOWED}'}")
     if not spec.has_location or spec.origin is None:
         raise OctarmError(f"module {quoted(name)} has no file; {ALLOWED}")
     return spec.origin

@@ -35,7 +35,7 @@ _BUSY = 2.0  # processes for a core
 _ROOM = 1e9  # [byte]; below, a sweep may fill the disk
 _NAMES = {"X86_V4": "X86_V4 (AVX-512)", "X86_V3": "X86_V3 (AVX2)"}  # NumPy's, of instructions
 _SLOW = 1  # exit code of `octarm.errors.TooSlow`
-_OCTARM = (sys.executable, "-m", "octarm")
+_OCTARM = (sys.executable, "-P", "-m", "octarm")  # -P: as the command octarm, from any folder
 
 
 class State(enum.Enum):

@@ -33,6 +33,7 @@ from octarm.files import whole_file
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
+PATIENCE = 60.0  # [s] for which the viewer may do nothing
 _NOWHERE = "http://127.0.0.1:9"
 _PASSED_ON = ("Content-Type", "Content-Encoding", "Cache-Control", "ETag")
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
@@ -71,7 +72,7 @@ def serve(paths: Iterable[Name], ready: Callable[[str], object]) -> None:
         while True:
             with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
                 break
-            viewer.pause(30.0)
+            viewer.pause(PATIENCE)
         query = urllib.parse.urlencode({"url": viewer.url})
         data_port = urllib.parse.urlsplit(viewer.url.removeprefix("rerun+")).port or 0
         with _guarded_page(port, data_port) as page, contextlib.suppress(KeyboardInterrupt):
@@ -87,7 +88,7 @@ def screenshot(
     others: Iterable[Name] = (),
     time: float | None = None,
     size: tuple[int, int] = (1600, 900),
-    timeout: float = 60.0,
+    timeout: float | None = None,
 ) -> None:
     """Draws what the viewer shows of a recording into a PNG, whole or not at all.
 
@@ -99,7 +100,8 @@ def screenshot(
         others: further recordings that are open; see `listed`.
         time: instant to show [s]; the first one if None.
         size: width and height [pixel].
-        timeout: for how long the viewer may do nothing, see `_Viewer.pause` [s].
+        timeout: for how long the viewer may do nothing, see `_Viewer.pause` [s]; `PATIENCE` if
+            None.
 
     Raises:
         OctarmError: if the recording is missing, or it cannot be drawn on this machine.
@@ -108,6 +110,7 @@ def screenshot(
     """
     files = [_existing(path) for path in (*others, recording)]
     window = ["--headless", "--window-size", f"{size[0]}x{size[1]}"]
+    timeout = PATIENCE if timeout is None else timeout
     with whole_file(png) as part, _running([*window, *files]) as viewer:
         try:
             while (client := viewer.client(time)) is None:
