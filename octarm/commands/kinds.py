@@ -66,8 +66,13 @@ def text(metavar: str) -> Parameter:
     return Parameter(metavar=metavar)
 
 
+def _word(metavar: str) -> Parameter:
+    """A kind of value with known words, which a shell asks the program for."""
+    return Parameter(metavar=metavar, completer=lambda _: known_words(metavar))
+
+
 def _one_of(metavar: str) -> Parameter:
-    """A kind of value that is one of some words, which a shell asks the program for."""
+    """The same, for which there are no other words."""
 
     def convert(option: str, word: str) -> str:
         if word not in (known := known_words(metavar)):
@@ -101,21 +106,33 @@ def _gains(option: str, word: str) -> str:
     return word
 
 
+def check(metavar: str, word: str, *more: str) -> None:
+    """Raises OctarmError for a word that can mean nothing of a kind, such as CONTROLLER.
+
+    Nothing that takes long is imported for that. More names may be known where the word stands.
+    """
+    if metavar == "ARM":
+        _arm("", word)
+    elif word not in more:
+        table: Declared[Any] = pkgutil.resolve_name(_WORDS[metavar])
+        name = table.split(word).word
+        if name not in table and name not in more:
+            table.check(name if table.kind == "disturbance" else word, *more)
+
+
 def _declared(metavar: str, *more: str, known: bool = True) -> Parameter:
     """A name, or an import path or file of a user's own; see `octarm.declared`.
 
-    More names may be known, or others than those of octarm.
+    More names may be known, or others than those of octarm; what is not `known` yet is an operand,
+    which is to be looked at after all options, or a name of a sweep.
     """
 
     def convert(option: str, word: str) -> str:
         from octarm.declared import absolute
 
         word = absolute(word)
-        if known and word not in more:
-            table: Declared[Any] = pkgutil.resolve_name(_WORDS[metavar])
-            name = table.split(word).word
-            if name not in table and name not in more:
-                table.check(name if table.kind == "disturbance" else word, *more)
+        if known:
+            check(metavar, word, *more)
         return word
 
     return _converted(metavar, convert, completer=lambda _: known_words(metavar))
@@ -252,8 +269,10 @@ CALLED, COLUMN = (
     _declared("METRIC", known=False),
 )  # in a sweep
 ACTUATION, INTEGRATOR, ENGINE = map(_one_of, ("ACTUATION", "INTEGRATOR", "ENGINE"))
-LAYOUT, SHELL, KIND = map(_one_of, ("LAYOUT", "SHELL", "KIND"))
+LAYOUT = _one_of("LAYOUT")
 GAINS = _converted("GAINS", _gains, completer=lambda _: known_words("GAINS"))
+# Operands, which are looked at after all options.
+FILE_OR_ARM, SHELL, KIND = map(_word, ("ARM", "SHELL", "KIND"))
 ARM = _converted("ARM", _arm, completer=lambda _: known_words("ARM"))
 
 

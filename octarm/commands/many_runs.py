@@ -113,7 +113,7 @@ def report(
 
 
 def margin(
-    *controllers: Annotated[str, kinds.CONTROLLER],
+    *controllers: Annotated[str, kinds.CALLED],
     disturbance: Annotated[tuple[str, ...], kinds.VARIED, kinds.SOUGHT] = (),
     bound: Annotated[tuple[str, ...], kinds.text("METRIC:VALUE"), kinds.SOUGHT] = (),
     low: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None,
@@ -172,6 +172,8 @@ def margin(
         --bound rms_error_theta1:0.02
     """
     kinds.check_free(force, csv, json)
+    for word in controllers:
+        kinds.check("CONTROLLER", word)
     gain_options.values()  # raises
     model.both()
     from octarm.commands import margin as work
@@ -198,7 +200,7 @@ def margin(
 
 
 def tune(
-    controller: Annotated[str, kinds.CONTROLLER],
+    controller: Annotated[str, kinds.CALLED],
     /,
     *,
     reference: Annotated[str | None, kinds.REFERENCE, kinds.EXPERIMENT] = None,
@@ -249,6 +251,7 @@ def tune(
     """
     from octarm.declared import short_name
 
+    kinds.check("CONTROLLER", controller)
     out = out or Path(f"{short_name(controller)}.toml")
     kinds.check_free(force or resume, out)
     gain_options.values()  # raises
