@@ -12,7 +12,7 @@ from controllers import CONTROLLERS
 from octarm.arm.file import read_arm
 from octarm.arm.parameters import ArmParameters
 from octarm.declared import Code, named
-from octarm.disturbances.catalogue import DISTURBANCES
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError, closest, quoted
 from octarm.metrics.declared import ACCUMULATORS
 from octarm.references import REFERENCES
