@@ -43,18 +43,18 @@ def test_options_give_an_arm_and_what_is_believed_of_it():
 
 def test_a_margin_is_that_of_the_runs_that_octarm_run_makes(capsys: pytest.CaptureFixture[str]):
     """The margin of a bound that is the metric of one run, up to the resolution of the search."""
-    own = [*OPTIONS, "--gains", "recommended", "--gain", "K_v:3", "--settle", "50ms"]
+    own = [*OPTIONS, "--gains", "recommended", "--gain", "lambda:12", "--settle", "50ms"]
     same = [*own, "--duration", "0.2", "--reference", "multi-sine"]
-    words = ["--controller", "computed-torque", "--disturbance", "payload:0.1", *same]
+    words = ["--controller", "smc-boundary", "--disturbance", "payload:0.1", *same]
     assert main(["run", *words, "--out", "a"]) == 0
     bound = json.loads(Path("a/run.json").read_text())["metrics"]["tip_rms_error"]
-    words = ["margin", "computed-torque", "--disturbance", "payload", "--high", "0.3", *same]
+    words = ["margin", "smc-boundary", "--disturbance", "payload", "--high", "0.3", *same]
     words += ["--bound", f"tip_rms_error:{bound!r}", "--seeds", "1", "--engine", "mujoco"]
     assert main([*words, "--json", "m.json"]) == 0
     report = json.loads(Path("m.json").read_text())
     assert report["controllers"][0]["margin"] == pytest.approx(0.1, rel=0.02)
     assert report["settings"]["parameter"] == ["mass:0.4,0.3,0.2"]
-    assert report["settings"]["gain"] == ["K_v:3"] and report["settings"]["settle"] == 0.05
+    assert report["settings"]["gain"] == ["lambda:12"] and report["settings"]["settle"] == 0.05
     assert "multi-sine" in capsys.readouterr().out
 
 
@@ -96,7 +96,7 @@ def test_tune_takes_what_run_takes_and_writes_it_down(capsys: pytest.CaptureFixt
 
 def test_every_column_says_what_it_means(capsys: pytest.CaptureFixture[str]):
     text = 'duration = 0.01\nsettle = 0.005\nepisodes = 1\ncontroller = "pd"\n'
-    text += '[grid]\narm = ["eth"]\nlayout = ["paper", "centred"]\nplant_modules = [3]\n'
+    text += '[grid]\narm = ["eth"]\nlayout = ["paper", "centred"]\nplant_modules = [4]\n'
     text += "[grid.disturbance]\npayload = [0.0, 0.1]\n"
     for field in schema(parse_spec(text)):
         said = {key.decode(): word.decode() for key, word in field.metadata.items()}
