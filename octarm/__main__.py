@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 from octarm.interrupts import end_at_once, raise_interrupts
 
@@ -18,4 +19,7 @@ def command_line() -> int:
 
 
 if __name__ == "__main__":
+    # The working folder, which may hold a package `controllers` of its own, is searched last.
+    if not sys.flags.safe_path and Path(sys.path[0]) != Path(__file__).resolve().parents[1]:
+        sys.path.append(sys.path.pop(0))
     sys.exit(command_line())

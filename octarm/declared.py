@@ -150,20 +150,35 @@ class Declared(collections.UserDict[str, T]):
             declares=self._declares(thing),
         )
 
+    def check(self, word: str, *more: str) -> None:
+        """Raises OctarmError for a word that can mean nothing of this kind; no code is imported.
+
+        More names may be known where the word stands.
+        """
+        if word not in self:
+            importing.content_of(self._located(word, *more)[0])
+
     def _points(self) -> dict[str, importlib.metadata.EntryPoint]:
         return {point.name: point for point in importing.entry_points(f"octarm.{self.kind}s")}
 
-    def _found(self, word: str) -> tuple[T, str, str, str]:
-        """A thing that is not built in, its import path or file, SHA-256 and distribution."""
+    def _located(
+        self, word: str, *more: str
+    ) -> tuple[str, str, importlib.metadata.EntryPoint | None]:
+        """The file or module of what is not built in, its name there, and its entry point."""
         point = None if ":" in word else self._points().get(word)
         path = absolute(word if point is None else point.value)
         match = _PATH.fullmatch(path)
         if match is None or match[3] is not None:
             if word.endswith(".py") or ":" in word:
                 raise OctarmError(f"{self.kind} is {quoted(word)}; {importing.ALLOWED}")
-            known = closest(word, self.names())
+            known = closest(word, (*more, *self.names()))
             raise OctarmError(f"unknown {self.kind} {quoted(word)}{known}")
-        source, name = match[1], match[2]
+        return match[1], match[2], point
+
+    def _found(self, word: str) -> tuple[T, str, str, str]:
+        """A thing that is not built in, its import path or file, SHA-256 and distribution."""
+        source, name, point = self._located(word)
+        path = f"{source}:{name}"
         module, sha256 = importing.loaded(source)
         try:
             thing: Any = operator.attrgetter(name)(module)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import enum
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, ClassVar
 
 _LONGEST_VALUE = 80  # characters of a value in a sentence
 _LONGEST_WORD = 256  # of a sentence: a file's name, or a key
@@ -29,12 +29,23 @@ class OctarmError(ValueError):
 
     The command line prints it and exits with 2. Any other exception is a bug in the program. Names
     of files and keys may stand in it as they are: the whole is made printable and not too long.
+
+    Attributes:
+        exit_code: of the command.
     """
+
+    exit_code: ClassVar[ExitCode] = ExitCode.BAD_INPUT
 
     def __str__(self) -> str:
         """The sentence, printable and of limited length."""
         words = " ".join(map(str, self.args)).split(" ")
         return printable(" ".join(_shortened(w, _LONGEST_WORD) for w in words), _LONGEST_SENTENCE)
+
+
+class TooSlow(OctarmError):
+    """What got nowhere for too long, as on a machine that is too busy; nothing wrong was asked."""
+
+    exit_code = ExitCode.CHECK_FAILED
 
 
 class FileError(OctarmError, OSError):

@@ -87,7 +87,10 @@ def located(source: str) -> str:
         places = None if spec is None else spec.submodule_search_locations
         spec = None if places is None else _spec(name, places)
     if spec is None:
-        raise OctarmError(f"there is no module {quoted(name)}; {ALLOWED}")
+        beside = os.path.join(top, *parts) + ".py"
+        is_there = os.path.isfile(beside)
+        hint = f"; {top} is not that of this folder: give ./{beside}:NAME" * is_there
+        raise OctarmError(f"there is no module {quoted(name)}{hint or f'; {ALLOWED}'}")
     if not spec.has_location or spec.origin is None:
         raise OctarmError(f"module {quoted(name)} has no file; {ALLOWED}")
     return spec.origin

@@ -67,7 +67,7 @@ def test_the_command_ends_at_the_first_interrupt_when_nothing_runs(tmp_path, emp
     process = sweep_command(tmp_path / "my.toml", "--cluster", empty)
     time.sleep(5.0)  # it imports, or waits
     process.send_signal(signal.SIGINT)
-    out, error = process.communicate(timeout=60)
+    out, error = process.communicate(timeout=1800)
     assert (process.returncode, out, error) == (ExitCode.INTERRUPTED, "", "octarm: interrupted\n")
     assert not (tmp_path / "s").exists()
 
@@ -133,7 +133,7 @@ def test_a_call_whose_workers_die_fails_with_a_sentence():
 
 def test_nothing_is_said_of_what_is_as_usual(tmp_path):
     process = sweep_command(tmp_path / "my.toml", "--cluster", "local", "--workers", "2")
-    out, error = process.communicate(timeout=300)
+    out, error = process.communicate(timeout=1800)
     assert (process.returncode, error) == (0, "")
     assert "wrote" in out
 
@@ -180,7 +180,7 @@ def test_the_command_says_one_sentence_of_a_scheduler_that_is_killed(tmp_path):
         while not finished(tmp_path / "s") and process.poll() is None:
             time.sleep(0.02)
         scheduler.kill()
-        out, error = process.communicate(timeout=120)
+        out, error = process.communicate(timeout=1800)
     assert (process.returncode, out) == (ExitCode.BAD_INPUT, "")
     assert "does not answer any more; shards left to do:" in error and error.count("\n") == 1
 

@@ -13,7 +13,7 @@ SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "disturbance_sweep
 def test_the_quick_sweep_prints_its_tables(tmp_path):
     done = subprocess.run(
         [sys.executable, SCRIPT, "--quick", "--out", "sweep"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+        cwd=tmp_path, capture_output=True, text=True, timeout=1800, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     noise, mismatch = done.stdout.strip().split("\n\n")

@@ -3,9 +3,11 @@
 import re
 import socket
 import subprocess
+import sys
 from importlib import metadata
 from pathlib import Path
 
+import psutil
 import pytest
 from packaging.specifiers import SpecifierSet
 
@@ -146,3 +148,40 @@ def test_a_process_that_crashes_or_hangs_is_a_finding(monkeypatch):
     done = machine._run(["sleep", "5"])
     assert done.returncode == 1
     assert machine._last_line(done) == "no answer within 0.05 s"
+
+
+def test_what_works_is_waited_for_however_long_it_takes(monkeypatch):
+    monkeypatch.setattr(machine, "_PATIENCE", 1.0)
+    busy = "import time\nend = time.process_time() + 2.0\nwhile time.process_time() < end: pass"
+    assert machine._run([sys.executable, "-c", busy]).returncode == 0
+    monkeypatch.setattr(machine, "_WORK", 0.5)
+    assert machine._run([sys.executable, "-c", busy]).returncode == 1
+
+
+def test_what_was_started_ends_with_what_is_tried(monkeypatch, tmp_path):
+    monkeypatch.setattr(machine, "_PATIENCE", 0.2)
+    machine._run(["bash", "-c", f"sleep 1800 & echo $! > {tmp_path}/child; wait"])
+    child = int((tmp_path / "child").read_text())
+    assert not psutil.pid_exists(child) or psutil.Process(child).status() == "zombie"
+
+
+def test_a_machine_that_is_too_slow_lacks_nothing(monkeypatch, capsys):
+    trial = machine.Trial("no answer within 120 s", slow=True)
+    for finding in (machine._screenshots(trial), machine._films({"EGL": trial, "OSMesa": trial})):
+        assert finding.state is State.SLOW
+        assert "install" not in finding.remedy
+    gone = subprocess.CompletedProcess([], 1, "", "no answer within 120 s")
+    monkeypatch.setattr(machine, "_run", lambda command, **environment: gone)
+    assert cli.main(["doctor"]) == 1
+    out = capsys.readouterr().out
+    assert "octarm run was too slow here to tell whether it works" in out
+    assert "apt-get" not in out
+
+
+def test_a_busy_machine_says_so(monkeypatch):
+    monkeypatch.setattr(machine.os, "getloadavg", lambda: (100.0, 0.0, 0.0))
+    monkeypatch.setattr(machine, "_run", answers())
+    found = {finding.name: finding for finding in machine.processor()}
+    assert found["load"].state is State.SLOW
+    monkeypatch.setattr(machine.os, "getloadavg", lambda: (0.5, 0.0, 0.0))
+    assert "load" not in {finding.name for finding in machine.processor()}

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from octarm.interfaces import Rows
 from octarm.metrics import table as metrics
-from octarm.metrics.table import METRICS, SETTLED_AFTER, Metrics, as_json, columns
+from octarm.metrics.metric import STEADY
+from octarm.metrics.table import METRICS, Metrics, as_json, columns
 
 PERIOD = 1e-2
 ROWS = 420  # past SETTLED_AFTER, and past 255
@@ -200,7 +201,7 @@ def test_what_was_not_finite_has_no_numbers_even_when_nobody_says_so(bad, where,
 
 def test_a_run_that_is_too_short_has_no_steady_regime():
     found = measure(noisy(150))
-    steady = [name for name, meaning in METRICS.items() if f"{SETTLED_AFTER:g} s" in meaning.text]
+    steady = [name for name, meaning in METRICS.items() if STEADY in meaning.text]
     assert {"rms_error", "overshoot", "tip_rms_error", "chattering", "layer_share"} <= set(steady)
     for name in steady:
         assert np.all(np.isnan(found[name])), name
@@ -232,6 +233,7 @@ def test_the_promised_reaching_time_is_the_first():
         ({"layer": -1.0}, "layer holds -1; it must be at least 0 and finite"),
         ({"band": np.inf}, "band holds inf"),
         ({"corner": 0.0}, "corner holds 0"),
+        ({"settle": -0.1}, "settle holds -0.1; it must be at least 0 and finite"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(options, message):

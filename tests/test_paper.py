@@ -266,7 +266,7 @@ def test_an_interrupted_run_says_how_to_go_on(tmp_path: Path):
         time.sleep(0.05)
     time.sleep(1.0)
     process.send_signal(signal.SIGINT)
-    _, error = process.communicate(timeout=120)
+    _, error = process.communicate(timeout=1800)
     assert process.returncode == 130
     assert "--resume" in error.splitlines()[-1]
     assert "Traceback" not in error
@@ -276,7 +276,7 @@ def test_bad_input_is_one_sentence(tmp_path: Path):
     (tmp_path / "file").write_text("x", encoding="utf-8")
     done = subprocess.run(
         [sys.executable, SCRIPT, "--quick", "--out", tmp_path],
-        capture_output=True, text=True, timeout=300, check=False,
+        capture_output=True, text=True, timeout=1800, check=False,
     )  # fmt: skip
     assert done.returncode == 2
     assert "is not empty" in done.stderr and len(done.stderr.splitlines()) == 1

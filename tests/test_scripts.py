@@ -135,7 +135,7 @@ def test_the_benchmark_prints_what_whole_sweeps_take(tmp_path):
     done = subprocess.run(
         [sys.executable, SCRIPTS / "benchmark.py", "--arms", "8", "--seconds", "0.002",
          "--episodes", "50", "--only", "one-by-one", "workers", "memory", "overhead"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+        cwd=tmp_path, capture_output=True, text=True, timeout=1800, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     lines = [line.split() for line in done.stdout.splitlines()]
@@ -148,7 +148,7 @@ def test_the_benchmark_prints_its_figures(tmp_path):
          "--only", "controller-step", "closed-loop", "one-arm", "recording",
          "plants", "engines", "tuning", "peers",
          "--json", "figures.json"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+        cwd=tmp_path, capture_output=True, text=True, timeout=1800, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     machine, load, *sections = json.loads((tmp_path / "figures.json").read_text("utf-8")).values()

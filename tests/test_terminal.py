@@ -129,7 +129,7 @@ def octarm(command: str, folder: Path, **environment: str) -> subprocess.Complet
     program = shlex.join([sys.executable, "-m", "octarm"])
     return subprocess.run(
         ["bash", "-c", command.replace("octarm", program, 1)], cwd=folder, text=True,
-        capture_output=True, timeout=300, check=False,
+        capture_output=True, timeout=1800, check=False,
         env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
     )  # fmt: skip
 

@@ -3,7 +3,6 @@
 # (mujoco ships no type stubs)
 
 import json
-import time
 from collections.abc import Callable
 
 import mujoco
@@ -316,17 +315,17 @@ def test_the_reference_of_one_module_is_the_closed_form():
 
 
 def test_a_reference_that_diverges_ends_as_nan(monkeypatch: pytest.MonkeyPatch):
-    right = lagrange.forward_dynamics
+    right, calls = lagrange.forward_dynamics, list[None]()
 
     def pushed(p: ArmParameters, q: np.ndarray, v: np.ndarray, force: np.ndarray) -> np.ndarray:
+        calls.append(None)
         return right(p, q, v, force + 3.0 * lagrange.damping_matrix(p) @ v)
 
     monkeypatch.setattr(lagrange, "forward_dynamics", pushed)
     p = arm_with(2)
-    start = time.perf_counter()
     motion = free_motion.reference_motion(p, lagrange.equilibrium(p) + 0.01, np.ones(4))
     assert np.isnan(motion[-1]).all()
-    assert time.perf_counter() - start < 20.0
+    assert len(calls) < 20_000
 
 
 def test_relative_error_is_per_state_and_passes_nan_on():

@@ -304,7 +304,7 @@ def test_versions_and_machine_of_both_sides_are_said(run):
 
 def test_a_run_comes_out_again_in_another_process(original):
     command = [sys.executable, "-m", "octarm", "verify", str(original)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=1800, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert "identical: 200 control instants" in done.stdout
 

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import urllib.parse
 import urllib.request
 
@@ -16,7 +15,8 @@ from PIL import Image
 from recordings import described, swinging
 
 from octarm.arm.mjcf import nominal_parameters
-from octarm.errors import OctarmError
+from octarm.commands import cli
+from octarm.errors import OctarmError, TooSlow
 from octarm.recordings import viewer
 from octarm.recordings.comparison import write_comparison
 from octarm.recordings.recording import write_recording
@@ -125,21 +125,53 @@ def test_missing_vulkan_is_one_sentence_and_leaves_nothing(
 ):
     monkeypatch.setenv("VK_DRIVER_FILES", str(tmp_path / "none.json"))
     monkeypatch.setenv("VK_ICD_FILENAMES", str(tmp_path / "none.json"))
-    began = time.monotonic()
     with pytest.raises(OctarmError, match="mesa-vulkan-drivers"):
         screenshot(recording, tmp_path / "picture.png")
-    assert time.monotonic() - began < 10.0
     assert list(tmp_path.iterdir()) == []
     assert started[0].poll() is not None
 
 
 @posix
 def test_a_viewer_that_hangs_is_ended(recording, tmp_path, stand_in, started):
-    stand_in("exec sleep 60")
-    with pytest.raises(OctarmError, match=r"within 0\.5 s"):
+    stand_in("exec sleep 1800")
+    with pytest.raises(TooSlow, match=r"within 0\.5 s; on a machine that is less busy it may$"):
         screenshot(recording, tmp_path / "picture.png", timeout=0.5)
     assert started[0].poll() is not None
     assert not list(tmp_path.glob("picture*"))
+
+
+class Late:
+    """A client of a viewer that does not answer in time at first."""
+
+    def __init__(self, *answers):
+        self._answers = list(answers)
+
+    def take_screenshot(self):
+        answer = self._answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+@posix
+def test_a_viewer_that_answers_late_is_waited_for(recording, tmp_path, stand_in, monkeypatch):
+    stand_in("while true; do :; done")
+    late = RuntimeError("timed out after 30 s")
+    answers = iter([None, Late(late, b"", b"first", late, b"same", b"same")])
+    monkeypatch.setattr(viewer._Viewer, "client", lambda self, time: next(answers))
+    screenshot(recording, tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").read_bytes() == b"same"
+
+
+@posix
+def test_what_got_nowhere_is_no_bad_input(recording, tmp_path, stand_in, monkeypatch, capsys):
+    stand_in("exec sleep 1800")
+    late = [RuntimeError("timed out")] * 1000
+    monkeypatch.setattr(viewer._Viewer, "client", lambda self, time: Late(*late))
+    monkeypatch.setattr(viewer, "PATIENCE", 0.5)
+    words = ["replay", str(recording), "--screenshot", str(tmp_path / "picture.png")]
+    assert cli.main(words) == 1
+    assert "got nowhere within 0.5 s (timed out)" in capsys.readouterr().err
 
 
 def test_an_unwritable_picture_fails_before_the_work(recording, tmp_path, started):
@@ -244,6 +276,6 @@ def test_the_page_is_served_on_this_machine_and_may_fetch_from_it_only(picture, 
         assert {c.laddr.ip for c in found if c.status == psutil.CONN_LISTEN} == {"127.0.0.1"}
     finally:
         process.send_signal(signal.SIGINT)
-        process.communicate(timeout=30)
+        process.communicate(timeout=1800)
     assert process.returncode == 0
     assert all(not child.is_running() for child in children)

@@ -74,7 +74,7 @@ def script(folder: Path, end: str, *, text: bool = False) -> subprocess.Complete
     (folder / "script.py").write_text(SCRIPT + end)
     words = ["-c", SCRIPT + end] if text else ["script.py"]
     return subprocess.run(
-        [sys.executable, *words], cwd=folder, capture_output=True, text=True, timeout=300,
+        [sys.executable, *words], cwd=folder, capture_output=True, text=True, timeout=1800,
         check=False, env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
 
@@ -118,7 +118,7 @@ def test_standard_input_is_no_script_that_workers_can_import(tmp_path):
     for words in ([], ["-"]):
         done = subprocess.run(
             [sys.executable, *words], input=SCRIPT + SWEEP.format("make_controller"), text=True,
-            cwd=tmp_path, capture_output=True, timeout=300, check=False,
+            cwd=tmp_path, capture_output=True, timeout=1800, check=False,
             env={**os.environ, "PYTHONPATH": str(ROOT)},
         )  # fmt: skip
         check(done, tmp_path, "<stdin> is no file: save it as one")

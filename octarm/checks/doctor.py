@@ -6,16 +6,19 @@ the rest.
 
 from __future__ import annotations
 
+import contextlib
 import enum
 import json
 import os
 import platform
 import re
 import shutil
+import signal
 import socket
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from ctypes.util import find_library
@@ -26,22 +29,27 @@ from typing import NamedTuple
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
-_PATIENCE = 120.0  # [s]
+_PATIENCE = 120.0  # [s] for which what is tried may do nothing
+_WORK = 600.0  # [s] of processor time that it may use
+_BUSY = 2.0  # processes for a core
 _ROOM = 1e9  # [byte]; below, a sweep may fill the disk
 _NAMES = {"X86_V4": "X86_V4 (AVX-512)", "X86_V3": "X86_V3 (AVX2)"}  # NumPy's, of instructions
-_OCTARM = (sys.executable, "-m", "octarm")
+_SLOW = 1  # exit code of `octarm.errors.TooSlow`
+_OCTARM = (sys.executable, "-P", "-m", "octarm")  # -P: as the command octarm, from any folder
 
 
 class State(enum.Enum):
     """Whether something is as it should be; runs work all the same unless something is `BROKEN`.
 
-    A version is outside when octarm does not ask for such a one.
+    A version is outside when octarm does not ask for such a one. What is slow got nowhere on a busy
+    machine, and may work on a quiet one.
     """
 
     FINE = "ok"
     NOTE = "-"
     MISSING = "missing"
     OUTSIDE = "outside"
+    SLOW = "slow"
     BROKEN = "BROKEN"
 
 
@@ -59,6 +67,20 @@ class Finding(NamedTuple):
     state: State
     text: str
     remedy: str = ""
+
+
+class Trial(NamedTuple):
+    """What came of something that was tried: why it failed, empty if not, or was only too slow."""
+
+    failure: str = ""
+    slow: bool = False
+
+    def finding(self, name: str, state: State, remedy: str = "") -> Finding:
+        """The failure as a line of the report, whose state and remedy are for a missing part."""
+        if not self.slow:
+            return Finding(name, state, self.failure, remedy)
+        remedy = "octarm doctor again, when the machine is less busy"
+        return Finding(name, State.SLOW, f"too slow to tell: {self.failure}", remedy)
 
 
 # Extras that are told of, and what needs them.
@@ -102,10 +124,16 @@ def processor() -> Iterator[Finding]:
     """Cores, and the instructions on which last bits depend."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     yield Finding("cores", State.NOTE, f"{usable} of {os.cpu_count()}")
+    waiting = os.getloadavg()[0] / (usable or 1)
+    if waiting > _BUSY:
+        text = (
+            f"{waiting:.1f} processes share a core: what is too slow here may be fine without them"
+        )
+        yield Finding("load", State.SLOW, text)
     code = "import json; from octarm.runs.versions import host; print(json.dumps(host()))"
     done = _run([sys.executable, "-c", code])
     if done.returncode:
-        yield Finding("instructions", State.MISSING, _last_line(done))
+        yield _trial(done).finding("instructions", State.MISSING)
         return
     host = json.loads(done.stdout)
     kernels = host["kernels"]
@@ -129,7 +157,7 @@ def work() -> Iterator[Finding]:
         folder = Path(scratch.name) / "run"
         done = _run([*_OCTARM, "run", "--duration", "0.05", "--out", str(folder)])
         if done.returncode:
-            yield Finding("octarm run", State.BROKEN, _last_line(done))
+            yield _trial(done).finding("octarm run", State.BROKEN)
             return
         yield Finding("octarm run", State.FINE, "ran, and wrote a run folder")
         size = ["--width", "64", "--height", "48", "--rate", "20"]
@@ -137,37 +165,38 @@ def work() -> Iterator[Finding]:
         with ThreadPoolExecutor() as pool:
             films = {
                 gl: pool.submit(
-                    _failure, folder.with_name(f"{gl}.mp4"), [*video, *size], "--out",
+                    _tried, folder.with_name(f"{gl}.mp4"), [*video, *size], "--out",
                     MUJOCO_GL=gl.lower(),
                 )
                 for gl in ("EGL", "OSMesa")
             }  # fmt: skip
-            picture = pool.submit(_failure, folder.with_name("p.png"), replay, "--screenshot")
+            picture = pool.submit(_tried, folder.with_name("p.png"), replay, "--screenshot")
             yield _films({gl: film.result() for gl, film in films.items()})
             yield _screenshots(picture.result())
     yield _window()
 
 
-def _films(failures: dict[str, str]) -> Finding:
-    """Which OpenGL libraries film, given what went wrong with each; empty when nothing did."""
-    working = [gl for gl, failure in failures.items() if not failure]
+def _films(trials: dict[str, Trial]) -> Finding:
+    """Which OpenGL libraries film, given what came of each."""
+    working = [gl for gl, trial in trials.items() if not trial.failure]
     if not working:
-        text = f"no OpenGL library works: {failures['OSMesa']}"
+        failure = next((trial for trial in trials.values() if trial.slow), trials["OSMesa"])
+        text = f"no OpenGL library works: {failure.failure}"
         remedy = (
             "apt-get install libosmesa6 (Debian, in software), or libegl1 and a graphics driver"
         )
-        return Finding("films", State.MISSING, text, remedy)
-    if sys.platform == "linux" and "EGL" not in working and find_library("EGL"):
+        return Trial(text, failure.slow).finding("films", State.MISSING, remedy)
+    if not (working[0] == "EGL" or trials["EGL"].slow) and find_library("EGL"):
         text = "EGL is there but does not work; OSMesa does"
         return Finding("films", State.MISSING, text, "export MUJOCO_GL=osmesa")
     return Finding("films", State.FINE, "films by " + ", ".join(working))
 
 
-def _screenshots(failure: str) -> Finding:
-    if not failure:
+def _screenshots(trial: Trial) -> Finding:
+    if not trial.failure:
         return Finding("screenshots", State.FINE, "pictures by Vulkan")
     remedy = "apt-get install mesa-vulkan-drivers (Debian, in software)"
-    return Finding("screenshots", State.MISSING, failure, remedy)
+    return trial.finding("screenshots", State.MISSING, remedy)
 
 
 def _window() -> Finding:
@@ -226,20 +255,62 @@ def _folder(name: str, folder: Path, remedy: str) -> Finding:
 
 
 def _run(command: list[str], **environment: str) -> subprocess.CompletedProcess[str]:
-    """Runs a command; one that takes too long has failed."""
-    try:
-        return subprocess.run(
-            command, capture_output=True, text=True, timeout=_PATIENCE, check=False,
-            stdin=subprocess.DEVNULL, env={**os.environ, **environment},
+    """Runs a command for as long as it works; exit code 1 if it gets nowhere.
+
+    What counts is the processor time that its processes use, not how long a busy machine takes.
+    """
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as errors:
+        process = subprocess.Popen(
+            command, stdout=out, stderr=errors, stdin=subprocess.DEVNULL,
+            env={**os.environ, **environment}, start_new_session=True,
         )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        return subprocess.CompletedProcess(command, 1, "", f"no answer within {_PATIENCE:g} s")
+        try:
+            if not _ends(process):
+                text = f"no answer within {_PATIENCE:g} s"
+                return subprocess.CompletedProcess(command, _SLOW, "", text)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)  # with what it has started
+            process.wait()
+        texts: list[str] = []
+        for file in (out, errors):
+            file.seek(0)
+            texts.append(file.read())
+        return subprocess.CompletedProcess(command, process.returncode, *texts)
 
 
-def _failure(file: Path, command: list[str], option: str, **environment: str) -> str:
-    """What keeps a command from writing a file, given after an option; empty if nothing does."""
+def _ends(process: subprocess.Popen[bytes]) -> bool:
+    """Waits for a process that leads its group; False if it gets nowhere."""
+    used, since = -1.0, time.monotonic()
+    while process.poll() is None:
+        if (now := _processor_time(process.pid)) != used:
+            used, since = now, time.monotonic()
+        if time.monotonic() - since > _PATIENCE or used > _WORK:
+            return False
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(min(0.2, _PATIENCE))
+    return True
+
+
+def _processor_time(group: int) -> float:
+    """What the processes of a group have used so far [s]; 0 where the system does not say."""
+    ticks = 0
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # one that has just ended
+            fields = file.read_text(errors="replace").rpartition(")")[2].split()
+            if int(fields[2]) == group:
+                ticks += int(fields[11]) + int(fields[12])
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
+def _tried(file: Path, command: list[str], option: str, **environment: str) -> Trial:
+    """What keeps a command from writing a file, given after an option."""
     done = _run([*command, option, str(file)], **environment)
-    return "" if done.returncode == 0 and file.is_file() else _last_line(done)
+    return Trial() if done.returncode == 0 and file.is_file() else _trial(done)
+
+
+def _trial(done: subprocess.CompletedProcess[str]) -> Trial:
+    return Trial(_last_line(done), done.returncode == _SLOW)
 
 
 def _last_line(done: subprocess.CompletedProcess[str]) -> str:

@@ -103,6 +103,7 @@ def verify(
       octarm verify sweeps/noise --episode 17 --episode 4
       octarm verify sweeps/noise --sample 10
     """
+    kinds.check_runs(*runs, sweeps=True)
     from octarm.commands import verify as work
 
     return partial(work.verify, runs, episode, sample)

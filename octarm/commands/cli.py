@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import errno
+import importlib.machinery
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from octarm.commands.terminal import check_open_files, silence, surviving_errors
 from octarm.errors import ExitCode, FileError, OctarmError, printable, sentence_of
@@ -36,6 +38,7 @@ def main(arguments: Sequence[str] | None = None, *, begin: Callable[[], None] | 
 def _code(arguments: Sequence[str] | None, begin: Callable[[], None] | None) -> int:
     try:
         check_open_files()
+        _check_controllers()
         from octarm.commands.app import parse
 
         work = parse(sys.argv[1:] if arguments is None else arguments)
@@ -51,13 +54,27 @@ def _code(arguments: Sequence[str] | None, begin: Callable[[], None] | None) -> 
         print(printable("; ".join(["octarm: interrupted", *error.args])), file=sys.stderr)
         return ExitCode.INTERRUPTED
     except Exception as error:
-        sentence = " ".join(str(_mendable(error)).split())
+        mendable = _mendable(error)
+        sentence = " ".join(str(mendable).split())
         print(f"octarm: {sentence}", file=sys.stderr)
         try:
             sys.stdout.flush()
         except OSError:
             silence(sys.stdout)  # it would fail once more at the very end
-        return ExitCode.BAD_INPUT
+        return mendable.exit_code
+
+
+def _check_controllers() -> None:
+    """Raises OctarmError if another `controllers` than that beside octarm would be imported."""
+    spec = importlib.machinery.PathFinder.find_spec("controllers")
+    file = Path((spec.origin if spec else "") or "")
+    right = Path(__file__).resolve().parents[2] / "controllers" / "__init__.py"
+    if "controllers" not in sys.modules and file.name and file.resolve() != right:
+        place = file.parent if file.name == right.name else file
+        raise OctarmError(
+            f"{place} would be imported in place of octarm's own package controllers; give it "
+            "another name, or keep its folder out of PYTHONPATH"
+        )
 
 
 def _mendable(error: Exception) -> OctarmError:

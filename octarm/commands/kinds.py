@@ -6,16 +6,20 @@ the text of the help page. Called, it imports the modules that it needs and retu
 
 from __future__ import annotations
 
+import math
 import os
 import pkgutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from cyclopts import Group, Parameter, Token
 
-from octarm.errors import OctarmError, quoted
+from octarm.errors import OctarmError, closest, quoted
 from octarm.units import ANY, number
+
+if TYPE_CHECKING:
+    from octarm.declared import Declared
 
 Work = Callable[[], int]  # what a command does, once it begins; returns the exit code
 
@@ -67,31 +71,95 @@ def _word(metavar: str) -> Parameter:
     return Parameter(metavar=metavar, completer=lambda _: known_words(metavar))
 
 
-def _declared(metavar: str) -> Parameter:
-    """A name, or an import path or file of a user's own; see `octarm.declared`."""
+def _one_of(metavar: str) -> Parameter:
+    """The same, for which there are no other words."""
 
-    def converter(hint: Any, tokens: Sequence[Token]) -> Any:
+    def convert(option: str, word: str) -> str:
+        if word not in (known := known_words(metavar)):
+            raise OctarmError(f"unknown {metavar.lower()} {quoted(word)}{closest(word, known)}")
+        return word
+
+    return _converted(metavar, convert, completer=lambda _: known_words(metavar))
+
+
+def _arm(option: str, word: str) -> str:
+    from octarm.arm.file import read_arm
+
+    read_arm(word)  # raises, before anything that takes longer is imported
+    return word
+
+
+def _duration(option: str, word: str) -> float:
+    seconds = number(option, word, "s")
+    if not seconds > 0.0:
+        raise OctarmError(f"duration is {seconds:g} s; it must be positive")
+    return seconds
+
+
+def _gains(option: str, word: str) -> str:
+    from controllers.gain_sets import gain_set_of, read_gain_set
+
+    if word.endswith(".toml"):
+        read_gain_set(word)
+    elif word not in ("tuned", "recommended"):
+        gain_set_of("", word)  # raises
+    return word
+
+
+def check(metavar: str, word: str, *more: str) -> None:
+    """Raises OctarmError for a word that can mean nothing of a kind, such as CONTROLLER.
+
+    Nothing that takes long is imported for that. More names may be known where the word stands.
+    """
+    if metavar == "ARM":
+        _arm("", word)
+    elif word not in more:
+        table: Declared[Any] = pkgutil.resolve_name(_WORDS[metavar])
+        name = table.split(word).word
+        if name not in table and name not in more:
+            table.check(name if table.kind == "disturbance" else word, *more)
+
+
+def _declared(metavar: str, *more: str, known: bool = True) -> Parameter:
+    """A name, or an import path or file of a user's own; see `octarm.declared`.
+
+    More names may be known, or others than those of octarm; what is not `known` yet is an operand,
+    which is to be looked at after all options, or a name of a sweep.
+    """
+
+    def convert(option: str, word: str) -> str:
         from octarm.declared import absolute
 
-        words = [absolute(token.value) for token in tokens]
-        return tuple(words) if get_origin(hint) is tuple else words[0]
+        word = absolute(word)
+        if known:
+            check(metavar, word, *more)
+        return word
 
-    return Parameter(metavar=metavar, converter=converter, completer=lambda _: known_words(metavar))
+    return _converted(metavar, convert, completer=lambda _: known_words(metavar))
 
 
-def _converted(metavar: str, convert: Callable[[str, str], Any]) -> Parameter:
+def _converted(
+    metavar: str,
+    convert: Callable[[str, str], Any],
+    completer: Callable[[Any], list[str]] | None = None,
+) -> Parameter:
     """A kind of value that an option and a word are converted to; a ValueError is the sentence."""
 
     def converter(hint: Any, tokens: Sequence[Token]) -> Any:
         values = [convert(str(token.keyword), token.value) for token in tokens]
         return tuple(values) if get_origin(hint) is tuple else values[0]
 
-    return Parameter(metavar=metavar, converter=converter)
+    return Parameter(metavar=metavar, converter=converter, completer=completer)
 
 
-def _real(unit: str) -> Callable[[str, str], float]:
+def _real(unit: str, least: float = -math.inf) -> Callable[[str, str], float]:
     def convert(option: str, word: str) -> float:
-        return number(option, word, unit)
+        value = number(option, word, unit)
+        if least > -math.inf and not least <= value < math.inf:
+            raise ValueError(
+                f"{option} is {quoted(word)}; it must be at least {least:g} and finite"
+            )
+        return value
 
     return convert
 
@@ -147,6 +215,18 @@ def check_free(force: bool, *files: Path | None) -> None:
             )
 
 
+def check_runs(*folders: Path, sweeps: bool = False) -> None:
+    """Raises OctarmError if one of the folders holds no run, or no sweep where one may be.
+
+    Nothing that takes long is imported for that.
+    """
+    from octarm.runs.folder import read_description
+
+    for folder in folders:
+        if not (sweeps and os.path.isfile(folder / "manifest.json")):
+            read_description(folder)
+
+
 def refusal(folder: Path, file: str, what: str) -> Work | None:
     """What refuses a folder that is not `what`, before anything that takes long is imported."""
 
@@ -176,15 +256,24 @@ def _step(option: str, word: str) -> float | str:
 STEP = _converted("S", _step)
 X = _converted("X", _real("1"))
 S = _converted("S", _real("s"))
+DURATION, SETTLE = _converted("S", _duration), _converted("S", _real("s", 0.0))
 HZ = _converted("HZ", _real("Hz"))
 AMOUNT = _converted("X", _number_as_text)  # a number whose unit depends on another option
 RUN, DIR = text("RUN"), text("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
     _declared, ("CONTROLLER", "REFERENCE", "DISTURBANCE", "METRIC")
 )
-ACTUATION, INTEGRATOR, ENGINE = map(_word, ("ACTUATION", "INTEGRATOR", "ENGINE"))
-LAYOUT = _word("LAYOUT")
-GAINS, SHELL, KIND, ARM = map(_word, ("GAINS", "SHELL", "KIND", "ARM"))
+VARIED = _declared("DISTURBANCE", "nominal-mismatch")  # see `octarm.sweeps.margin`
+CALLED, COLUMN = (
+    _declared("CONTROLLER", known=False),
+    _declared("METRIC", known=False),
+)  # in a sweep
+ACTUATION, INTEGRATOR, ENGINE = map(_one_of, ("ACTUATION", "INTEGRATOR", "ENGINE"))
+LAYOUT = _one_of("LAYOUT")
+GAINS = _converted("GAINS", _gains, completer=lambda _: known_words("GAINS"))
+# Operands, which are looked at after all options.
+FILE_OR_ARM, SHELL, KIND = map(_word, ("ARM", "SHELL", "KIND"))
+ARM = _converted("ARM", _arm, completer=lambda _: known_words("ARM"))
 
 
 def heading(name: str) -> Parameter:

@@ -8,7 +8,9 @@ from typing import Annotated
 
 from octarm.commands import kinds
 from octarm.commands.kinds import Work
+from octarm.commands.options import NOMINAL_ARM, USUAL_GAINS, ArmOptions, GainOptions
 from octarm.commands.terminal import surviving_output
+from octarm.errors import OctarmError
 
 
 def sweep(
@@ -52,6 +54,9 @@ def sweep(
       octarm sweep scripts/disturbance_sweep.toml --out runs/noise --workers 8
       octarm sweep scripts/disturbance_sweep.toml --out runs/noise --resume
     """
+    from octarm.formats import read_toml
+
+    read_toml(spec)  # raises, before anything that takes longer is imported
     from octarm.commands import sweep as work
 
     options = work.Options(
@@ -63,11 +68,12 @@ def sweep(
 
 
 def report(
-    sweep: Annotated[Path, kinds.text("SWEEP")],
+    sweep: Annotated[Path | None, kinds.text("SWEEP")] = None,
     /,
     *,
-    baseline: Annotated[str | None, kinds.CONTROLLER] = None,
-    metric: Annotated[tuple[str, ...], kinds.METRIC] = (),
+    baseline: Annotated[str | None, kinds.CALLED] = None,
+    metric: Annotated[tuple[str, ...], kinds.COLUMN] = (),
+    columns: bool = False,
     out: Annotated[Path | None, kinds.DIR] = None,
     force: bool = False,
 ) -> Work:
@@ -83,14 +89,23 @@ def report(
             one when not given
         metric: metric, or column of the table (rms_error, rms_error_theta3); rms_error,
             tip_rms_error, chattering, effort and overshoot when not given
+        columns: print instead what each column of the sweep's table means, its unit, and which
+            values are better; of any sweep without SWEEP
         out: folder to write; report in the sweep's when not given
         force: replace a report that is there
 
     Examples:
       octarm report runs/noise --baseline smc-boundary --metric tip_rms_error
+      octarm report --columns
     """
-    if (refuse := kinds.refusal(sweep, "manifest.json", "a sweep")) is not None:
+    if sweep is None and not columns:
+        raise OctarmError("octarm report needs SWEEP, folder of the sweep")
+    if sweep and (refuse := kinds.refusal(sweep, "manifest.json", "a sweep")) is not None:
         return refuse
+    if sweep is None or columns:
+        from octarm.commands import report as work
+
+        return partial(work.columns, sweep)
     kinds.check_free(force, (out or sweep / "report") / "report.html")
     from octarm.commands import report as work
 
@@ -98,25 +113,23 @@ def report(
 
 
 def margin(
-    *controllers: Annotated[str, kinds.CONTROLLER],
-    disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.SOUGHT] = (),
+    *controllers: Annotated[str, kinds.CALLED],
+    disturbance: Annotated[tuple[str, ...], kinds.VARIED, kinds.SOUGHT] = (),
     bound: Annotated[tuple[str, ...], kinds.text("METRIC:VALUE"), kinds.SOUGHT] = (),
     low: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None,
     high: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None,
     seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 16,
     share: Annotated[float, kinds.X, kinds.SOUGHT] = 0.9,
     metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.SOUGHT] = (),
-    mismatch: Annotated[float, kinds.X, kinds.RUNS] = 0.0,
+    model: ArmOptions = NOMINAL_ARM,
+    gain_options: GainOptions = USUAL_GAINS,
     reference: Annotated[str, kinds.REFERENCE, kinds.RUNS] = "sine",
-    duration: Annotated[float, kinds.S, kinds.RUNS] = 6.0,
+    duration: Annotated[float, kinds.DURATION, kinds.RUNS] = 6.0,
+    settle: Annotated[float, kinds.SETTLE, kinds.RUNS] = 2.0,
     timestep: Annotated[float | str | None, kinds.STEP, kinds.RUNS] = None,
     control_period: Annotated[float | None, kinds.S, kinds.RUNS] = None,
-    gains: Annotated[str | None, kinds.GAINS, kinds.RUNS] = None,
     seed: Annotated[int, kinds.N, kinds.RUNS] = 0,
     engine: Annotated[str | None, kinds.ENGINE, kinds.RUNS] = None,
-    arm: Annotated[str | None, kinds.ARM, kinds.RUNS] = None,
-    plant_modules: Annotated[int | None, kinds.COUNT, kinds.RUNS] = None,
-    layout: Annotated[str, kinds.LAYOUT, kinds.RUNS] = "paper",
     csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
     json: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
     force: Annotated[bool, kinds.OUTPUT] = False,
@@ -138,18 +151,16 @@ def margin(
         seeds: number of seeds
         share: share of the seeds that have to meet the bounds; 1 for all of them
         metric: what is measured as well, FILE.py:NAME or MODULE:NAME; for a bound of your own
-        mismatch: error of the nominal model
+        model: see `octarm.commands.options`
+        gain_options: likewise
         reference: the desired motion, NAME[:KEY=VALUE..], as in octarm run
         duration: length of each run [s]
+        settle: when errors and other metrics of the steady regime begin to count [s]
         timestep: physics step [s], or auto for one that suits the fastest mode of all arms
         control_period: time between control actions [s]
-        gains: gains to start from
         seed: seed of all that is random
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
             given
-        arm: the arm, a file NAME.toml or one that comes with octarm; the nominal one when not given
-        plant_modules: modules of the true arm; the model's when not given
-        layout: of that arm, paper or centred
         csv: also write the table to this file
         json: also write everything: the margins of each seed, and the coarse grid
         force: replace files that are there
@@ -161,6 +172,10 @@ def margin(
         --bound rms_error_theta1:0.02
     """
     kinds.check_free(force, csv, json)
+    for word in controllers:
+        kinds.check("CONTROLLER", word)
+    gain_options.values()  # raises
+    model.both()
     from octarm.commands import margin as work
     from octarm.simulation.engines import usual_engine
 
@@ -170,35 +185,34 @@ def margin(
         seeds=seeds,
         share=share,
         metric=metric,
-        mismatch=mismatch,
+        model=model,
+        gain_options=gain_options,
         reference=reference,
         duration=duration,
+        settle=settle,
         timestep=timestep,
         control_period=control_period,
-        gains=gains,
         seed=seed,
         engine=usual_engine() if engine is None else engine,
-        arm=arm,
-        plant_modules=plant_modules,
-        layout=layout,
     )
     job = partial(work.margin, controllers, settings, low, high, csv, json)
     return job if csv is None and json is None else surviving_output(job)
 
 
 def tune(
-    controller: Annotated[str, kinds.CONTROLLER],
+    controller: Annotated[str, kinds.CALLED],
     /,
     *,
+    reference: Annotated[str | None, kinds.REFERENCE, kinds.EXPERIMENT] = None,
+    disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = (),
+    model: ArmOptions = NOMINAL_ARM,
+    gain_options: GainOptions = USUAL_GAINS,
     out: Annotated[Path | None, kinds.file(".toml")] = None,
     budget: Annotated[float, kinds.S] = 16000.0,
     seed: Annotated[int, kinds.N] = 0,
     resume: bool = False,
     force: bool = False,
     engine: Annotated[str | None, kinds.ENGINE] = None,
-    arm: Annotated[str | None, kinds.ARM] = None,
-    plant_modules: Annotated[int | None, kinds.COUNT] = None,
-    layout: Annotated[str, kinds.LAYOUT] = "paper",
 ) -> Work:
     """Find gains for one controller.
 
@@ -212,8 +226,16 @@ def tune(
     then measured on the list EVALUATION there: desired motions, noises, faults and model errors
     that the search never saw.
 
+    A reference takes the place of those of all scenarios; disturbances and errors of the model come
+    in addition to what a scenario has. The search begins around the gains of --gains and --gain,
+    the recommended ones when not given, and compares with them.
+
     Args:
         controller: controller to tune
+        reference: the desired motion, instead of those of the scenarios
+        disturbance: NAME:VALUE[,KEY=VALUE..], what acts as well; octarm run --help lists them
+        model: see `octarm.commands.options`
+        gain_options: likewise
         out: file to write; CONTROLLER.toml when not given; the search keeps its state beside it
         budget: what the search may simulate, all arms counted [s]; 16000 s take minutes
         seed: seed of the search
@@ -221,19 +243,22 @@ def tune(
         force: replace gains that are there, and begin an interrupted search anew
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
             given
-        arm: the arm, a file NAME.toml or one that comes with octarm; the nominal one when not given
-        plant_modules: modules of the true arm; the model's when not given
-        layout: of that arm, paper or centred
 
     Examples:
       octarm tune smc-boundary --out my-gains.toml
+      octarm tune afsmc --arm eth --disturbance payload:0.05 --out eth.toml
       octarm tune smc-boundary --out my-gains.toml --resume
     """
     from octarm.declared import short_name
 
+    kinds.check("CONTROLLER", controller)
     out = out or Path(f"{short_name(controller)}.toml")
     kinds.check_free(force or resume, out)
+    gain_options.values()  # raises
+    model.both()
     from octarm.commands import tune as work
 
-    options = work.Options(out, budget, seed, resume, force, engine, arm, plant_modules, layout)
+    options = work.Options(
+        out, budget, seed, resume, force, engine, model, gain_options, reference, disturbance
+    )
     return surviving_output(partial(work.tune, controller, options))

@@ -13,10 +13,9 @@ import numpy as np
 from tqdm import tqdm
 
 from controllers import CONTROLLERS, make_controller
-from octarm.arm.file import read_arm
-from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.commands.gain_notes import print_unsuited
+from octarm.commands.options import ArmOptions, GainOptions
 from octarm.declared import Code, named, short_name
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance, spelling
 from octarm.errors import ExitCode, OctarmError
@@ -55,17 +54,15 @@ class Settings:
     seeds: int
     share: float
     metric: tuple[str, ...]
-    mismatch: float
+    model: ArmOptions
+    gain_options: GainOptions
     reference: str
     duration: float
+    settle: float
     timestep: float | str | None
     control_period: float | None
-    gains: str | None
     seed: int
     engine: str
-    arm: str | None
-    plant_modules: int | None
-    layout: str
 
     @property
     def fixed(self) -> list[str]:
@@ -89,26 +86,28 @@ class Settings:
                 f"here it is {' and '.join(varying) or 'none'}"
             )
         varied = parse_varied(varying[0], low, high)
-        if varied.name == NOMINAL and self.mismatch:
+        if varied.name == NOMINAL and self.model.mismatch:
             raise OctarmError(f"--mismatch is given, but {NOMINAL} is what varies")
         return varied
 
     def runs(self, controller: str, varied: Varied) -> MarginRuns:
         """The runs of a controller."""
         return MarginRuns(
-            factory=functools.partial(_controller, controller, self.gains),
+            factory=functools.partial(_controller, controller, self.gain_options),
             varied=varied,
             bounds=[parse_bound(text) for text in self.bound],
             disturbances=[parse_disturbance(text) for text in self.fixed],
-            mismatch=self.mismatch,
+            mismatch=self.model.mismatch,
+            nominal=self.model.factors(),
             reference=self.reference,
             duration=self.duration,
+            settle=self.settle,
             timestep=self.timestep,
             control_period=self.control_period,
             engine=self.engine,
-            parameters=nominal_parameters() if self.arm is None else read_arm(self.arm),
-            plant_modules=self.plant_modules,
-            layout=self.layout,
+            parameters=self.model.true_arm(),
+            plant_modules=self.model.plant_modules,
+            layout=self.model.layout,
             seed=self.seed,
             threads=cores(),
             catalogue=METRICS.extended(ACCUMULATORS[word] for word in self.metric),
@@ -142,9 +141,10 @@ def margin(
     varied = settings.varied(low, high)
     short, code = settings.named(controllers)
     runs = {short[word]: settings.runs(word, varied) for word in controllers}
+    _, believed = settings.model.both()
     for word in controllers:
-        believed, step = nominal_parameters(), settings.timestep
-        print_unsuited(short_name(word), settings.gains, believed, step, settings.control_period)
+        gains, step = settings.gain_options.gains, settings.timestep
+        print_unsuited(short_name(word), gains, believed, step, settings.control_period)
     runs = {name: run.rehearse(settings.seeds) for name, run in runs.items()}
     rows: list[Mapping[str, Any]] = []
     for name, run in runs.items():
@@ -160,8 +160,8 @@ def margin(
     return ExitCode.FINE
 
 
-def _controller(name: str, gain_set: str | None, nominal: ArmParameters) -> Controller:
-    return make_controller(name, nominal, gain_set=gain_set)
+def _controller(name: str, options: GainOptions, nominal: ArmParameters) -> Controller:
+    return make_controller(name, nominal, options.values(), gain_set=options.gains)
 
 
 def _search(name: str, run: MarginRuns, seeds: int) -> Brackets:
@@ -203,10 +203,14 @@ def _heading(settings: Settings, varied: Varied, reference: str) -> list[str]:
     unit = "" if varied.unit == "1" else f" [{varied.unit}]"
     bounds = " and ".join(settings.bound).replace(":", " <= ")
     around = [f"{reference}, {settings.duration:g} s"]
-    around += [f"nominal model wrong by {settings.mismatch:g}"] if settings.mismatch else []
-    around += [f"the arm {settings.arm}"] if settings.arm is not None else []
-    if settings.plant_modules is not None:
-        around += [f"a plant of {settings.plant_modules} modules, {settings.layout}"]
+    model = settings.model
+    around += [f"nominal model wrong by {model.mismatch:g}"] if model.mismatch else []
+    around += [f"of the nominal model {factor}" for factor in model.nominal]
+    around += [f"the arm {model.arm}"] if model.arm is not None else []
+    around += [*model.parameter]
+    if model.plant_modules is not None:
+        around += [f"a plant of {model.plant_modules} modules, {model.layout}"]
+    around += [f"gain {gain}" for gain in settings.gain_options.gain]
     around += [spelling(parse_disturbance(text)) for text in settings.fixed]
     seeds = f"{settings.share:.0%} of {settings.seeds} seeds"
     return [
@@ -287,9 +291,11 @@ def _report(
 ) -> dict[str, Any]:
     """Everything, for a JSON file."""
     limits = {key: getattr(varied, key) for key in ("name", "low", "high", "unit")}
+    given = dataclasses.asdict(settings)
+    given |= given.pop("model") | given.pop("gain_options")
     return {
         "varied": limits,
-        "settings": dataclasses.asdict(settings),
+        "settings": given,
         "controllers": list(rows),
         "code": {name: each.model_dump() for name, each in code.items()},
         "versions": versions(settings.engine, code),

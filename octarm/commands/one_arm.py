@@ -12,7 +12,7 @@ from octarm.commands.terminal import surviving_output
 
 
 def arm(
-    *arms: Annotated[str, kinds.ARM],
+    *arms: Annotated[str, kinds.FILE_OR_ARM],
     from_rod: Annotated[str | None, kinds.text("KEY=VALUE,.."), kinds.SOURCE] = None,
     fit_modules: Annotated[int | None, kinds.whole(1, 60), kinds.SOURCE] = None,
     layout: Annotated[str, kinds.LAYOUT, kinds.SOURCE] = "paper",
@@ -56,6 +56,8 @@ def arm(
         --control-period 0.001
     """
     kinds.check_free(force, write, out)
+    for word in arms:
+        kinds.check("ARM", word)
     from octarm.commands import arm as work
 
     loop = work.LoopOptions(controller, gains, control_period)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from octarm.commands import kinds
 from octarm.commands.kinds import Work
+from octarm.commands.options import NOMINAL_ARM, USUAL_GAINS, ArmOptions, GainOptions
 from octarm.commands.terminal import surviving_output
 
 
@@ -17,16 +18,11 @@ def run(
     reference: Annotated[str, kinds.REFERENCE, kinds.EXPERIMENT] = "sine",
     disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = (),
     metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.EXPERIMENT] = (),
-    duration: Annotated[float, kinds.S, kinds.EXPERIMENT] = 10.0,
+    duration: Annotated[float, kinds.DURATION, kinds.EXPERIMENT] = 10.0,
+    settle: Annotated[float, kinds.SETTLE, kinds.EXPERIMENT] = 2.0,
     seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
-    arm: Annotated[str | None, kinds.ARM, kinds.MODEL] = None,
-    mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0,
-    nominal: Annotated[tuple[str, ...], kinds.text("NAME:FACTOR"), kinds.MODEL] = (),
-    parameter: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.MODEL] = (),
-    plant_modules: Annotated[int | None, kinds.COUNT, kinds.MODEL] = None,
-    layout: Annotated[str, kinds.LAYOUT, kinds.MODEL] = "paper",
-    gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None,
-    gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = (),
+    model: ArmOptions = NOMINAL_ARM,
+    gain_options: GainOptions = USUAL_GAINS,
     timestep: Annotated[float | str | None, kinds.STEP, kinds.SIMULATION] = None,
     control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
     actuation: Annotated[str, kinds.ACTUATION, kinds.SIMULATION] = "f-coeff",
@@ -47,20 +43,10 @@ def run(
             below
         metric: what is measured as well, FILE.py:NAME or MODULE:NAME
         duration: length of the run [s]
+        settle: when errors and other metrics of the steady regime begin to count [s]
         seed: seed of all that is random; an undisturbed run has nothing random
-        arm: the true arm and the controller's model of it: a file NAME.toml, or an arm that comes
-            with octarm, see octarm arm --help; the nominal arm when not given
-        mismatch: error of the controller's model: mass, inertia and damping times 1 + X,
-            stiffness times 1 + X/2
-        nominal: a further factor on a parameter of the controller's model, e.g. mass:0.7
-        parameter: a parameter of the true arm and of the model, e.g. mass:0.3,0.25,0.2 [kg], or
-            input_range:-12,12 for the lowest and highest force of the columns [N]
-        plant_modules: modules of the true arm, a multiple of the model's: a chain of the same rod,
-            of which the controller knows groups; the model's modules when not given
-        layout: of such a chain: paper, or centred with hinges in the middle of elements
-        gains: those to start from, scaled by the controller's model: tuned, recommended (set by
-            hand), or a file NAME.toml of octarm tune; tuned ones when not given
-        gain: one gain in SI, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
+        model: see `octarm.commands.options`
+        gain_options: likewise
         timestep: physics step [s]; that of models/octarm.xml, 0.0005 s, when not given; auto is the
             longest part of the control period that suits the fastest mode of the arm
         control_period: time between control actions [s], whole physics steps; one step when not
@@ -100,35 +86,35 @@ def run(
     {disturbances}
     """
     kinds.check_free(force, out and out / "run.json")
+    from octarm.commands.words import named_words
+
+    gains, (true, nominal) = gain_options.values(), model.both()
     from octarm.commands import run as work
     from octarm.disturbances.spelling import parse_disturbance
     from octarm.runs.experiment import Experiment
 
-    true = work.true_arm(parameter, arm)
-    nominal_arm = true.mismatched(mismatch).scaled(**work.named_values("--nominal", nominal))
-    own_gains = work.gain_values(gain)
-
     def job() -> int:
-        names, code = work.named_words(controller, reference, disturbance, metric)
+        names, code = named_words(controller, reference, disturbance, metric)
         experiment = Experiment(
             controller=names[0],
-            gains=own_gains,
-            nominal=nominal_arm,
+            gains=gains,
+            nominal=nominal,
             parameters=true,
             reference=names[1],
             disturbances=tuple(map(parse_disturbance, disturbance)),
             seed=seed,
             duration=duration,
+            settle=settle,
             timestep=timestep,
             control_period=control_period,
             actuation=actuation,
             integrator=integrator,
             engine=engine,
-            plant_modules=plant_modules,
-            layout=layout,
+            plant_modules=model.plant_modules,
+            layout=model.layout,
             code=code,
         )
-        return work.run(experiment, gains, out, view)
+        return work.run(experiment, gain_options.gains, out, view)
 
     return surviving_output(job)
 
@@ -158,6 +144,7 @@ def replay(
       octarm replay runs/my-run --screenshot picture.png --time 4.5
     """
     kinds.check_free(force, screenshot)
+    kinds.check_runs(*(run for run in runs if not run.is_file()), sweeps=True)
     from octarm.commands import replay as work
 
     job = partial(work.replay, runs, screenshot, time, web)
@@ -184,6 +171,7 @@ def record(
       octarm record runs/my-run
     """
     kinds.check_free(force, out)
+    kinds.check_runs(run)
     from octarm.commands import redraw as work
 
     return surviving_output(partial(work.record, run, out))
@@ -208,6 +196,7 @@ def plot(
     """
     out = out or _sibling(run, "-figures")
     kinds.check_free(force, out / "tracking.png")
+    kinds.check_runs(run)
     from octarm.commands import redraw as work
 
     return surviving_output(partial(work.plot, run, out))
@@ -242,6 +231,7 @@ def video(
     """
     out = out or _sibling(run, ".mp4")
     kinds.check_free(force, out)
+    kinds.check_runs(run)
     from octarm.recordings.video import choose_renderer
 
     choose_renderer()  # before anything imports MuJoCo

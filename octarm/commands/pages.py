@@ -87,7 +87,8 @@ def commands(app: App) -> list[str]:
 
 def arguments_of(app: App, name: str) -> list[Argument]:
     """The options and operands of a command, with their help."""
-    return list(app[name].assemble_argument_collection(parse_docstring=True))
+    collection = app[name].assemble_argument_collection(parse_docstring=True)
+    return [a for a in collection if a.name != "*"]  # a table of options is none itself
 
 
 def is_operand(argument: Argument) -> bool:

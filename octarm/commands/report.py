@@ -17,7 +17,9 @@ from octarm.reports.figures import Picture
 from octarm.reports.frame import read_episodes
 from octarm.reports.page import Source, page
 from octarm.sweeps.manifest import open_sweep
-from octarm.sweeps.store import SPEC
+from octarm.sweeps.shards import schema
+from octarm.sweeps.spec_file import parse_spec
+from octarm.sweeps.store import SPEC, metadata_of
 
 PAGE = "report.html"
 FIGURES = "figures"
@@ -41,6 +43,22 @@ def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Pat
     _write(folder, page(numbers, remarked, drawn, source), files, drawn)
     _print_summary(numbers, remarked)
     print(f"wrote {printable(str(folder / PAGE))}")
+    return ExitCode.FINE
+
+
+def columns(sweep: Path | None) -> int:
+    """`octarm report --columns`: what the columns of a table mean, a row each."""
+    spec = parse_spec('controller = "smc"') if sweep is None else open_sweep(sweep)[0].spec
+    rows = [("column", "unit", "better", "meaning")]
+    for field in schema(spec):
+        said = {key.decode(): text.decode() for key, text in metadata_of(field).items()}
+        of = f" of {said['of']}" if said.get("of") else ""
+        text = f"{said['text']}{of and f',{of}'}"
+        rows.append((field.name, said.get("unit", ""), said.get("better", ""), text))
+    widths = [max(len(row[i]) for row in rows) for i in range(3)]
+    for row in rows:
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=False))
+        print(printable("  ".join([*cells, row[3]])))
     return ExitCode.FINE
 
 

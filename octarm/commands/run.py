@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import datetime
 import functools
 import itertools
@@ -12,25 +11,18 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
 from dm_control.rl import control
 from tqdm import tqdm
 
-from controllers import CONTROLLERS, make_controller
-from octarm.arm.file import read_arm
-from octarm.arm.mjcf import nominal_parameters
+from controllers import make_controller
 from octarm.arm.modes import growth_rate
-from octarm.arm.parameters import ArmParameters
 from octarm.commands.gain_notes import print_unsuited
 from octarm.commands.summary import Swing, summary
-from octarm.declared import Code, named, short_name, word_of
+from octarm.declared import short_name, word_of
 from octarm.disturbances.episode import Disturbance
-from octarm.disturbances.spelling import DISTURBANCES
-from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
-from octarm.metrics.declared import ACCUMULATORS
+from octarm.errors import ExitCode, OctarmError, printable
+from octarm.metrics.metric import unsettled
 from octarm.recordings.recording import run_recording
-from octarm.references import REFERENCES
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
@@ -47,7 +39,11 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
     label = short_name(word_of(experiment.controller, experiment.code))
     far = print_unsuited(label, gain_set, experiment.nominal, None, period)
     periods = whole_periods(experiment.duration, period)
-    for sentence in late_events(experiment.disturbances, experiment.duration):
+    early = unsettled(experiment.duration, experiment.settle)
+    for sentence in (
+        *late_events(experiment.disturbances, experiment.duration),
+        *([early] if early else []),
+    ):
         print(f"octarm: {sentence}", file=sys.stderr)
     out = out or _dated_folder(experiment.controller)
     started, swing = time.perf_counter(), Swing()
@@ -78,27 +74,6 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
     return ExitCode.FINE
 
 
-def named_words(
-    controller: str, reference: str, disturbances: Sequence[str], metrics: Sequence[str]
-) -> tuple[list[str], dict[str, Code]]:
-    """The names of what an experiment is made of, given the words of the command line.
-
-    Those of the controller, the reference, the disturbances and the metrics, and the code of what
-    is not built in.
-
-    Raises:
-        OctarmError: for a word that means nothing.
-    """
-    return named(
-        [
-            (CONTROLLERS, controller),
-            (REFERENCES, reference),
-            *((DISTURBANCES, DISTURBANCES.split(text).word) for text in disturbances),
-            *((ACCUMULATORS, word) for word in metrics),
-        ]
-    )
-
-
 def late_events(disturbances: Sequence[Disturbance], duration: float) -> Iterator[str]:
     """What begins after a run of this duration [s], a sentence each."""
     for disturbance in disturbances:
@@ -108,69 +83,6 @@ def late_events(disturbances: Sequence[Disturbance], duration: float) -> Iterato
                     f"{event.text} begins at {event.at:g} s, and the run ends at {duration:g} s "
                     "before it"
                 )
-
-
-def true_arm(changes: Sequence[str], arm: str | None = None) -> ArmParameters:
-    """The nominal arm, or that of a file, with other parameters, each spelt NAME:VALUES.
-
-    Raises:
-        OctarmError: if there is no such arm or parameter, or values are not allowed.
-    """
-    values = named_values("--parameter", changes)
-    known = [field.name for field in dataclasses.fields(ArmParameters)]
-    for name in values:
-        if name not in known:
-            raise OctarmError(f"unknown parameter {quoted(name)}{closest(name, known)}")
-    nominal = nominal_parameters() if arm is None else read_arm(arm)
-    try:
-        return dataclasses.replace(nominal, **values)
-    except OctarmError:
-        given = np.size(values.get("mass", nominal.mass))
-        if given != nominal.modules:  # all others would be blamed for the number of modules
-            raise OctarmError(
-                f"mass has {given} values; the other parameters need one for each of "
-                f"{nominal.modules} modules, or as many new values"
-            ) from None
-        raise
-
-
-def gain_values(items: Sequence[str]) -> dict[str, npt.ArrayLike]:
-    """Gains by name, of shape () or (k,), each spelt NAME:VALUES.
-
-    Raises:
-        OctarmError: if an item does not read so.
-    """
-    gains = named_values("--gain", items)
-    for item, value in zip(items, gains.values(), strict=True):
-        if np.ndim(value) > 1:
-            raise OctarmError(
-                f"--gain is {quoted(item)}; a gain is one number, or one a coordinate"
-            )
-    return gains
-
-
-def named_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
-    """Parses NAME:VALUES items to numbers or arrays of shape (k,) or (rows, k).
-
-    Values are separated by `,`, rows by `;`.
-
-    Raises:
-        OctarmError: if an item has no name, or its values are not numbers.
-    """
-    values: dict[str, npt.ArrayLike] = {}
-    for item in items:
-        name, _, text = item.partition(":")
-        if name in values:
-            raise OctarmError(f"{option} gives {name} twice")
-        try:
-            table = np.array([[float(x) for x in row.split(",")] for row in text.split(";")])
-        except ValueError:
-            raise OctarmError(
-                f"{option} is {quoted(item)}; it must read NAME:NUMBER, NAME:A,B,C or NAME:A,B;C,D"
-            ) from None
-        row = table[0] if len(table) == 1 else table
-        values[name] = row[0] if row.shape == (1,) else row
-    return values
 
 
 def _advice(far: str, environment: control.Environment) -> str:

@@ -11,7 +11,8 @@ from octarm.declared import BUILT_IN, Code
 from octarm.disturbances.ledger import in_words
 from octarm.interfaces import Rows
 from octarm.metrics.declared import declared_metrics
-from octarm.metrics.table import METRICS, SETTLED_AFTER
+from octarm.metrics.metric import SETTLED_AFTER
+from octarm.metrics.table import METRICS
 
 _HEADINGS = ("rms", "peak", "rms/amplitude", "overshoot", "chattering", "reached s=0")
 
@@ -62,16 +63,20 @@ def summary(
         lines += ["disturbances, as delivered", *in_words(description["disturbances"], code)]
     metrics = description["metrics"]
     if None not in metrics["rms_error"]:
-        lines += _table(amplitude, description["coordinates"], metrics)
+        settle = description.get("settle", SETTLED_AFTER)
+        lines += _table(amplitude, description["coordinates"], metrics, settle)
     return "\n".join([*lines, *_others(code, metrics)])
 
 
 def _table(
-    amplitude: np.ndarray, coordinates: Sequence[Mapping[str, str]], metrics: Mapping[str, Any]
+    amplitude: np.ndarray,
+    coordinates: Sequence[Mapping[str, str]],
+    metrics: Mapping[str, Any],
+    settle: float,
 ) -> list[str]:
     width = [10, 11, 15, 11, 14, 13]
     head = "".join(f"{h:>{w}}" for h, w in zip(_HEADINGS, width, strict=True))
-    lines = [f"after {SETTLED_AFTER:g} s".ljust(13) + head.rstrip()]
+    lines = [f"after {settle:g} s".ljust(13) + head.rstrip()]
     for j, coordinate in enumerate(coordinates):
         name, unit = coordinate["name"], coordinate["unit"]
         force = METRICS["chattering"].unit_for(unit)

@@ -19,6 +19,7 @@ from octarm.declared import short_name, word_of
 from octarm.errors import ExitCode, OctarmError, printable, sentence_of
 from octarm.formats import read_toml
 from octarm.memory import check_batch
+from octarm.metrics.metric import unsettled
 from octarm.simulation.engines import LAGRANGE, check_engine
 from octarm.simulation.steps import AUTO
 from octarm.sweeps import engine_check
@@ -124,6 +125,8 @@ def _checked_spec(options: Options) -> SweepSpec:
                 spec.controller(name, arm, make_controller)
                 label = short_name(word_of(name, spec.code))
                 print_unsuited(label, gains, arm, spec.timestep, period)
+    if early := unsettled(spec.duration, spec.settle, "settle ="):
+        print(f"octarm: {early}", file=sys.stderr)
     plan = Plan(spec)
     for episode in spec.record:
         if isinstance(episode, int):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import functools
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,14 @@ from tqdm import tqdm
 
 from controllers import CONTROLLERS, make_controller
 from controllers.gain_sets import GainSet, shortest
-from octarm.arm.file import read_arm
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
+from octarm.commands.options import NOMINAL_ARM, USUAL_GAINS, ArmOptions, GainOptions
 from octarm.declared import Code, lacking, short_name
+from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_text
+from octarm.interfaces import Tunable
 from octarm.simulation.engines import usual_engine
 from octarm.sweeps.scenarios import Scenario
 from octarm.sweeps.tune import Budget, SearchState, Space, StateFile, Tuned, settings, versions
@@ -38,26 +39,50 @@ class Options:
     resume: bool
     force: bool
     engine: str | None
-    arm: str | None
-    plant_modules: int | None
-    layout: str
+    model: ArmOptions = NOMINAL_ARM
+    gains: GainOptions = USUAL_GAINS
+    reference: str | None = None
+    disturbances: tuple[str, ...] = ()
 
     @property
     def rig(self) -> Rig:
         """What gains are tried on."""
-        engine = usual_engine() if self.engine is None else self.engine
-        arm = None if self.arm is None else read_arm(self.arm)
-        return Rig(engine, self.plant_modules, self.layout, arm)
+        engine, model = usual_engine() if self.engine is None else self.engine, self.model
+        given = model.arm is not None or model.parameter
+        return Rig(
+            engine,
+            model.plant_modules,
+            model.layout,
+            model.true_arm() if given else None,
+            self.reference,
+            tuple(map(parse_disturbance, self.disturbances)),
+            model.mismatch,
+            model.factors(),
+        )
+
+    @property
+    def start(self) -> str:
+        """What the gains are called that the search begins around."""
+        return "recommended" if self.gains == USUAL_GAINS else "start"
+
+    def factory(self, controller: str) -> Callable[..., Tunable]:
+        """What makes a controller from its nominal model and gains, those not given as at first."""
+        begun = self.gains.values()
+
+        def make(nominal: Any, gains: Mapping[str, Any]) -> Tunable:
+            gain_set = self.gains.gains or "recommended"
+            return make_controller(controller, nominal, {**begun, **gains}, gain_set=gain_set)
+
+        return make
 
     def command(self, controller: str) -> str:
         """The command line that finds the same gains."""
         words = ["octarm", "tune", controller, "--budget", f"{self.seconds:g}"]
         words += ["--seed", str(self.seed)]
         words += ["--engine", self.engine] if self.engine is not None else []
-        words += ["--arm", self.arm] if self.arm is not None else []
-        if self.plant_modules is not None:
-            words += ["--plant-modules", str(self.plant_modules), "--layout", self.layout]
-        return shlex.join(words)
+        words += ["--reference", self.reference] if self.reference is not None else []
+        words += [f"--disturbance={each}" for each in self.disturbances]
+        return shlex.join([*words, *self.model.command(), *self.gains.command()])
 
 
 def tune(controller: str, options: Options) -> int:
@@ -76,9 +101,9 @@ def tune(controller: str, options: Options) -> int:
         **rig.settings(),
     }
     name, code = short_name(controller), CONTROLLERS.code(controller)
-    write_text(out, gain_set(name, rig.arm(), origin, budget, tuned, code).to_toml())
+    write_text(out, gain_set(name, rig.arm(), origin, budget, tuned, code, options.start).to_toml())
     state_file(out).unlink(missing_ok=True)
-    _print_summary(name, budget, tuned)
+    _print_summary(name, budget, tuned, options.start)
     print(f"wrote {printable(str(out))}")
     gains, word = (printable(shlex.quote(str(each))) for each in (out, controller))
     print(f"try it: octarm run --controller {word} --gains {gains}")
@@ -88,9 +113,8 @@ def tune(controller: str, options: Options) -> int:
 def _search(controller: str, budget: Budget, options: Options) -> Tuned:
     """The search, with a bar on its progress and its state on disk."""
     out, resume = options.out, options.resume
-    factory = functools.partial(make_controller, controller, gain_set="recommended")
-    nominal = options.rig.arm()
-    space = Space(factory(nominal), nominal.modules)
+    factory, nominal = options.factory(controller), options.rig.arm()
+    space = Space(factory(nominal, {}), nominal.modules)
     depends_on = settings(controller, space, budget, options.seed, options.rig)
     code = CONTROLLERS.code(controller)
     depends_on |= {} if code is None else {"code": code.sha256}
@@ -148,15 +172,20 @@ def gain_set(
     budget: Budget,
     tuned: Tuned,
     code: Code | None = None,
+    start: str = "recommended",
 ) -> GainSet:
-    """The result, with all that is needed to find it again; `code` if it is not built in."""
+    """The result, with all that is needed to find it again.
+
+    `code` is where a controller comes from that is not built in, `start` what the gains are called
+    that the search began around.
+    """
     tuning = {
         **origin,
         "candidates": budget.generations * budget.population,
         "simulated_seconds": budget.seconds,
         "objective": FORMULA,
         "selection": f"the best of the last generation's best {budget.finalists} and the "
-        "recommended gains in the long trial",
+        f"{start} gains in the long trial",
         "at_bounds": tuned.at_bounds,
     }
     return GainSet.model_validate(
@@ -167,9 +196,9 @@ def gain_set(
             "tuning": tuning,
             **({} if code is None else {"code": code.model_dump()}),
             "versions": versions(),
-            "search": _outcome(budget.short, tuned.short, tuned.short_by_hand),
-            "long_trial": _outcome(budget.long, tuned.long, tuned.long_by_hand),
-            "evaluation": _outcome(budget.unseen, tuned.unseen, tuned.unseen_by_hand),
+            "search": _outcome(budget.short, tuned.short, tuned.short_by_hand, start),
+            "long_trial": _outcome(budget.long, tuned.long, tuned.long_by_hand, start),
+            "evaluation": _outcome(budget.unseen, tuned.unseen, tuned.unseen_by_hand, start),
         }
     )
 
@@ -182,29 +211,31 @@ def _described(arm: ArmParameters, budget: Budget) -> dict[str, float]:
     return {name: float(f"{float(x):.4g}") for name, x in numbers.items()}
 
 
-def _outcome(examination: Examination, tuned: np.ndarray, by_hand: np.ndarray) -> dict[str, Any]:
+def _outcome(
+    examination: Examination, tuned: np.ndarray, by_hand: np.ndarray, start: str
+) -> dict[str, Any]:
     """What the gains cost, in all and in each scenario."""
     rows = [
-        {**_unusual(scenario), "cost": cost, "recommended": other}
+        {**_unusual(scenario), "cost": cost, start: other}
         for scenario, cost, other in zip(
             examination.scenarios, tuned.tolist(), by_hand.tolist(), strict=True
         )
     ]
     return {
         "cost": examination.mean(tuned).item(),
-        "recommended": examination.mean(by_hand).item(),
+        start: examination.mean(by_hand).item(),
         "measured_from": examination.begin,
         "duration": examination.duration,
         "scenarios": rows,
     }
 
 
-def _print_summary(controller: str, budget: Budget, tuned: Tuned) -> None:
+def _print_summary(controller: str, budget: Budget, tuned: Tuned, start: str) -> None:
     print(
         f"{controller}: {budget.generations * budget.population} candidates, "
         f"{budget.seconds:.0f} simulated s"
     )
-    print("  cost                     tuned  recommended")
+    print(f"  cost                     tuned  {start:>11}")
     for name, trial, cost, other in (
         ("search", budget.short, tuned.short, tuned.short_by_hand),
         ("long trial", budget.long, tuned.long, tuned.long_by_hand),

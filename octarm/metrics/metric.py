@@ -14,8 +14,8 @@ import numpy.typing as npt
 from octarm.errors import OctarmError
 from octarm.interfaces import Rows
 
-SETTLED_AFTER = 2.0  # [s]; the steady regime is the rest of the run
-STEADY = f"after {SETTLED_AFTER:g} s"
+SETTLED_AFTER = 2.0  # [s]; the steady regime is the rest of the run, unless another one is given
+STEADY = "in the steady regime"
 
 POSITION, FORCE = ("m", "rad"), ("N", "N m")  # units of what slides and bends have
 
@@ -57,6 +57,11 @@ class Metric(NamedTuple):
         """1 when less is better, -1 when more is, 0 when neither."""
         return {"less": 1, "more": -1, "neither": 0}[self.better]
 
+    @property
+    def direction(self) -> str:
+        """Which values are better, in words."""
+        return "nearer to zero" if self.zero_best else self.better
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Settings:
@@ -71,10 +76,11 @@ class Settings:
         band: |q - q_d| within it counts as settled, broadcasts to (..., 2N) [m], [rad]; if None,
             `SLIDE_BAND` of slides and `BEND_BAND` of bends.
         corner: of the high-pass filter of `chattering` [Hz].
+        settle: when the steady regime begins [s].
 
     Raises:
         OctarmError: if the input range does not hold 0, or another one of them is not finite and
-            positive (layer: negative).
+            positive (layer, settle: negative).
     """
 
     control_period: float
@@ -83,6 +89,7 @@ class Settings:
     layer: npt.ArrayLike | None = None
     band: npt.ArrayLike | None = None
     corner: float = CORNER
+    settle: float = SETTLED_AFTER
 
     def __post_init__(self) -> None:
         for bound, sign in zip(self.input_range, (-1.0, 1.0), strict=True):
@@ -92,9 +99,9 @@ class Settings:
             if name in ("input_range", "steps"):
                 continue
             array = np.asarray(1.0 if value is None else value, dtype=np.float64)
-            least = 0.0 if name == "layer" else np.finfo(float).tiny
+            least = 0.0 if name in ("layer", "settle") else np.finfo(float).tiny
             if not np.all(good := (array >= least) & np.isfinite(array)):
-                allowed = "at least 0" if name == "layer" else "above 0"
+                allowed = "above 0" if least else "at least 0"
                 bad = f"{name.replace('_', ' ')} holds {array[~good].flat[0]:g}"
                 raise OctarmError(f"{bad}; it must be {allowed} and finite")
 
@@ -107,6 +114,17 @@ class Settings:
         """The settling band, broadcasts to (..., coordinates) [m], [rad]."""
         default = np.repeat([SLIDE_BAND, BEND_BAND], coordinates // 2)
         return default if self.band is None else self.band
+
+
+def unsettled(duration: float, settle: float, option: str = "--settle") -> str:
+    """Why a run of this length [s] has few metrics, and what to do; empty if it has them all."""
+    if duration > settle:
+        return ""
+    return (
+        f"errors, chattering and what else is measured {STEADY} count from {settle:g} s on, and "
+        f"{duration:g} s is too short to have them; {option} {0.2 * duration:.3g} lets them begin "
+        "earlier"
+    )
 
 
 class Accumulator(abc.ABC):

@@ -82,6 +82,7 @@ class Metrics:
         layer: npt.ArrayLike | None = None,
         band: npt.ArrayLike | None = None,
         corner: float = CORNER,
+        settle: float = SETTLED_AFTER,
         actuation: Actuation | None = None,
         catalogue: Catalogue = METRICS,
     ) -> None:
@@ -92,7 +93,7 @@ class Metrics:
         """
         self._settings = Settings(
             control_period=control_period, input_range=input_range, layer=layer, band=band,
-            corner=corner,
+            corner=corner, settle=settle,
         )  # fmt: skip
         self._actuation = actuation
         self._catalogue = catalogue
@@ -138,7 +139,7 @@ class Metrics:
     def _take(self, rows: Rows, accumulators: Sequence[Accumulator]) -> None:
         """Hands rows, whose `received` is that of one step, to accumulators, a few at a time."""
         most = max(1, _NUMBERS_A_PART // rows["q"][0].size)
-        settled, count = int(np.searchsorted(rows["t"], SETTLED_AFTER)), len(rows["t"])
+        settled, count = int(np.searchsorted(rows["t"], self._settings.settle)), len(rows["t"])
         starts = [*range(0, settled, most), *range(settled, count, most)]
         with np.errstate(all="ignore"):  # a diverged arm may hold anything
             for start, end in itertools.pairwise([*starts, count]):
@@ -230,6 +231,7 @@ class Column(NamedTuple):
         name: of the column: `rms_error_theta1`, `effort_tau2`, `tip_rms_error`.
         of: the coordinate or input whose number it holds; empty for the arm.
         place: of that number along the last axis of the metric.
+        declared: the declaration of the metric.
     """
 
     name: str
@@ -237,11 +239,21 @@ class Column(NamedTuple):
     of: str
     place: int
     unit: str
+    declared: Metric
 
     @property
     def metadata(self) -> dict[str, str]:
         """What a table's schema says of the column, so that nobody has to parse its name."""
         return {"metric": self.metric, "of": self.of, "unit": self.unit}
+
+    @property
+    def description(self) -> dict[str, str]:
+        """What a table's schema says of it, with its meaning and which values are better."""
+        return {
+            **self.metadata,
+            "text": self.declared.text,
+            "better": self.declared.direction,
+        }
 
 
 def columns(
@@ -257,5 +269,5 @@ def columns(
         parts = {"coordinate": coordinates, "input": inputs, "arm": [""]}[metric.of]
         for place, part in enumerate(parts):
             unit = metric.unit_for(units[place] if metric.of == "coordinate" else "m")
-            held.append(Column(f"{name}_{part}" if part else name, name, part, place, unit))
+            held.append(Column(f"{name}_{part}" if part else name, name, part, place, unit, metric))
     return held

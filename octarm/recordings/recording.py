@@ -187,7 +187,7 @@ class RunRecording:
             if self._count >= self._next_picture:  # what a killed run leaves has one too
                 self._next_picture = 4 * self._count
                 self._draw_rules()
-            self._stream.flush(timeout_sec=60.0)  # bounds the memory that waits; raises errors
+            self._stream.flush(timeout_sec=3600.0)  # bounds the memory that waits; raises errors
 
     def add_all(self, run: Trajectory) -> None:
         """Records a whole run block by block; raises what `add` does."""

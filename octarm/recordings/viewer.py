@@ -27,12 +27,13 @@ from typing import IO, TYPE_CHECKING
 
 import psutil
 
-from octarm.errors import FileError, OctarmError
+from octarm.errors import FileError, OctarmError, TooSlow
 from octarm.files import whole_file
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
+PATIENCE = 60.0  # [s] for which the viewer may do nothing
 _NOWHERE = "http://127.0.0.1:9"
 _PASSED_ON = ("Content-Type", "Content-Encoding", "Cache-Control", "ETag")
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
@@ -71,7 +72,7 @@ def serve(paths: Iterable[Name], ready: Callable[[str], object]) -> None:
         while True:
             with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
                 break
-            viewer.pause(30.0)
+            viewer.pause(PATIENCE)
         query = urllib.parse.urlencode({"url": viewer.url})
         data_port = urllib.parse.urlsplit(viewer.url.removeprefix("rerun+")).port or 0
         with _guarded_page(port, data_port) as page, contextlib.suppress(KeyboardInterrupt):
@@ -87,7 +88,7 @@ def screenshot(
     others: Iterable[Name] = (),
     time: float | None = None,
     size: tuple[int, int] = (1600, 900),
-    timeout: float = 60.0,
+    timeout: float | None = None,
 ) -> None:
     """Draws what the viewer shows of a recording into a PNG, whole or not at all.
 
@@ -99,22 +100,27 @@ def screenshot(
         others: further recordings that are open; see `listed`.
         time: instant to show [s]; the first one if None.
         size: width and height [pixel].
-        timeout: for how long the viewer may do nothing, see `_Viewer.pause` [s].
+        timeout: for how long the viewer may do nothing, see `_Viewer.pause` [s]; `PATIENCE` if
+            None.
 
     Raises:
         OctarmError: if the recording is missing, or it cannot be drawn on this machine.
+        TooSlow: if the viewer gets nowhere.
         OSError: if the picture cannot be written.
     """
     files = [_existing(path) for path in (*others, recording)]
     window = ["--headless", "--window-size", f"{size[0]}x{size[1]}"]
+    timeout = PATIENCE if timeout is None else timeout
     with whole_file(png) as part, _running([*window, *files]) as viewer:
         try:
             while (client := viewer.client(time)) is None:
                 viewer.pause(timeout)
-            before, picture = b"", client.take_screenshot()
+            before, picture = b"", viewer.picture(client)
             while not picture or picture != before:  # plots glide to their ranges at first
                 viewer.pause(timeout)
-                before, picture = picture, client.take_screenshot()
+                before, picture = picture, viewer.picture(client)
+        except TooSlow:
+            raise
         except (OctarmError, OSError, RuntimeError) as error:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 viewer.process.wait(1.0)  # a viewer that is ending may not be gone yet
@@ -163,7 +169,7 @@ class _Viewer:
 
     def __init__(self, process: subprocess.Popen[bytes], url: str, errors: IO[bytes]) -> None:
         self.process, self.url, self._errors = process, url, errors
-        self._worked, self._since = -1.0, clock.monotonic()
+        self._worked, self._since, self._late = -1.0, clock.monotonic(), ""
 
     def pause(self, patience: float) -> None:
         """Waits a moment for the viewer to get on, if it has not ended and patience [s] lasts.
@@ -180,7 +186,10 @@ class _Viewer:
             if used.user + used.system > self._worked:
                 self._worked, self._since = used.user + used.system, clock.monotonic()
         if clock.monotonic() - self._since > patience or self._worked > 2.0 * patience:
-            raise OctarmError(f"the rerun viewer got nowhere within {patience:g} s")
+            raise TooSlow(
+                f"the rerun viewer got nowhere within {patience:g} s{self._late}; on a machine "
+                "that is less busy it may"
+            )
 
     def failure(self) -> OctarmError:
         """One sentence on why the viewer ended."""
@@ -195,15 +204,26 @@ class _Viewer:
         reason = lines[-1].strip() if lines else "it gave no reason"
         return OctarmError(f"the rerun viewer failed: {reason}")
 
+    def picture(self, client: ViewerClient) -> bytes:
+        """What the viewer shows, as PNG; empty if it does not answer in the time that it has."""
+        try:
+            return client.take_screenshot()
+        except (ConnectionError, RuntimeError) as error:
+            self._late = f" ({' '.join(str(error).split())})"
+            return b""
+
     def client(self, time: float | None) -> ViewerClient | None:
         """A client once the recording is loaded, at the time asked for."""
         from rerun.experimental import ViewerClient  # the import takes half a second
 
         try:
-            client = ViewerClient(self.url)
-            state = client.get_state()
-        except (ConnectionError, RuntimeError):  # not up yet
+            return self._loaded(ViewerClient(self.url), time)
+        except (ConnectionError, RuntimeError):  # not up yet, or busy
             return None
+
+    @staticmethod
+    def _loaded(client: ViewerClient, time: float | None) -> ViewerClient | None:
+        state = client.get_state()
         errors = [entry.message for entry in client.get_logs() if entry.level == "ERROR"]
         if errors:
             raise OctarmError(f"the rerun viewer says: {errors[0].splitlines()[0]}")

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from octarm.metrics.metric import SETTLED_AFTER, unsettled
 from octarm.reports.comparisons import partners
 from octarm.reports.factors import Factor
 from octarm.reports.frame import Episodes
@@ -47,7 +48,10 @@ def _unfinished(episodes: Episodes) -> Iterator[Remark]:
             yield Remark(True, f"No episode of {name} is finished.")
     if episodes.absent:
         names = ", ".join(episodes.absent)
-        yield Remark(False, f"No {episodes.with_values} has a value of {names}: left out.")
+        spec = episodes.manifest["spec"]
+        why = unsettled(spec["duration"], spec.get("settle", SETTLED_AFTER), "settle =")
+        left_out = f"No {episodes.with_values} has a value of {names}: left out"
+        yield Remark(False, f"{left_out}{why and f', since {why}'}.")
 
 
 def _versions(episodes: Episodes) -> Iterator[Remark]:

@@ -17,7 +17,7 @@ from octarm.arrays import coordinate_names
 from octarm.declared import Code
 from octarm.errors import OctarmError, closest, printable, quoted
 from octarm.metrics.declared import declared_metrics
-from octarm.metrics.metric import SETTLED_AFTER, Metric
+from octarm.metrics.metric import Metric, unsettled
 from octarm.references import is_built_in, named_reference
 from octarm.reports.factors import LONGEST, Factor, factors_of, places
 from octarm.sweeps import engine_check
@@ -169,11 +169,8 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
             raise OctarmError(
                 f"all finished episodes of {folder} diverged; there is nothing to report of them"
             )
-        why = (
-            f"they last {spec['duration']:g} s, and most metrics count from {SETTLED_AFTER:g} s on"
-        )
-        if spec["duration"] > SETTLED_AFTER:
-            why = "its controllers do not have it, or all episodes diverged of those that have it"
+        why = "its controllers do not have it, or all episodes diverged of those that have it"
+        why = unsettled(plan.spec.duration, plan.spec.settle, "settle =") or why
         raise OctarmError(
             f"{folder} has no value of {', '.join(absent)} in any finished episode; {why}"
         )
@@ -309,11 +306,11 @@ def _suspects(
 ) -> tuple[np.ndarray, np.ndarray]:
     """`Episodes.lost` and `Episodes.exact`, given the columns of `rms_error`."""
     lost, exact = np.zeros((2, len(held["reference"])), dtype=bool)
-    if not spec.duration > SETTLED_AFTER:
+    if not spec.duration > spec.settle:
         return lost, exact
     names = [column.of for column in errors]
     for (reference, arm), hanging in _hanging_errors(
-        spec, names, SETTLED_AFTER, spec.duration
+        spec, names, spec.settle, spec.duration
     ).items():
         here = held["reference"] == reference
         if arm:

@@ -108,7 +108,7 @@ def page(
             source=source,
             seeds=len(np.unique(comparisons.episodes.seed)),
             fewest=FEWEST,
-            settled_after=f"{SETTLED_AFTER:g}",
+            settled_after=f"{manifest['spec'].get('settle', SETTLED_AFTER):g}",
             machines="; ".join(dict.fromkeys(machines)),
             gains="\n".join(gains),
         )
@@ -176,7 +176,7 @@ class Tables:
         head = [Cell(text, kind="left") for text in ("metric", "meaning", "unit", "better")]
         rows: list[list[Cell]] = []
         for m in self._measures:
-            better = "nearer to zero" if m.declared.zero_best else m.declared.better
+            better = m.declared.direction
             texts = {m.name: "left", m.text: "wide", m.unit: "left", better: "left"}
             rows.append([Cell(text, kind=kind) for text, kind in texts.items()])
         return Table(head, rows, len(rows))

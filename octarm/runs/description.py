@@ -9,6 +9,7 @@ from pydantic import Field, FiniteFloat
 from octarm.declared import Code
 from octarm.disturbances.ledger import Drawn
 from octarm.formats import Array, Model
+from octarm.metrics.metric import SETTLED_AFTER
 
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 _Numbers = float | None | Array[float | None]  # what is not finite is null
@@ -52,6 +53,7 @@ class Description(_Table):
     reference: _Named
     code: dict[str, Code] = Field(default_factory=dict)
     plant: Plant | None = None
+    settle: Annotated[FiniteFloat, Field(ge=0.0)] = SETTLED_AFTER  # where it is not the usual one
     spawn_key: Array[Annotated[int, Field(ge=0, lt=2**32)]] = ()
     status: Literal["running", "ok", "diverged", "interrupted"]
     coordinates: Array[_Coordinate] = ()

@@ -25,6 +25,7 @@ from octarm.formats import Document
 from octarm.interfaces import Controller, ControllerFactory, Rows
 from octarm.interrupts import ignored_interrupts
 from octarm.metrics.declared import measured as measured_by
+from octarm.metrics.metric import SETTLED_AFTER
 from octarm.metrics.table import Metrics, as_json
 from octarm.references import REFERENCES, recorded_word
 from octarm.runs import folder as runs
@@ -41,7 +42,7 @@ from octarm.simulation.trajectory import Ending, Trajectory, joined
 
 _AS_THEY_ARE = {
     "seed", "spawn_key", "duration", "timestep", "control_period", "actuation", "integrator",
-    "engine",
+    "engine", "settle",
 }  # fmt: skip
 
 
@@ -73,6 +74,7 @@ class Experiment:
         parameters: the true arm.
         spawn_key: of the `SeedSequence` that has this seed; empty but for episodes of sweeps.
         duration: of the run [s].
+        settle: when metrics of the steady regime begin [s].
         code: what is not built in by name, and metrics that are measured as well.
     """
 
@@ -85,6 +87,7 @@ class Experiment:
     seed: int = 0
     spawn_key: tuple[int, ...] = ()
     duration: float
+    settle: float = SETTLED_AFTER
     timestep: float | str | None = None
     control_period: float | None = None
     actuation: str = "f-coeff"
@@ -143,6 +146,7 @@ class Experiment:
             "actuation": self.actuation,
             "integrator": self.integrator,
             "engine": self.engine,
+            **({} if self.settle == SETTLED_AFTER else {"settle": self.settle}),
             **self._plant(physics.groups),
             "metrics": {},
             "status": runs.RUNNING,
@@ -302,6 +306,7 @@ def _perform(
                 control_period=environment.control_timestep(),
                 input_range=physics.reachable_inputs(),
                 layer=recorder.layer,
+                settle=announced.get("settle", SETTLED_AFTER),
                 actuation=physics.actuation,
                 catalogue=catalogue,
             )

@@ -68,6 +68,7 @@ class FinishedSweep:
             seed=spec.seed,
             spawn_key=tuple(seed.spawn_key),
             duration=spec.duration,
+            settle=spec.settle,
             timestep=spec.timestep,
             control_period=spec.control_period,
             actuation=spec.actuation,

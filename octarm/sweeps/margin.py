@@ -11,10 +11,11 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from dm_control.rl import control
 from scipy.stats import binom
 
@@ -26,6 +27,7 @@ from octarm.disturbances.spelling import DISTURBANCES, first_field, parse_distur
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Controller, ControllerFactory
 from octarm.memory import check_batch
+from octarm.metrics.metric import SETTLED_AFTER, unsettled
 from octarm.metrics.table import METRICS, Catalogue
 from octarm.simulation.engines import usual_engine
 from octarm.simulation.environment import load
@@ -273,8 +275,10 @@ class MarginRuns:
         bounds: metrics, and what their absolute values may be at most, all of them.
         disturbances: what acts in addition.
         mismatch: of the controller's nominal model [1].
+        nominal: further factors on parameters of that model, by name [1].
         duration: of a run [s].
-        parameters: the true arm, and the controller's model of it but for the mismatch.
+        settle: when metrics of the steady regime begin [s].
+        parameters: the true arm, and the controller's model of it but for its errors.
         progress: called with the seconds that were simulated since the last call, all arms counted.
     """
 
@@ -283,8 +287,10 @@ class MarginRuns:
     bounds: Sequence[tuple[str, float]]
     disturbances: Sequence[Disturbance] = ()
     mismatch: float = 0.0
+    nominal: Mapping[str, npt.ArrayLike] = dataclasses.field(default_factory=dict[str, float])
     reference: str = "sine"
     duration: float = 6.0
+    settle: float = SETTLED_AFTER
     timestep: float | str | None = None
     control_period: float | None = None
     engine: str = dataclasses.field(default_factory=usual_engine)
@@ -326,7 +332,12 @@ class MarginRuns:
         environment, controller = self._begin(seeds, shares)
         with arm_seconds(environment, self.duration, self.progress) as seconds:
             outcome = measure(
-                environment, controller, self.duration, seconds, catalogue=self.catalogue
+                environment,
+                controller,
+                self.duration,
+                seconds,
+                catalogue=self.catalogue,
+                settle=self.settle,
             )
         excess = np.zeros(len(seeds))
         for metric, limit in self.bounds:
@@ -334,7 +345,10 @@ class MarginRuns:
             missing = np.isnan(size)
             lost = outcome.diverged.all() or metric.startswith(_NEVER)
             if missing.all() and not lost:
-                raise OctarmError(f"{metric} has no value in a run of {self.duration:g} s")
+                why = unsettled(self.duration, self.settle)
+                raise OctarmError(
+                    f"{metric} has no value in a run of {self.duration:g} s{why and f'; {why}'}"
+                )
             np.maximum(excess, np.where(missing, np.inf, size / limit), out=excess)
         return Attempt(excess, outcome.digest)
 
@@ -356,4 +370,5 @@ class MarginRuns:
             layout=self.layout,
         )
         mismatch = values if self.varied.name == NOMINAL else self.mismatch
-        return environment, self.factory(self.parameters.mismatched(mismatch))
+        believed = self.parameters.mismatched(mismatch).scaled(**self.nominal)
+        return environment, self.factory(believed)

@@ -14,6 +14,7 @@ from dm_control.rl import control
 
 from octarm.arm.nominal import LagrangeModel
 from octarm.interfaces import Controller, ControllerFactory, Instant
+from octarm.metrics.metric import SETTLED_AFTER
 from octarm.metrics.table import METRICS, Catalogue, Metrics, columns
 from octarm.references import recorded_word
 from octarm.runs.digest import CHECKPOINTS, StateDigest
@@ -25,7 +26,8 @@ from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
 from octarm.sweeps.engine_check import COLUMN, TipPaths, checked_episodes
 from octarm.sweeps.plan import Arms, Plan
-from octarm.sweeps.spec import SweepSpec
+from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec
+from octarm.sweeps.spec_file import unit_of
 
 Observe = Callable[[Instant], object]
 
@@ -92,7 +94,9 @@ def run_arms(
     environment, controller = begin(plan.spec, arms, factory)
     length = plan.spec.duration if duration is None else duration
     catalogue = plan.spec.catalogue()
-    outcome = measure(environment, controller, length, *observers, catalogue=catalogue)
+    outcome = measure(
+        environment, controller, length, *observers, catalogue=catalogue, settle=plan.spec.settle
+    )
     n = len(arms.episodes)
     values = plan.values(arms.episodes)
     held: dict[str, Any] = {
@@ -162,10 +166,14 @@ class Observer:
     """Measures a run while it goes on, and keeps nothing of it but a few instants."""
 
     def __init__(
-        self, environment: control.Environment, duration: float, catalogue: Catalogue = METRICS
+        self,
+        environment: control.Environment,
+        duration: float,
+        catalogue: Catalogue = METRICS,
+        settle: float = SETTLED_AFTER,
     ) -> None:
-        """An observer of a run of so many seconds, for `simulate`, and what it measures."""
-        self._catalogue = catalogue
+        """An observer of a run of so many seconds, for `simulate`; see `measure`."""
+        self._catalogue, self._settle = catalogue, settle
         self._physics: AnyPhysics = environment.physics
         self._period = environment.control_timestep()
         periods = whole_periods(duration, self._period)
@@ -179,6 +187,7 @@ class Observer:
                 control_period=self._period,
                 input_range=self._physics.reachable_inputs(),
                 layer=instant.command.layer,
+                settle=self._settle,
                 actuation=self._physics.actuation,
                 catalogue=self._catalogue,
             )
@@ -217,12 +226,13 @@ def measure(
     duration: float,
     *observers: Observe,
     catalogue: Catalogue = METRICS,
+    settle: float = SETTLED_AFTER,
 ) -> Outcome:
     """Runs a controller against a batch or one arm for a duration [s], and measures while it runs.
 
-    The observers are called at every control instant.
+    The observers are called at every control instant; the steady regime begins at `settle` [s].
     """
-    observer = Observer(environment, duration, catalogue)
+    observer = Observer(environment, duration, catalogue, settle)
 
     def observe(instant: Instant) -> None:
         for each in (observer, *observers):
@@ -231,28 +241,58 @@ def measure(
     return observer.outcome(simulate(environment, controller, duration, observe))
 
 
+# What columns mean that hold no metric, and their units.
+_TEXTS = {
+    "episode": ("its number", ""),
+    "controller": ("the control law", ""),
+    "seed": ("which of the seeds 0, 1, .. of the sweep it had", ""),
+    "status": ("ok, or diverged", ""),
+    "diverged_at": ("when the arm left its limits; null if it did not", "s"),
+    "reference": ("the desired motion", ""),
+    ARM: ("the true arm", ""),
+    LAYOUT: ("layout of the plant", ""),
+    PLANT_MODULES: ("modules of the plant", "1"),
+    "mismatch": ("error of the controller's model", "1"),
+    COLUMN: ("how far the tip was from where MuJoCo has it; null if not run again", "m"),
+    "wall_time": ("computing time", "s"),
+    "digest": ("a number that stands for the motion, bit by bit", ""),
+    "checkpoints": (f"the digest after each of {CHECKPOINTS} equal parts of the episode", ""),
+}
+
+
 def schema(spec: SweepSpec) -> pa.Schema:
-    """The columns of a sweep's table; those of metrics say their unit."""
+    """The columns of a sweep's table, whose metadata say what they mean.
+
+    These are the `text`, the `unit` where there is one, and of a metric which values are `better`.
+    """
     number, word = pa.float64(), pa.string()
+
+    def field(name: str, kind: pa.DataType, disturbance: str = "", unit: str = "") -> pa.Field:
+        text, unit = _TEXTS.get(name, (f"a value of the disturbance {disturbance}", unit))
+        said = {"text": text, "unit": unit} if unit else {"text": text}
+        return pa.field(name, kind, metadata=said)
+
     fields = [
-        pa.field("episode", pa.int64()),
-        pa.field("controller", word),
-        pa.field("seed", pa.int64()),
-        pa.field("status", word),
-        pa.field("diverged_at", number),
+        field("episode", pa.int64()),
+        field("controller", word),
+        field("seed", pa.int64()),
+        field("status", word),
+        field("diverged_at", number),
     ]
     for axis in (*spec.axes, *spec.random):
         if axis.name != "controller":
-            fields.append(pa.field(axis.name, word if axis.words else number))
+            unit = unit_of(axis, spec.code) if axis.disturbance else ""
+            kind = word if axis.words else number
+            fields.append(field(axis.name, kind, axis.disturbance, unit or ""))
     arm = LagrangeModel(max(spec.all_arms(), key=lambda arm: arm.modules))
     for column in columns(arm.names, arm.units, spec.metrics()):
-        fields.append(pa.field(column.name, number, metadata=column.metadata))
+        fields.append(pa.field(column.name, number, metadata=column.description))
     if spec.engine == LAGRANGE:
-        fields.append(pa.field(COLUMN, number, metadata={"unit": "m"}))
+        fields.append(field(COLUMN, number))
     fields += [
-        pa.field("wall_time", number, metadata={"unit": "s"}),
-        pa.field("digest", pa.uint64()),
-        pa.field("checkpoints", _MARKS),
+        field("wall_time", number),
+        field("digest", pa.uint64()),
+        field("checkpoints", _MARKS),
     ]
     return pa.schema(fields)
 

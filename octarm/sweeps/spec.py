@@ -19,7 +19,7 @@ from octarm.disturbances.spelling import DISTURBANCES
 from octarm.formats import to_toml
 from octarm.interfaces import Controller, ControllerFactory
 from octarm.metrics.declared import declared_metrics, measured
-from octarm.metrics.metric import Metric
+from octarm.metrics.metric import SETTLED_AFTER, Metric
 from octarm.metrics.table import Catalogue
 from octarm.simulation.engines import MUJOCO
 
@@ -77,8 +77,8 @@ class Axis:
 
 
 SETTINGS = (
-    "seed", "episodes", "duration", "timestep", "control_period", "actuation", "integrator",
-    "engine", "batch",
+    "seed", "episodes", "duration", "settle", "timestep", "control_period", "actuation",
+    "integrator", "engine", "batch",
 )  # fmt: skip
 
 
@@ -94,6 +94,7 @@ class SweepSpec:
         seed: of all that is random.
         episodes: seeds in each cell of the grid.
         duration: of an episode [s].
+        settle: when metrics of the steady regime begin [s].
         batch: largest number of arms that are stepped together.
         fixed: fields of disturbances that are the same in all episodes, by disturbance.
         gain_sets: `tuned`, `recommended` or the content of a file of gains, by controller; tuned
@@ -111,6 +112,7 @@ class SweepSpec:
     seed: int = 0
     episodes: int = 1
     duration: float = 10.0
+    settle: float = SETTLED_AFTER
     timestep: float | str | None = None
     control_period: float | None = None
     actuation: str = "f-coeff"
@@ -178,7 +180,7 @@ class SweepSpec:
 
     def content(self) -> dict[str, Any]:
         """All that the rows depend on, by dotted key, ready for JSON."""
-        content: dict[str, Any] = {name: getattr(self, name) for name in SETTINGS}
+        content = self._settings()
         content |= {f"grid.{axis.name}": axis.values for axis in self.axes}
         content |= {f"random.{a.name}": (*a.values, a.method) for a in self.random}
         content |= {f"gain_set.{name}": choice for name, choice in self.gain_sets.items()}
@@ -187,6 +189,13 @@ class SweepSpec:
             content |= {f"{heading}.{n}.{k}": v for n, t in tables.items() for k, v in t.items()}
         content |= {f"code.{name}": each.model_dump() for name, each in self.code.items()}
         return {key: plain(value) for key, value in content.items()}
+
+    def _settings(self) -> dict[str, Any]:
+        """The settings by name; that of metrics where it is not the usual one."""
+        content = {name: getattr(self, name) for name in SETTINGS}
+        if self.settle == SETTLED_AFTER:
+            del content["settle"]
+        return content
 
     def hash(self) -> str:
         """SHA-256 of `content`: files that ask for the same rows have the same."""
@@ -203,7 +212,7 @@ class SweepSpec:
         for name, fields in self.fixed.items():
             keys = keys_of(name, self.code).items()
             fixed[name] = {key: fields[field] for key, field in keys if field in fields}
-        content: dict[str, Any] = {name: getattr(self, name) for name in SETTINGS}
+        content = self._settings()
         content |= {"grid": grid, "random": drawn, "disturbance": fixed}
         content |= {"gain_set": self.gain_sets, "gains": self.gains}
         content |= {"arms": self.arms}

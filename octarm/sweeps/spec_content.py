@@ -1,9 +1,10 @@
 """What the TOML file of a sweep may hold; `octarm.sweeps.spec_file` reads it.
 
-At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep` (or `"auto"`),
-`control_period` [s], `actuation`, `integrator`, `engine`, `batch` and `gain_set`, and `controller`,
-`reference`, `mismatch`, `plant_modules` and `layout` (of a plant of more modules, see
-`octarm.arm.groups`) where they have one value. The tables are:
+At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `settle` (when metrics of the
+steady regime begin), `timestep` (or `"auto"`), `control_period` [s], `actuation`, `integrator`,
+`engine`, `batch` and `gain_set`, and `controller`, `reference`, `mismatch`, `plant_modules` and
+`layout` (of a plant of more modules, see `octarm.arm.groups`) where they have one value. The tables
+are:
 
 - `[grid]`: `controller`, `reference`, `mismatch`, `plant_modules` and `layout` as lists;
 - `[grid.disturbance]`: lists of values of disturbances, spelt as on the command line: `noise` for
@@ -46,6 +47,7 @@ from octarm.arm.parameters import MOST_MODULES
 from octarm.arm.rod import LAYOUTS
 from octarm.declared import Code
 from octarm.formats import Array, Model, one_of, spelt
+from octarm.metrics.metric import SETTLED_AFTER
 from octarm.simulation.engines import ENGINES, MUJOCO
 from octarm.simulation.steps import AUTO
 
@@ -140,6 +142,7 @@ class SpecFile(Model):
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
     episodes: Annotated[int, Field(ge=1)] = 1
     duration: Positive = 10.0
+    settle: Annotated[FiniteFloat, Field(ge=0.0)] = SETTLED_AFTER
     timestep: Step | None = None
     control_period: Annotated[FiniteFloat, Field(gt=0.0, le=10.0)] | None = None
     actuation: Annotated[str, one_of(ACTUATIONS)] = "f-coeff"

@@ -31,6 +31,7 @@ _LIKE_A_NUMBER = re.compile(r"\s*[-+.]{0,2}\d")  # how a number begins, with a u
 # The units of what is no field of a disturbance; numbers may be texts with another unit.
 _UNITS = {
     ("duration",): "s",
+    ("settle",): "s",
     ("timestep",): "s",
     ("control_period",): "s",
     ("mismatch",): "1",
@@ -65,7 +66,7 @@ def _spec(document: Document) -> SweepSpec:
     content = document.read(SpecFile)
     for place in (("disturbance",), ("grid", "disturbance"), ("random", "disturbance")):
         for field, keys in list(_fields(document, content.code, *place)):
-            unit = _unit_of(field, content.code)
+            unit = unit_of(field, content.code)
             if unit is not None:
                 document = _in_si(document, unit, *keys)
     axes, drawn = _axes(document, content)
@@ -142,7 +143,7 @@ def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tupl
         values = document.read(cast(Any, Annotated[Array[Number] | Array[str], Distinct]), *keys)
         axes.append(dataclasses.replace(field, values=values))
     for field, keys in _fields(document, code, "random", "disturbance"):
-        if _unit_of(field, code) is None:
+        if unit_of(field, code) is None:
             raise document.error(f"{field.name} is made of words: it cannot be drawn", *keys)
         if field.name in [axis.name for axis in axes]:
             raise document.error(f"{field.name} is an axis of the grid, too", *keys)
@@ -238,7 +239,7 @@ def _own_axis(name: str, document: Document, content: SpecFile) -> Axis | None:
     return dataclasses.replace(axis, values=value)
 
 
-def _unit_of(axis: Axis, code: Mapping[str, Code]) -> str | None:
+def unit_of(axis: Axis, code: Mapping[str, Code]) -> str | None:
     """The unit of a field of a disturbance; None if it is of words."""
     kind = which(axis.disturbance)[0]
     if kind in code:

@@ -32,12 +32,15 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from octarm.arm.groups import PAPER, groups_of
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import split
+from octarm.arrays import plain, split
+from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.spelling import to_dict
 from octarm.interfaces import ControllerFactory, Instant, Motion, Reference
 from octarm.metrics.chattering import Chattering
 from octarm.metrics.metric import Settings
@@ -104,12 +107,23 @@ UNSEEN = Examination(scenarios=EVALUATION, noise=2)
 
 @dataclasses.dataclass(frozen=True)
 class Rig:
-    """What controllers are tried on; the nominal arm when no parameters are given."""
+    """What controllers are tried on; the nominal arm when no parameters are given.
+
+    Attributes:
+        reference: that all scenarios have; their own when None.
+        disturbances: that act as well.
+        mismatch: a further error of the controller's model, see `ArmParameters.mismatched` [1].
+        nominal: further factors on parameters of that model, by name [1].
+    """
 
     engine: str = dataclasses.field(default_factory=usual_engine)
     plant_modules: int | None = None
     layout: str = PAPER
     parameters: ArmParameters | None = None
+    reference: str | None = None
+    disturbances: tuple[Disturbance, ...] = ()
+    mismatch: float = 0.0
+    nominal: Mapping[str, npt.ArrayLike] = dataclasses.field(default_factory=dict[str, float])
 
     def arm(self) -> ArmParameters:
         """The arm, which is the nominal one if no parameters are given."""
@@ -127,7 +141,13 @@ class Rig:
             numbers |= {"plant_modules": self.plant_modules, "layout": self.layout}
         if self.parameters is not None:
             numbers["arm"] = self.parameters.to_dict()
-        return numbers
+        more = {
+            "reference": self.reference,
+            "disturbances": [to_dict(each) for each in self.disturbances],
+            "mismatch": self.mismatch,
+            "nominal": {name: plain(factor) for name, factor in self.nominal.items()},
+        }
+        return numbers | {name: value for name, value in more.items() if value}
 
     def rest(self) -> np.ndarray:
         """Where the arm hangs, shape (2N,) [m], [rad]."""
@@ -170,6 +190,8 @@ def _costs(
     examination, places = trial
     n = len(next(iter(candidates.values())))
     scenarios = [examination.scenarios[i] for i in places]
+    if rig.reference is not None:
+        scenarios = [dataclasses.replace(each, reference=rig.reference) for each in scenarios]
     if scenarios[0].plant_modules:
         rig = dataclasses.replace(rig, plant_modules=scenarios[0].plant_modules)
 
@@ -182,7 +204,10 @@ def _costs(
     motions = [named_reference(name, rest, true) for rest in [rig.rest()] for name in names]
     environment = load(
         EachItsOwn(motions, each([names.index(s.reference) for s in scenarios])),
-        disturbances=disturbances([scenario for _ in range(n) for scenario in scenarios]),
+        disturbances=[
+            *disturbances([scenario for _ in range(n) for scenario in scenarios]),
+            *rig.disturbances,
+        ],
         batch=n * len(scenarios),
         control_period=scenarios[0].period,
         seed=[seeds[i] for i in places] * n,
@@ -193,6 +218,7 @@ def _costs(
         layout=rig.layout,
     )
     nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
+    nominal = nominal.mismatched(rig.mismatch).scaled(**rig.nominal)
     gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}
     observer = _Observer(examination, environment.control_timestep(), environment.physics)
     with arm_seconds(environment, examination.duration, progress) as seconds:

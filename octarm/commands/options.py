@@ -1,0 +1,104 @@
+"""Options that several commands share, declared once.
+
+A command takes one of these tables as a parameter; its fields are options like the others.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from octarm.commands import kinds
+
+if TYPE_CHECKING:
+    from octarm.arm.parameters import ArmParameters
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ArmOptions:
+    """The arm, and what the controller believes of it.
+
+    Attributes:
+        arm: the true arm and the controller's model of it: a file NAME.toml, or an arm that comes
+            with octarm, see octarm arm --help; the nominal arm when not given
+        mismatch: error of the controller's model: mass, inertia and damping times 1 + X,
+            stiffness times 1 + X/2
+        nominal: a further factor on a parameter of the controller's model, e.g. mass:0.7
+        parameter: a parameter of the true arm and of the model, e.g. mass:0.3,0.25,0.2 [kg], or
+            input_range:-12,12 for the lowest and highest force of the columns [N]
+        plant_modules: modules of the true arm, a multiple of the model's: a chain of the same rod,
+            of which the controller knows groups; the model's modules when not given
+        layout: of such a chain: paper, or centred with hinges in the middle of elements
+    """
+
+    arm: Annotated[str | None, kinds.ARM, kinds.MODEL] = None
+    mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0
+    nominal: Annotated[tuple[str, ...], kinds.text("NAME:FACTOR"), kinds.MODEL] = ()
+    parameter: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.MODEL] = ()
+    plant_modules: Annotated[int | None, kinds.COUNT, kinds.MODEL] = None
+    layout: Annotated[str, kinds.LAYOUT, kinds.MODEL] = "paper"
+
+    def true_arm(self) -> ArmParameters:
+        """The arm; raises OctarmError if there is no such one, or no such parameter."""
+        from octarm.commands import words
+
+        return words.true_arm(self.parameter, self.arm)
+
+    def factors(self) -> Mapping[str, Any]:
+        """The further factors of the controller's model, by parameter; raises OctarmError."""
+        from octarm.commands import words
+
+        return words.parameter_values("--nominal", self.nominal)
+
+    def both(self) -> tuple[ArmParameters, ArmParameters]:
+        """The arm, and the controller's model of it; raises OctarmError if one cannot be."""
+        factors, true = self.factors(), self.true_arm()
+        return true, true.mismatched(self.mismatch).scaled(**factors)
+
+    def command(self) -> list[str]:
+        """The words of a command line that give the same options."""
+        return _spelt(self)
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class GainOptions:
+    """The gains of the controller.
+
+    Attributes:
+        gains: those to start from, scaled by the controller's model: tuned, recommended (set by
+            hand), or a file NAME.toml of octarm tune; tuned ones, in octarm tune recommended
+            ones, when not given
+        gain: one gain in SI, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
+    """
+
+    gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None
+    gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = ()
+
+    def values(self) -> Mapping[str, Any]:
+        """The gains that are given one by one, by name [SI]; raises OctarmError."""
+        from octarm.commands import words
+
+        return words.gain_values(self.gain)
+
+    def command(self) -> list[str]:
+        """The words of a command line that give the same options."""
+        return _spelt(self)
+
+
+NOMINAL_ARM, USUAL_GAINS = ArmOptions(), GainOptions()
+
+
+def _spelt(options: ArmOptions | GainOptions) -> list[str]:
+    """The options that are not as usual, a word each."""
+    spelt: list[str] = []
+    for field in dataclasses.fields(options):
+        value: Any = getattr(options, field.name)
+        if value != field.default:
+            option = f"--{field.name.replace('_', '-')}"
+            spelt += [f"{option}={x}" for x in (value if field.default == () else (value,))]
+    return spelt
