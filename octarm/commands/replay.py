@@ -34,7 +34,7 @@ def replay(folders: Sequence[Path], screenshot: Path | None, time: float | None,
 
 def _picture(files: Sequence[Path], screenshot: Path, time: float | None) -> None:
     end = viewer.end_of(files[0])
-    time = 0.5 * end if time is None else time
+    time = viewer.telling_instant(files[0]) if time is None else time
     if not 0.0 <= time <= end:
         raise OctarmError(f"time is {time:g} s; the run goes from 0 to {end:g} s")
     viewer.screenshot(files[0], screenshot, others=files[1:], time=time)

@@ -23,15 +23,16 @@ from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.drawn import Drawn
 from octarm.disturbances.episode import Disturbance
 from octarm.interfaces import Rows
+from octarm.palette import BRIGHT_MODULES
 from octarm.recordings import shapes
 
-_MODULES = ["FF9F43", "40A9FF", "48C987", "E76EBE", "F1D64A", "9B89FF", "4DD0D0", "FF7864"]
 _PLATE, _BASE = 0xDEE2E8FF, 0x78808CFF
 _TRAIL, _PATH, _GHOST = 0xFF4655FF, 0x8FA3B8FF, 0xC6D6EA22
 _RELAXED, _PULL, _PUSH = (112, 118, 126), (240, 243, 248), (232, 62, 62)
-_DISTURBANCE, _GRAVITY, _PAYLOAD = 0xC58BFFFF, 0xB8C0CCFF, 0xB8A06AFF
+_DISTURBANCE, _GRAVITY, _PAYLOAD = 0xC58BFFFF, 0xB8C0CCFF, 0xE08A3CFF
 _CURVE = 0xFFFFFFFF  # of a plant of more modules
 _STEEL = 7850.0  # [kg/m^3]; a payload is drawn as a ball of it
+_FARTHEST = 1.6  # lengths of the arm from the base that the camera may see
 _TRAIL_LENGTH = 1.0  # [s]
 _FINE = 8192.0  # places are rounded to this part of a metre
 _COARSE = 1024.0  # angles and lengths of pieces likewise
@@ -42,7 +43,7 @@ DRAWN = ("t", "q", "q_d", "tau", "disturbance", "plant_q", "plant_tip")
 
 def module_colors(count: int) -> np.ndarray:
     """One colour for each module, shape (count, 3)."""
-    return np.resize([list(bytes.fromhex(color)) for color in _MODULES], (count, 3))
+    return np.resize([list(bytes.fromhex(color[1:])) for color in BRIGHT_MODULES], (count, 3))
 
 
 def input_colors(count: int) -> np.ndarray:
@@ -76,6 +77,11 @@ class Scene:
         self._payloads = [load for d in disturbances if (load := d.carried()) is not None]
         self._disturbed, self._finer = disturbed, finer
         self._last: tuple[np.ndarray, np.ndarray] | None = None  # tip and desired tip
+        reach = 1.12 * self._length + self._width
+        # What the camera sees of x and z at least: lowest and highest [m].
+        self._seen = np.array(
+            [[-0.42 * reach, 0.5 * self._width - reach], [0.42 * reach, 0.5 * self._width]]
+        )
 
     def looks(self) -> dict[str, Any]:
         """What of the scene stays the same, by entity."""
@@ -107,7 +113,7 @@ class Scene:
         if self._payloads:
             looks["world/payload"] = rr.Ellipsoids3D.from_fields(colors=_PAYLOAD, **solid)
         if self._finer:
-            looks["world/plant"] = lines(colors=_CURVE, radii=0.06 * w)
+            looks["world/plant"] = lines(colors=_CURVE, radii=0.14 * w)
         if self._disturbed:
             arrows = rr.Arrows3D.from_fields
             looks["world/disturbance"] = arrows(colors=_DISTURBANCE, radii=0.035 * w)
@@ -141,14 +147,25 @@ class Scene:
             origins, forces = shapes.force_arrows(q, rows["disturbance"], 0.95 * w)
             vectors = forces * (self._arrow / self._weight)
             frames["world/disturbance"] = _columns(rr.Arrows3D, vectors=vectors, origins=origins)
+            self._see(origins + vectors)
+        self._see(shapes.skeleton(q))
         return frames
 
+    def _see(self, points: np.ndarray) -> None:
+        """Widens what the camera sees to points of shape (k, points, 3), but rare or far ones."""
+        low, high = (f(points[..., ::2], axis=1) for f in (np.min, np.max))
+        farthest = _FARTHEST * self._length
+        low = np.clip(np.percentile(low, 1.0, axis=0), -farthest, farthest)
+        high = np.clip(np.percentile(high, 99.0, axis=0), -farthest, farthest)
+        self._seen = np.stack([np.minimum(self._seen[0], low), np.maximum(self._seen[1], high)])
+
     def view(self, name: str, root: str = "") -> rrb.Spatial3DView:
-        """A camera in front of the arm, a little to the side, the same for every run of it."""
+        """A camera in front of the arm, a little to the side, that sees all of what was drawn."""
         origin = f"{root}world"
-        reach = 1.12 * self._length + self._width
-        middle = np.array([0.0, 0.0, 0.5 * self._width - 0.5 * reach])
-        position = middle + 1.05 * reach * np.array([0.33, -0.94, -0.03])
+        x, z = 0.5 * (self._seen[0] + self._seen[1])
+        middle = np.array([x, 0.0, z])
+        size = float(np.max((self._seen[1] - self._seen[0]) / [0.84, 1.0]))
+        position = middle + 1.05 * size * np.array([0.33, -0.94, -0.03])
         cursor = rr.TimeRangeBoundary.cursor_relative
 
         def around(before: float, after: float) -> rrb.VisibleTimeRanges:

@@ -72,7 +72,7 @@ def serve(paths: Iterable[Name], ready: Callable[[str], object]) -> None:
             with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
                 break
             viewer.pause(30.0)
-        query = urllib.parse.urlencode({"url": viewer.url})
+        query = urllib.parse.urlencode({"url": viewer.url, "theme": "dark"})
         data_port = urllib.parse.urlsplit(viewer.url.removeprefix("rerun+")).port or 0
         with _guarded_page(port, data_port) as page, contextlib.suppress(KeyboardInterrupt):
             ready(f"http://127.0.0.1:{page}/?{query}")
@@ -156,6 +156,13 @@ def end_of(path: Name) -> float:
     from octarm.recordings.rrd import last_instant  # imports rerun, which takes half a second
 
     return last_instant(_existing(path))
+
+
+def telling_instant(path: Name) -> float:
+    """The instant that a picture shows when none is asked for [s]."""
+    from octarm.recordings import rrd
+
+    return rrd.telling_instant(_existing(path))
 
 
 class _Viewer:

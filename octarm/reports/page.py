@@ -14,10 +14,11 @@ from markupsafe import Markup
 
 from octarm.errors import printable
 from octarm.metrics.metric import SETTLED_AFTER
+from octarm.palette import look_of
 from octarm.reports.charts import Scale, scales_of
 from octarm.reports.comparisons import Comparisons, Difference, Group
 from octarm.reports.consistency import Remark
-from octarm.reports.figures import COLORS, Picture
+from octarm.reports.figures import Picture
 from octarm.reports.frame import Factor
 from octarm.reports.statistics import CONFIDENCE, FEWEST, Interval
 
@@ -194,9 +195,8 @@ class Tables:
         return cells
 
     def _where(self, group: Group) -> list[Cell]:
-        color = COLORS[self._names.index(group.controller) % len(COLORS)]
         level = [] if group.factor is None else [Cell(group.label, kind="left")]
-        return [*level, Cell(group.controller, kind="left", color=color)]
+        return [*level, Cell(group.controller, kind="left", color=look_of(group.controller).color)]
 
     def _best(self, groups: Sequence[Group]) -> list[float]:
         """The best median of each measure; NaN where there is nothing to be best at."""

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 from recordings import described, swinging
 
-from octarm.recordings.plots import _MOST, _thinned, write_figures
+from octarm.reports.run_figures import _MOST, _thinned, write_figures
 
 
 def test_every_kind_of_run_gets_its_figures_as_png_and_svg(tmp_path):
