@@ -28,10 +28,8 @@ from octarm.recordings import shapes
 
 _PLATE, _BASE = 0xDEE2E8FF, 0x78808CFF
 _TRAIL, _PATH, _GHOST = 0xFF4655FF, 0x8FA3B8FF, 0xC6D6EA22
-_RELAXED, _PULL, _PUSH = (112, 118, 126), (240, 243, 248), (232, 62, 62)
 _DISTURBANCE, _GRAVITY, _PAYLOAD = 0xC58BFFFF, 0xB8C0CCFF, 0xE08A3CFF
 _CURVE = 0xFFFFFFFF  # of a plant of more modules
-_STEEL = 7850.0  # [kg/m^3]; a payload is drawn as a ball of it
 _FARTHEST = 1.6  # lengths of the arm from the base that the camera may see
 _TRAIL_LENGTH = 1.0  # [s]
 _FINE = 8192.0  # places are rounded to this part of a metre
@@ -188,13 +186,10 @@ class Scene:
 
     def _balls(self, t: np.ndarray, q: np.ndarray) -> list[Any]:
         """Payloads as balls of steel below the last plate, of no size until they are carried."""
-        masses, begins = np.array(self._payloads).T
-        radii = np.cbrt(0.75 * masses / (math.pi * _STEEL))
-        distances = (radii + 0.035 * self._width)[:, None]
-        places = shapes.tip(q)[:, None] + shapes.tip_axis(q)[:, None] * distances
-        sizes = np.repeat(((t[:, None] >= begins) * radii)[..., None], 3, axis=-1)
+        places, radii = zip(*shapes.payload_balls(self._payloads, t, q, self._width), strict=True)
+        sizes = np.repeat(np.stack(radii, axis=1)[..., None], 3, axis=-1)
         return [
-            *_columns(rr.InstancePoses3D, translations=_rounded(places, _FINE)),
+            *_columns(rr.InstancePoses3D, translations=_rounded(np.stack(places, axis=1), _FINE)),
             *_columns(rr.Ellipsoids3D, half_sizes=_rounded(sizes, _FINE)),
         ]
 
@@ -206,15 +201,11 @@ class Scene:
         return _bytes(np.repeat(colors, shapes.TUBE_PIECES, axis=1))
 
     def _column_looks(self, tau: np.ndarray) -> dict[str, np.ndarray]:
-        """Red and thick where a column pushes, white and thick where it pulls."""
-        size = np.tanh(tau / (0.8 * self._weight))
-        toward = np.where(size[..., None] > 0.0, _PUSH, _PULL)
-        share = np.abs(size[..., None]) ** 0.6
-        colors = np.array(_RELAXED) + share * (toward - np.array(_RELAXED))
-        radii = _rounded(self._width * (0.055 + 0.075 * np.abs(size)), _FINE)
+        """Colours and radii of the pieces of the columns."""
+        colors, radii = shapes.column_looks(tau, self._weight)
         pieces = shapes.COLUMN_PIECES
         return {
-            "radii": np.repeat(radii, pieces, axis=1),
+            "radii": np.repeat(_rounded(self._width * radii, _FINE), pieces, axis=1),
             "colors": _bytes(np.repeat(colors, pieces, axis=1)),
         }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
@@ -43,6 +44,14 @@ def title_of(description: Mapping[str, Any]) -> str:
     episode = description.get("spawn_key")  # of a sweep
     parts += [f"seed {'-'.join(map(str, episode))}"] if episode else []
     return printable(", ".join(parts), LONGEST)
+
+
+def wrapped(title: str, letters: int) -> str:
+    """A title in lines of at most so many letters, each number beside its unit."""
+    for unit in ("%", "g", "ms", "s", "Hz", "rad"):
+        title = re.sub(rf"(?<=\d) (?={unit}(?:\W|$))", "\u00a0", title)
+    title = title.replace("model ", "model\u00a0")
+    return textwrap.fill(title, letters, break_on_hyphens=False)
 
 
 def conditions_of(description: Mapping[str, Any]) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import textwrap
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from octarm.files import write_files
 from octarm.palette import MODULES
 from octarm.recordings.channels import Channel, channels_of, has_energy
-from octarm.recordings.titles import events_of, title_of
+from octarm.recordings.titles import events_of, title_of, wrapped
 from octarm.reports.figures import (
     FAILED,
     GRAY,
@@ -86,7 +85,7 @@ class _Drawing:
 
     def __init__(self, run: Trajectory, description: Mapping[str, Any]) -> None:
         self._rows, self._t = dict(run.arrays()), run.t
-        self._title = _wrapped(title_of(description))
+        self._title = wrapped(title_of(description), _LETTERS)
         self._events = [(at, text) for at, _, text in events_of(description) if text]
         if run.status != "ok":
             self._events.append((float(run.t[-1]), run.status))
@@ -139,7 +138,9 @@ class _Drawing:
         """Panels one below another; a channel of rules becomes a heat map."""
         panels = list(panels)
         room = 0.5 + 0.16 * self._title.count("\n")
-        figure: Figure = NewFigure(figsize=(_WIDTH, height * len(panels) + room), layout="constrained")
+        figure: Figure = NewFigure(
+            figsize=(_WIDTH, height * len(panels) + room), layout="constrained"
+        )
         axes = list(figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
         figure.suptitle(self._title, x=0.01, ha="left", fontsize=9, fontweight="bold")
         axes[-1].set_xlabel("time [s]")
@@ -262,14 +263,6 @@ def _thinned(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows = (np.sort(both, axis=1) + starts[:, None]).ravel()
     rows = np.concatenate([[0], rows, np.arange(whole, len(t))])
     return t[rows], y[rows]
-
-
-def _wrapped(title: str) -> str:
-    """A title in lines as wide as a figure, a number beside its unit."""
-    for unit in ("%", "g", "ms", "s", "Hz", "rad"):
-        title = re.sub(rf"(?<=\d) (?={unit}(?:\W|$))", "\u00a0", title)
-    title = title.replace("model ", "model\u00a0")
-    return textwrap.fill(title, _LETTERS, break_on_hyphens=False)
 
 
 def _symbol(name: str) -> str:
