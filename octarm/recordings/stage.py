@@ -95,9 +95,9 @@ class Stage:
         if self._plant is not None:
             self._arm(scene, true, side, np.repeat(tau.reshape(self._modules, 2),
                       len(true) // len(q), axis=0).ravel())  # fmt: skip
-        since = np.searchsorted(run.t, run.t[row] - _SECONDS)
+        since = int(np.searchsorted(run.t, float(run.t[row]) - _SECONDS))
         trail = run.q if self._plant is None else self._plant
-        tips = shapes.tip(trail[np.linspace(since, row, _TRAIL).astype(int)]) + side
+        tips = shapes.tip(trail[np.round(np.linspace(since, row, _TRAIL)).astype(np.int64)]) + side
         self._tube(scene, tips, 0.035 * self._width, _TIP)
         balls = shapes.payload_balls(self._payloads, run.t[[row]], true[None], self._width)
         for centers, (size,) in balls:

@@ -16,7 +16,6 @@ import numpy as np
 
 from octarm.errors import OctarmError, quoted
 from octarm.files import whole_file
-from octarm.recordings.shapes import drawable
 from octarm.simulation.trajectory import Trajectory
 
 Path = str | os.PathLike[str]
@@ -75,6 +74,8 @@ def write_video(
         OSError: if the file cannot be written.
     """
     import av
+
+    from octarm.recordings.shapes import drawable  # imports MuJoCo
 
     if not str(path).endswith(".mp4"):
         raise OctarmError(f"the film is {quoted(os.fspath(path))}; its name must end in .mp4")
