@@ -82,7 +82,10 @@ def moving(studio: Studio, name: str) -> None:
     """The arm under control, noise and a payload, as a GIF that repeats."""
     run = studio.run("--controller", "afsmc", "--mismatch", "-0.3", *HARD, "--duration", "8")
     pictures = studio.film(run, MOVING, RATE)[int(2 * RATE) :]  # whole periods of the sine
-    palette = pictures[-1].quantize(96)
+    some = Image.new("RGB", (MOVING[0], 5 * MOVING[1]))
+    for k in range(5):
+        some.paste(pictures[k * (len(pictures) - 1) // 4], (0, k * MOVING[1]))
+    palette = some.quantize(128)
     drawn = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     file = studio.out / "arm.gif"
     drawn[0].save(file, save_all=True, append_images=drawn[1:], duration=1000.0 / RATE, loop=0,

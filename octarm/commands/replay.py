@@ -12,6 +12,7 @@ from octarm.commands.redraw import rows_of, say_partial
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.recordings import viewer
 from octarm.recordings.comparison import write_comparison
+from octarm.recordings.titles import LONGEST, conditions_of
 from octarm.runs import folder as runs
 
 _SWEEP = "manifest.json"  # a folder with it is a sweep
@@ -75,8 +76,16 @@ def _of_sweep(folder: Path, scratch: Path) -> list[Path]:
     listed: list[Path] = []
     for file in files[:_MOST]:
         listed.append(scratch / f"{len(listed)}-{file.parent.name}.rrd")
-        viewer.listed(file, listed[-1])
+        viewer.listed(file, listed[-1], _episode_name(file.parent))
     return listed
+
+
+def _episode_name(folder: Path) -> str:
+    """A recorded episode in a few words, such as `worst: pd, noise 40 %`."""
+    description = runs.read_description(folder)
+    number, _, reason = folder.name.partition("-")
+    what = ", ".join([description["controller"]["name"], *conditions_of(description)])
+    return printable(f"{reason or number}: {what}", LONGEST)
 
 
 def _of_run(folder: Path, scratch: Path) -> Path:

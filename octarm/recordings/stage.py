@@ -73,7 +73,8 @@ class Stage:
         high = np.maximum([0.4 * reach, 0.5 * self._width], tips.max(axis=0, initial=0.0))
         low[0] -= self._beside
         self.camera = mujoco.MjvCamera()
-        self.camera.lookat[:] = 0.5 * (low[0] + high[0]), 0.0, 0.5 * (low[1] + high[1])
+        above = 0.05 * (high[1] - low[1])  # room for the title
+        self.camera.lookat[:] = 0.5 * (low[0] + high[0]), 0.0, 0.5 * (low[1] + high[1]) + above
         self.camera.azimuth, self.camera.elevation = 104.0, -4.0
         self.camera.distance = 1.9 * float(np.max((high - low) / [1.25, 1.0]))
 

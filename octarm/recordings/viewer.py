@@ -141,14 +141,22 @@ def rescue(partial: Name, path: Name) -> None:
     end_of(path)
 
 
-def listed(recording: Name, path: Name) -> None:
+def listed(recording: Name, path: Name, name: str) -> None:
     """Writes a recording as one of several, for which the viewer keeps its list of them open.
+
+    There it has the name.
 
     Raises:
         OctarmError: if it cannot be read.
     """
-    arguments = ("--drop-entity", "/blueprint_panel", str(recording), "-o", str(path))
-    _rrd(recording, "filter", *arguments)
+    from octarm.recordings.rrd import write_name
+
+    with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
+        open_list, named = (os.path.join(scratch, f"{x}.rrd") for x in ("list", "name"))
+        arguments = ("--drop-entity", "/blueprint_panel", str(recording), "-o", open_list)
+        _rrd(recording, "filter", *arguments)
+        write_name(open_list, named, name)
+        _rrd(recording, "merge", open_list, named, "-o", str(path))
 
 
 def end_of(path: Name) -> float:

@@ -35,6 +35,7 @@ LETTER = 0.085  # mean width of a letter [inch]
 LOGARITHMIC = 8.0  # largest over smallest value, from which on an axis is logarithmic
 _COLUMNS = 4  # of panels
 _PIXELS = 1.5  # of a point of a figure: four panels fill the page
+_LEAST = 0.93  # on a phone, where it moves sideways within its frame so that it can be read
 _STYLE = Path(__file__).with_suffix(".mplstyle")
 
 
@@ -83,7 +84,8 @@ def inline_svg(svg: str, prefix: str, label: str) -> Markup:
     body = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", body, flags=re.DOTALL)
     box = re.search(r'viewBox="0 0 ([\d.]+) [\d.]+"', body)
     assert box is not None
-    size = f'{box[0]} style="max-width: {_PIXELS * float(box[1]):.0f}px"'
+    least, most = (share * float(box[1]) for share in (_LEAST, _PIXELS))
+    size = f'{box[0]} style="min-width: {least:.0f}px; max-width: {most:.0f}px"'
     head = f'<svg {size} role="img" aria-label="{escape(label)}">'
     body = re.sub(r"<svg[^>]*>", lambda _: head, body, count=1)
     body = re.sub(r'\bid="', f'id="{prefix}-', body)

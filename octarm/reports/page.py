@@ -179,9 +179,9 @@ class Tables:
         """A row for each measure."""
         head = [Cell(text, kind="left") for text in ("metric", "meaning", "unit", "better")]
         rows: list[list[Cell]] = []
-        for m in self._measures:
+        for m, scale in zip(self._measures, self._scales, strict=True):
             better = "nearer to zero" if m.declared.zero_best else m.declared.better
-            texts = {m.name: "left", m.text: "wide", m.unit: "left", better: "left"}
+            texts = {m.name: "left", m.text: "wide", scale.unit or "1": "left", better: "left"}
             rows.append([Cell(text, kind=kind) for text, kind in texts.items()])
         return Table(head, rows, len(rows))
 
