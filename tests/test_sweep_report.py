@@ -494,7 +494,8 @@ def test_the_same_sweep_gives_the_same_files(written, known):
 def test_figures_in_a_page_take_its_colours():
     svg = '<?xml?><svg viewBox="0 0 10 5" xmlns="http://a"><g id="b" style="fill: #24292f"/></svg>'
     assert inline_svg(svg, "p", "<x>") == (
-        '<svg viewBox="0 0 10 5" style="min-width: 9px; max-width: 15px" role="img" aria-label="&lt;x&gt;">'
+        '<svg viewBox="0 0 10 5" style="min-width: 9px; max-width: 15px" role="img" '
+        'aria-label="&lt;x&gt;">'
         '<g id="p-b" style="fill: var(--ink)"/></svg>'
     )
 
