@@ -5,13 +5,15 @@ from __future__ import annotations
 import contextlib
 import sys
 import tempfile
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from octarm.commands.redraw import rows_of, say_partial
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.recordings import viewer
 from octarm.recordings.comparison import write_comparison
+from octarm.recordings.recording import write_recording
 from octarm.recordings.titles import LONGEST, conditions_of
 from octarm.runs import folder as runs
 
@@ -76,14 +78,15 @@ def _of_sweep(folder: Path, scratch: Path) -> list[Path]:
     listed: list[Path] = []
     for file in files[:_MOST]:
         listed.append(scratch / f"{len(listed)}-{file.parent.name}.rrd")
-        viewer.listed(file, listed[-1], _episode_name(file.parent))
+        trajectory, description = rows_of(file.parent)
+        name = _episode_name(file.parent.name, description)
+        write_recording(listed[-1], trajectory, description, name=name)
     return listed
 
 
-def _episode_name(folder: Path) -> str:
-    """A recorded episode in a few words, such as `worst: pd, noise 40 %`."""
-    description = runs.read_description(folder)
-    number, _, reason = folder.name.partition("-")
+def _episode_name(folder: str, description: Mapping[str, Any]) -> str:
+    """An episode in a few words, such as `worst: pd, noise 40 %`; its folder is ID-REASON."""
+    number, _, reason = folder.partition("-")
     what = ", ".join([description["controller"]["name"], *conditions_of(description)])
     return printable(f"{reason or number}: {what}", LONGEST)
 

@@ -202,6 +202,8 @@ def blueprint(
     description: Mapping[str, Any],
     lanes: int,
     largest: Mapping[str, np.ndarray] | None = None,
+    *,
+    listed: bool = False,
 ) -> rrb.Blueprint:
     """The layout for one run.
 
@@ -210,7 +212,8 @@ def blueprint(
         channels: what the run holds.
         description: of the run; its duration is the range of the plots.
         lanes: of the state timeline, without those of single coordinates.
-        largest: see `Plots`.
+        largest: sizes of the numbers of each channel, shape (numbers,), see `Plots`.
+        listed: whether the viewer keeps its list of recordings open.
     """
     plots = Plots(channels, float(description["duration"]), largest=largest)
     tabs = _tabs(plots, ledger=bool(description.get("disturbances")))
@@ -234,7 +237,7 @@ def blueprint(
         rrb.Tabs(*tabs.values(), active_tab=list(tabs).index(opened)),
         row_shares=[*[1.0] * len(tracking), 1.15],
     )
-    return Layout(rrb.Horizontal(left, right, column_shares=[2, 3]))
+    return Layout(rrb.Horizontal(left, right, column_shares=[2, 3]), listed=listed)
 
 
 def _tabs(plots: Plots, *, ledger: bool) -> dict[str, Any]:
@@ -283,13 +286,13 @@ class Layout(rrb.Blueprint):
     It does not note when each of its parts was made, and is smaller by a tenth.
     """
 
-    def __init__(self, layout: Any) -> None:
-        """The layout of a container of views."""
+    def __init__(self, layout: Any, *, listed: bool = False) -> None:
+        """The layout of a container of views; with the list of recordings if they are listed."""
         super().__init__(
             layout,
             rrb.TimePanel(timeline="t", play_state="paused", state="collapsed"),
             rrb.SelectionPanel(state="hidden"),
-            rrb.BlueprintPanel(state="hidden"),
+            *([] if listed else [rrb.BlueprintPanel(state="hidden")]),
         )
 
     def _log_to_stream(self, stream: rr.RecordingStream) -> None:

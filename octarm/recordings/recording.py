@@ -61,7 +61,9 @@ _COLORS = {  # of the phases and of how a run ends, as hexadecimal red, green, b
 }
 
 
-def write_recording(path: Path, trajectory: Trajectory, description: Mapping[str, Any]) -> None:
+def write_recording(
+    path: Path, trajectory: Trajectory, description: Mapping[str, Any], *, name: str = ""
+) -> None:
     """Writes a run as a rerun recording, whole or not at all.
 
     The timeline is `t` [s]. Every signal of the controller is recorded and plotted, whatever its
@@ -71,6 +73,8 @@ def write_recording(path: Path, trajectory: Trajectory, description: Mapping[str
         path: the `.rrd` file; its folder must exist.
         trajectory: the run of one arm of N modules.
         description: what `run.json` holds; `parameters` are needed, the rest may be missing.
+        name: of one of several recordings, for which the viewer keeps its list of them open; the
+            title of the run when empty.
 
     Raises:
         OctarmError: if the trajectory has no rows, the parameters are not those of one such arm,
@@ -85,6 +89,7 @@ def write_recording(path: Path, trajectory: Trajectory, description: Mapping[str
     announced = {**description, "duration": end} if short else description
     with rrd_file(path) as stream:
         recording = RunRecording(stream, path, announced, disturbed=disturbed, live=False)
+        recording.name = name
         recording.add_all(trajectory)
         recording.finish(description)
 
@@ -105,6 +110,7 @@ class RunRecording:
         scene: the arm.
         channels: what the run holds; empty before the first rows.
         largest: the largest size of each number of a channel so far, by the name of the channel.
+        name: of one of several recordings; empty if it is alone.
     """
 
     def __init__(
@@ -148,6 +154,7 @@ class RunRecording:
         )
         self.channels: dict[str, Channel] = {}
         self.largest: dict[str, np.ndarray] = {}
+        self.name = ""
         self._heat_maps: dict[str, HeatMap] = {}
         self._lanes: set[str] = set()
         self._late: set[str] = set()  # phases that name what is not sliding
@@ -245,7 +252,9 @@ class RunRecording:
         if not self._root:
             lanes = has_sliding(self.channels) + (self.channels["tau"].bound is not None)
             lanes += self._eventful + (description.get("status", "ok") not in ("ok", "running"))
-            layout = blueprint(self.scene, self.channels, description, lanes, largest)
+            layout = blueprint(
+                self.scene, self.channels, description, lanes, largest, listed=bool(self.name)
+            )
             self._stream.send_blueprint(layout)
 
     def _log_signals(self, rows: Rows, frames: np.ndarray) -> None:
@@ -318,7 +327,7 @@ class RunRecording:
     def _describe(self, description: Mapping[str, Any]) -> None:
         """The run's title, its properties, and its pages of text."""
         if not self._root:
-            self._stream.send_recording_name(title_of(description))
+            self._stream.send_recording_name(self.name or title_of(description))
             known = {name: description[name] for name in _PROPERTIES if name in description}
             for name in _TABLES:
                 if name in description:

@@ -103,17 +103,6 @@ def last_instant(path: Path) -> float:
     return float(max(ends)) * 1e-9
 
 
-def write_name(recording: Path, path: Path, name: str) -> None:
-    """Writes a file that gives a recording another name when both are merged."""
-    store = rr.chunk.RrdReader(os.fspath(recording)).recordings()[0]
-    stream = rr.RecordingStream(
-        store.application_id, recording_id=store.recording_id, send_properties=False
-    )
-    with stream:
-        stream.save(os.fspath(path))
-        stream.send_recording_name(name)
-
-
 def telling_instant(path: Path) -> float:
     """The instant at which a recording says most [s].
 

@@ -30,7 +30,8 @@ _PLATE, _BASE = 0xDEE2E8FF, 0x78808CFF
 _TRAIL, _PATH, _GHOST = 0xFF4655FF, 0x8FA3B8FF, 0xC6D6EA22
 _DISTURBANCE, _GRAVITY, _PAYLOAD = 0xC58BFFFF, 0xB8C0CCFF, 0xE08A3CFF
 _CURVE = 0xFFFFFFFF  # of a plant of more modules
-_FARTHEST = 1.6  # lengths of the arm from the base that the camera may see
+_FARTHEST = np.array([[-1.6, -1.6], [1.6, 1.6]])  # what the camera sees [lengths of the arm]
+_ARROWS = np.array([[-0.7, -1.3], [0.7, 0.25]])  # and of arrows, beside which the arm stays large
 _TRAIL_LENGTH = 1.0  # [s]
 _FINE = 8192.0  # places are rounded to this part of a metre
 _COARSE = 1024.0  # angles and lengths of pieces likewise
@@ -145,17 +146,20 @@ class Scene:
             origins, forces = shapes.force_arrows(q, rows["disturbance"], 0.95 * w)
             vectors = forces * (self._arrow / self._weight)
             frames["world/disturbance"] = _columns(rr.Arrows3D, vectors=vectors, origins=origins)
-            self._see(origins + vectors)
-        self._see(shapes.skeleton(q))
+            self._see(origins + vectors, _ARROWS)
+        self._see(shapes.skeleton(q), _FARTHEST)
         return frames
 
-    def _see(self, points: np.ndarray) -> None:
-        """Widens what the camera sees to points of shape (k, points, 3), but rare or far ones."""
+    def _see(self, points: np.ndarray, most: np.ndarray) -> None:
+        """Widens what the camera sees to points of shape (k, points, 3), but for rare ones.
+
+        It does not see further than so many lengths of the arm, lowest and highest x and z.
+        """
         low, high = (f(points[..., ::2], axis=1) for f in (np.min, np.max))
-        farthest = _FARTHEST * self._length
-        low = np.clip(np.percentile(low, 1.0, axis=0), -farthest, farthest)
-        high = np.clip(np.percentile(high, 99.0, axis=0), -farthest, farthest)
-        self._seen = np.stack([np.minimum(self._seen[0], low), np.maximum(self._seen[1], high)])
+        ends = np.stack([np.percentile(low, 1.0, axis=0), np.percentile(high, 99.0, axis=0)])
+        ends = np.clip(ends, self._length * most[0], self._length * most[1])
+        self._seen[0] = np.minimum(self._seen[0], ends[0])
+        self._seen[1] = np.maximum(self._seen[1], ends[1])
 
     def view(self, name: str, root: str = "") -> rrb.Spatial3DView:
         """A camera in front of the arm, a little to the side, that sees all of what was drawn."""

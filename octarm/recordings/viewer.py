@@ -96,7 +96,7 @@ def screenshot(
     Args:
         recording: an `.rrd` file.
         png: the picture; its folder must exist.
-        others: further recordings that are open; see `listed`.
+        others: further recordings that are open.
         time: instant to show [s]; the first one if None.
         size: width and height [pixel].
         timeout: for how long the viewer may do nothing, see `_Viewer.pause` [s].
@@ -139,24 +139,6 @@ def rescue(partial: Name, path: Name) -> None:
         dropped = [item for axis in time_axes(whole) for item in ("--drop-entity", axis)]
         _rrd(partial, "filter", *dropped, whole, "-o", str(path))
     end_of(path)
-
-
-def listed(recording: Name, path: Name, name: str) -> None:
-    """Writes a recording as one of several, for which the viewer keeps its list of them open.
-
-    There it has the name.
-
-    Raises:
-        OctarmError: if it cannot be read.
-    """
-    from octarm.recordings.rrd import write_name
-
-    with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
-        open_list, named = (os.path.join(scratch, f"{x}.rrd") for x in ("list", "name"))
-        arguments = ("--drop-entity", "/blueprint_panel", str(recording), "-o", open_list)
-        _rrd(recording, "filter", *arguments)
-        write_name(open_list, named, name)
-        _rrd(recording, "merge", open_list, named, "-o", str(path))
 
 
 def end_of(path: Name) -> float:
@@ -222,7 +204,8 @@ class _Viewer:
         errors = [entry.message for entry in client.get_logs() if entry.level == "ERROR"]
         if errors:
             raise OctarmError(f"the rerun viewer says: {errors[0].splitlines()[0]}")
-        if state.loading or not any(recording.timelines for recording in state.recordings):
+        timelines = [recording.timelines for recording in state.recordings]
+        if state.loading or not timelines or not all(timelines):
             return None
         blueprint = client.get_blueprint(of="recording").blueprint
         blueprint["/top_panel"] = {"PanelBlueprint": {"state": "Hidden"}}
