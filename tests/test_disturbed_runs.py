@@ -25,7 +25,7 @@ from test_disturbances import SPELLINGS
 from controllers import CONTROLLERS, make_controller
 from octarm.arm.actuation import GroundedActuation
 from octarm.arm.lagrange import damping_matrix, energy, equilibrium, forward_dynamics, positions
-from octarm.arm.mjcf import nominal_parameters, paper_order
+from octarm.arm.mjcf import nominal_parameters, paper_order, read_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance, Episode, PlantChange
 from octarm.disturbances.forces import tip_force
@@ -139,7 +139,7 @@ def run(
                 data.qfrc_applied[dof].copy(),
                 data.ctrl[:6].copy(),
                 physics.tau(),
-                ArmParameters.from_model(model) if changing or len(states) == 2 else rows[-1][3],
+                read_parameters(model) if changing or len(states) == 2 else rows[-1][3],
                 np.arctan2(gravity[0], -gravity[2]),
             )
         )

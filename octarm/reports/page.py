@@ -18,8 +18,8 @@ from octarm.palette import look_of
 from octarm.reports.charts import Scale, scales_of
 from octarm.reports.comparisons import Comparisons, Difference, Group
 from octarm.reports.consistency import Remark
+from octarm.reports.factors import Factor
 from octarm.reports.figures import Picture
-from octarm.reports.frame import Factor
 from octarm.reports.statistics import CONFIDENCE, FEWEST, Interval
 
 
@@ -91,10 +91,7 @@ def _shown(value: Any) -> Any:
 
 
 def page(
-    comparisons: Comparisons,
-    remarks: Iterable[Remark],
-    pictures: Iterable[Picture],
-    source: Source,
+    comparisons: Comparisons, remarks: Iterable[Remark], pictures: Iterable[Picture], source: Source
 ) -> str:
     """The page as text; the same for the same numbers."""
     manifest = comparisons.episodes.manifest

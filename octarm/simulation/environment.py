@@ -26,9 +26,8 @@ from octarm.interfaces import Motion
 from octarm.memory import check_batch, check_steps
 from octarm.references import named_reference, wanted
 from octarm.simulation.arguments import check_load, whole_number
-from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.engines import LAGRANGE, MUJOCO, check_engine
-from octarm.simulation.physics import ArmPhysics
+from octarm.simulation.physics import ArmPhysics, BatchPhysics
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.steps import (
     AUTO,

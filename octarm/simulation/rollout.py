@@ -30,10 +30,7 @@ Observer = Callable[[Instant], object]
 
 
 def simulate(
-    environment: control.Environment,
-    controller: Controller,
-    duration: float,
-    *observers: Observer,
+    environment: control.Environment, controller: Controller, duration: float, *observers: Observer
 ) -> str:
     """The simulation loop: the environment's next episode, for one arm or a batch.
 
@@ -128,21 +125,16 @@ def rollout(
     *,
     progress: Callable[[], object] | None = None,
 ) -> Trajectory:
-    """Runs the next episode of one arm, and records it.
+    """Runs the next episode of one arm, see `simulate`, and records it.
 
-    Args:
-        environment: what `octarm.load` returns, possibly wrapped.
-        controller: see `octarm.interfaces`.
-        duration: length of the run [s], rounded up to whole control periods.
-        progress: called after every control period.
+    The progress is called after every control period.
 
     Returns:
         The trajectory; its status is `diverged` when the arm left its limits, or a force was not
         finite. Such a run ends there.
 
     Raises:
-        OctarmError: if the duration is not positive, the controller's force has a wrong shape, the
-            environment holds a batch of arms, or something else moves the arm meanwhile.
+        OctarmError: as `simulate` does, or if the environment holds a batch of arms.
     """
     check_simulation(environment, controller, duration)
     blocks: list[Rows] = []
@@ -166,11 +158,7 @@ class ArmRecorder(Recorder):
         *,
         rows: int = BLOCK,
     ) -> None:
-        """A recorder of blocks of so many physics steps, empty.
-
-        Raises:
-            OctarmError: if the environment holds a batch of arms.
-        """
+        """A recorder of blocks of so many physics steps; OctarmError for a batch of arms."""
         self._environment = environment
         self._physics: ArmPhysics = environment.physics
         if self._physics.batch_shape:
@@ -198,19 +186,11 @@ class ArmRecorder(Recorder):
         return row
 
     def run(
-        self,
-        controller: Controller,
-        duration: float,
-        progress: Callable[[], object] | None = None,
+        self, controller: Controller, duration: float, progress: Callable[[], object] | None = None
     ) -> Ending:
         """Runs the next episode, as `rollout` does; to be called once.
 
-        An interrupt ends the run.
-
-        Raises:
-            OctarmError: if the duration is not positive, or the controller's force has a wrong
-                shape.
-            KeyboardInterrupt: if interrupted before there was a row.
+        An interrupt ends the run; it is a KeyboardInterrupt where there was no row before.
         """
         observers: list[Observer] = [self]
         if progress is not None:
