@@ -91,6 +91,10 @@ class Groups:
         """v_M of the plant's velocities, shapes (..., 2M) and (..., 2N) [m/s], [rad/s]."""
         return _product(self._sums, v)
 
+    def spread(self, change: np.ndarray) -> np.ndarray:
+        """The least change of q_N that changes q_M so, shapes (..., 2N) and (..., 2M)."""
+        return _product(_rows(np.linalg.pinv(self.matrix)), change)
+
     def force(self, force: np.ndarray) -> np.ndarray:
         """Q_N = B^T Q_M, shapes (..., 2N) and (..., 2M) [N], [N m]."""
         return _product(self._shares, force)

@@ -134,6 +134,10 @@ class Episode:
         """The episode of this number, given episode 0: all that is random is drawn anew."""
         return self._with(index=index, seeds=[episode_seed(seed, index) for seed in self._seeds])
 
+    def seeded(self, seeds: Sequence[np.random.SeedSequence]) -> Episode:
+        """The same with other seeds, one for each arm."""
+        return self._with(seeds=seeds)
+
     def _with(self, **fields: Any) -> Episode:
         other = copy.copy(self)  # with the input amplitude, if it is known already
         for name, value in fields.items():

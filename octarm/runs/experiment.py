@@ -33,9 +33,10 @@ from octarm.runs.description import REPEATED, Description
 from octarm.runs.place import new_folder
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import MUJOCO
-from octarm.simulation.environment import TrackingTask, load, whole_periods
+from octarm.simulation.environment import load, whole_periods
 from octarm.simulation.rollout import ArmRecorder, copied
 from octarm.simulation.stepping import AnyPhysics
+from octarm.simulation.task import TrackingTask
 from octarm.simulation.trajectory import Ending, Trajectory, joined
 
 _AS_THEY_ARE = {

@@ -82,6 +82,11 @@ def check_simulation(environment: Any, controller: Any, duration: Any) -> None:
         raise OctarmError(
             f"the environment is {quoted(environment)}; it must be what octarm.load returns"
         )
+    if environment.task.flat:
+        raise OctarmError(
+            "the environment has flat observations; a loop needs them one by one, as octarm.load "
+            "gives them without flat_observation"
+        )
     check_real("duration", duration)
     if (
         isinstance(controller, type)

@@ -17,10 +17,11 @@ from dm_control.rl import control
 from octarm.errors import OctarmError
 from octarm.interfaces import Controller, Instant, Measurement, Reference, Rows, Within
 from octarm.simulation.arguments import check_simulation, commanded
-from octarm.simulation.environment import TrackingTask, whole_periods
+from octarm.simulation.environment import whole_periods
 from octarm.simulation.physics import ArmPhysics
 from octarm.simulation.recorder import Recorder
 from octarm.simulation.stepping import AnyPhysics
+from octarm.simulation.task import TrackingTask
 from octarm.simulation.trajectory import BLOCK, Ending, Trajectory, joined
 
 _LARGEST_FORCE = 1e8  # [N], [N m]; MuJoCo would drop much larger ones
@@ -71,6 +72,7 @@ def _episode(
     steps = round(environment.control_timestep() / step)
     with turn:
         timestep = environment.reset()
+        task.go_on()
     state = controller.initial_state(physics.batch_shape)
     message = ""
     for period in range(periods):
