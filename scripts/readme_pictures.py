@@ -18,7 +18,7 @@ import av
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parent.parent
-HARD = ("--disturbance", "noise:40%", "--disturbance", "payload:100g,at=3")
+HARD = ("--disturbance", "noise:40%", "--disturbance", "payload:100g,at=3", "--duration", "8")
 MOVING = (400, 400)  # size of the moving picture [pixel]
 RATE = 12.5  # of the moving picture [Hz]
 MOST = 3e6  # of its file [byte]
@@ -80,7 +80,7 @@ class Studio:
 
 def moving(studio: Studio, name: str) -> None:
     """The arm under control, noise and a payload, as a GIF that repeats."""
-    run = studio.run("--controller", "afsmc", "--mismatch", "-0.3", *HARD, "--duration", "8")
+    run = studio.run("--controller", "afsmc", "--mismatch", "-0.3", *HARD)
     pictures = studio.film(run, MOVING, RATE)[int(2 * RATE) :]  # whole periods of the sine
     some = Image.new("RGB", (MOVING[0], 5 * MOVING[1]))
     for k in range(5):
@@ -103,7 +103,7 @@ def plot(studio: Studio, name: str) -> None:
 
 def video(studio: Studio, name: str) -> None:
     """Three pictures of a film side by side."""
-    run = studio.run("--controller", "afsmc", "--mismatch", "-0.3", *HARD, "--duration", "8")
+    run = studio.run("--controller", "afsmc", "--mismatch", "-0.3", *HARD)
     pictures = studio.film(run, (480, 480), 2.0)
     row = Image.new("RGB", (1440, 480))
     for k, at in enumerate((0.5, 5.5, 6.5)):
@@ -146,12 +146,12 @@ PICTURES: dict[str, Callable[[Studio, str], None]] = {
     "compare": lambda s, name: s.view(
         name,
         s.run("--mismatch", "-0.3", *HARD),
-        s.run("--controller", "afsmc", "--mismatch", "-0.3", *HARD, "--duration", "8"),
+        s.run("--controller", "afsmc", "--mismatch", "-0.3", *HARD),
     ),
     "plot": plot,
     "video": video,
     "adaptive": lambda s, name: s.view(
-        name, s.run("--controller", "afsmc", "--mismatch", "-0.3", *HARD, "--duration", "8")
+        name, s.run("--controller", "afsmc", "--mismatch", "-0.3", *HARD)
     ),
     "model_free": lambda s, name: s.view(name, s.run("--controller", "fuzzy")),
     "diverged": lambda s, name: s.view(name, s.run("--disturbance", "actuation-delay:60ms")),
