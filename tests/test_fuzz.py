@@ -28,8 +28,9 @@ from octarm.commands.cli import main
 from octarm.commands.pages import arguments_of, commands, is_operand, spelling
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError
-from octarm.recordings import plots, viewer
+from octarm.recordings import viewer
 from octarm.references import REFERENCES
+from octarm.reports import run_figures
 from octarm.sweeps.execute import sweep as run_sweep
 from octarm.sweeps.spec_file import read_spec
 
@@ -119,7 +120,7 @@ def place(made, tmp_path_factory):
         patch.setattr(rod, "study", not_run)
         patch.setattr(report, "pictures", lambda _: [])
         patch.setattr(verify, "perform", short)
-        patch.setattr(plots.NewFigure, "savefig", lambda *_, **__: None)
+        patch.setattr(run_figures.NewFigure, "savefig", lambda *_, **__: None)
         patch.setattr(viewer, "open_viewer", lambda _: None)
         patch.setattr(viewer, "screenshot", lambda *_, **__: None)
         patch.setattr(viewer, "serve", lambda *_: None)

@@ -23,8 +23,10 @@ from recordings import (
 from octarm.arm.lagrange import positions
 from octarm.arm.mjcf import world_position
 from octarm.errors import OctarmError
+from octarm.recordings.blueprints import Plots
+from octarm.recordings.channels import channels_of
 from octarm.recordings.recording import run_recording, write_recording
-from octarm.recordings.rrd import last_instant
+from octarm.recordings.rrd import last_instant, telling_instant
 from octarm.recordings.viewer import rescue
 
 
@@ -235,6 +237,29 @@ def test_what_was_added_survives_a_kill(tmp_path):
     assert verified(path)
     np.testing.assert_array_equal(fields(path, "/signals")["tau"], swinging().tau[:2000])
     assert len(rr.chunk.RrdReader(path).blueprints()) == 1
+
+
+def test_the_telling_instant_is_that_of_the_largest_bend_or_the_end(tmp_path):
+    run = swinging(rows=3000)
+    size = np.abs(run.q[:, 3:]).sum(axis=1)
+    path = record(tmp_path, run)
+    assert telling_instant(path) == pytest.approx(run.t[np.argmax(size)], abs=1e-9)
+    path = record(tmp_path, run, status="diverged")
+    assert telling_instant(path) == pytest.approx(run.t[-1])
+
+
+def test_plots_that_would_be_empty_and_bounds_that_are_far_off_are_not_drawn(tmp_path):
+    run = swinging(rows=50)
+    channels = channels_of(dict(run.arrays()), described(), run.layer, disturbed=True)
+    largest = {name: np.ones(len(channel.names)) for name, channel in channels.items()}
+    largest |= {"disturbance": np.zeros(6), "error": 1e-3 * np.ones(6)}
+    plots = Plots(channels, 1.0, largest=largest)
+    assert plots.views("disturbance") == []
+    assert len(plots.views("s")) == 2
+    assert "phi / lambda = 0.08, far off" in plots.bounded("error", "error", "bends").name
+    assert "grey: phi" in plots.bounded("s", "s", "bends").name
+    unknown = Plots(channels, 1.0)
+    assert len(unknown.views("disturbance")) == 2
 
 
 def test_what_is_not_one_arm_is_refused(tmp_path):

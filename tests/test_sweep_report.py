@@ -24,10 +24,11 @@ from octarm.commands.cli import main
 from octarm.errors import ExitCode
 from octarm.metrics.table import METRICS
 from octarm.metrics.table import columns as metric_columns
+from octarm.palette import look_of
 from octarm.reports.charts import pictures
 from octarm.reports.comparisons import compare, partners
 from octarm.reports.consistency import remarks
-from octarm.reports.figures import COLORS, inline_svg
+from octarm.reports.figures import inline_svg
 from octarm.reports.frame import read_episodes
 from octarm.reports.page import Tables, number
 from octarm.reports.statistics import adjusted, binomial
@@ -473,8 +474,8 @@ def test_figures_have_room_for_many_controllers_and_show_failures(tmp_path):
     found = {p.name: p for p in pictures(compare(read_episodes(folder, ["tip_rms_error"])))}
     assert list(found) == ["degradation-noise", "distributions", "failures"]
     assert f"{names[3]}, 3 diverged" in found["distributions"].svg
-    for color in COLORS:
-        assert all(color in picture.svg for picture in found.values())
+    for name in names:
+        assert all(look_of(name).color in picture.svg for picture in found.values())
 
 
 def test_the_same_sweep_gives_the_same_files(written, known):
@@ -493,7 +494,8 @@ def test_the_same_sweep_gives_the_same_files(written, known):
 def test_figures_in_a_page_take_its_colours():
     svg = '<?xml?><svg viewBox="0 0 10 5" xmlns="http://a"><g id="b" style="fill: #24292f"/></svg>'
     assert inline_svg(svg, "p", "<x>") == (
-        '<svg viewBox="0 0 10 5" style="max-width: 15px" role="img" aria-label="&lt;x&gt;">'
+        '<svg viewBox="0 0 10 5" style="min-width: 9px; max-width: 15px" role="img" '
+        'aria-label="&lt;x&gt;">'
         '<g id="p-b" style="fill: var(--ink)"/></svg>'
     )
 

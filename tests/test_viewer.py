@@ -17,6 +17,7 @@ from recordings import described, swinging
 from octarm.arm.mjcf import nominal_parameters
 from octarm.commands import cli
 from octarm.errors import OctarmError, TooSlow
+from octarm.palette import BRIGHT_MODULES
 from octarm.recordings import viewer
 from octarm.recordings.comparison import write_comparison
 from octarm.recordings.recording import write_recording
@@ -88,7 +89,7 @@ def test_a_picture_has_the_size_asked_for_and_shows_something(picture):
         colors = image.convert("RGB").getcolors(maxcolors=1 << 24) or []
     assert len(colors) > 500
     common = {color for count, color in colors if count > 300}
-    assert {(255, 159, 67), (64, 169, 255), (72, 201, 135)} <= common  # the three modules
+    assert {tuple(bytes.fromhex(color[1:])) for color in BRIGHT_MODULES[:3]} <= common
 
 
 def test_another_time_is_another_picture(picture, recording, tmp_path):

@@ -134,7 +134,8 @@ def replay(
     Args:
         runs: run folder, two run folders, or a sweep folder
         screenshot: write a picture of the viewer instead of opening it; no display
-        time: time shown in the picture [s]; the middle of the run when not given
+        time: time shown in the picture [s]; that of the largest bend, or the
+            end of a run that diverged, when not given
         web: serve the viewer to a browser on this machine; no network
         force: replace a picture that is there
 

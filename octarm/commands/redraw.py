@@ -26,7 +26,7 @@ def record(run: Path, out: Path | None) -> int:
 
 def plot(run: Path, out: Path) -> int:
     """`octarm plot`: the standard figures of a run."""
-    from octarm.recordings.plots import write_figures
+    from octarm.reports.run_figures import write_figures
 
     trajectory, description = rows_of(run)
     for path in write_figures(out, trajectory, description):

@@ -5,13 +5,16 @@ from __future__ import annotations
 import contextlib
 import sys
 import tempfile
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from octarm.commands.redraw import rows_of, say_partial
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.recordings import viewer
 from octarm.recordings.comparison import write_comparison
+from octarm.recordings.recording import write_recording
+from octarm.recordings.titles import LONGEST, conditions_of
 from octarm.runs import folder as runs
 
 _SWEEP = "manifest.json"  # a folder with it is a sweep
@@ -34,7 +37,7 @@ def replay(folders: Sequence[Path], screenshot: Path | None, time: float | None,
 
 def _picture(files: Sequence[Path], screenshot: Path, time: float | None) -> None:
     end = viewer.end_of(files[0])
-    time = 0.5 * end if time is None else time
+    time = viewer.telling_instant(files[0]) if time is None else time
     if not 0.0 <= time <= end:
         raise OctarmError(f"time is {time:g} s; the run goes from 0 to {end:g} s")
     viewer.screenshot(files[0], screenshot, others=files[1:], time=time)
@@ -75,8 +78,17 @@ def _of_sweep(folder: Path, scratch: Path) -> list[Path]:
     listed: list[Path] = []
     for file in files[:_MOST]:
         listed.append(scratch / f"{len(listed)}-{file.parent.name}.rrd")
-        viewer.listed(file, listed[-1])
+        trajectory, description = rows_of(file.parent)
+        name = _episode_name(file.parent.name, description)
+        write_recording(listed[-1], trajectory, description, name=name)
     return listed
+
+
+def _episode_name(folder: str, description: Mapping[str, Any]) -> str:
+    """An episode in a few words, such as `worst: pd, noise 40 %`; its folder is ID-REASON."""
+    number, _, reason = folder.partition("-")
+    what = ", ".join([description["controller"]["name"], *conditions_of(description)])
+    return printable(f"{reason or number}: {what}", LONGEST)
 
 
 def _of_run(folder: Path, scratch: Path) -> Path:

@@ -10,7 +10,7 @@ from pathlib import Path
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_files
 from octarm.formats import read_toml
-from octarm.reports.charts import pictures
+from octarm.reports.charts import pictures, scales_of
 from octarm.reports.comparisons import TABLES, Comparisons, compare, tables
 from octarm.reports.consistency import Remark, remarks
 from octarm.reports.figures import Picture
@@ -113,10 +113,11 @@ def _commands(
 
 def _print_summary(numbers: Comparisons, remarked: list[Remark]) -> None:
     """A row a controller, and the warnings."""
-    measure = numbers.episodes.measures[0]
-    print(f"controller            episodes  diverged  median {measure.name} [{measure.unit}]")
+    measure, scale = numbers.episodes.measures[0], scales_of(numbers.episodes)[0]
+    unit = scale.unit or "1"
+    print(f"controller            episodes  diverged  median {measure.name} [{unit}]")
     for group in numbers.of(None):
-        middle, low, high = (float(x[0]) for x in group.medians)
+        middle, low, high = (scale.factor * float(x[0]) for x in group.medians)
         median = f"{middle:.3e}  ({low:.3e} .. {high:.3e})" if group.episodes else "none finished"
         print(f"{group.controller:<20} {group.episodes:>9} {group.failed:>9}  {median}")
     for remark in remarked:

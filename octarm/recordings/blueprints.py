@@ -17,10 +17,13 @@ from rerun.blueprint.encodings import VisualizerComponentMapping
 from octarm.recordings import heat_map
 from octarm.recordings.channels import Channel, has_energy, has_sliding
 from octarm.recordings.scene import Scene, input_colors, module_colors
+from octarm.recordings.titles import title_of
 
 _BOUND = [150, 156, 166]
 _BACKGROUND = [13, 15, 19]
 _LEGEND = 8  # series at most that a legend can name
+_FAR = 2.0  # times the largest value; a bound beyond that is written, not drawn
+_SHORT = 64  # letters of a title that leaves room for more
 _LANE = 0.045  # height of a lane of the state timeline [of the window]
 
 
@@ -50,11 +53,22 @@ class Plots:
         axis: the time, with room for the legends at its end.
     """
 
-    def __init__(self, channels: Mapping[str, Channel], end: float, root: str = "") -> None:
-        """Plots from 0 to `end` [s]."""
+    def __init__(
+        self,
+        channels: Mapping[str, Channel],
+        end: float,
+        root: str = "",
+        largest: Mapping[str, np.ndarray] | None = None,
+    ) -> None:
+        """Plots from 0 to `end` [s].
+
+        The largest size of each number of a channel, by name, tells which plots would be empty and
+        which bounds are far off; None while the run goes on.
+        """
         at = rr.TimeRangeBoundary.absolute
-        time = rr.TimeRange(start=at(seconds=0.0), end=at(seconds=1.16 * end))
+        time = rr.TimeRange(start=at(seconds=0.0), end=at(seconds=1.2 * end))
         self.channels, self.axis, self._root = channels, rrb.TimeAxis(view_range=time), root
+        self._largest = largest
 
     def curves(self, name: str, part: str = "") -> Curves:
         """The curves of a part of a channel."""
@@ -87,7 +101,7 @@ class Plots:
             name=title,
             contents=list(lines),
             overrides=lines,
-            axis_x=self.axis if legend else None,
+            axis_x=self.axis,
             axis_y=None if not largest else rrb.ScalarAxis(range=(-largest, largest)),
             plot_legend=rrb.PlotLegend("RightTop") if legend else rrb.PlotLegend(visible=False),
         )
@@ -95,7 +109,11 @@ class Plots:
     def bounded(self, title: str, name: str, part: str, legend: bool = False) -> Any:
         """A plot of a part of a channel with lines at its bound."""
         bound, curves = self.channels[name].bound, [self.curves(name, part)]
-        if bound is not None:
+        if bound is not None and self._far(name, part):
+            sizes = np.abs(bound.lines(self.channels[name].parts[part]))
+            ends = dict.fromkeys(f"{x:.3g}" for x in (sizes.min(), sizes.max()))
+            title = f"{title}   {bound.word} = {' to '.join(ends)}, far off"
+        elif bound is not None:
             count = len(bound.lines(self.channels[name].parts[part]))
             names = [f"{'± ' if bound.both_sides else ''}{bound.word}"] * count
             entity, path = f"bounds/{name}", f".{part or 'all'}[]"
@@ -103,8 +121,22 @@ class Plots:
             title = f"{title}   grey: {bound.word}"
         return self.view(title, *curves, legend=legend)
 
+    def empty(self, name: str, part: str) -> bool:
+        """Whether there is nothing but zeros to be seen."""
+        where = self.channels[name].parts[part]
+        return self._largest is not None and not np.any(self._largest[name][where])
+
+    def _far(self, name: str, part: str) -> bool:
+        """Whether the bound of a channel would squeeze its curves."""
+        channel = self.channels[name]
+        if self._largest is None or channel.bound is None:
+            return False
+        where = channel.parts[part]
+        least = float(np.abs(channel.bound.lines(where)).min())
+        return least > _FAR * float(self._largest[name][where].max())
+
     def views(self, name: str) -> list[Any]:
-        """A plot for each part of a channel, since their scales differ; none without the channel.
+        """A plot for each part of a channel, since their scales differ, that is not empty.
 
         Lines mark the bound of the channel.
         """
@@ -112,12 +144,13 @@ class Plots:
         if channel is None or channel.kind == "rules":
             return []
         named = channel.kind in ("coordinates", "inputs") and name != "E"
+        parts = [part for part in channel.parts if not self.empty(name, part)]
         return [
             self.bounded(
                 f"{channel.title}{', ' if part else ''}{part}{channel.units[part]}", name, part,
                 legend=named and i == 0,
             )
-            for i, part in enumerate(channel.parts)
+            for i, part in enumerate(parts)
         ]  # fmt: skip
 
     def tracking(self, part: str) -> list[Any]:
@@ -164,7 +197,13 @@ class Plots:
 
 
 def blueprint(
-    scene: Scene, channels: Mapping[str, Channel], description: Mapping[str, Any], lanes: int
+    scene: Scene,
+    channels: Mapping[str, Channel],
+    description: Mapping[str, Any],
+    lanes: int,
+    largest: Mapping[str, np.ndarray] | None = None,
+    *,
+    listed: bool = False,
 ) -> rrb.Blueprint:
     """The layout for one run.
 
@@ -173,12 +212,21 @@ def blueprint(
         channels: what the run holds.
         description: of the run; its duration is the range of the plots.
         lanes: of the state timeline, without those of single coordinates.
+        largest: sizes of the numbers of each channel, shape (numbers,), see `Plots`.
+        listed: whether the viewer keeps its list of recordings open.
     """
-    plots = Plots(channels, float(description["duration"]))
+    plots = Plots(channels, float(description["duration"]), largest=largest)
     tabs = _tabs(plots, ledger=bool(description.get("disturbances")))
-    by_priority = ("adaptation", "disturbances", *(["s"] if has_sliding(channels) else []), "input")
+    by_priority = (
+        "adaptation",
+        "disturbances",
+        *(["s"] if has_sliding(channels) else []),
+        "input",
+        "notes",
+    )
     opened = next(name for name in by_priority if name in tabs)
-    left: Any = scene.view("arm   pale sheath: desired")
+    title = title_of(description)
+    left: Any = scene.view(f"{title}   pale: desired" if len(title) < _SHORT else title)
     if lanes:
         height = _LANE * (lanes + 2)
         states = plots.states("state", "states/**", "- states/each/**")
@@ -189,7 +237,7 @@ def blueprint(
         rrb.Tabs(*tabs.values(), active_tab=list(tabs).index(opened)),
         row_shares=[*[1.0] * len(tracking), 1.15],
     )
-    return Layout(rrb.Horizontal(left, right, column_shares=[2, 3]))
+    return Layout(rrb.Horizontal(left, right, column_shares=[2, 3]), listed=listed)
 
 
 def _tabs(plots: Plots, *, ledger: bool) -> dict[str, Any]:
@@ -238,13 +286,13 @@ class Layout(rrb.Blueprint):
     It does not note when each of its parts was made, and is smaller by a tenth.
     """
 
-    def __init__(self, layout: Any) -> None:
-        """The layout of a container of views."""
+    def __init__(self, layout: Any, *, listed: bool = False) -> None:
+        """The layout of a container of views; with the list of recordings if they are listed."""
         super().__init__(
             layout,
             rrb.TimePanel(timeline="t", play_state="paused", state="collapsed"),
             rrb.SelectionPanel(state="hidden"),
-            rrb.BlueprintPanel(state="hidden"),
+            *([] if listed else [rrb.BlueprintPanel(state="hidden")]),
         )
 
     def _log_to_stream(self, stream: rr.RecordingStream) -> None:

@@ -28,6 +28,10 @@ from octarm.interfaces import WITHIN, Rows
 _LOOP = ("t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance", *WITHIN)
 
 
+SLIDING, REACHING = "sliding", "reaching"
+_NAMED = 3  # coordinates at most that a phase names
+
+
 class _Meaning(NamedTuple):
     """What is known of a channel by its name."""
 
@@ -248,8 +252,9 @@ class Phases:
 
     If the controller has a robust part, the signal `switching`, a coordinate is `sliding` while
     |s| <= phi; without a boundary layer it slides from the instant at which s first has another
-    sign than at the start. The lane `surface` is `sliding` while all coordinates are; `each/theta1`
-    is the lane of one. The lane `inputs` is `saturated` while one input is at its limit.
+    sign than at the start. The lane `surface` is `sliding` while all coordinates are, and names
+    those that are not, as in `reaching: theta2`; `each/theta1` is the lane of one. The lane
+    `inputs` is `saturated` while one input is at its limit.
     """
 
     def __init__(
@@ -264,6 +269,8 @@ class Phases:
         self._start: np.ndarray | None = None  # sign of s
         self._reached = np.zeros(len(names), dtype=bool)
         self._last: dict[str, bool] = {}
+        self._looked: tuple[bool, float] | None = None  # at the surface: whether late, tenth of a s
+        self._word = ""
 
     def changes(self, rows: Rows) -> dict[str, list[tuple[int, str]]]:
         """The rows of this block at which a lane changes and its phase from there on, by lane."""
@@ -279,12 +286,36 @@ class Phases:
         s = rows.get("s") if "switching" in rows else None  # else s is only a filtered error
         if s is not None and s.shape[1:] == (len(self._names),):
             sliding = self._sliding(s)
-            add("surface", np.all(sliding, axis=1), "reaching", "sliding")
+            if surface := self._surface(rows["t"], sliding):
+                changes["surface"] = surface
             for name, flags in zip(self._names, sliding.T, strict=True):
-                add(f"each/{name}", flags, "reaching", "sliding")
+                add(f"each/{name}", flags, REACHING, SLIDING)
         if self._limit is not None:
             full = np.any(np.abs(rows["tau"]) >= self._limit, axis=1)
             add("inputs", full, "free", "saturated")
+        return changes
+
+    def _surface(self, t: np.ndarray, sliding: np.ndarray) -> list[tuple[int, str]]:
+        """The changes of the surface at times of shape (k,), for flags of shape (k, 2N).
+
+        The names of what is not sliding are looked at ten times a second: s may leave its layer
+        thousands of times.
+        """
+        late, ticks = ~np.all(sliding, axis=1), np.floor(10.0 * t + 1e-6)
+        was_late, tick = self._looked or (not late[0], ticks[0])
+        self._looked = bool(late[-1]), float(ticks[-1])
+        new = (late != np.concatenate([[was_late], late[:-1]])) | (
+            ticks != np.concatenate([[tick], ticks[:-1]])
+        )
+        changes: list[tuple[int, str]] = []
+        for row in np.flatnonzero(new).tolist():
+            names = [name for name, good in zip(self._names, sliding[row], strict=True) if not good]
+            word = f"{len(names)} of {len(self._names)}"
+            word = f"{REACHING}: {', '.join(names) if len(names) <= _NAMED else word}"
+            word = word if names else SLIDING
+            if word != self._word:
+                changes.append((row, word))
+                self._word = word
         return changes
 
     def _sliding(self, s: np.ndarray) -> np.ndarray:

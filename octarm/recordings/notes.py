@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 from octarm.declared import Code
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import printable
 from octarm.formats import Document
 from octarm.metrics.declared import declared_metrics
 from octarm.recordings.channels import coordinates_of
+from octarm.recordings.titles import LONGEST, disturbance_of, title_of, units_of
 
 _REMARK = """The arm is drawn as a picture of the lumped model, whose module i slides along the end
 of the one before and bends at its own end. No arc of length s_i and angle theta_i ends where such a
@@ -30,31 +32,25 @@ curve, the red line follows its tip, and the grey line the end of arcs of consta
 desired coordinates."""
 
 
-_LONGEST = 200  # characters of a title, a message or a cell
-
-
-def title_of(description: Mapping[str, Any]) -> str:
-    """A run in a few words."""
-    controller = description.get("controller", {}).get("name", "")
-    reference = description.get("reference", {}).get("name", "")
-    names = [entry["name"] for entry in description.get("disturbances", [])]
-    plant = description.get("plant")
-    names += [f"a plant of {plant['modules']} modules"] if plant else []
-    title = f"{controller} on {reference}" if controller and reference else "a run"
-    title = f"{title}, {' + '.join(names)}" if names else title
-    episode = description.get("spawn_key")  # of a sweep
-    title = f"{title}, seed {'-'.join(map(str, episode))}" if episode else title
-    return printable(title, _LONGEST)
+_UNITS = {
+    "mass": "kg",
+    "inertia": "kg m^2",
+    "stiffness": "N/m",
+    "damping": "N s/m",
+    "gravity": "m/s^2",
+    "gravity_angle": "rad",
+}
+_SIGNAL_UNITS = {"forces": "N, N m", "the inputs": "N", "the readings": "m, rad, m/s, rad/s"}
 
 
 def notes_of(description: Mapping[str, Any]) -> dict[str, str]:
     """Pages of Markdown by name: `notes`, and `ledger` if there are disturbances."""
     parts = [f"# {title_of(description)}"]
     if description.get("status", "ok") != "ok":
-        message = printable(description.get("message", ""), _LONGEST)
+        message = printable(description.get("message", ""), LONGEST)
         parts.append(f"**{description['status']}** {message}".strip())
     if description.get("command"):
-        parts.append(f"```\n{printable(description['command'], 10 * _LONGEST)}\n```")
+        parts.append(f"```\n{printable(description['command'], 10 * LONGEST)}\n```")
     if description.get("metrics"):
         parts.append("## Metrics\n\n" + _metrics(description))
     for heading, table in (
@@ -96,21 +92,43 @@ def _metrics(description: Mapping[str, Any]) -> str:
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
-    cells = ([printable(cell, _LONGEST) for cell in line] for line in lines)
+    cells = ([printable(cell, LONGEST) for cell in line] for line in lines)
     return "\n".join(f"| {' | '.join(line)} |" for line in cells)
 
 
 def _ledger(entry: Mapping[str, Any]) -> str:
-    """What a disturbance was asked to do and what was delivered."""
-    asked, delivered = (
-        None
-        if table is None
-        else "; ".join(f"{name} {_text(x)}" for name, x in table.items() if x is not None)
-        for table in (entry["asked"], entry.get("delivered"))
-    )
-    delivered = "not known yet" if delivered is None else delivered or "nothing"
-    lines = (f"**{entry['name']}**", "", f"- asked: {asked}", f"- delivered: {delivered}")
-    return "\n".join(printable(line, 10 * _LONGEST) for line in lines)
+    """What a disturbance was asked to do and what was delivered, as a table with units."""
+    units = units_of(entry)
+    rows = [
+        ["asked", name, _text(value), _unit(units.get(name, ""))]
+        for name, value in entry["asked"].items()
+        if value is not None
+    ]
+    delivered = cast("dict[str, Any] | None", entry.get("delivered"))
+    for name, value in (delivered or {}).items():
+        change = cast(dict[str, Any], value) if isinstance(value, dict) else {}
+        if "undisturbed" in change and "end" in change:  # a parameter of the arm
+            value = f"{_text(change['undisturbed'])} → {_text(change['end'])}"
+        unit = _UNITS.get(name) or _signal_unit(entry["name"], name) or units.get(name, "")
+        rows.append(["delivered", name, _text(value), _unit(unit)])
+    if not delivered:
+        rows.append(["delivered", "not known yet" if delivered is None else "nothing", "", ""])
+    rows = [[first, name.replace("_", " "), *rest] for first, name, *rest in rows]
+    heading = printable(disturbance_of(entry), LONGEST)
+    return f"## {heading}\n\n{_table(['', '', '', 'unit'], rows)}"
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit
+
+
+def _signal_unit(disturbance: str, name: str) -> str:
+    """The unit of what was measured of the signal of a disturbance that is built in."""
+    cls = DISTURBANCES.get(re.sub(r"-\d+$", "", disturbance))
+    if cls is None or name in cls.units:
+        return "" if cls is None else cls.units[name]
+    known = name.startswith(("rms", "peak")) or name == "unexplained"
+    return _SIGNAL_UNITS.get(cls.family, "") if known else ""
 
 
 def _text(value: Any) -> str:

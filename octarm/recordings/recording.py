@@ -29,6 +29,7 @@ from octarm.errors import OctarmError
 from octarm.interfaces import Rows
 from octarm.recordings.blueprints import blueprint
 from octarm.recordings.channels import (
+    REACHING,
     Channel,
     Phases,
     channels_of,
@@ -38,10 +39,11 @@ from octarm.recordings.channels import (
     has_sliding,
 )
 from octarm.recordings.heat_map import HeatMap
-from octarm.recordings.notes import notes_of, title_of
+from octarm.recordings.notes import notes_of
 from octarm.recordings.rrd import Path, rerun_errors, rrd_file, structures, times
 from octarm.recordings.scene import DRAWN, Scene
 from octarm.recordings.shapes import drawable
+from octarm.recordings.titles import events_of, title_of
 from octarm.simulation.trajectory import BLOCK, Trajectory
 
 _FRAME_RATE = 60.0  # of the 3D scene [Hz]
@@ -59,7 +61,9 @@ _COLORS = {  # of the phases and of how a run ends, as hexadecimal red, green, b
 }
 
 
-def write_recording(path: Path, trajectory: Trajectory, description: Mapping[str, Any]) -> None:
+def write_recording(
+    path: Path, trajectory: Trajectory, description: Mapping[str, Any], *, name: str = ""
+) -> None:
     """Writes a run as a rerun recording, whole or not at all.
 
     The timeline is `t` [s]. Every signal of the controller is recorded and plotted, whatever its
@@ -69,6 +73,8 @@ def write_recording(path: Path, trajectory: Trajectory, description: Mapping[str
         path: the `.rrd` file; its folder must exist.
         trajectory: the run of one arm of N modules.
         description: what `run.json` holds; `parameters` are needed, the rest may be missing.
+        name: of one of several recordings, for which the viewer keeps its list of them open; the
+            title of the run when empty.
 
     Raises:
         OctarmError: if the trajectory has no rows, the parameters are not those of one such arm,
@@ -81,7 +87,9 @@ def write_recording(path: Path, trajectory: Trajectory, description: Mapping[str
     end = float(trajectory.t[-1])
     short = end < 0.9 * float(description.get("duration", end))
     announced = {**description, "duration": end} if short else description
-    with run_recording(path, announced, disturbed=disturbed) as recording:
+    with rrd_file(path) as stream:
+        recording = RunRecording(stream, path, announced, disturbed=disturbed, live=False)
+        recording.name = name
         recording.add_all(trajectory)
         recording.finish(description)
 
@@ -101,6 +109,8 @@ class RunRecording:
     Attributes:
         scene: the arm.
         channels: what the run holds; empty before the first rows.
+        largest: the largest size of each number of a channel so far, by the name of the channel.
+        name: of one of several recordings; empty if it is alone.
     """
 
     def __init__(
@@ -111,6 +121,7 @@ class RunRecording:
         *,
         disturbed: bool | None = None,
         root: str = "",
+        live: bool = True,
     ) -> None:
         """Starts the recording of the run that is announced.
 
@@ -121,6 +132,8 @@ class RunRecording:
             disturbed: whether the disturbances' force is recorded; if None, if any are listed.
             root: entity, with a slash at its end, below which everything stands. With one there is
                 no blueprint, and the recording is not named after the run.
+            live: whether it may be looked at before it is finished, so that it needs a layout from
+                the beginning; the final one knows what there is to see.
 
         Raises:
             OctarmError: if the parameters are not those of one arm, or a disturbance is unknown.
@@ -128,7 +141,7 @@ class RunRecording:
         parameters = ArmParameters.from_dict(description["parameters"])
         if parameters.batch_shape:
             raise OctarmError("the parameters must be those of one arm")
-        self._stream, self._path, self._root = stream, path, root
+        self._stream, self._path, self._root, self._live = stream, path, root, live
         self._description = description
         self._coordinates = coordinates_of(description)
         disturbances = disturbances_of(description)
@@ -140,13 +153,12 @@ class RunRecording:
             finer=description.get("plant") is not None,
         )
         self.channels: dict[str, Channel] = {}
+        self.largest: dict[str, np.ndarray] = {}
+        self.name = ""
         self._heat_maps: dict[str, HeatMap] = {}
         self._lanes: set[str] = set()
-        self._events = sorted(
-            (event.at, name, event.text)
-            for name, disturbance in disturbances.items()
-            for event in disturbance.events()
-        )
+        self._late: set[str] = set()  # phases that name what is not sliding
+        self._events = events_of(description)
         self._eventful = len({name for _, name, _ in self._events})
         self._count, self._stride, self._next_picture = 0, 1, _FIRST_PICTURE
         self._start = self._end = self._planned = 0.0
@@ -203,8 +215,9 @@ class RunRecording:
             self._draw_rules()
             self._log_bounds(self._end)
             ended = description.get("status", "ok") != "ok"
-            if ended or self._end < 0.9 * self._planned:
-                self._lay_out({**description, "duration": self._end})
+            short = ended or self._end < 0.9 * self._planned
+            duration = self._end if short else self._planned
+            self._lay_out({**description, "duration": duration}, self.largest)
             if ended:
                 ending = (self._end, str(description["status"]))
                 self._log_state("run", [(self._start, "running"), ending])
@@ -228,15 +241,20 @@ class RunRecording:
         for entity, look in self.scene.looks().items():
             self._log(entity, look)
         announced = {"status": "running", **self._description, "duration": self._planned}
-        self._lay_out(announced)
+        if self._live:
+            self._lay_out(announced)
         self._describe(announced)
         self._log_bounds(self._start)
 
-    def _lay_out(self, description: Mapping[str, Any]) -> None:
+    def _lay_out(
+        self, description: Mapping[str, Any], largest: Mapping[str, np.ndarray] | None = None
+    ) -> None:
         if not self._root:
             lanes = has_sliding(self.channels) + (self.channels["tau"].bound is not None)
             lanes += self._eventful + (description.get("status", "ok") not in ("ok", "running"))
-            layout = blueprint(self.scene, self.channels, description, lanes)
+            layout = blueprint(
+                self.scene, self.channels, description, lanes, largest, listed=bool(self.name)
+            )
             self._stream.send_blueprint(layout)
 
     def _log_signals(self, rows: Rows, frames: np.ndarray) -> None:
@@ -246,6 +264,8 @@ class RunRecording:
         slow: dict[str, np.ndarray] = {}
         for name, channel in self.channels.items():
             values = channel.values(rows)
+            sizes = np.nan_to_num(np.abs(values), posinf=np.inf).max(axis=0)
+            self.largest[name] = np.maximum(self.largest.get(name, 0.0), sizes)
             if channel.kind == "rules":
                 self._heat_maps[name].add(t, values)
             elif channel.entity == "adaptation":
@@ -284,10 +304,17 @@ class RunRecording:
         entity = f"states/{lane}"
         if lane not in self._lanes:
             self._lanes.add(lane)
-            names, colors = list(_COLORS), [int(color, 16) for color in _COLORS.values()]
-            self._log(entity, rr.StateConfiguration(values=names, labels=names, colors=colors))
+            self._look_of_states(entity, _COLORS)
         t, states = zip(*changes, strict=True)
+        if new := {text for text in states if text.startswith(f"{REACHING}: ")} - self._late:
+            self._late |= new  # each of them is amber
+            late = dict.fromkeys(sorted(self._late), _COLORS[REACHING])
+            self._look_of_states(entity, _COLORS | late)
         self._send(entity, np.array(t), rr.StateChange.columns(state=list(states)))
+
+    def _look_of_states(self, entity: str, looks: Mapping[str, str]) -> None:
+        names, colors = list(looks), [int(color, 16) for color in looks.values()]
+        self._log(entity, rr.StateConfiguration(values=names, labels=names, colors=colors))
 
     def _log_bounds(self, at: float) -> None:
         """The bounds of channels, which are lines from the first instant to the last."""
@@ -300,7 +327,7 @@ class RunRecording:
     def _describe(self, description: Mapping[str, Any]) -> None:
         """The run's title, its properties, and its pages of text."""
         if not self._root:
-            self._stream.send_recording_name(title_of(description))
+            self._stream.send_recording_name(self.name or title_of(description))
             known = {name: description[name] for name in _PROPERTIES if name in description}
             for name in _TABLES:
                 if name in description:

@@ -103,6 +103,33 @@ def last_instant(path: Path) -> float:
     return float(max(ends)) * 1e-9
 
 
+def telling_instant(path: Path) -> float:
+    """The instant at which a recording says most [s].
+
+    It is the one of the largest bend, or the last one of a run that diverged.
+
+    Raises:
+        OctarmError: if the file is not a recording, or has no instants.
+    """
+    end, largest, telling = last_instant(path), -1.0, 0.0
+    for chunk in rr.chunk.RrdReader(os.fspath(path)).stream():
+        kind, batch = chunk.entity_path.rsplit("/", 1)[-1], chunk.to_record_batch()
+        if chunk.is_static or not batch.num_rows:
+            continue
+        if kind == "run" and "diverged" in str(batch.to_pydict()):
+            return end
+        if kind != "signals" or "octarm:signals" not in batch.schema.names:
+            continue
+        rows = pa.compute.list_flatten(batch.column("octarm:signals"))
+        bends = rows.field("q_bends").flatten().to_numpy(zero_copy_only=False)
+        size = np.nan_to_num(np.abs(bends).reshape(len(rows), -1).sum(axis=1))
+        if size.max() > largest:
+            row = int(np.argmax(size))
+            at = batch.column("t").cast(pa.int64()).to_numpy()[row]
+            largest, telling = float(size[row]), float(at) * 1e-9
+    return telling
+
+
 def _lists(values: np.ndarray) -> Any:
     # Arrow takes the memory as it is; arrays in a file may begin at any byte of it.
     flat = pa.array(np.require(values, requirements=["C", "ALIGNED"]).ravel())

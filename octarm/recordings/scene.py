@@ -23,15 +23,15 @@ from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.ledger import Drawn
 from octarm.interfaces import Rows
+from octarm.palette import BRIGHT_MODULES
 from octarm.recordings import shapes
 
-_MODULES = ["FF9F43", "40A9FF", "48C987", "E76EBE", "F1D64A", "9B89FF", "4DD0D0", "FF7864"]
 _PLATE, _BASE = 0xDEE2E8FF, 0x78808CFF
 _TRAIL, _PATH, _GHOST = 0xFF4655FF, 0x8FA3B8FF, 0xC6D6EA22
-_RELAXED, _PULL, _PUSH = (112, 118, 126), (240, 243, 248), (232, 62, 62)
-_DISTURBANCE, _GRAVITY, _PAYLOAD = 0xC58BFFFF, 0xB8C0CCFF, 0xB8A06AFF
+_DISTURBANCE, _GRAVITY, _PAYLOAD = 0xC58BFFFF, 0xB8C0CCFF, 0xE08A3CFF
 _CURVE = 0xFFFFFFFF  # of a plant of more modules
-_STEEL = 7850.0  # [kg/m^3]; a payload is drawn as a ball of it
+_FARTHEST = np.array([[-1.6, -1.6], [1.6, 1.6]])  # what the camera sees [lengths of the arm]
+_ARROWS = np.array([[-0.7, -1.3], [0.7, 0.25]])  # and of arrows, beside which the arm stays large
 _TRAIL_LENGTH = 1.0  # [s]
 _FINE = 8192.0  # places are rounded to this part of a metre
 _COARSE = 1024.0  # angles and lengths of pieces likewise
@@ -42,7 +42,7 @@ DRAWN = ("t", "q", "q_d", "tau", "disturbance", "plant_q", "plant_tip")
 
 def module_colors(count: int) -> np.ndarray:
     """One colour for each module, shape (count, 3)."""
-    return np.resize([list(bytes.fromhex(color)) for color in _MODULES], (count, 3))
+    return np.resize([list(bytes.fromhex(color[1:])) for color in BRIGHT_MODULES], (count, 3))
 
 
 def input_colors(count: int) -> np.ndarray:
@@ -76,6 +76,11 @@ class Scene:
         self._payloads = [load for d in disturbances if (load := d.carried()) is not None]
         self._disturbed, self._finer = disturbed, finer
         self._last: tuple[np.ndarray, np.ndarray] | None = None  # tip and desired tip
+        reach = 1.12 * self._length + self._width
+        # What the camera sees of x and z at least: lowest and highest [m].
+        self._seen = np.array(
+            [[-0.42 * reach, 0.5 * self._width - reach], [0.42 * reach, 0.5 * self._width]]
+        )
 
     def looks(self) -> dict[str, Any]:
         """What of the scene stays the same, by entity."""
@@ -107,7 +112,7 @@ class Scene:
         if self._payloads:
             looks["world/payload"] = rr.Ellipsoids3D.from_fields(colors=_PAYLOAD, **solid)
         if self._finer:
-            looks["world/plant"] = lines(colors=_CURVE, radii=0.06 * w)
+            looks["world/plant"] = lines(colors=_CURVE, radii=0.14 * w)
         if self._disturbed:
             arrows = rr.Arrows3D.from_fields
             looks["world/disturbance"] = arrows(colors=_DISTURBANCE, radii=0.035 * w)
@@ -141,14 +146,28 @@ class Scene:
             origins, forces = shapes.force_arrows(q, rows["disturbance"], 0.95 * w)
             vectors = forces * (self._arrow / self._weight)
             frames["world/disturbance"] = _columns(rr.Arrows3D, vectors=vectors, origins=origins)
+            self._see(origins + vectors, _ARROWS)
+        self._see(shapes.skeleton(q), _FARTHEST)
         return frames
 
+    def _see(self, points: np.ndarray, most: np.ndarray) -> None:
+        """Widens what the camera sees to points of shape (k, points, 3), but for rare ones.
+
+        It does not see further than so many lengths of the arm, lowest and highest x and z.
+        """
+        low, high = (f(points[..., ::2], axis=1) for f in (np.min, np.max))
+        ends = np.stack([np.percentile(low, 1.0, axis=0), np.percentile(high, 99.0, axis=0)])
+        ends = np.clip(ends, self._length * most[0], self._length * most[1])
+        self._seen[0] = np.minimum(self._seen[0], ends[0])
+        self._seen[1] = np.maximum(self._seen[1], ends[1])
+
     def view(self, name: str, root: str = "") -> rrb.Spatial3DView:
-        """A camera in front of the arm, a little to the side, the same for every run of it."""
+        """A camera in front of the arm, a little to the side, that sees all of what was drawn."""
         origin = f"{root}world"
-        reach = 1.12 * self._length + self._width
-        middle = np.array([0.0, 0.0, 0.5 * self._width - 0.5 * reach])
-        position = middle + 1.05 * reach * np.array([0.33, -0.94, -0.03])
+        x, z = 0.5 * (self._seen[0] + self._seen[1])
+        middle = np.array([x, 0.0, z])
+        size = float(np.max((self._seen[1] - self._seen[0]) / [0.84, 1.0]))
+        position = middle + 1.05 * size * np.array([0.33, -0.94, -0.03])
         cursor = rr.TimeRangeBoundary.cursor_relative
 
         def around(before: float, after: float) -> rrb.VisibleTimeRanges:
@@ -171,13 +190,10 @@ class Scene:
 
     def _balls(self, t: np.ndarray, q: np.ndarray) -> list[Any]:
         """Payloads as balls of steel below the last plate, of no size until they are carried."""
-        masses, begins = np.array(self._payloads).T
-        radii = np.cbrt(0.75 * masses / (math.pi * _STEEL))
-        distances = (radii + 0.035 * self._width)[:, None]
-        places = shapes.tip(q)[:, None] + shapes.tip_axis(q)[:, None] * distances
-        sizes = np.repeat(((t[:, None] >= begins) * radii)[..., None], 3, axis=-1)
+        places, radii = zip(*shapes.payload_balls(self._payloads, t, q, self._width), strict=True)
+        sizes = np.repeat(np.stack(radii, axis=1)[..., None], 3, axis=-1)
         return [
-            *_columns(rr.InstancePoses3D, translations=_rounded(places, _FINE)),
+            *_columns(rr.InstancePoses3D, translations=_rounded(np.stack(places, axis=1), _FINE)),
             *_columns(rr.Ellipsoids3D, half_sizes=_rounded(sizes, _FINE)),
         ]
 
@@ -189,15 +205,11 @@ class Scene:
         return _bytes(np.repeat(colors, shapes.TUBE_PIECES, axis=1))
 
     def _column_looks(self, tau: np.ndarray) -> dict[str, np.ndarray]:
-        """Red and thick where a column pushes, white and thick where it pulls."""
-        size = np.tanh(tau / (0.8 * self._weight))
-        toward = np.where(size[..., None] > 0.0, _PUSH, _PULL)
-        share = np.abs(size[..., None]) ** 0.6
-        colors = np.array(_RELAXED) + share * (toward - np.array(_RELAXED))
-        radii = _rounded(self._width * (0.055 + 0.075 * np.abs(size)), _FINE)
+        """Colours and radii of the pieces of the columns."""
+        colors, radii = shapes.column_looks(tau, self._weight)
         pieces = shapes.COLUMN_PIECES
         return {
-            "radii": np.repeat(radii, pieces, axis=1),
+            "radii": np.repeat(_rounded(self._width * radii, _FINE), pieces, axis=1),
             "colors": _bytes(np.repeat(colors, pieces, axis=1)),
         }
 

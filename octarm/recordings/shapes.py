@@ -14,6 +14,8 @@ Coordinates q have shape (..., 2N) [m], [rad]; places are in the world frame [m]
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +26,8 @@ from octarm.arm.mjcf import world_position
 TUBE_PIECES = 6  # of the tube, for each module
 COLUMN_PIECES = 4
 RIBS = 4  # of the desired arm, for each module
+_RELAXED, _PULL, _PUSH = (112, 118, 126), (240, 243, 248), (232, 62, 62)
+_STEEL = 7850.0  # [kg/m^3]; a payload is drawn as a ball of it
 _LONGEST = 100.0  # [m], [rad]; an arm with a larger coordinate cannot be drawn
 
 
@@ -118,6 +122,45 @@ def force_arrows(q: np.ndarray, force: np.ndarray, rim: float) -> tuple[np.ndarr
     origins = np.concatenate([end, end + across, end - across], axis=-2)
     forces = np.concatenate([slide * force[..., :n, None], -couple, couple], axis=-2)
     return world_position(origins), world_position(forces)
+
+
+def column_looks(tau: np.ndarray, weight: float) -> tuple[np.ndarray, np.ndarray]:
+    """Columns are red and thick where they push, white and thick where they pull.
+
+    Args:
+        tau: input forces, shape (..., 2N) [N].
+        weight: of the arm [N].
+
+    Returns:
+        Red, green and blue from 0 to 255, shape (..., 2N, 3), and radii as shares of the width of
+        the arm, shape (..., 2N).
+    """
+    size = np.tanh(tau / (0.8 * weight))
+    toward = np.where(size[..., None] > 0.0, _PUSH, _PULL)
+    share = np.abs(size[..., None]) ** 0.6
+    return np.array(_RELAXED) + share * (toward - np.array(_RELAXED)), 0.055 + 0.075 * np.abs(size)
+
+
+def payload_balls(
+    payloads: Sequence[tuple[float, float]], t: np.ndarray, q: np.ndarray, width: float
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Payloads as balls of steel below the last plate, of no size until they are carried.
+
+    Args:
+        payloads: masses and from when on they are carried [kg], [s].
+        t: instants, shape (k,) [s].
+        q: shape (k, 2N) [m], [rad].
+        width: of the arm [m].
+
+    Returns:
+        Of each payload its places, shape (k, 3) [m], and radii, shape (k,) [m].
+    """
+    balls: list[tuple[np.ndarray, np.ndarray]] = []
+    for mass, begin in payloads:
+        radius = math.cbrt(0.75 * mass / (math.pi * _STEEL))
+        places = tip(q) + tip_axis(q) * (radius + 0.035 * width)
+        balls.append((places, (t >= begin) * radius))
+    return balls
 
 
 def _pieces(curve: np.ndarray, q: np.ndarray) -> Pieces:

@@ -1,4 +1,4 @@
-"""A run as a film: MuJoCo's own picture of the arm, drawn without a display."""
+"""A run as a film: the scene of the recording, drawn by MuJoCo without a display."""
 # pyright: reportAttributeAccessIssue=false
 # (mujoco ships no type stubs)
 
@@ -14,18 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from octarm.arm.parameters import ArmParameters
 from octarm.errors import OctarmError, quoted
 from octarm.files import whole_file
 from octarm.simulation.trajectory import Trajectory
 
 Path = str | os.PathLike[str]
-_GHOST = np.array([0.75, 0.82, 0.9, 0.28])  # the desired arm
 _NEEDED = (
     "drawing needs an OpenGL library: on Debian it is one of the packages libegl1 and libosmesa6"
 )
 
 _MOST_PICTURES = 1_000_000
+_SOLIDS = 4000  # at most in a picture
 
 
 def choose_renderer() -> None:
@@ -56,12 +55,15 @@ def write_video(
 ) -> None:
     """Writes the film of a run, whole or not at all; the desired arm appears as a ghost.
 
+    A plant of more modules than what is measured of it stands beside the arm that the controller
+    believes in.
+
     `choose_renderer` must have been called before MuJoCo was imported, unless MUJOCO_GL is set.
 
     Args:
         path: an `.mp4` file; its folder must exist.
         run: of one arm.
-        description: what `run.json` holds; only `parameters` are needed.
+        description: what `run.json` holds; only `parameters` are needed, the rest is written in it.
         size: width and height [pixel], even.
         rate: pictures a second [Hz].
         speed: how much faster than real time it runs.
@@ -72,6 +74,8 @@ def write_video(
         OSError: if the file cannot be written.
     """
     import av
+
+    from octarm.recordings.shapes import drawable  # imports MuJoCo
 
     if not str(path).endswith(".mp4"):
         raise OctarmError(f"the film is {quoted(os.fspath(path))}; its name must end in .mp4")
@@ -90,45 +94,36 @@ def write_video(
     count = max(1, round(pictures) + 1)
     rows = np.searchsorted(run.t, float(run.t[0]) + np.arange(count) * speed / rate - 1e-9)
     rows = np.minimum(rows, len(run) - 1)
-    rows = rows[np.isfinite(run.q[rows]).all(axis=1)]
-    parameters = ArmParameters.from_dict(description["parameters"])
+    rows = rows[drawable(run.q[rows]) & drawable(run.q_d[rows])]
     container: Any  # its types are partly unknown
     with whole_file(path) as part, av.open(os.fspath(part), "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=Fraction(rate).limit_denominator(1000))
         stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
-        stream.options = {"crf": "20", "preset": "medium"}
-        for picture in _pictures(run, rows, parameters, size):
+        stream.options = {"crf": "20", "preset": "veryfast"}
+        for picture in _pictures(run, rows, description, size):
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
 
 
 def _pictures(
-    run: Trajectory, rows: np.ndarray, parameters: ArmParameters, size: tuple[int, int]
+    run: Trajectory, rows: np.ndarray, description: Mapping[str, Any], size: tuple[int, int]
 ) -> Iterator[np.ndarray]:
     """Red, green and blue of the arm at these rows, each of shape (height, width, 3)."""
     import mujoco
 
-    from octarm.arm.mjcf import build_model, paper_order
+    from octarm.recordings.stage import Captions, Stage
 
-    model = build_model(parameters)
-    model.vis.global_.offwidth, model.vis.global_.offheight = size
-    order, _ = paper_order(model)
-    data, ghost = mujoco.MjData(model), mujoco.MjData(model)
+    model = Stage.model(size)
     try:
-        renderer = mujoco.Renderer(model, size[1], size[0])
+        renderer = mujoco.Renderer(model, size[1], size[0], max_geom=_SOLIDS)
     except Exception as error:  # errors of OpenGL are of many kinds
         raise OctarmError(f"{_NEEDED} ({type(error).__name__})") from None
-    options, perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
-    moving = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
+    stage, captions = Stage(run, rows, description), Captions(run, description, size)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
     with contextlib.closing(renderer):
         for row in rows:
-            data.qpos[order], ghost.qpos[order] = run.q[row], run.q_d[row]
-            mujoco.mj_forward(model, data)
-            mujoco.mj_forward(model, ghost)
-            renderer.update_scene(data, camera="oblique")
-            scene, first = renderer.scene, renderer.scene.ngeom
-            mujoco.mjv_addGeoms(model, ghost, options, perturbation, moving, scene)
-            for geom in scene.geoms[first : scene.ngeom]:
-                geom.rgba[:] = _GHOST
-            yield renderer.render()
+            renderer.update_scene(data, camera=stage.camera)
+            stage.fill(renderer.scene, int(row))
+            yield captions.on(renderer.render(), int(row))

@@ -73,7 +73,7 @@ def serve(paths: Iterable[Name], ready: Callable[[str], object]) -> None:
             with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
                 break
             viewer.pause(PATIENCE)
-        query = urllib.parse.urlencode({"url": viewer.url})
+        query = urllib.parse.urlencode({"url": viewer.url, "theme": "dark"})
         data_port = urllib.parse.urlsplit(viewer.url.removeprefix("rerun+")).port or 0
         with _guarded_page(port, data_port) as page, contextlib.suppress(KeyboardInterrupt):
             ready(f"http://127.0.0.1:{page}/?{query}")
@@ -97,7 +97,7 @@ def screenshot(
     Args:
         recording: an `.rrd` file.
         png: the picture; its folder must exist.
-        others: further recordings that are open; see `listed`.
+        others: further recordings that are open.
         time: instant to show [s]; the first one if None.
         size: width and height [pixel].
         timeout: for how long the viewer may do nothing, see `_Viewer.pause` [s]; `PATIENCE` if
@@ -147,21 +147,18 @@ def rescue(partial: Name, path: Name) -> None:
     end_of(path)
 
 
-def listed(recording: Name, path: Name) -> None:
-    """Writes a recording as one of several, for which the viewer keeps its list of them open.
-
-    Raises:
-        OctarmError: if it cannot be read.
-    """
-    arguments = ("--drop-entity", "/blueprint_panel", str(recording), "-o", str(path))
-    _rrd(recording, "filter", *arguments)
-
-
 def end_of(path: Name) -> float:
     """The last instant of a recording [s]; see `octarm.recordings.rrd.last_instant`."""
     from octarm.recordings.rrd import last_instant  # imports rerun, which takes half a second
 
     return last_instant(_existing(path))
+
+
+def telling_instant(path: Name) -> float:
+    """The instant that a picture shows when none is asked for [s]."""
+    from octarm.recordings import rrd
+
+    return rrd.telling_instant(_existing(path))
 
 
 class _Viewer:
@@ -227,7 +224,8 @@ class _Viewer:
         errors = [entry.message for entry in client.get_logs() if entry.level == "ERROR"]
         if errors:
             raise OctarmError(f"the rerun viewer says: {errors[0].splitlines()[0]}")
-        if state.loading or not any(recording.timelines for recording in state.recordings):
+        timelines = [recording.timelines for recording in state.recordings]
+        if state.loading or not timelines or not all(timelines):
             return None
         blueprint = client.get_blueprint(of="recording").blueprint
         blueprint["/top_panel"] = {"PanelBlueprint": {"state": "Hidden"}}

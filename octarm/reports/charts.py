@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize, to_rgb
 
+from octarm.palette import look_of
 from octarm.reports import figures
 from octarm.reports.comparisons import Cells, Comparisons
 from octarm.reports.factors import Factor
-from octarm.reports.figures import COLORS, MARKERS, Axes, Figure, Picture
+from octarm.reports.figures import Axes, Figure, Picture
 from octarm.reports.frame import Episodes
 from octarm.reports.statistics import FEWEST
 
@@ -99,11 +100,12 @@ def _degradation(comparisons: Comparisons, factor: Factor) -> Figure:
             medians = [g.medians for g in comparisons.of(factor) if g.controller == name]
             triples = np.array([[m.value[j], m.low[j], m.high[j]] for m in medians]).T
             shift = 0.0 if factor.scaled else _shift(c, len(names))
-            _curve(ax, factor, c, name, triples * scale.factor, shift)
+            _curve(ax, factor, name, triples * scale.factor, shift)
         _name_axis(ax, factor, last=j >= len(measures) - figures.row_length(panels))
         ax.set_title(scale.title)
         values = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in ax.lines])
         figures.choose_scale(ax, "y", values, signed=measure.declared.zero_best)
+        figures.mark_scale(ax, "y")
     figures.add_legend(figure, panels[0])
     return figure
 
@@ -125,11 +127,11 @@ def _shift(c: int, count: int) -> float:
     return 0.7 * ((c + 0.5) / count - 0.5)
 
 
-def _curve(ax: Axes, factor: Factor, c: int, name: str, triples: np.ndarray, shift: float) -> None:
+def _curve(ax: Axes, factor: Factor, name: str, triples: np.ndarray, shift: float) -> None:
     """Medians with a band of intervals; with bars where the axis has no scale."""
     value, low, high = np.where(np.isfinite(triples), triples, np.nan)
     reach = np.isinf(triples[2]) & np.isfinite(value)
-    color, marker = COLORS[c % len(COLORS)], MARKERS[c % len(MARKERS)]
+    color, marker = look_of(name)
     x = factor.places + shift
     ax.plot(
         x, value, color=color, marker=marker, label=name,
@@ -162,13 +164,14 @@ def _boxes(comparisons: Comparisons) -> Figure:
         ends = _ends(ax, together)
         for c, column in enumerate(columns):
             if column.size:
-                _box(ax, c, column, ends)
+                _box(ax, c, look_of(episodes.controllers[c]).color, column, ends)
         ax.set_xlim(*ends)
         ax.set_yticks(range(n), labels)
         ax.set_ylim(n - 0.4, -0.6)
         ax.grid(False, axis="y")
         ax.tick_params(axis="y", length=0)
         ax.set_title(scale.title)
+        figures.mark_scale(ax, "x")
     return figure
 
 
@@ -185,11 +188,10 @@ def _ends(ax: Axes, values: np.ndarray) -> tuple[float, float]:
     return (0.0 if 0.0 <= low < 0.5 * high else low - margin), high + margin
 
 
-def _box(ax: Axes, c: int, column: np.ndarray, ends: tuple[float, float]) -> None:
+def _box(ax: Axes, c: int, color: str, column: np.ndarray, ends: tuple[float, float]) -> None:
     """The box of a column; what is infinite lies at the end of the axis."""
     column = np.sort(np.clip(column, *ends))
     low, q1, middle, q3, high = np.percentile(column, [5.0, 25.0, 50.0, 75.0, 95.0])
-    color = COLORS[c % len(COLORS)]
     ax.plot([low, high], [c, c], color=color, linewidth=1.2, solid_capstyle="butt")
     ax.barh(
         c,
@@ -279,7 +281,7 @@ def _failures(comparisons: Comparisons) -> Figure:
             failures = [g.failures for g in comparisons.of(factor) if g.controller == name]
             value, low, high = 100.0 * np.array(failures).T
             x = places + step * _shift(c, len(names))
-            color, marker = COLORS[c % len(COLORS)], MARKERS[c % len(MARKERS)]
+            color, marker = look_of(name)
             ax.vlines(x, low, high, color=color, linewidth=1.0, alpha=0.7)
             if factor is not None and factor.scaled:
                 ax.plot(x, value, color=color, linewidth=0.8, alpha=0.5)

@@ -1,4 +1,4 @@
-"""The one style of figures: colours, fonts, panels, scales, and how a figure is saved."""
+"""The one style of figures: fonts, panels, scales, and how a figure is saved."""
 
 from __future__ import annotations
 
@@ -17,26 +17,25 @@ from matplotlib.axis import XAxis, YAxis
 from matplotlib.figure import Figure as NewFigure
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
+from octarm.palette import COLORS as COLORS
+from octarm.palette import MARKERS as MARKERS
+
 # These stand for Matplotlib's classes, whose methods leave the types of keyword arguments unknown.
 Axes = Any
 Figure = Any
 
-# The colour-blind can tell them apart, on dark ground and on white; after Okabe and Ito.
-COLORS = (
-    "#0a72b8", "#d55e00", "#00956c", "#c569a0", "#dd9500",
-    "#3aa3dd", "#7d6bd0", "#8c8c8c", "#b0413e", "#7a8f1f",
-)  # fmt: skip
-MARKERS = "os^Dv<>PXp"
 INK, LINE, GROUND = (
     "#24292f",
     "#d4dae1",
     "#ffffff",
 )  # a page replaces them by its own; as in the style
+GRAY, FAILED = "#6b7480", "#c0152f"  # bounds and remarks; where a run failed
 
 LETTER = 0.085  # mean width of a letter [inch]
 LOGARITHMIC = 8.0  # largest over smallest value, from which on an axis is logarithmic
 _COLUMNS = 4  # of panels
 _PIXELS = 1.5  # of a point of a figure: four panels fill the page
+_LEAST = 0.93  # on a phone, where it moves sideways within its frame so that it can be read
 _STYLE = Path(__file__).with_suffix(".mplstyle")
 
 
@@ -85,7 +84,8 @@ def inline_svg(svg: str, prefix: str, label: str) -> Markup:
     body = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", body, flags=re.DOTALL)
     box = re.search(r'viewBox="0 0 ([\d.]+) [\d.]+"', body)
     assert box is not None
-    size = f'{box[0]} style="max-width: {_PIXELS * float(box[1]):.0f}px"'
+    least, most = (share * float(box[1]) for share in (_LEAST, _PIXELS))
+    size = f'{box[0]} style="min-width: {least:.0f}px; max-width: {most:.0f}px"'
     head = f'<svg {size} role="img" aria-label="{escape(label)}">'
     body = re.sub(r"<svg[^>]*>", lambda _: head, body, count=1)
     body = re.sub(r'\bid="', f'id="{prefix}-', body)
@@ -131,6 +131,12 @@ def choose_scale(ax: Axes, which: str, values: np.ndarray, *, signed: bool) -> N
         getattr(ax, f"set_{which}lim")(0.0, None)
     elif known.min() == known.max() == 0.0:
         getattr(ax, f"set_{which}lim")(-0.05, 1.0)
+
+
+def mark_scale(ax: Axes, which: str) -> None:
+    """Writes at the corner of a panel whether its axis, x or y, is logarithmic."""
+    scale = "log" if getattr(ax, f"get_{which}scale")() == "log" else "linear"
+    ax.set_title(scale, loc="right", fontsize=7.5, fontweight="normal", color=GRAY)
 
 
 def logarithmic_ticks(direction: XAxis | YAxis, low: float, high: float) -> None:

@@ -14,11 +14,12 @@ from markupsafe import Markup
 
 from octarm.errors import printable
 from octarm.metrics.metric import SETTLED_AFTER
+from octarm.palette import look_of
 from octarm.reports.charts import Scale, scales_of
 from octarm.reports.comparisons import Comparisons, Difference, Group
 from octarm.reports.consistency import Remark
 from octarm.reports.factors import Factor
-from octarm.reports.figures import COLORS, Picture
+from octarm.reports.figures import Picture
 from octarm.reports.statistics import CONFIDENCE, FEWEST, Interval
 
 
@@ -175,9 +176,9 @@ class Tables:
         """A row for each measure."""
         head = [Cell(text, kind="left") for text in ("metric", "meaning", "unit", "better")]
         rows: list[list[Cell]] = []
-        for m in self._measures:
+        for m, scale in zip(self._measures, self._scales, strict=True):
             better = m.declared.direction
-            texts = {m.name: "left", m.text: "wide", m.unit: "left", better: "left"}
+            texts = {m.name: "left", m.text: "wide", scale.unit or "1": "left", better: "left"}
             rows.append([Cell(text, kind=kind) for text, kind in texts.items()])
         return Table(head, rows, len(rows))
 
@@ -191,9 +192,8 @@ class Tables:
         return cells
 
     def _where(self, group: Group) -> list[Cell]:
-        color = COLORS[self._names.index(group.controller) % len(COLORS)]
         level = [] if group.factor is None else [Cell(group.label, kind="left")]
-        return [*level, Cell(group.controller, kind="left", color=color)]
+        return [*level, Cell(group.controller, kind="left", color=look_of(group.controller).color)]
 
     def _best(self, groups: Sequence[Group]) -> list[float]:
         """The best median of each measure; NaN where there is nothing to be best at."""

@@ -9,10 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure as NewFigure
 
+from octarm.palette import look_of
 from octarm.reports.figures import (
-    COLORS,
     INK,
-    MARKERS,
     Axes,
     Figure,
     Picture,
@@ -43,8 +42,6 @@ from paper.variants import CONSEQUENT, CONTROLLERS, INTEGRAL, PROPOSED, SIGN, SM
 
 GRAY = "#5f6b77"
 NAMES = {PROPOSED: "AFSMC (proposed)", SMC: "SMC, boundary layer", SIGN: "SMC, sgn"}
-_ORDER = (PROPOSED, SMC, SIGN, INTEGRAL, TWISTING, CONSEQUENT, "fsmc", "pd", "computed-torque",
-          "fuzzy")  # fmt: skip
 
 
 class Look(NamedTuple):
@@ -69,7 +66,7 @@ def look(label: str) -> Look:
     if label in _ABLATIONS:
         return _ABLATIONS[label]
     name = label.removesuffix(by_hand(""))
-    color, marker = COLORS[_ORDER.index(name)], MARKERS[CONTROLLERS.index(name)]
+    color, marker = look_of(name)
     return Look(color, "-" if name == label else (0, (4, 1.5)), marker)
 
 

@@ -7,7 +7,9 @@ import pytest
 from PIL import Image
 from recordings import described, swinging
 
-from octarm.recordings.plots import _MOST, _thinned, write_figures
+from octarm.disturbances.ledger import asked
+from octarm.disturbances.spelling import parse_disturbance
+from octarm.reports.run_figures import _MOST, _thinned, write_figures
 
 
 def test_every_kind_of_run_gets_its_figures_as_png_and_svg(tmp_path):
@@ -26,6 +28,24 @@ def test_every_kind_of_run_gets_its_figures_as_png_and_svg(tmp_path):
     plain = dataclasses.replace(run, signals={}, disturbance=0.0 * run.force)
     written = write_figures(tmp_path / "plain", plain, described())
     assert {p.stem for p in written} == {"tracking", "error", "inputs"}
+
+
+def test_figures_have_units_events_and_the_desired_motion(tmp_path):
+    run = dataclasses.replace(swinging(rows=3000), status="diverged")
+    listed = asked([parse_disturbance("payload:0.1,at=1")])
+    slow = {"lambda_": 0.01, "phi": [0.05] * 3 + [0.8] * 3}  # a bound of the error that is far off
+    about = described(disturbances=listed, controller={"name": "smc", "gains": slow})
+    written = write_figures(tmp_path, run, about)
+    texts = {p.stem: p.read_text() for p in written if p.suffix == ".svg"}
+    for text in texts.values():
+        assert "smc on sine, payload" in text
+        assert ">payload 100 g<" in text
+        assert ">diverged<" in text
+    assert ">desired<" in texts["tracking"]
+    assert ">error q - q_d, bends [mrad]<" in texts["error"]
+    assert ">error q - q_d, slides [mm]<" in texts["error"]
+    assert ">φ / λ = 8e+04 mrad, off the axis<" in texts["error"]
+    assert "V [J] (log)" in texts["sliding"] or "V [mJ] (log)" in texts["sliding"]
 
 
 def test_equal_runs_give_equal_files(tmp_path):

@@ -2,50 +2,43 @@
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure as NewFigure
+from matplotlib.ticker import MaxNLocator
 
 from octarm.files import write_files
+from octarm.palette import MODULES
 from octarm.recordings.channels import Channel, channels_of, has_energy
-from octarm.recordings.notes import title_of
+from octarm.recordings.titles import events_of, title_of, wrapped
+from octarm.reports.figures import (
+    FAILED,
+    GRAY,
+    INK,
+    Axes,
+    Figure,
+    figure_style,
+    logarithmic_ticks,
+    save_figure,
+)
 from octarm.simulation.trajectory import Trajectory
 
-# Stand for Matplotlib's classes, whose methods leave the types of keyword arguments unknown.
-Axes = Any
-Figure = Any
-
-COLORS = ["#d1660a", "#1f6fb5", "#2a9461", "#b8408f", "#a08a10", "#6a55c8", "#1b8f8f", "#c24a3a"]
 _MOST = 4000  # points a curve; of more only the extremes of each stretch are drawn
 _LARGEST = 1e100  # number that an axis shows
 _INSTANTS = 1500  # of a heat map at most
-_STYLE: Any = {
-    "font.size": 8,
-    "axes.titlesize": 8,
-    "axes.labelsize": 8,
-    "legend.fontsize": 7,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.5,
-    "axes.linewidth": 0.6,
-    "lines.linewidth": 0.9,
-    "legend.frameon": False,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "octarm",
-    "mathtext.fontset": "stix",
-}
+_WIDTH = 6.3  # of a figure [inch]
+_LETTERS = 82  # of a line of the title
+_FAR = 2.0  # times the largest value; a bound beyond that is written, not drawn
+_WORDS = {"phi": "φ", "phi / lambda": "φ / λ", "E_max": "E max"}
+_GREEK = {"theta": "θ", "alpha": "α", "sigma": "σ"}
+_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_SMALL = {"m": "mm", "m/s": "mm/s", "m s": "mm s", "rad": "mrad", "N m": "mN m", "J": "mJ"}
 
 
 @np.errstate(all="ignore")  # a diverged arm may hold anything
@@ -64,17 +57,13 @@ def write_figures(
         OSError: if a file cannot be written.
     """
     drawn: dict[Path, bytes] = {}
-    with cast(Any, matplotlib).rc_context(_STYLE), warnings.catch_warnings():
-        # A letter that the font lacks is drawn as a box, a number without end as none.
+    with figure_style(), warnings.catch_warnings():
+        # A number without end is drawn as none.
         warnings.simplefilter("ignore")
         for name, figure in _Drawing(run, description).figures():
-            for kind in ("svg", "png"):
-                content = io.BytesIO()
-                # Without a date equal runs give equal files.
-                metadata = {"Date": None} if kind == "svg" else None
-                figure.savefig(content, format=kind, dpi=200, metadata=metadata)
-                figure.set_layout_engine("none")  # that of the first holds for the second
-                drawn[Path(folder) / f"{name}.{kind}"] = content.getvalue()
+            picture = save_figure(name, "", figure)
+            drawn[Path(folder) / f"{name}.svg"] = picture.svg.encode()
+            drawn[Path(folder) / f"{name}.png"] = picture.png
     write_files(drawn)
     return list(drawn)
 
@@ -85,6 +74,7 @@ class _Panel(NamedTuple):
     channel: Channel
     part: slice
     label: str
+    unit: str
     styles: Sequence[Mapping[str, str]]  # colour, and label and line style if there are any
     desired: bool = False  # whether q_d is drawn as well
     logarithmic: bool = False
@@ -94,7 +84,11 @@ class _Drawing:
     """Draws the figures of one run."""
 
     def __init__(self, run: Trajectory, description: Mapping[str, Any]) -> None:
-        self._rows, self._t, self._title = dict(run.arrays()), run.t, title_of(description)
+        self._rows, self._t = dict(run.arrays()), run.t
+        self._title = wrapped(title_of(description), _LETTERS)
+        self._events = [(at, text) for at, _, text in events_of(description) if text]
+        if run.status != "ok":
+            self._events.append((float(run.t[-1]), run.status))
         disturbed = bool(run.disturbance.any())
         self._channels = channels_of(self._rows, description, run.layer, disturbed=disturbed)
 
@@ -105,13 +99,13 @@ class _Drawing:
         yield "error", self._figure(self._panels("error"))
         yield "inputs", self._figure(self._inputs(), height=1.35)
         if "s" in self._channels:
-            panels = list(self._panels("s", "$s$"))
+            panels = list(self._panels("s", "s"))
             if has_energy(self._channels):
                 V, style = self._channels["V"], {"color": "#333333"}
-                panels.append(_Panel(V, slice(None), "$V$ [J]", [style], logarithmic=True))
+                panels.append(_Panel(V, slice(None), "V", "J", [style], logarithmic=True))
             yield "sliding", self._figure(panels)
         if rules:
-            yield "adaptation", self._figure([*rules, *self._panels("E", "$E$")], height=1.5)
+            yield "adaptation", self._figure([*rules, *self._panels("E", "E")], height=1.5)
         if "disturbance" in self._channels:
             yield "disturbance", self._figure(self._panels("disturbance"))
 
@@ -120,57 +114,108 @@ class _Drawing:
         if name in self._channels:
             channel = self._channels[name]
             for part, where in channel.parts.items():
-                label = f"{title or channel.title}{', ' if part else ''}{part}{channel.units[part]}"
+                label = f"{title or channel.title}{', ' if part else ''}{part}"
                 styles = [
-                    {"color": COLORS[i % len(COLORS)], "label": _symbol(name)}
+                    {"color": MODULES[i % len(MODULES)], "label": _symbol(name)}
                     for i, name in enumerate(channel.names[where])
                 ]
-                yield _Panel(channel, where, label, styles, desired)
+                yield _Panel(
+                    channel, where, label, channel.units[part].strip(" []"), styles, desired
+                )
 
     def _inputs(self) -> Iterator[_Panel]:
         """A panel for each module, with both of its columns."""
         channel = self._channels["tau"]
         for i in range(len(channel.names) // 2):
-            label = f"$\\tau$, module {i + 1}{channel.units['']}"
+            label = f"τ, module {i + 1}"
             styles = [
-                {"color": COLORS[i % len(COLORS)], "label": f"column {a}", "linestyle": line}
+                {"color": MODULES[i % len(MODULES)], "label": f"column {a}", "linestyle": line}
                 for a, line in ((1, "-"), (2, "--"))
             ]
-            yield _Panel(channel, slice(2 * i, 2 * i + 2), label, styles)
+            yield _Panel(channel, slice(2 * i, 2 * i + 2), label, "N", styles)
 
     def _figure(self, panels: Iterable[_Panel | Channel], height: float = 1.9) -> Figure:
         """Panels one below another; a channel of rules becomes a heat map."""
         panels = list(panels)
-        figure = NewFigure(figsize=(6.3, height * len(panels) + 0.5), layout="constrained")
+        room = 0.5 + 0.16 * self._title.count("\n")
+        figure: Figure = NewFigure(
+            figsize=(_WIDTH, height * len(panels) + room), layout="constrained"
+        )
         axes = list(figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
-        axes[0].set_title(self._title, loc="left", parse_math=False)
+        figure.suptitle(self._title, x=0.01, ha="left", fontsize=9, fontweight="bold")
         axes[-1].set_xlabel("time [s]")
-        axes[0].set_xlim(self._t[0], self._t[-1] if len(self._t) > 1 else None)
+        if len(self._t) > 1:
+            axes[0].set_xlim(self._t[0], 2.0 * self._t[-1] - self._t[-2])
         for ax, panel in zip(axes, panels, strict=True):
             if isinstance(panel, Channel):
                 self._draw_rules(figure, ax, panel)
             else:
                 self._draw_curves(ax, panel)
+            self._draw_events(ax, named=ax is axes[0])
+        figure.align_ylabels(axes)
         return figure
+
+    def _draw_events(self, ax: Axes, *, named: bool) -> None:
+        """A line where a disturbance begins and where the run failed."""
+        for at, text in self._events:
+            color = FAILED if at >= self._t[-1] else INK
+            ax.axvline(at, color=color, linewidth=1.0, linestyle=(0, (4, 2)), clip_on=False)
+            if named:
+                ax.annotate(
+                    text, (at, 1.0), (0, 1), xycoords=("data", "axes fraction"), va="bottom",
+                    textcoords="offset points", ha=self._side(at), fontsize=7.5, color=color,
+                )  # fmt: skip
+
+    def _side(self, at: float) -> str:
+        """How a text at a time [s] is aligned, so that it stays within the figure."""
+        share = (at - self._t[0]) / max(self._t[-1] - self._t[0], 1e-9)
+        return "left" if share < 0.1 else "right" if share > 0.9 else "center"
 
     def _draw_curves(self, ax: Axes, panel: _Panel) -> None:
         values = _drawable(panel.channel.values(self._rows)[:, panel.part])
-        if panel.logarithmic:
-            values = np.maximum(values, 1e-12)
-            ax.set_yscale("log")
         desired = _drawable(self._rows["q_d"][:, panel.part]) if panel.desired else values
+        largest = float(np.max(np.abs(np.nan_to_num(np.stack([values, desired])))))
+        scale, unit = _scale(panel.unit, largest)
+        if panel.logarithmic:
+            values = np.maximum(values, 1e-12 * max(largest, 1e-12))
+            ax.set_yscale("log")
+            logarithmic_ticks(ax.yaxis, *(float(f(values)) * scale for f in (np.nanmin, np.nanmax)))
+        else:
+            ax.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=3))
         for style, y, y_d in zip(panel.styles, values.T, desired.T, strict=True):
             if panel.desired:
-                ax.plot(*_thinned(self._t, y_d), color=style["color"], linewidth=3.0, alpha=0.3)
-            ax.plot(*_thinned(self._t, y), **style)
-        for y in bound.lines(panel.part) if (bound := panel.channel.bound) else ():
-            if abs(y) < _LARGEST:
-                ax.axhline(y, color="#555555", linewidth=0.6, linestyle=":")
+                ax.plot(*_thinned(self._t, scale * y_d), color=style["color"], linewidth=3.0,
+                        alpha=0.3)  # fmt: skip
+            ax.plot(*_thinned(self._t, scale * y), **{"linewidth": 1.0, **style})
+        if panel.desired:
+            ax.plot([], [], color=GRAY, linewidth=3.0, alpha=0.5, label="desired")
+        self._draw_bound(ax, panel, largest, scale, unit)
         if "label" in panel.styles[0]:
             ax.legend(
                 loc="upper left", bbox_to_anchor=(1.0, 1.02), handlelength=1.4, borderaxespad=0.2
             )
-        ax.set_ylabel(panel.label)
+        kind = " (log)" if panel.logarithmic else ""
+        ax.set_ylabel(f"{panel.label}{f' [{unit}]' if unit else ''}{kind}")
+
+    def _draw_bound(self, ax: Axes, panel: _Panel, largest: float, scale: float, unit: str) -> None:
+        """Lines at the bound of a channel, or its size in words when it is far off."""
+        bound = panel.channel.bound
+        lines = [y for y in (bound.lines(panel.part) if bound else ()) if abs(y) < _LARGEST]
+        near = [y for y in lines if abs(y) <= _FAR * largest]
+        for y in near:
+            ax.axhline(scale * y, color=GRAY, linewidth=0.8, linestyle=":")
+        if bound is None or not lines:
+            return
+        word = _WORDS.get(bound.word, bound.word)
+        if near:
+            ax.plot([], [], color=GRAY, linewidth=0.8, linestyle=":", label=word)
+        far = sorted({abs(y) for y in lines} - {abs(y) for y in near})
+        if far:
+            sizes = " to ".join(dict.fromkeys(f"{scale * y:.3g}" for y in (far[0], far[-1])))
+            ax.text(
+                0.995, 0.03, f"{word} = {sizes} {unit}, off the axis", transform=ax.transAxes,
+                ha="right", va="bottom", fontsize=7, color=GRAY,
+            )  # fmt: skip
 
     def _draw_rules(self, figure: Figure, ax: Axes, channel: Channel) -> None:
         """The change of numbers of rules; colours by the largest of each coordinate."""
@@ -195,6 +240,12 @@ class _Drawing:
         figure.colorbar(image, ax=ax, label="share of largest", pad=0.01)
 
 
+def _scale(unit: str, largest: float) -> tuple[float, str]:
+    """What values are multiplied by, and their unit then; lengths are in mm however large."""
+    small = unit in _SMALL and (largest < 0.1 or unit == "m") and largest > 0.0
+    return (1e3, _SMALL[unit]) if small else (1.0, unit)
+
+
 def _drawable(values: np.ndarray) -> np.ndarray:
     """The numbers, of any shape, with NaN for those beyond what an axis can show."""
     return np.where(np.abs(values) < _LARGEST, values, np.nan)
@@ -215,9 +266,8 @@ def _thinned(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _symbol(name: str) -> str:
-    """`theta1` as a formula; names that are not symbols stay as they are."""
+    """`theta1` as a symbol; names that are not symbols stay as they are."""
     match = re.fullmatch(r"(theta|alpha|sigma|s)(\d*)", name)
     if match is None:
         return name
-    sign = match[1] if match[1] == "s" else f"\\{match[1]}"
-    return f"${sign}_{{{match[2]}}}$" if match[2] else f"${sign}$"
+    return _GREEK.get(match[1], match[1]) + match[2].translate(_SUBSCRIPTS)
