@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from octarm.interfaces import Controller as Controller
     from octarm.interfaces import Measurement as Measurement
     from octarm.interfaces import Reference as Reference
+    from octarm.runs.folder import Run as Run
     from octarm.runs.folder import read_run as read_run
     from octarm.simulation.environment import load as load
     from octarm.simulation.rollout import rollout as rollout
@@ -39,6 +40,7 @@ _HOMES = {
     "read_arm": "arm.file",
     "rollout": "simulation.rollout",
     "sweep": "sweeps.execute",
+    "Run": "runs.folder",
     "read_run": "runs.folder",
     "read_sweep": "sweeps.store",
     "read_spec": "sweeps.spec_file",

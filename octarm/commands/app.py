@@ -12,6 +12,7 @@ from typing import Annotated
 from cyclopts import App, Argument, Group, Parameter
 from cyclopts.exceptions import (
     CoercionError,
+    ConsumeMultipleError,
     CycloptsError,
     MissingArgumentError,
     RepeatArgumentError,
@@ -143,6 +144,8 @@ def _sentence(error: CycloptsError, command: str) -> str:
             return f"octarm {command} has no use for {quoted(word)}{_as_option(command, word)}"
         case RepeatArgumentError():
             return f"{error.token.keyword} is given twice"
+        case ConsumeMultipleError(argument=Argument() as argument):
+            return f"{argument.name} takes one value at most"
         case MissingArgumentError(argument=Argument() as argument) if is_operand(argument):
             return f"octarm {command} needs {spelling(argument)}, {_help(command, argument)}"
         case MissingArgumentError(argument=Argument() as argument):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import pkgutil
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -185,6 +186,22 @@ CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
 ACTUATION, INTEGRATOR, ENGINE = map(_word, ("ACTUATION", "INTEGRATOR", "ENGINE"))
 LAYOUT = _word("LAYOUT")
 GAINS, SHELL, KIND, ARM = map(_word, ("GAINS", "SHELL", "KIND", "ARM"))
+
+
+def _address(option: str, word: str) -> str:
+    """HOST:PORT, given that or the URL that rerun says."""
+    match = re.fullmatch(r"(?:rerun\+http://)?([\w.-]+:\d{1,5})(?:/proxy/?)?", word, re.ASCII)
+    if match is None or int(match[1].rpartition(":")[2]) > 65535:
+        raise ValueError(f"{option} is {quoted(word)}; an address reads HOST:PORT")
+    return match[1]
+
+
+def _live(hint: Any, tokens: Sequence[Token]) -> list[str]:
+    return [_address(str(token.keyword), token.value) for token in tokens]
+
+
+# An option whose value may be left out; the value, if there is one, as a list.
+LIVE = Parameter(metavar="[HOST:PORT]", converter=_live, consume_multiple=(0, 1))
 
 
 def heading(name: str) -> Parameter:

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from controllers import CONTROLLERS, make_controller
 from octarm.arm.file import read_arm
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
+from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
 from octarm.declared import Code, named, short_name
 from octarm.disturbances.catalogue import DISTURBANCES
@@ -167,9 +167,7 @@ def _controller(name: str, gain_set: str | None, nominal: ArmParameters) -> Cont
 
 def _search(name: str, run: MarginRuns, seeds: int) -> Brackets:
     """The brackets of one controller, with a bar on the progress."""
-    with tqdm(
-        desc=name, total=0, unit=" simulated s", unit_scale=True, disable=None, leave=False
-    ) as bar:
+    with new_bar(desc=name, total=0, unit=" simulated s", unit_scale=True) as bar:
         counted = dataclasses.replace(run, progress=bar.update)
 
         def attempt(arms: np.ndarray, shares: np.ndarray) -> Attempt:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +10,7 @@ from typing import Annotated
 from octarm.commands import kinds
 from octarm.commands.kinds import Work
 from octarm.commands.terminal import surviving_output
+from octarm.errors import OctarmError
 
 
 def run(
@@ -35,6 +37,7 @@ def run(
     out: Annotated[Path | None, kinds.DIR, kinds.OUTPUT] = None,
     force: Annotated[bool, kinds.OUTPUT] = False,
     view: Annotated[bool, kinds.OUTPUT] = False,
+    live: Annotated[list[str] | None, kinds.LIVE, kinds.OUTPUT] = None,
 ) -> Work:
     """Run one controller on the arm and record it.
 
@@ -71,9 +74,12 @@ def run(
         out: run folder to write; runs/DATE-TIME-CONTROLLER when not given
         force: replace an earlier run
         view: open the recording in the viewer when the run is done
+        live: show the run in a viewer while it goes on: in a new window, or in the viewer that is
+            open at HOST:PORT
 
     Examples:
       octarm run --view
+      octarm run --duration 60 --live
       octarm run --controller afsmc --mismatch -0.3 --out runs/adaptive
       octarm run --disturbance noise:0.4 --disturbance payload:0.2,at=3
       octarm run --controller smc --gain lambda:20 --parameter mass:0.4,0.3,0.2
@@ -92,6 +98,10 @@ def run(
     {disturbances}
     """
     kinds.check_free(force, out and out / "run.json")
+    if live is not None:
+        if view or len(live) > 1:
+            raise OctarmError("--live is given with --view, or twice; one viewer shows a run")
+        os.environ.setdefault("RUST_LOG", "off")  # a viewer that goes away is said by octarm
     from octarm.commands import run as work
     from octarm.disturbances.spelling import parse_disturbance
     from octarm.runs.experiment import Experiment
@@ -120,7 +130,7 @@ def run(
             layout=layout,
             code=code,
         )
-        return work.run(experiment, gains, out, view)
+        return work.run(experiment, gains, out, view, None if live is None else "".join(live))
 
     return surviving_output(job)
 

@@ -164,7 +164,12 @@ class Plots:
 
 
 def blueprint(
-    scene: Scene, channels: Mapping[str, Channel], description: Mapping[str, Any], lanes: int
+    scene: Scene,
+    channels: Mapping[str, Channel],
+    description: Mapping[str, Any],
+    lanes: int,
+    *,
+    live: bool = False,
 ) -> rrb.Blueprint:
     """The layout for one run.
 
@@ -173,6 +178,7 @@ def blueprint(
         channels: what the run holds.
         description: of the run; its duration is the range of the plots.
         lanes: of the state timeline, without those of single coordinates.
+        live: whether the viewer follows the last instant.
     """
     plots = Plots(channels, float(description["duration"]))
     tabs = _tabs(plots, ledger=bool(description.get("disturbances")))
@@ -189,7 +195,7 @@ def blueprint(
         rrb.Tabs(*tabs.values(), active_tab=list(tabs).index(opened)),
         row_shares=[*[1.0] * len(tracking), 1.15],
     )
-    return Layout(rrb.Horizontal(left, right, column_shares=[2, 3]))
+    return Layout(rrb.Horizontal(left, right, column_shares=[2, 3]), live=live)
 
 
 def _tabs(plots: Plots, *, ledger: bool) -> dict[str, Any]:
@@ -238,11 +244,12 @@ class Layout(rrb.Blueprint):
     It does not note when each of its parts was made, and is smaller by a tenth.
     """
 
-    def __init__(self, layout: Any) -> None:
-        """The layout of a container of views."""
+    def __init__(self, layout: Any, *, live: bool = False) -> None:
+        """The layout of a container of views, at the first instant, or at the last one if live."""
+        play_state = "following" if live else "paused"
         super().__init__(
             layout,
-            rrb.TimePanel(timeline="t", play_state="paused", state="collapsed"),
+            rrb.TimePanel(timeline="t", play_state=play_state, state="collapsed"),
             rrb.SelectionPanel(state="hidden"),
             rrb.BlueprintPanel(state="hidden"),
         )

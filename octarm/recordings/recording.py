@@ -111,6 +111,7 @@ class RunRecording:
         *,
         disturbed: bool | None = None,
         root: str = "",
+        live: bool = False,
     ) -> None:
         """Starts the recording of the run that is announced.
 
@@ -121,6 +122,7 @@ class RunRecording:
             disturbed: whether the disturbances' force is recorded; if None, if any are listed.
             root: entity, with a slash at its end, below which everything stands. With one there is
                 no blueprint, and the recording is not named after the run.
+            live: whether a viewer shows the rows as they come, and is not waited for for long.
 
         Raises:
             OctarmError: if the parameters are not those of one arm, or a disturbance is unknown.
@@ -129,7 +131,7 @@ class RunRecording:
         if parameters.batch_shape:
             raise OctarmError("the parameters must be those of one arm")
         self._stream, self._path, self._root = stream, path, root
-        self._description = description
+        self._description, self._live = description, live
         self._coordinates = coordinates_of(description)
         disturbances = disturbances_of(description)
         self._disturbed = bool(disturbances) if disturbed is None else disturbed
@@ -187,7 +189,12 @@ class RunRecording:
             if self._count >= self._next_picture:  # what a killed run leaves has one too
                 self._next_picture = 4 * self._count
                 self._draw_rules()
-            self._stream.flush(timeout_sec=60.0)  # bounds the memory that waits; raises errors
+            self._stream.flush(
+                timeout_sec=5.0 if self._live else 60.0
+            )  # bounds the memory that waits; raises errors
+
+    def _flush(self) -> None:
+        self._stream.flush(timeout_sec=5.0 if self._live else 60.0)
 
     def add_all(self, run: Trajectory) -> None:
         """Records a whole run block by block; raises what `add` does."""
@@ -208,6 +215,8 @@ class RunRecording:
             if ended:
                 ending = (self._end, str(description["status"]))
                 self._log_state("run", [(self._start, "running"), ending])
+            if self._live:
+                self._flush()
 
     def _begin(self, rows: Rows, layer: np.ndarray | None) -> None:
         """Logs what the first rows tell, and what stays the same."""
@@ -236,7 +245,7 @@ class RunRecording:
         if not self._root:
             lanes = has_sliding(self.channels) + (self.channels["tau"].bound is not None)
             lanes += self._eventful + (description.get("status", "ok") not in ("ok", "running"))
-            layout = blueprint(self.scene, self.channels, description, lanes)
+            layout = blueprint(self.scene, self.channels, description, lanes, live=self._live)
             self._stream.send_blueprint(layout)
 
     def _log_signals(self, rows: Rows, frames: np.ndarray) -> None:

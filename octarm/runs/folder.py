@@ -8,7 +8,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -155,18 +155,35 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names) if len(names) <= 8 else f"{', '.join(names[-8:])} and others"
 
 
-def read_run(folder: str | Path) -> tuple[Trajectory, dict[str, Any]]:
-    """The trajectory of a run folder, in memory, and what `run.json` says of the run.
+class Run(NamedTuple):
+    """A run as its folder holds it; it can be unpacked into its two attributes.
+
+    Attributes:
+        trajectory: what happened at each control instant.
+        description: the content of `run.json`: what was run, with which versions, its metrics.
+    """
+
+    trajectory: Trajectory
+    description: dict[str, Any]
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """The metrics by name [SI]: a number, a list with one a coordinate, or None."""
+        return self.description["metrics"]
+
+
+def read_run(folder: str | Path) -> Run:
+    """The run of a folder, in memory.
 
     Raises:
         OctarmError: if the folder holds no run.
     """
     folder = Path(folder)
     description = read_description(folder)
-    return Trajectory.load(folder / ARRAYS), description
+    return Run(Trajectory.load(folder / ARRAYS), description)
 
 
-def map_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
+def map_run(folder: Path) -> Run:
     """The same, read from disk as far as it is looked at; what there is of a run that was killed.
 
     Raises:
@@ -182,4 +199,4 @@ def map_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
         raise OctarmError(f"{folder} has no {ARRAYS}: it is incomplete")
     if not len(run) or not np.isfinite(run.t).all():
         raise OctarmError(f"{arrays} holds no rows")
-    return run, description
+    return Run(run, description)

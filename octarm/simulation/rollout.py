@@ -9,11 +9,13 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 
 import numpy as np
 from dm_control.rl import control
 
+from octarm.bars import bar as new_bar
+from octarm.bars import visible
 from octarm.errors import OctarmError
 from octarm.interfaces import Controller, Instant, Measurement, Reference, Rows, Within
 from octarm.simulation.arguments import check_simulation, commanded
@@ -134,7 +136,8 @@ def rollout(
         environment: what `octarm.load` returns, possibly wrapped.
         controller: see `octarm.interfaces`.
         duration: length of the run [s], rounded up to whole control periods.
-        progress: called after every control period.
+        progress: called after every control period; when not given, a bar says how far the run is
+            where it takes more than a second, on terminals and in notebooks.
 
     Returns:
         The trajectory; its status is `diverged` when the arm left its limits, or a force was not
@@ -147,10 +150,26 @@ def rollout(
     check_simulation(environment, controller, duration)
     blocks: list[Rows] = []
     recorder = ArmRecorder(environment, lambda rows: blocks.append(copied(rows)))
-    ending = recorder.run(controller, duration, progress)
+    with _observed(environment, duration, progress) as observers:
+        ending = recorder.run(controller, duration, *observers)
     if ending.status == "interrupted":
         raise KeyboardInterrupt
     return dataclasses.replace(joined(blocks, ending), episode=environment.task.episode)
+
+
+@contextlib.contextmanager
+def _observed(
+    environment: control.Environment, duration: float, progress: Callable[[], object] | None
+) -> Generator[list[Observer]]:
+    """The observers that call `progress`, or move a bar if it is seen."""
+    if progress is not None:
+        yield [lambda _: progress()]
+    elif not visible():
+        yield []
+    else:
+        periods = whole_periods(duration, environment.control_timestep())
+        with new_bar(total=periods, unit=" periods", delay=1.0) as bar:
+            yield [lambda _: bar.update()]
 
 
 class ArmRecorder(Recorder):
@@ -197,27 +216,19 @@ class ArmRecorder(Recorder):
             self.add_field(row, "v_measured", instant.measurement.v)
         return row
 
-    def run(
-        self,
-        controller: Controller,
-        duration: float,
-        progress: Callable[[], object] | None = None,
-    ) -> Ending:
+    def run(self, controller: Controller, duration: float, *observers: Observer) -> Ending:
         """Runs the next episode, as `rollout` does; to be called once.
 
-        An interrupt ends the run.
+        An interrupt ends the run. Further observers are called after every control period.
 
         Raises:
             OctarmError: if the duration is not positive, or the controller's force has a wrong
                 shape.
             KeyboardInterrupt: if interrupted before there was a row.
         """
-        observers: list[Observer] = [self]
-        if progress is not None:
-            observers.append(lambda instant: progress())
         interrupted = False
         try:
-            message = simulate(self._environment, controller, duration, *observers)
+            message = simulate(self._environment, controller, duration, self, *observers)
         except KeyboardInterrupt:
             if not self.count:
                 raise
