@@ -60,7 +60,10 @@ def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
 
 
 for title, functions in {
-    "one run": (one_run.run, one_run.replay, one_run.record, one_run.plot, one_run.video),
+    "one run": (
+        *(one_run.run, one_run.view, one_run.replay, one_run.record),
+        *(one_run.plot, one_run.video, one_run.compare),
+    ),
     "many runs": (many_runs.sweep, many_runs.report, many_runs.margin, many_runs.tune),
     "an arm": (one_arm.arm,),
     "your own": (own.new,),
@@ -72,7 +75,7 @@ for title, functions in {
         APP.command(function, group=group)
 
 # [GB] that rerun reserves, although it uses little of them; other commands need less.
-_ADDRESS_SPACE = {"run": 3.5, "record": 3.5, "replay": 3.5}
+_ADDRESS_SPACE = {"run": 3.5, "record": 3.5, "replay": 3.5, "compare": 3.5}
 
 # What makes the script work at the end of ~/.zshrc; the function is named by cyclopts.
 _AFTER = {"zsh": "autoload -U +X compinit && compinit\ncompdef _cyclopts_octarm octarm"}

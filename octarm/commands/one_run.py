@@ -1,4 +1,4 @@
-"""The commands on one run: run, replay, record, plot, video."""
+"""The commands on one run and a few: run, view, replay, compare, record, plot, video."""
 
 from __future__ import annotations
 
@@ -135,6 +135,68 @@ def run(
     return surviving_output(job)
 
 
+def view(
+    *,
+    controller: Annotated[str, kinds.CONTROLLER, kinds.EXPERIMENT] = "smc-boundary",
+    reference: Annotated[str, kinds.REFERENCE, kinds.EXPERIMENT] = "sine",
+    disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = (),
+    seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
+    arm: Annotated[str | None, kinds.ARM, kinds.MODEL] = None,
+    mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0,
+    gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None,
+    gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = (),
+    control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
+) -> Work:
+    """Watch the arm in MuJoCo's viewer, moved by a controller.
+
+    In a window of dm_control, where the arm can be pushed: the space bar starts and stops, F1 shows
+    the keys. A restart is the next episode: all that is random is drawn anew, and the controller
+    begins anew. Nothing is recorded. The options are those of octarm run.
+
+    Args:
+        controller: the control law
+        reference: the desired motion
+        disturbance: NAME:VALUE[,KEY=VALUE..], what acts on the arm; see octarm run --help
+        seed: seed of all that is random
+        arm: the true arm and the controller's model of it, a file or an arm that comes with octarm
+        mismatch: error of the controller's model
+        gains: tuned, recommended, or a file; tuned ones when not given
+        gain: one gain in SI
+        control_period: time between control actions [s]; one physics step when not given
+
+    Examples:
+      octarm view --controller afsmc
+      octarm view --controller pd --disturbance noise:0.4
+    """
+    from octarm.recordings.viewer import check_display
+
+    def job() -> int:
+        check_display("octarm run and octarm video need none")
+        os.environ["MUJOCO_GL"] = "glfw"  # before anything imports MuJoCo
+        from octarm.commands import run as parts
+        from octarm.commands import view as work
+        from octarm.disturbances.spelling import parse_disturbance
+        from octarm.runs.experiment import Experiment
+
+        names, code = parts.named_words(controller, reference, disturbance, ())
+        true = parts.true_arm((), arm)
+        experiment = Experiment(
+            controller=names[0],
+            gains=parts.gain_values(gain),
+            nominal=true.mismatched(mismatch),
+            parameters=true,
+            reference=names[1],
+            disturbances=tuple(map(parse_disturbance, disturbance)),
+            seed=seed,
+            duration=1.0,  # of a run; the window stays open
+            control_period=control_period,
+            code=code,
+        )
+        return work.view(experiment, gains)
+
+    return job
+
+
 def replay(
     *runs: Annotated[Path, kinds.RUN],
     screenshot: Annotated[Path | None, kinds.file(".png")] = None,
@@ -164,6 +226,32 @@ def replay(
 
     job = partial(work.replay, runs, screenshot, time, web)
     return job if screenshot is None else surviving_output(job)
+
+
+def compare(
+    *runs: Annotated[Path, kinds.RUN],
+    out: Annotated[Path, kinds.DIR] = Path("comparison"),
+    force: bool = False,
+) -> Work:
+    """Put two runs or more into one page and one recording.
+
+    First in what they differ, then their metrics and their errors over time. Runs that had
+    different things to do (another arm, reference, duration, disturbance or seed) are not ranked.
+    Writes a folder: comparison.html, which needs nothing beside itself, and comparison.rrd.
+
+    Args:
+        runs: run folders; the first one is A, the next B
+        out: folder to write
+        force: replace a comparison that is there
+
+    Examples:
+      octarm compare runs/smc runs/afsmc
+      octarm compare runs/a runs/b runs/c --out comparison-of-gains
+    """
+    kinds.check_free(force, out / "comparison.html", out / "comparison.rrd")
+    from octarm.commands import compare as work
+
+    return surviving_output(partial(work.compare, runs, out))
 
 
 def record(

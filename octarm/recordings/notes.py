@@ -66,8 +66,8 @@ def notes_of(description: Mapping[str, Any]) -> dict[str, str]:
         ("Versions", description.get("versions")),
     ):
         if table:
-            rows = [[name, _text(value)] for name, value in table.items()]
-            parts.append(f"## {heading}\n\n{_table(['', ''], rows)}")
+            rows = [[name, in_words(value)] for name, value in table.items()]
+            parts.append(f"## {heading}\n\n{markdown_table(['', ''], rows)}")
     remark = _REMARK + (_OF_PLANT if description.get("plant") else "")
     parts.append(f"## What is drawn\n\n{' '.join(remark.split())}")
     pages = {"notes": "\n\n".join(parts)}
@@ -85,16 +85,17 @@ def _metrics(description: Mapping[str, Any]) -> str:
     rows: list[list[str]] = []
     for name, values in description["metrics"].items():
         numbers = cast(list[Any], values) if isinstance(values, list) else [values]
-        texts = [_text(x) for x in numbers] + [""] * len(names)
+        texts = [in_words(x) for x in numbers] + [""] * len(names)
         units = text = ""
         if meaning := known.get(name):
             units = ", ".join(meaning.units)
             text = re.sub(r"\|([^|]+)\|", r"abs(\1)", meaning.text)
         rows.append([name, *texts[: len(names)], units, text])
-    return _table(["", *names, "unit", ""], rows)
+    return markdown_table(["", *names, "unit", ""], rows)
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown."""
     lines = [head, ["---"] * len(head), *rows]
     cells = ([printable(cell, _LONGEST) for cell in line] for line in lines)
     return "\n".join(f"| {' | '.join(line)} |" for line in cells)
@@ -105,7 +106,7 @@ def _ledger(entry: Mapping[str, Any]) -> str:
     asked, delivered = (
         None
         if table is None
-        else "; ".join(f"{name} {_text(x)}" for name, x in table.items() if x is not None)
+        else "; ".join(f"{name} {in_words(x)}" for name, x in table.items() if x is not None)
         for table in (entry["asked"], entry.get("delivered"))
     )
     delivered = "not known yet" if delivered is None else delivered or "nothing"
@@ -113,12 +114,13 @@ def _ledger(entry: Mapping[str, Any]) -> str:
     return "\n".join(printable(line, 10 * _LONGEST) for line in lines)
 
 
-def _text(value: Any) -> str:
+def in_words(value: Any) -> str:
+    """A value of `run.json` as people read it: numbers with four digits, tables in a line."""
     if isinstance(value, Mapping):
         table = cast(Mapping[str, Any], value)
-        return ", ".join(f"{name} {_text(item)}" for name, item in table.items())
+        return ", ".join(f"{name} {in_words(item)}" for name, item in table.items())
     if isinstance(value, list):
-        return "(" + ", ".join(_text(item) for item in cast(list[Any], value)) + ")"
+        return "(" + ", ".join(in_words(item) for item in cast(list[Any], value)) + ")"
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "–"}[value]
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -161,8 +161,8 @@ class _Drawing:
         desired = _drawable(self._rows["q_d"][:, panel.part]) if panel.desired else values
         for style, y, y_d in zip(panel.styles, values.T, desired.T, strict=True):
             if panel.desired:
-                ax.plot(*_thinned(self._t, y_d), color=style["color"], linewidth=3.0, alpha=0.3)
-            ax.plot(*_thinned(self._t, y), **style)
+                ax.plot(*thinned(self._t, y_d), color=style["color"], linewidth=3.0, alpha=0.3)
+            ax.plot(*thinned(self._t, y), **style)
         for y in bound.lines(panel.part) if (bound := panel.channel.bound) else ():
             if abs(y) < _LARGEST:
                 ax.axhline(y, color="#555555", linewidth=0.6, linestyle=":")
@@ -200,11 +200,11 @@ def _drawable(values: np.ndarray) -> np.ndarray:
     return np.where(np.abs(values) < _LARGEST, values, np.nan)
 
 
-def _thinned(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A curve of at most `_MOST` points that looks the same: extremes of equal stretches."""
-    if len(t) <= _MOST:
+def thinned(t: np.ndarray, y: np.ndarray, most: int = _MOST) -> tuple[np.ndarray, np.ndarray]:
+    """A curve, shapes (T,), of few points that looks the same: extremes of equal stretches."""
+    if len(t) <= most:
         return t, y
-    size = -(-2 * len(t) // _MOST)
+    size = -(-2 * len(t) // most)
     whole = len(t) // size * size
     stretches = np.nan_to_num(y[:whole]).reshape(-1, size)
     starts = size * np.arange(len(stretches))

@@ -150,7 +150,8 @@ class RunRecording:
             for event in disturbance.events()
         )
         self._eventful = len({name for _, name, _ in self._events})
-        self._count, self._stride, self._next_picture = 0, 1, _FIRST_PICTURE
+        self._count, self._stride = 0, 1
+        self._next_picture = _FIRST_PICTURE // 10 if live else _FIRST_PICTURE
         self._start = self._end = self._planned = 0.0
         self._last: tuple[float, float] | None = None  # t and V
 
