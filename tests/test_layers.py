@@ -14,7 +14,7 @@ CONTROLLERS = Path(controllers.__file__).parent
 # From the bottom up: a package imports from itself and from those before it.
 LAYERS = [
     "errors interrupts tolerances",
-    "arrays bars files memory",
+    "arrays bars files html memory",
     "formats importing units",
     "declared",
     "interfaces",

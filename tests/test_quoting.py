@@ -23,9 +23,9 @@ import octarm
 from controllers import make_controller
 from octarm.commands import cli
 from octarm.errors import FileError, OctarmError, closest, printable, quoted
+from octarm.html import templates
 from octarm.recordings import viewer
 from octarm.recordings.notes import notes_of, title_of
-from octarm.reports.page import templates
 from octarm.runs import folder as runs
 
 HOSTILE = "\x1b[31mred\x1b[0m\n\u202eevil\u2028\x85\x7f"

@@ -10,13 +10,12 @@ from pathlib import Path
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_files
 from octarm.formats import read_toml
+from octarm.reports import report as reports
 from octarm.reports.charts import pictures
-from octarm.reports.comparisons import TABLES, Comparisons, compare, tables
-from octarm.reports.consistency import Remark, remarks
+from octarm.reports.comparisons import TABLES, Comparisons, tables
+from octarm.reports.consistency import Remark
 from octarm.reports.figures import Picture
-from octarm.reports.frame import read_episodes
 from octarm.reports.page import Source, page
-from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.store import SPEC
 
 PAGE = "report.html"
@@ -27,13 +26,11 @@ def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Pat
     """`octarm report`: a page, tables and figures on a sweep."""
     folder = out or sweep / "report"
     _check_place(folder, sweep)
-    episodes = read_episodes(sweep, metrics)
-    numbers = compare(episodes, None if baseline is None else _called(baseline, sweep))
-    remarked = remarks(episodes)
+    name, numbers, remarked = reports.report(sweep, baseline, metrics)
     drawn = list(pictures(numbers))
     files = tables(numbers)
     source = Source(
-        name=sweep.resolve().name,
+        name=name,
         spec=read_toml(sweep / SPEC).text,
         commands=_commands(sweep, baseline, metrics, out),
         files=list(files),
@@ -42,12 +39,6 @@ def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Pat
     _print_summary(numbers, remarked)
     print(f"wrote {printable(str(folder / PAGE))}")
     return ExitCode.FINE
-
-
-def _called(controller: str, sweep: Path) -> str:
-    """The name of a controller in a sweep, given that or MODULE:NAME or FILE.py:NAME."""
-    code = open_sweep(sweep)[0].spec.code
-    return next((name for name, each in code.items() if each.path == controller), controller)
 
 
 def _check_place(out: Path, sweep: Path) -> None:
@@ -93,7 +84,7 @@ def _commands(
     return [shlex.join(again), shlex.join(words)]
 
 
-def _print_summary(numbers: Comparisons, remarked: list[Remark]) -> None:
+def _print_summary(numbers: Comparisons, remarked: Sequence[Remark]) -> None:
     """A row a controller, and the warnings."""
     measure = numbers.episodes.measures[0]
     print(f"controller            episodes  diverged  median {measure.name} [{measure.unit}]")

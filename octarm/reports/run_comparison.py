@@ -11,6 +11,7 @@ import numpy as np
 from octarm.arrays import Coordinates
 from octarm.declared import Code
 from octarm.formats import Document
+from octarm.html import Cell, Table, templates
 from octarm.metrics.declared import declared_metrics
 from octarm.metrics.metric import Metric
 from octarm.recordings.channels import coordinates_of
@@ -21,7 +22,7 @@ from octarm.recordings.plots import thinned
 from octarm.reports import figures
 from octarm.reports.figures import COLORS, Axes, Picture
 from octarm.reports.frame import DEFAULT
-from octarm.reports.page import Cell, Table, number, templates
+from octarm.reports.page import number
 from octarm.runs.folder import Run
 
 _POINTS = 1200  # of a curve at most

@@ -17,6 +17,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arrays import plain
 from octarm.errors import OctarmError
 from octarm.files import write_text
+from octarm.html import notebook_cell
 from octarm.interfaces import Controller
 from octarm.runs.archive import read_blocks
 from octarm.runs.description import Description
@@ -170,6 +171,15 @@ class Run(NamedTuple):
     def metrics(self) -> dict[str, Any]:
         """The metrics by name [SI]: a number, a list with one a coordinate, or None."""
         return self.description["metrics"]
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it."""
+        run, description = self
+        acting = ", ".join(entry["name"] for entry in description.get("disturbances", []))
+        title = f"{description['controller']['name']} on {description['reference']['name']}"
+        lines = [f"{len(run)} control instants, {run.status} {run.message}".strip()]
+        lines += [f"disturbances: {acting}"] if acting else []
+        return notebook_cell(title, lines, run.table())
 
 
 def read_run(folder: str | Path) -> Run:
