@@ -79,7 +79,7 @@ def notebook_cell(title: str, lines: Sequence[str], table: Table) -> str:
 
 def small_plot(values: np.ndarray, desired: np.ndarray) -> Markup:
     """A curve over its instants, and a wide pale one below it, each of shape (T,)."""
-    both = np.stack([values, desired])[:, :: max(1, len(values) // _POINTS)]
+    both = np.stack([values, desired])[:, :: -(-len(values) // _POINTS) or 1]
     both = np.where(np.abs(both) < 1e6, both, np.nan)  # a diverged arm may be anywhere
     known = both[np.isfinite(both)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
