@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dm_control import viewer as windows
-from recordings import described, swinging
+from recordings import described, fields, swinging
 
 import octarm
 from controllers import make_controller
@@ -116,9 +116,7 @@ def test_a_viewer_that_goes_away_does_not_end_the_run(capfd: pytest.CaptureFixtu
             live.add({name: x[first:last] for name, x in rows.items()}, run.layer)
         live.finish(described())
     assert said == ["the viewer has gone away; the run goes on without it"]
-    np.testing.assert_array_equal(
-        column("got.rrd", "/signals", "octarm:signals").shape[0] > 0, True
-    )
+    assert len(fields("got.rrd", "/signals")["tau"]) == 1000
 
 
 def test_live_without_a_viewer_is_refused_before_the_run(
@@ -144,7 +142,7 @@ def test_live_without_a_viewer_is_refused_before_the_run(
 
 @pytest.mark.parametrize("law", ["pd", "smc-integral", "afsmc"])
 def test_a_policy_moves_the_arm_as_rollout_does(law: str):
-    noise = [parse_disturbance("noise:0.3"), parse_disturbance("sensor-noise:0.001")]
+    noise = [parse_disturbance("noise:0.3"), parse_disturbance("measurement-noise:0.001")]
     controller = make_controller(law, nominal=octarm.nominal_parameters().mismatched(-0.3))
     env = octarm.load("sine", disturbances=noise, control_period=0.001)
     runs = [octarm.rollout(env, controller, 0.05) for _ in range(2)]
