@@ -84,11 +84,10 @@ def make_controller(
 
     Args:
         name: of a built-in controller or of an installed package's, MODULE:NAME, or FILE.py:NAME.
-        nominal: the model of the arm that the controller is given; parameters stand for the
-            analytic model with them.
-        gains: gains by name in SI, each a number or an array that broadcasts to (..., 2N), unless
-            the gain's field says otherwise; those of the gain set where not given. `lambda` stands
-            for the field `lambda_`, as Python keeps the former word for itself.
+        nominal: the model of the arm; parameters stand for the analytic model with them.
+        gains: by name in SI, each a number or an array that broadcasts to (..., 2N), unless its
+            field says otherwise; those of the gain set where not given. `lambda` stands for
+            `lambda_`.
         gain_set: `tuned`, `recommended`, or a file NAME.toml of `octarm tune`, or what such a file
             holds; tuned gains where there are any, else recommended ones, when not given. They are
             scaled by the nominal model.
@@ -138,7 +137,6 @@ def make_controller(
 def _checked(
     gain: GainField | None, field: dataclasses.Field[Any], value: Any, model: NominalModel
 ) -> Any:
-    """A gain of a class that does not check it: a number or a read-only array."""
     name = spelled(field.name)
     if gain is not None:
         return gain.checked(name, value, model)
@@ -156,7 +154,6 @@ def _checked(
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:
-    """The default of a field; `_MISSING` if it has none."""
     if field.default_factory is not _MISSING:
         return field.default_factory()
     return field.default

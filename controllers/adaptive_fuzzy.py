@@ -40,13 +40,7 @@ import numpy as np
 
 from controllers.fuzzy.estimators import first_type, second_type, strengths
 from controllers.law import Gain, GainField, RuleField, Switch, elapsed
-from controllers.recommended import (
-    LAYER_WIDTH,
-    LINEAR_GAIN,
-    WIDTH,
-    boundary_width,
-    by_hand,
-)
+from controllers.recommended import LAYER_WIDTH, LINEAR_GAIN, WIDTH, boundary_width, by_hand
 from controllers.sliding_mode import SlidingLaw, Surface, saturation
 from octarm.errors import OctarmError
 from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
@@ -141,8 +135,7 @@ PREMISE_RATE = GainField(
 class AdaptiveLaw(SlidingLaw):
     """Law (63) with an estimate f^ that a subclass adapts.
 
-    Raises:
-        OctarmError: if alpha0 and sigma0 are for different numbers of rules.
+    Raises OctarmError if alpha0 and sigma0 are for different numbers of rules.
     """
 
     K_v: Annotated[Gain, LINEAR_GAIN]
@@ -271,7 +264,6 @@ class AdaptiveConsequents(AdaptiveLaw):
 
     @functools.cached_property
     def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """The lowest and highest theta."""
         return self.near(0.0, self.theta_max)
 
 
@@ -280,9 +272,7 @@ class AdaptiveFuzzy(AdaptiveLaw):
     """Law (63) with the second type of estimator: theta, alpha, sigma and E adapt.
 
     The signals are those of `AdaptiveConsequents`, and alpha and sigma of shape (..., 2N, M).
-
-    Raises:
-        OctarmError: if sigma_min exceeds sigma_max.
+    Raises OctarmError if sigma_min exceeds sigma_max.
     """
 
     eta3: Annotated[Gain, PREMISE_RATE]
@@ -339,7 +329,6 @@ class AdaptiveFuzzy(AdaptiveLaw):
 
     @functools.cached_property
     def _bounds(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The lowest and highest theta, alpha and sigma."""
         # A sigma projected onto 0 would stay there, as sigma' ~ sigma. One that passes 0 does not
         # matter: exp(-(sigma ..)^2) is even.
         least = np.where(np.equal(self.sigma_min, 0.0), -np.inf, self.sigma_min)

@@ -11,12 +11,7 @@ import numpy as np
 from controllers.fuzzy.inference import Sugeno, Variable
 from controllers.fuzzy.rule_base import RuleBase
 from controllers.law import Gain, GainField, Law
-from controllers.recommended import (
-    LAYER_WIDTH,
-    LINEAR_GAIN,
-    SWITCHING_GAIN,
-    by_hand,
-)
+from controllers.recommended import LAYER_WIDTH, LINEAR_GAIN, SWITCHING_GAIN, by_hand
 from controllers.sliding_mode import SlidingLaw
 from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
 

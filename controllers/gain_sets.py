@@ -61,8 +61,7 @@ class GainSet(Model):
     def unsuited(self, nominal: NominalModel, control_period: float) -> str:
         """How far a nominal model of one arm, and a control period [s], are from those of the set.
 
-        Returns:
-            A part of a sentence; empty if they are alike.
+        It is a part of a sentence; empty if they are alike.
         """
         here = {name: float(value) for name, value in nominal.descriptors.items()}
         here["control_period"] = control_period / float(nominal.time_scale)
@@ -85,9 +84,7 @@ def _far(name: str, here: float, there: float) -> bool:
 def read_gain_set(path: str | Path) -> GainSet:
     """A file of gains.
 
-    Raises:
-        FileError: if it cannot be read.
-        OctarmError: if it is not TOML, or does not hold a set of gains.
+    Raises FileError if it cannot be read, OctarmError if it does not hold a set of gains.
     """
     return read_toml(path).read(GainSet)
 
@@ -104,13 +101,9 @@ def gain_set_of(
 ) -> tuple[str, GainSet | None]:
     """The set of gains that takes the place of the recommended ones, and what to call it.
 
-    Args:
-        controller: its name.
-        choice: `recommended` for none at all; `tuned` for the shipped ones; a file, whose name
-            ends in .toml; the content of one; None for the shipped ones if there are any.
-
-    Raises:
-        OctarmError: if there are none, or they are for another controller.
+    The choice is `recommended` for none at all; `tuned` for the shipped ones; a file, whose name
+    ends in .toml; the content of one; None for the shipped ones if there are any. Raises
+    OctarmError if there are none, or they are for another controller.
     """
     if choice == "recommended":
         return "the recommended gains", None
@@ -138,20 +131,11 @@ def unsuited(
     nominal: NominalModel,
     control_period: float,
 ) -> str:
-    """A sentence without its stop on gains whose arm or control period is far from these.
+    """A sentence without its stop on gains whose arm or control period [s] is far from these.
 
-    Args:
-        controller: its name.
-        choice: see `gain_set_of`; recommended gains were set for the arm of the tuned ones, and
-            are for no control period in particular.
-        nominal: the model of one arm.
-        control_period: time between control actions [s].
-
-    Returns:
-        The sentence; empty if they are alike, or nothing is known of the gains.
-
-    Raises:
-        OctarmError: if there is no such set.
+    It is empty if they are alike, or nothing is known of the gains. The choice is that of
+    `gain_set_of`: recommended gains were set for the arm of the tuned ones, and are for no control
+    period in particular. Raises OctarmError if there is no such set.
     """
     source, gains = gain_set_of(controller, choice)
     if gains is None:

@@ -79,8 +79,8 @@ class GainField:
     def checked(self, name: str, value: Any, nominal: NominalModel) -> Any:
         """The gain as a read-only float array, of shape (), (..., 1) or (..., 2N).
 
-        Raises:
-            OctarmError: if it is not finite, not positive, or has neither one value nor 2N of them.
+        Raises OctarmError if it is not finite, not positive, or has neither one value nor 2N of
+        them.
         """
         gain = read_only(name, value, unbounded=self.infinite)
         if gain.ndim and gain.shape[-1] not in (1, nominal.coordinates):
@@ -97,7 +97,6 @@ class _Unscaled(GainField):
     """What is the same for all arms, and not one number for each coordinate."""
 
     def scaled(self, numbers: npt.ArrayLike, nominal: NominalModel) -> npt.ArrayLike:
-        """The numbers as they are."""
         del nominal
         return numbers
 
@@ -238,19 +237,14 @@ class Law:
     def errors(
         self, measurement: Measurement, reference: Reference
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The errors e = q - q_d and e' = q' - q_d', each of shape (..., 2N).
-
-        Raises:
-            OctarmError: unless all arrays are of shape (..., 2N) and their batch axes broadcast.
-        """
+        """The errors e = q - q_d and e' = q' - q_d', each of shape (..., 2N); see `check`."""
         self.check(measurement, reference)
         return measurement.q - reference.q, measurement.v - reference.v
 
     def check(self, measurement: Measurement, reference: Reference) -> None:
-        """Checks that the arrays of one instant fit the arm and each other.
+        """Raises OctarmError unless all arrays of one instant fit the arm and each other.
 
-        Raises:
-            OctarmError: unless all are of shape (..., 2N) and their batch axes broadcast.
+        They are of shape (..., 2N), and their batch axes broadcast.
         """
         q, v, (q_d, v_d, a_d) = measurement.q, measurement.v, reference
         shape, size = q.shape, self.nominal.coordinates
@@ -274,15 +268,11 @@ class Law:
     ) -> np.ndarray:
         """The rate of what a law integrates, 0 where integrating on would be windup.
 
-        Conditional integration: where inputs are cut off at their range, the arm lacks a part of
-        Q, see `NominalModel.shortfall`. A coordinate that lacks force in the direction in which -s
+        Conditional integration: where inputs are cut off at their range, the arm lacks a part of Q,
+        see `NominalModel.shortfall`. A coordinate that lacks force in the direction in which -s
         pushes gets no more of it by integrating further in that direction. Where nothing is cut
-        off, the rate is what it was.
-
-        Args:
-            measurement: of this instant.
-            command: that the law answers, with the signal s.
-            rate: of an integral that acts on Q with a minus sign, such as e or s, shape (..., 2N).
+        off, the rate is what it was. It is that of an integral that acts on Q with a minus sign,
+        such as e or s, shape (..., 2N); the command that the law answers has the signal s.
         """
         lacking = self.nominal.shortfall(measurement.q, command.force)
         if lacking is None:
@@ -292,11 +282,7 @@ class Law:
 
 
 def elapsed(before: float | None, now: float) -> float:
-    """Time since the last call [s], 0 if there was none, for a controller that integrates.
-
-    Raises:
-        OctarmError: if time went back.
-    """
+    """Time since the last call [s], 0 if there was none; raises OctarmError if time went back."""
     if before is None:
         return 0.0
     if now < before:

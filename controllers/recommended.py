@@ -45,14 +45,8 @@ SET_FOR = SetFor(  # the arm of models/octarm.xml
 def by_hand(nominal: NominalModel, units: str, first: float, *others: float) -> np.ndarray:
     """Values set by hand for the arm `SET_FOR` [SI], scaled to a nominal model [SI].
 
-    Args:
-        nominal: the model.
-        units: of the values, see `GainField`.
-        first: the value, or that of slides or of the first coordinate.
-        others: that of bends, or those of the other coordinates.
-
-    Returns:
-        A value that broadcasts to (..., 2N).
+    They broadcast to (..., 2N). One value is for all coordinates, two are for slides and bends,
+    others for one coordinate each; the units are those of a `GainField`.
     """
     listed = np.array([first, *others] if others else first)
     numbers = along(listed, len(SET_FOR.scale) // 2, len(SET_FOR.scale)) / unit(units, SET_FOR)

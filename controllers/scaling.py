@@ -67,10 +67,8 @@ def dimension_of(units: str) -> Dimension:
     """What a gain's units say, such as "N s/m, N m s/rad": those of a slide come first.
 
     A product is spelt by spaces and slashes, from left to right, with powers such as s^2, brackets
-    and sqrt(..).
-
-    Raises:
-        OctarmError: for a unit that is none of N, m, rad, s, kg and 1, or what does not read so.
+    and sqrt(..). Raises OctarmError for another unit than N, m, rad, s, kg and 1, or another
+    spelling.
     """
     words = re.findall(r"[A-Za-z]+|\d+|\S", units.partition(",")[0])
     dimension = _product(words, units)
@@ -80,7 +78,6 @@ def dimension_of(units: str) -> Dimension:
 
 
 def _product(words: list[str], units: str) -> Dimension:
-    """Takes a product off the words."""
     dimension, exponent = Dimension(), 1.0
     while words and words[0] != ")":
         if words[0] == "/":
@@ -123,10 +120,8 @@ def _unreadable(units: str) -> OctarmError:
 def unit(units: str, arm: Scales) -> np.ndarray:
     """The value of 1 in SI, shape () where at most time counts, for one arm, else (..., 2N).
 
-    Of a batch where only time counts it has the shape (..., 1).
-
-    Raises:
-        OctarmError: if the units cannot be read, or the arm has no scales.
+    Of a batch where only time counts it has the shape (..., 1). Raises OctarmError if the units
+    cannot be read, or the arm has no scales.
     """
     force, length, time = dimension_of(units)
     value = np.ones(())
@@ -147,14 +142,10 @@ def _power(x: np.ndarray, exponent: float) -> np.ndarray:
 def along(numbers: np.ndarray, modules: int, coordinates: int) -> np.ndarray:
     """Numbers of the coordinates of one arm, for an arm with more or fewer modules.
 
-    A list in the order of q of M modules becomes one of N: each kind of coordinate is interpolated
-    along the arm, with module i of M at (i - 1/2) / M of its length, and constant at both ends. So
-    two numbers are one for each slide and one for each bend. One number stays one.
-
-    Args:
-        numbers: shape (), (..., 1) or (..., kinds M).
-        modules: N.
-        coordinates: kinds N.
+    A list in the order of q of M modules, shape (..., kinds M), becomes one of N, (..., kinds N):
+    each kind of coordinate is interpolated along the arm, with module i of M at (i - 1/2) / M of
+    its length, and constant at both ends. So two numbers are one for each slide and one for each
+    bend. One number, shape () or (..., 1), stays one.
     """
     kinds = coordinates // modules
     size = numbers.shape[-1] if numbers.ndim else 1

@@ -61,9 +61,7 @@ class SlidingLaw(Law):
         e, e_dot = self.errors(measurement, reference)
         decay = self.lambda_ * e
         return Surface(
-            s=e_dot + decay,
-            v_r=reference.v - decay,
-            a_r=reference.a - self.lambda_ * e_dot,
+            s=e_dot + decay, v_r=reference.v - decay, a_r=reference.a - self.lambda_ * e_dot
         )
 
     def command(
@@ -91,11 +89,7 @@ class SlidingLaw(Law):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class SwitchingLaw(SlidingLaw):
-    """A sliding mode whose switching gain is given, or derived from an uncertainty.
-
-    Raises:
-        OctarmError: unless one of K and uncertainty is given.
-    """
+    """A sliding mode whose switching gain is given, or else derived from an uncertainty."""
 
     K: Annotated[Gain | None, dataclasses.replace(SWITCHING_GAIN, replaced_by="uncertainty")] = None
     K_v: Annotated[Gain, LINEAR_GAIN]
@@ -190,23 +184,16 @@ def reaching_time_bound(
 ) -> np.ndarray:
     """Longest time until s = 0, eqs (14) and (15) for a vector, shape (..., 1) [s].
 
-    By (42) V' <= -y with y = sum eta_i |s_i|. On the set of all s with the same y, the convex
-    V = 1/2 s^T D s is largest at a corner, where only one s_i differs from zero: V <= 1/2 L y^2
-    with L = max D_ii / eta_i^2. Hence V' <= -sqrt(2 V / L), and V is zero after sqrt(2 L V) at
-    most; for one coordinate this is D |s| / eta.
+    By (42) V' <= -y with y = sum eta_i |s_i|. On the set of all s with the same y, the convex V =
+    1/2 s^T D s is largest at a corner, where only one s_i differs from zero: V <= 1/2 L y^2 with L
+    = max D_ii / eta_i^2. Hence V' <= -sqrt(2 V / L), and V is zero after sqrt(2 L V) at most; for
+    one coordinate this is D |s| / eta.
 
-    D is neither known nor constant. All its entries and V are sums over masses and inertias,
-    hence at most 1 / (1 - u) times the nominal ones. D_ii is the largest one for modules of these
-    lengths. Only modules that lengthen on the way are not foreseen: the bound grows at most by the
-    share by which they do. The bound is one of continuous time: under sampling the force is late,
-    and s ends in the chattering about zero.
-
-    Args:
-        nominal: the model that the controller believes.
-        uncertainty: share u in [0, 1), shape () or (..., 1) [1].
-        eta: reaching gain, broadcasts to (..., 2N) [N], [N m].
-        q: coordinates, shape (..., 2N) [m], [rad].
-        V: 1/2 s^T D^ s, shape (..., 1) [J].
+    D is neither known nor constant. All its entries and V are sums over masses and inertias, hence
+    at most 1 / (1 - u) times the nominal ones, u being the uncertainty. D_ii is the largest one for
+    modules of these lengths. Only modules that lengthen on the way are not foreseen: the bound
+    grows at most by the share by which they do. The bound is one of continuous time: under sampling
+    the force is late, and s ends in the chattering about zero.
     """
     L = np.max(nominal.largest_inertia(q) / (eta * eta), axis=-1, keepdims=True)
     return np.sqrt(2.0 * L * V) / (1.0 - uncertainty)

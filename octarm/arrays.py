@@ -16,10 +16,8 @@ Entry = np.ndarray | float
 def split(x: np.ndarray) -> Sequence[Entry]:
     """The entries of the last axis of an array of shape (..., k).
 
-    They are floats for one arm, views of shape (...) for a batch.
-
-    Arithmetic on an entry is then elementwise along the batch, and as fast as it can be for one
-    arm. Both give the same bits.
+    They are floats for one arm, views of shape (...) for a batch. Arithmetic on an entry is then
+    elementwise along the batch, and as fast as it can be for one arm. Both give the same bits.
     """
     return x.tolist() if x.ndim == 1 else [x[..., i] for i in range(x.shape[-1])]
 
@@ -32,10 +30,8 @@ def entry(x: np.ndarray | float) -> Entry:
 def join(entries: Sequence[Entry], like: np.ndarray, *shapes: tuple[int, ...]) -> np.ndarray:
     """The array of shape (..., k) whose last axis has these entries; the inverse of `split`.
 
-    Args:
-        entries: k numbers, or arrays that broadcast against the batch.
-        like: for a batch, the result has the memory order of this array, and its batch axes.
-        shapes: shapes of other arrays whose batch axes the result has as well.
+    For a batch it has the memory order of the array `like`, whose batch axes it has, and those of
+    arrays of other shapes.
     """
     if like.ndim == 1 and sum(map(len, shapes)) == len(shapes):  # none has a batch axis
         return np.array(entries)
@@ -101,16 +97,9 @@ def planar_coordinates(modules: int) -> Coordinates:
 def read_only(
     name: str, value: npt.ArrayLike, *, unbounded: bool = False, unbounded_below: bool = False
 ) -> np.ndarray:
-    """A read-only float64 copy, of the shape of the value.
+    """A read-only float64 copy, of the shape of the value; `name` is for errors.
 
-    Args:
-        name: of the value, for errors.
-        value: a number, or an array of any shape.
-        unbounded: whether +infinity is allowed.
-        unbounded_below: whether -infinity is allowed.
-
-    Raises:
-        OctarmError: if the value is not made of finite numbers.
+    Raises OctarmError if it is not made of finite numbers; infinity may be allowed at either end.
     """
     try:
         array = np.array(value, dtype=np.float64)

@@ -29,19 +29,9 @@ from typing import Any, Literal, NamedTuple, TypeVar
 
 from pydantic import Field
 
+from octarm import importing
 from octarm.errors import OctarmError, closest, quoted
 from octarm.formats import Model
-from octarm.importing import (
-    ALLOWED,
-    content_of,
-    distribution_of,
-    entry_points,
-    is_module,
-    loaded,
-    located,
-    public_names,
-    sha256_of,
-)
 
 T = TypeVar("T")
 Kind = Literal["controller", "reference", "disturbance", "metric"]
@@ -102,13 +92,10 @@ class Declared(collections.UserDict[str, T]):
         check: Callable[[Any], str],
         declares: Callable[[T], dict[str, dict[str, Any]]] = lambda thing: {},
     ) -> None:
-        """A table.
+        """A table of what is built in.
 
-        Args:
-            kind: of the things.
-            built_in: those that the package brings, by name.
-            check: what an object of a user lacks, such as "has no method start"; empty if nothing.
-            declares: see `Code`.
+        The check says what an object of a user lacks, such as "has no method start", or nothing;
+        `declares` is for `Code`.
         """
         super().__init__(built_in)
         self.kind: Kind = kind
@@ -129,15 +116,14 @@ class Declared(collections.UserDict[str, T]):
         """The word with which a text begins, and the rest: `noise:0.4`, `./gust.py:Gust:5,at=1`."""
         name, _, rest = text.partition(":")
         match = None if name in self or name in self._points() else _PATH.fullmatch(text)
-        if match is None or not ("/" in name or "." in name or is_module(name)):
+        if match is None or not ("/" in name or "." in name or importing.is_module(name)):
             return Spelt(name, rest)
         return Spelt(f"{match[1]}:{match[2]}", match[3] or "")
 
     def code(self, word: str) -> Code | None:
         """Where something comes from; None for what is built in.
 
-        Raises:
-            OctarmError: for a word that means nothing of this kind.
+        Raises OctarmError for a word that means nothing of this kind.
         """
         if word in self:
             return None
@@ -151,8 +137,7 @@ class Declared(collections.UserDict[str, T]):
         )
 
     def _points(self) -> dict[str, importlib.metadata.EntryPoint]:
-        """The entry points of installed packages, by name."""
-        return {point.name: point for point in entry_points(f"octarm.{self.kind}s")}
+        return {point.name: point for point in importing.entry_points(f"octarm.{self.kind}s")}
 
     def _found(self, word: str) -> tuple[T, str, str, str]:
         """A thing that is not built in, its import path or file, SHA-256 and distribution."""
@@ -161,31 +146,31 @@ class Declared(collections.UserDict[str, T]):
         match = _PATH.fullmatch(path)
         if match is None or match[3] is not None:
             if word.endswith(".py") or ":" in word:
-                raise OctarmError(f"{self.kind} is {quoted(word)}; {ALLOWED}")
+                raise OctarmError(f"{self.kind} is {quoted(word)}; {importing.ALLOWED}")
             known = closest(word, self.names())
             raise OctarmError(f"unknown {self.kind} {quoted(word)}{known}")
         source, name = match[1], match[2]
-        module, sha256 = loaded(source)
+        module, sha256 = importing.loaded(source)
         try:
             thing: Any = operator.attrgetter(name)(module)
         except AttributeError:
-            known = public_names(module)
+            known = importing.public_names(module)
             hint = closest(name, known) if known else ""
             raise OctarmError(f"{source} holds no {quoted(name)}{hint}") from None
         if lacks := self._check(thing):
             raise OctarmError(f"{path} is no {self.kind} of octarm: it {lacks}")
         if point is not None and point.dist is not None:
             return thing, path, sha256, point.dist.name
-        return thing, path, sha256, "" if source.endswith(".py") else distribution_of(source)
+        return (
+            thing,
+            path,
+            sha256,
+            "" if source.endswith(".py") else importing.distribution_of(source),
+        )
 
 
 def lacking(cls: type, **methods: Sequence[str]) -> str:
-    """Which of some methods a class lacks, or has with other arguments; empty if none.
-
-    Args:
-        cls: the class.
-        methods: names of the arguments of each, which are given by their place, but `self`.
-    """
+    """Which of some methods a class lacks, or has with other arguments; empty if none."""
     held = {name: value for base in reversed(cls.__mro__) for name, value in vars(base).items()}
     for name, arguments in methods.items():
         if name not in held or name in vars(cls).get("__abstractmethods__", ()):
@@ -216,10 +201,8 @@ def named(words: Iterable[tuple[Declared[Any], str]]) -> tuple[list[str], dict[s
     """Names for the words of one experiment, short and unique, and the code that they stand for.
 
     What is built in, an entry point, or a disturbance keeps its name. Others are called as in their
-    file, `Backstepping`, or `laws.Backstepping` and so on where that would mean two things.
-
-    Raises:
-        OctarmError: for a word that means nothing, or two disturbances of the same name.
+    file, `Backstepping`, or `laws.Backstepping` and so on where that would mean two things. Raises
+    OctarmError for a word that means nothing, or two disturbances of the same name.
     """
     words = list(words)
     codes = [table.code(word) for table, word in words]
@@ -244,10 +227,8 @@ def named(words: Iterable[tuple[Declared[Any], str]]) -> tuple[list[str], dict[s
 def word_of(name: str, code: Mapping[str, Code]) -> str:
     """The word for a name of an experiment, whose code is what it was.
 
-    Raises:
-        OctarmError: for a path that is no name of the experiment.
-        CodeChanged: if the file that holds it has another SHA-256, or is gone. Nothing has been
-            imported then.
+    Raises OctarmError for a path that is no name of the experiment, CodeChanged if the file that
+    holds it has another SHA-256, or is gone. Nothing has been imported then.
     """
     if name not in code:
         if ":" in name:  # a file of results may hold anything
@@ -256,7 +237,7 @@ def word_of(name: str, code: Mapping[str, Code]) -> str:
     path, sha256 = code[name].path, code[name].sha256
     match = _PATH.fullmatch(path)
     try:
-        now = "" if match is None else sha256_of(content_of(match[1]))
+        now = "" if match is None else importing.sha256_of(importing.content_of(match[1]))
     except OctarmError as error:
         raise CodeChanged(f"{name} cannot be run again: {error}") from None
     if now != sha256:
@@ -268,12 +249,8 @@ def word_of(name: str, code: Mapping[str, Code]) -> str:
 
 
 def file_of(path: str) -> Path:
-    """The file of what MODULE:NAME or FILE.py:NAME names; nothing is imported.
-
-    Raises:
-        OctarmError: if there is no such module.
-    """
-    return Path(located(path.rpartition(":")[0]))
+    """The file of what MODULE:NAME or FILE.py:NAME names; OctarmError if there is none."""
+    return Path(importing.located(path.rpartition(":")[0]))
 
 
 def distributions(code: Mapping[str, Code]) -> dict[str, str]:

@@ -41,6 +41,10 @@ class FileError(OctarmError, OSError):
     """A file or folder that cannot be read or written; the sentence names it."""
 
 
+class ExtraError(OctarmError, ImportError):
+    """A package that is not installed; the sentence names the extra that brings it."""
+
+
 def printable(text: str, longest: int | None = None) -> str:
     r"""The text in characters that a terminal, a page or a plot shows as they are.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
 import shutil
 import tempfile
@@ -97,10 +98,6 @@ def _unique(folder: Path | None, name: str) -> Path:
 def _locked(path: Path) -> int | None:
     """A descriptor of a file that holds a lock on it; None if another process has one."""
     try:
-        import fcntl
-    except ImportError:  # not on POSIX
-        return None
-    try:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     except OSError:  # somebody else's
         return None
@@ -167,18 +164,23 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
         part.write_text(text, encoding="utf-8")
 
 
+def read_bytes(path: str | os.PathLike[str]) -> bytes:
+    """The bytes of a file; raises FileError if it cannot be read."""
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror}") from None
+
+
 @contextlib.contextmanager
 def piped(path: Path) -> Generator[str]:
     """A name for a library to write `path` through, if the library hangs on a full disk.
 
-    On POSIX the name is that of a pipe, and a thread copies what comes out of it to the file.
+    The name is that of a pipe, and a thread copies what comes out of it to the file.
 
     Raises:
         OSError: if the file cannot be written, a full disk included.
     """
-    if os.name != "posix":
-        yield str(path)
-        return
     failures: list[OSError] = []
     file = open(path, "wb")
     source, sink = os.pipe()

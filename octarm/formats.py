@@ -73,11 +73,9 @@ class Model(pydantic.BaseModel):
 
 @dataclasses.dataclass(frozen=True)
 class Document:
-    """The content of a file.
+    """The content of a file, with its name in error messages.
 
     Attributes:
-        file: its name in error messages.
-        content: its keys and values.
         text: the TOML text, in which lines are looked up; empty for JSON.
     """
 
@@ -86,11 +84,9 @@ class Document:
     text: str = ""
 
     def read(self, kind: type[T], *keys: str) -> T:
-        """The content, or the value of a key, as a model or another type.
+        """The content, or the value at some keys, as a model or another type.
 
-        Args:
-            kind: what it shall be; anything else is an OctarmError.
-            keys: of the value, that of its table first.
+        Anything else is an OctarmError.
         """
         value: Any = self.content
         for key in keys:
@@ -221,7 +217,6 @@ _WORDS = {
 
 
 def _allowed(error: ErrorDetails) -> str:
-    """What is allowed, in words."""
     if error["type"] == "value_error":
         return str(error.get("ctx", {})["error"])
     words = error["msg"].removeprefix("Input should be ").partition(" or instance of ")[0]

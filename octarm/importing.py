@@ -14,10 +14,10 @@ import inspect
 import os
 import sys
 import types
-from pathlib import Path
 from typing import Any
 
-from octarm.errors import FileError, OctarmError, quoted
+from octarm.errors import OctarmError, quoted
+from octarm.files import read_bytes
 
 ALLOWED = "it must be a known name, MODULE:NAME, or FILE.py:NAME"
 
@@ -31,8 +31,7 @@ def entry_points(group: str) -> tuple[importlib.metadata.EntryPoint, ...]:
 def loaded(source: str) -> tuple[types.ModuleType, str]:
     """A module, or a file as a module of its own, and the SHA-256 of its file.
 
-    Raises:
-        OctarmError: if there is no such module or file, or it cannot be imported.
+    Raises OctarmError if there is no such module or file, or it cannot be imported.
     """
     content = content_of(source)
     sha256 = sha256_of(content)
@@ -64,24 +63,16 @@ def _module_of(file: str, content: bytes) -> types.ModuleType:
 def content_of(source: str) -> bytes:
     """The bytes of a file, or of that of a module; nothing is imported.
 
-    Raises:
-        FileError: if the file cannot be read.
-        OctarmError: if there is no such module.
+    Raises FileError if the file cannot be read, OctarmError if there is no such module.
     """
-    file = located(source)
-    try:
-        return Path(file).read_bytes()
-    except OSError as error:
-        raise FileError(f"{file} cannot be read: {error.strerror}") from None
+    return read_bytes(located(source))
 
 
 def located(source: str) -> str:
     """A file, or that of a module; modules may also be in the working folder.
 
-    Packages above it are not imported, unlike by `importlib.util.find_spec`.
-
-    Raises:
-        OctarmError: if there is no such module, or it has no file.
+    Packages above it are not imported, unlike by `importlib.util.find_spec`. Raises OctarmError if
+    there is no such module, or it has no file.
     """
     if source.endswith(".py"):
         return source

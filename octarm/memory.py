@@ -15,13 +15,9 @@ WORKER = 100e6  # [byte] that a process has of its own before it runs anything
 
 
 def check_batch(arms: int, modules: int, batches: int = 1, what: str = "batch") -> None:
-    """Raises OctarmError for a number of arms below 1, or more than memory holds.
+    """Raises OctarmError for a number of arms in a batch below 1, or more than memory holds.
 
-    Args:
-        arms: side by side in one batch; `what` is their name in the sentence.
-        modules: of an arm.
-        batches: run by as many processes.
-        what: name of the number of arms.
+    There may be several batches, run by as many processes; `what` names the number in the sentence.
     """
     if arms < 1:
         raise OctarmError(f"{what} is {arms}; it must be at least 1")

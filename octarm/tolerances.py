@@ -51,11 +51,9 @@ class CheckTable:
     """The outcome of a set of checks; as text, it is title, table and verdict.
 
     Attributes:
-        title: what was checked, in one line.
         parameters: the arm, as plain numbers and lists.
         states: number of random states.
         seed: of the random states and motions.
-        checks: the rows.
     """
 
     title: str
@@ -91,11 +89,9 @@ class CheckTable:
 def run_checks(
     parts: Mapping[str, Iterable[Check]], progress: Callable[[str], object] | None = None
 ) -> tuple[Check, ...]:
-    """The rows of all parts of a table, in order.
+    """The rows of all parts of a table, by their names, in order; a generator does its work here.
 
-    Args:
-        parts: the rows by the name of their part; a generator does its work here.
-        progress: called with the name of each part before it starts.
+    The progress is called with the name of each part before it starts.
     """
     checks: list[Check] = []
     for name, part in parts.items():

@@ -42,17 +42,11 @@ _LETTERS = str.maketrans("%/1^2", "aaaaa")  # signs that units are made of, too
 
 
 def number(name: str, text: str, unit: str) -> float:
-    """The number that a text spells, in a unit such as "s" or "N or N m".
+    """The number that a text such as "0.06", "60ms" or "40 %" spells, in some unit.
 
-    Without a unit of its own the text is in that unit; with one, it is converted.
-
-    Args:
-        name: of the value, for the error.
-        text: such as "0.06", "60ms" or "40 %".
-        unit: that the program computes in; "1" for a share, or `ANY`.
-
-    Raises:
-        OctarmError: if the text is no number, or its unit is another quantity's.
+    Without a unit of its own the text is in that unit, or those such as "N or N m"; with one, it is
+    converted. The unit is "1" for a share, or `ANY`. Raises OctarmError if the text is no number,
+    or its unit is another quantity's.
     """
     try:
         return float(text)

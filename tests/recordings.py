@@ -8,6 +8,7 @@ import numpy as np
 import rerun as rr
 
 from octarm.arm.parameters import ArmParameters
+from octarm.runs import folder as runs
 from octarm.simulation.trajectory import Trajectory
 
 
@@ -47,6 +48,12 @@ def described(modules=3, **more):
         "status": "ok",
         **more,
     }
+
+
+def write_run(folder, rows, description):
+    """Writes `run.npz`, then `run.json`, with which the run is complete, into a folder."""
+    rows.save(folder / runs.ARRAYS)
+    runs.write_description(folder, description)
 
 
 def swinging(modules=3, rows=2500, rate=1000.0, **signals):

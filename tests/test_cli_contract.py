@@ -12,7 +12,7 @@ import pytest
 from controllers import CONTROLLERS
 from octarm.arm.actuation import ACTUATIONS
 from octarm.commands.cli import main
-from octarm.disturbances.catalogue import DISTURBANCES
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.references import REFERENCES
 
 GROUPS = {

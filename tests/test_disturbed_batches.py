@@ -21,8 +21,8 @@ from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.interfaces import Controller, Instant, Measurement, Reference
 from octarm.metrics.table import Metrics
-from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.environment import load
+from octarm.simulation.physics import BatchPhysics
 from octarm.simulation.rollout import rollout, simulate
 from octarm.simulation.steps import StepError
 

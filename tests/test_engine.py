@@ -20,7 +20,13 @@ from test_disturbed_runs import ALL
 from controllers import make_controller
 from octarm.arm import lagrange
 from octarm.arm.actuation import ACTUATIONS
-from octarm.arm.mjcf import build_model, build_slim_model, nominal_parameters, paper_order
+from octarm.arm.mjcf import (
+    build_model,
+    build_slim_model,
+    nominal_parameters,
+    paper_order,
+    read_parameters,
+)
 from octarm.arm.parameters import ArmParameters
 from octarm.checks import free_motion
 from octarm.checks.mechanics import (
@@ -34,8 +40,8 @@ from octarm.disturbances.episode import Plant
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.simulation import lagrange_kernel
 from octarm.simulation.analytic import LagrangePhysics
-from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.environment import load
+from octarm.simulation.physics import BatchPhysics
 from octarm.simulation.rollout import rollout, simulate
 
 P = nominal_parameters()
@@ -116,7 +122,7 @@ def test_mujoco_is_the_analytic_model_for_any_backbone_and_any_bend_without_forc
     by_mujoco, by_lagrange = mujoco_mechanics(model, arm, states), lagrange_mechanics(arm, states)
     for name in by_mujoco:
         assert relative_error(by_mujoco[name], by_lagrange[name]) < 1e-12, name
-    read = ArmParameters.from_model(model)
+    read = read_parameters(model)
     for name, value in fields(arm).items():
         np.testing.assert_array_equal(getattr(read, name), value)
     rest = lagrange.equilibrium(arm)

@@ -7,7 +7,7 @@ import pytest
 
 from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
-from octarm.checks import engines
+from octarm.checks import closed_loops as engines
 from octarm.commands.cli import main
 from octarm.interfaces import Command, Instant, Measurement, Reference
 from octarm.simulation import analytic

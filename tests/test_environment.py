@@ -103,7 +103,7 @@ def test_tip_position_is_that_of_the_observed_coordinates():
     tau = np.array([9.0, -9.0, 5.0, -5.0, 2.0, 1.0])
     seen = [environment.step(tau).observation for _ in range(20)][-1]
     tip = world_position(positions(seen["q"]))[-1]
-    np.testing.assert_allclose(seen["tip_position"], tip, atol=1e-14)
+    np.testing.assert_allclose(seen["tip_position"], tip[::2], atol=1e-14)
 
 
 def test_the_episode_ends_after_whole_periods():

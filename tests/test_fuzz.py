@@ -26,7 +26,7 @@ from octarm.commands import margin, report, rod, run, sweep, tune, validate
 from octarm.commands.app import APP
 from octarm.commands.cli import main
 from octarm.commands.pages import arguments_of, commands, is_operand, spelling
-from octarm.disturbances.catalogue import DISTURBANCES
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError
 from octarm.recordings import plots, viewer
 from octarm.references import REFERENCES

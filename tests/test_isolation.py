@@ -27,8 +27,9 @@ from octarm.disturbances.episode import Disturbance, Episode
 from octarm.disturbances.ledger import Ledger
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.interfaces import Command, Controller, Measurement, Reference
-from octarm.simulation.environment import TrackingTask, load
+from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout, simulate
+from octarm.simulation.task import TrackingTask
 
 P = nominal_parameters()
 ALL = [parse_disturbance(text) for text in SPELLINGS.values()]

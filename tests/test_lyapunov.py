@@ -21,7 +21,8 @@ from controllers import (
     SuperTwisting,
     make_controller,
 )
-from controllers.proofs import adaptive_ledger, lyapunov, misprints
+from controllers.proofs import adaptive_ledger, lyapunov
+from controllers.proofs import ledger as misprints
 from controllers.proofs.ledger import ledger
 from controllers.sliding_mode import Surface
 from octarm.arm import lagrange

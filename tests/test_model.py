@@ -17,6 +17,7 @@ from octarm.arm.mjcf import (
     build_slim_model,
     nominal_parameters,
     paper_order,
+    read_parameters,
     template_model,
     world_position,
 )
@@ -84,7 +85,7 @@ def test_the_nominal_parameters_give_the_default_model():
 @MODULES
 def test_parameters_survive_the_way_through_a_model(n):
     p = random_arm(1, n)
-    back = ArmParameters.from_model(build_model(p))
+    back = read_parameters(build_model(p))
     for field in dataclasses.fields(p):
         np.testing.assert_array_equal(
             getattr(back, field.name), getattr(p, field.name), err_msg=field.name

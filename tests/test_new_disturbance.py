@@ -14,10 +14,15 @@ from test_recording import entities
 import octarm
 from controllers import make_controller
 from octarm.commands import cli
-from octarm.disturbances.catalogue import DISTURBANCES
 from octarm.disturbances.episode import Event
 from octarm.disturbances.ledger import Ledger, in_words
-from octarm.disturbances.spelling import from_entry, help_text, parse_disturbance, spelling
+from octarm.disturbances.spelling import (
+    DISTURBANCES,
+    from_entry,
+    help_text,
+    parse_disturbance,
+    spelling,
+)
 from octarm.sweeps.margin import parse_varied
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spec_file import parse_spec

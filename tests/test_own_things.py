@@ -20,8 +20,7 @@ from controllers.law import gain_fields
 from octarm import importing
 from octarm.commands import cli
 from octarm.declared import Code, CodeChanged, named, word_of
-from octarm.disturbances.catalogue import DISTURBANCES
-from octarm.disturbances.spelling import parse_disturbance, spelling
+from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance, spelling
 from octarm.errors import OctarmError
 from octarm.metrics.declared import ACCUMULATORS
 from octarm.references import REFERENCES, named_reference

@@ -13,22 +13,24 @@ from typing import Any
 
 import numpy as np
 import pytest
-from paper import lyapunov, runs, writeup
+from paper import lyapunov, periods, plants, runs, writeup
 from paper.cases import Verdict
 from paper.claims import Claim
-from paper.evidence import Cell, Evidence, gather, measured
+from paper.evidence import Cell, Evidence, coordinates, gather, measured
 from paper.jobs import run_all
-from paper.studies import BENDS, FULL, NOISE, QUICK, Effort, sweeps
+from paper.studies import BENDS, FULL, NOISE, QUICK, TIME, Effort, sweeps
 from paper.tables import all_tables, as_csv, tuning
 from paper.variants import CONTROLLERS, FIXED_PREMISES, PROPOSED, SIGN, SMC, all_variants, by_hand
 
 import octarm
 from controllers import make_controller
+from octarm.disturbances.forces import BandLimitedNoise
+from octarm.sweeps.shards import measure
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPT = ROOT / "scripts" / "reproduce_paper.py"
 SHIPPED = ROOT / "controllers" / "gains"
-VARIANTS = all_variants()
+VARIANTS, ARM = all_variants(), octarm.nominal_parameters()
 
 
 @pytest.fixture(scope="module")
@@ -135,8 +137,6 @@ def test_what_is_run_is_the_specs_with_cells_without_noise_apart():
     assert parts["tuned-quiet"].content["grid"]["disturbance"]["noise"] == [0.0]
     assert len(parts["tuned-quiet"].content["grid"]["mismatch"]) == 7
     assert parts["beyond"].seconds == 4 * 2 * 3 * 80 * 3.0
-    assert parts["plants-10000-15"].content["grid"]["plant_modules"] == [15]
-    assert "plants-10000-15-quiet" not in parts
 
 
 def test_a_sweep_of_the_study_twice_gives_the_same_cells(tmp_path: Path):
@@ -179,6 +179,37 @@ def test_oscillations_are_those_of_all_control_instants():
     np.testing.assert_allclose(arrays["moved"], expected, rtol=1e-9)
     coarse = np.sqrt(np.mean(np.square(moved[::20]), axis=0))
     assert np.max(np.abs(coarse / np.where(expected, expected, np.inf) - 1.0)) > 0.01
+
+
+def test_the_error_on_a_plant_is_that_of_all_physics_steps_and_arms_are_those_of_the_seeds():
+    """Three modules are the arm itself; the metrics of the package count from 2 s on."""
+    one = plants.Planted(VARIANTS[by_hand(SMC)], 3, 500.0, 2)
+    environment = octarm.load(
+        BENDS, batch=3, control_period=0.002, timestep="auto", engine="lagrange",
+        disturbances=[BandLimitedNoise(ratio=one.noise[:, None], correlation_time=TIME)],
+        seed=[np.random.SeedSequence(0, spawn_key=(i,)) for i in (0, 0, 1)],
+    )  # fmt: skip
+    error, controller = plants.MeanSquare(3, 2.0), VARIANTS[by_hand(SMC)].controls(ARM)
+    outcome = measure(environment, controller, 2.2, error)
+    rms = np.array([outcome.metrics[f"rms_error_{name}"] for name in coordinates()])
+    shares = rms / np.repeat([0.0175, 0.3], 3)[:, None]
+    np.testing.assert_allclose(error.root(), np.sqrt(np.mean(shares**2, axis=0)), rtol=1e-9)
+    arrays = one.perform()
+    assert arrays["error"].shape == (3,) and not arrays["lost"].any()
+    assert len(set(arrays["error"].tolist())) == 3
+
+
+@pytest.mark.parametrize("modules", [3, 9])
+def test_the_longest_period_about_rest_is_the_one_that_is_predicted(modules: int):
+    """With hand-set gains, which stay what they are."""
+    predicted, simulated = periods.longest_two(VARIANTS[by_hand(SMC)], modules)
+    assert simulated == pytest.approx(predicted, rel=0.08)
+
+
+def test_a_law_without_a_slope_is_asked_to_track():
+    variant = VARIANTS[by_hand(SIGN)].changed("weak", K=0.0, K_v=0.0)
+    assert not periods.tracks(variant, 3, 0.005)
+    assert periods.tracks(VARIANTS[by_hand(SIGN)], 3, 0.001)
 
 
 def outcomes(variant, rate: float, duration: float) -> list[lyapunov.Outcome]:

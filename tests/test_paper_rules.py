@@ -12,9 +12,10 @@ from paper.cases import Case, Verdict, condition, matching, numbers_of, sensitiv
 from paper.evidence import Cell, Evidence, interval
 from paper.lyapunov import Outcome
 from paper.numbers import Row, number, span
+from paper.periods import longest
 from paper.runs import Cost, Series
 from paper.studies import BENDS, FULL, MODELS, NOISE, SLIDES, study_of_plants
-from paper.tables import Table, as_csv, best, plants
+from paper.tables import Table, as_csv, best, plants, plants_ranking
 from paper.variants import (
     AS_PRINTED,
     FIXED_PREMISES,
@@ -123,18 +124,17 @@ def evidence(change: Any = None, **more: Any) -> Evidence:
     cells += [
         Cell(label, study_of_plants(rate), noise=noise, plant=modules)
         for label in (PROPOSED, SIGN, SMC)
-        for rate, noise, modules in itertools.product(
-            rules.PLANT_RATES, (0.0, NOISE), (3, *rules.PLANTS[1:])
-        )
+        for rate, noise, modules in itertools.product(FULL.plant_rates, (0.0, NOISE), FULL.plants)
     ]
     names = ["error", "chattering", *(f"overshoot_{j}" for j in ("theta1", "theta2", "s1", "s2"))]
     columns = {
         name: np.repeat([1.0 if change is None else change(c, name) for c in cells], 2)
         for name in names
     }
+    columns["diverged"] = np.isinf(columns["error"])
     rows = {cell: np.array([2 * i, 2 * i + 1]) for i, cell in enumerate(cells)}
     fields: dict[str, Any] = {
-        "variants": {}, "effort": FULL, "series": {}, "outcomes": [],
+        "variants": {}, "effort": FULL, "series": {}, "outcomes": [], "periods": {},
         "costs": {PROPOSED: Cost(1e-6, 9e-5), SMC: Cost(5e-7, 4e-5)}, **more,
     }  # fmt: skip
     return Evidence(rows=rows, columns=columns, **fields)
@@ -275,13 +275,43 @@ def test_plants_have_a_row_for_each_number_of_modules_period_and_noise():
         lost = cell.label != PROPOSED and cell.plant > 9
         return math.inf if lost else 0.01 * cell.plant
 
-    table = plants(evidence(change))
+    own = evidence(change)
+    table = plants(own)
     assert [row[0] for row in table.rows] == [3, 9, 15, 30] * 4
-    by_modules = {row[0]: row for row in table.rows}
-    assert by_modules[30][3:5] == (2, PROPOSED)
-    assert by_modules[30][-1] == Interval(0.0, 0.0, 0.0) and by_modules[9][-1] == Interval(
-        1.0, 1.0, 1.0
-    )
+    by_modules = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.rows}
+    assert by_modules[30]["best"] == PROPOSED
+    assert by_modules[30]["afsmc over smc"] == Interval(0.0, 0.0, 0.0)
+    assert by_modules[9]["afsmc over smc"] == Interval(1.0, 1.0, 1.0)
+    assert by_modules[30]["rank of smc"] == "lost"
+    assert by_modules[30]["rank of afsmc"] == Interval(1.0, 1.0, 1.0)
+    heads = ("modules", "period", "noise", "rank", "law", "error", "lost")
+    rows = [dict(zip(heads, row, strict=True)) for row in plants_ranking(own)]
+    assert len(rows) == 3 * 16
+    assert [row["law"] for row in rows if row["modules"] == 30][::3] == [PROPOSED] * 4
+
+
+def test_a_rank_counts_those_that_are_better_and_its_interval_those_that_may_be():
+    """Three laws: the second is 1 % behind the first in one seed and ahead in the other."""
+    own = evidence(lambda c, _: {PROPOSED: 1.0, SIGN: 1.01, SMC: 2.0}.get(c.label, 9.0))
+    cell = Cell(PROPOSED, study_of_plants(2000.0), noise=NOISE, plant=9)
+    names = [PROPOSED, SIGN, SMC]
+    assert own.rank(cell, names) == Interval(1.0, 1.0, 1.0)
+    sign = cell._replace(label=SIGN)
+    own.columns["error"][own.rows[sign]] = [1.01, 0.98]
+    assert own.rank(sign, names) == Interval(1.0, 1.0, 2.0)
+    assert own.rank(cell, names) == Interval(2.0, 1.0, 2.0)
+    assert own.rank(cell._replace(label=SMC), names) == Interval(3.0, 3.0, 3.0)
+
+
+@pytest.mark.parametrize("limit", [0.3, 0.9, 1.0, 1.7, 7.0])
+def test_the_longest_period_is_bracketed_and_bisected(limit: float):
+    found = longest(lambda period: period <= 1e-3 * limit, 1e-3)
+    assert limit / 1.05 <= 1e3 * found <= limit
+
+
+def test_a_period_outside_those_that_are_looked_at_is_none():
+    assert longest(lambda period: True, 1e-3) == math.inf
+    assert longest(lambda period: False, 1e-3) == 0.0
 
 
 def test_intervals_hold_the_median_and_have_no_width_where_nothing_is_random():
@@ -312,7 +342,7 @@ def test_a_table_as_csv():
 def test_the_claims_go_between_the_markers():
     claim = {"letter": "a", "quote": "x | y", "place": "p", "verdict": "holds", "condition": "",
              "stays": "5 of 6", "headline": "1"}  # fmt: skip
-    written = {"claims": [claim], "questions": [], "best": [], "plants": []}
+    written = {"claims": [claim], "questions": [], "best": [], "plants": [], "periods": []}
     before = f"# t\n\n{writeup.START}\nearlier\n{writeup.END}\n\nrest\n"
     after = writeup.with_claims(before, written)
     assert after.startswith("# t\n\n") and after.endswith("\n\nrest\n")

@@ -20,10 +20,9 @@ from octarm.runs import folder as runs
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout
 from octarm.sweeps.margin import MarginRuns, parse_varied
-from octarm.sweeps.plan import Plan
+from octarm.sweeps.plan import Plan, with_step
 from octarm.sweeps.shards import run_arms, run_shard
 from octarm.sweeps.spec_file import parse_spec
-from octarm.sweeps.steps import with_step
 from octarm.sweeps.tune_cost import SCENARIOS, Examination, Rig, costs
 
 ARM = nominal_parameters()

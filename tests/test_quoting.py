@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from recordings import described, swinging
+from recordings import described, swinging, write_run
 
 import octarm
 from controllers import make_controller
@@ -26,7 +26,6 @@ from octarm.errors import FileError, OctarmError, closest, printable, quoted
 from octarm.html import templates
 from octarm.recordings import viewer
 from octarm.recordings.notes import notes_of, title_of
-from octarm.runs import folder as runs
 
 HOSTILE = "\x1b[31mred\x1b[0m\n\u202eevil\u2028\x85\x7f"
 
@@ -96,7 +95,7 @@ def test_no_sentence_has_a_value_raw_or_whole(say, word):
 def test_the_name_of_a_folder_is_escaped_where_it_is_printed(capsys):
     name = f"a{HOSTILE}"
     Path(name).mkdir()
-    runs.write_run(Path(name), swinging(rows=300), described(command=HOSTILE, message=HOSTILE))
+    write_run(Path(name), swinging(rows=300), described(command=HOSTILE, message=HOSTILE))
     for words in (["plot", name, "--out", "figures"], ["record", name], ["verify", name]):
         cli.main(words)
         out, err = capsys.readouterr()
@@ -114,7 +113,7 @@ def test_figures_titles_and_pages_of_text_have_no_name_raw():
     for page in notes_of(description).values():
         assert all(line.isprintable() and len(line) < 3000 for line in page.split("\n"))
     Path("a").mkdir()
-    runs.write_run(Path("a"), swinging(rows=300), description)
+    write_run(Path("a"), swinging(rows=300), description)
     assert cli.main(["plot", "a", "--out", "figures"]) == 0
     for file in Path("figures").glob("*.svg"):
         ET.parse(file)
@@ -208,7 +207,7 @@ LIMITS = [3e8, 8e8, 1e9, 1.5e9, 2e9, 3e9]  # of addresses [byte]
 @pytest.mark.parametrize("command", ["run --duration 0.01 --out new", "plot a", "record a"])
 def test_too_little_memory_is_a_sentence(command, limit):
     Path("a").mkdir()
-    runs.write_run(Path("a"), swinging(rows=300), described())
+    write_run(Path("a"), swinging(rows=300), described())
     before = sorted(map(str, Path().rglob("*")))
     done = subprocess.run(
         [sys.executable, "-m", "octarm", *command.split()],
@@ -300,7 +299,7 @@ def test_a_damaged_description_is_a_sentence(damage, capsys):
 @pytest.mark.parametrize("name", ["q", "t", "layer", "status", "s", "new"])
 def test_only_what_is_written_is_read(array, name, capsys):
     Path("a").mkdir()
-    runs.write_run(Path("a"), swinging(rows=300), described())
+    write_run(Path("a"), swinging(rows=300), described())
     arrays = dict(np.load("a/run.npz"))
     np.savez("a/run.npz", **{**arrays, name: array})
     for command in ("plot", "record"):
@@ -316,7 +315,7 @@ def test_only_what_is_written_is_read(array, name, capsys):
 @pytest.mark.parametrize("names", [("tau", "s", "V", "disturbance"), ("q", "q_d")])
 def test_any_numbers_can_be_drawn_and_recorded(number, names):
     Path("a").mkdir()
-    runs.write_run(Path("a"), swinging(rows=60), described())
+    write_run(Path("a"), swinging(rows=60), described())
     arrays = dict(np.load("a/run.npz"))
     for name in names:
         arrays[name][::2] = number

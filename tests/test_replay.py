@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
-from recordings import described, fields, swinging
+from recordings import described, fields, swinging, write_run
 
 import octarm
 from octarm.commands import cli
@@ -44,7 +44,7 @@ def opened(monkeypatch):
 def folder(name, run=None, **more):
     """A run folder without a recording."""
     Path(name).mkdir()
-    runs.write_run(Path(name), run or swinging(rows=300), described(**more))
+    write_run(Path(name), run or swinging(rows=300), described(**more))
     return Path(name)
 
 

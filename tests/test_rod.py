@@ -8,8 +8,7 @@ import pytest
 
 from octarm.arm import lagrange
 from octarm.arm.kinematics import tip_force, tip_position
-from octarm.arm.mjcf import build_model, paper_order
-from octarm.arm.parameters import ArmParameters
+from octarm.arm.mjcf import build_model, paper_order, read_parameters
 from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
 from octarm.checks import rod_study, rod_theory
 from octarm.errors import OctarmError
@@ -136,7 +135,7 @@ def test_mujoco_s_chain_has_the_tip_and_the_tip_s_forces_of_the_analytic_one(rod
 
 def test_a_compiled_chain_gives_its_parameters_back():
     p = arm_from_rod(TAPERED, 4, "centred")
-    again = ArmParameters.from_model(build_model(p))
+    again = read_parameters(build_model(p))
     for field in dataclasses.fields(p):
         there, back = getattr(p, field.name), getattr(again, field.name)
         np.testing.assert_allclose(back, np.broadcast_to(there, back.shape), rtol=1e-15)

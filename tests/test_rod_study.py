@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from octarm.arm.rod import Rod, arm_from_rod
-from octarm.checks import rod_convergence, rod_motion, rod_peer, rod_theory
-from octarm.checks.rod_convergence import Study
-from octarm.checks.rod_curves import MODULES, Curve, table
+from octarm.checks import rod_convergence, rod_motion, rod_theory
+from octarm.checks.rod_convergence import MODULES, Curve, Study, table
 from octarm.commands import cli
 from octarm.commands import rod as command
 
@@ -21,7 +20,7 @@ ROD = Rod()
 def study():
     """The whole comparison, but for PyElastica."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rod_peer, "installed", lambda: False)
+        patch.setattr(rod_motion, "installed", lambda: False)
         return rod_convergence.study()
 
 
@@ -130,7 +129,7 @@ def test_a_rod_that_is_another_by_a_percent_fails(monkeypatch, field, rows):
         return arm_from_rod(rod, modules, layout)
 
     monkeypatch.setattr(rod_convergence, "arm_from_rod", stiffer)
-    monkeypatch.setattr(rod_peer, "installed", lambda: False)
+    monkeypatch.setattr(rod_motion, "installed", lambda: False)
     monkeypatch.setattr(rod_convergence, "_motion", lambda *_: iter(()))
     failed = {c.what for c in rod_convergence.study().table.checks if not c.passed}
     assert rows <= failed
@@ -165,7 +164,7 @@ def test_pyelastica_s_rod_moves_like_the_chain_of_its_own_discretisation():
     checks = list(rod_convergence._peer(motions))
     assert [c for c in checks if not c.passed] == []
     assert len(checks) == 4
-    rod = rod_peer.slim_rod()
+    rod = rod_motion.slim_rod()
     coarse = rod_motion.distance(rod, motions["PyElastica, n = 20"], motions["rod"])
     assert coarse > 0.1  # far from the rod, and all the same near the chain
 

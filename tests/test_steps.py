@@ -21,8 +21,8 @@ from octarm.simulation.rollout import rollout
 from octarm.simulation.steps import StepError, fitting_step
 from octarm.sweeps.execute import sweep
 from octarm.sweeps.margin import MarginRuns, parse_varied
+from octarm.sweeps.plan import with_step
 from octarm.sweeps.spec_file import parse_spec
-from octarm.sweeps.steps import with_step
 from octarm.sweeps.store import SPEC, read_sweep
 
 NOMINAL = nominal_parameters()

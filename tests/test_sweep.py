@@ -16,7 +16,7 @@ import pytest
 
 import octarm
 from controllers import make_controller
-from octarm.checks.verify_episode import check_episode
+from octarm.checks.verify import check_episode
 from octarm.errors import OctarmError
 from octarm.sweeps.episodes import FinishedSweep
 from octarm.sweeps.execute import estimate

@@ -15,7 +15,7 @@ import pytest
 
 import octarm
 from controllers import make_controller
-from octarm.checks.sweep_files import sweep_differences
+from octarm.checks.run_files import sweep_differences
 from octarm.checks.verify import RunCheck, check_run
 from octarm.commands.cli import main
 from octarm.errors import OctarmError

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from octarm.arm import lagrange
+from octarm.arm.file import read_arm
 from octarm.arm.mjcf import build_model, model_path, nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.checks import forced_motion, free_motion, mechanics, validation
@@ -53,6 +54,18 @@ def test_arms_of_other_lengths_pass(modules: int):
 def test_random_arms_pass_also_when_overdamped(damping: float):
     p = random_arm(np.random.default_rng(1), 2).scaled(damping=damping)
     assert failures(validate(p, states=STATES, seed=1)) == set()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", ["i-support", "fabric"])
+def test_published_arms_pass(arm: str):
+    assert failures(validate(read_arm(arm), states=STATES)) == set()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damping", [20.0])
+def test_much_damping_passes(damping: float):
+    assert failures(validate(nominal_parameters().scaled(damping=damping), states=STATES)) == set()
 
 
 @pytest.mark.usefixtures("brief")

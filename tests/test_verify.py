@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from recordings import write_run
 from test_disturbances import SPELLINGS
 
 import octarm
@@ -21,11 +22,9 @@ from controllers import CONTROLLERS, make_controller
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.differences import compare
-from octarm.checks.verify import RunCheck, check_run
-from octarm.checks.verify_episode import check_episode
+from octarm.checks.verify import RunCheck, check_episode, check_run
 from octarm.commands.cli import main
 from octarm.disturbances.spelling import parse_disturbance
-from octarm.runs import folder as runs
 from octarm.runs.digest import CHECKPOINTS
 from octarm.runs.experiment import Experiment, perform
 from octarm.simulation.trajectory import Trajectory
@@ -55,7 +54,7 @@ def write(folder: Path, what: Experiment, **options) -> Trajectory:
     announced = what.announcement(environment, controller)
     trajectory, description = perform(environment, controller, announced, **options)
     folder.mkdir(exist_ok=True)
-    runs.write_run(folder, trajectory, description)
+    write_run(folder, trajectory, description)
     return trajectory
 
 

@@ -8,11 +8,10 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
-from recordings import described, swinging
+from recordings import described, swinging, write_run
 
 from octarm.arm.mjcf import nominal_parameters
 from octarm.recordings.video import write_video
-from octarm.runs import folder as runs
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="EGL and OSMesa as on Linux")
 
@@ -22,7 +21,7 @@ def run(tmp_path):
     folder = tmp_path / "a"
     folder.mkdir()
     about = described(parameters=nominal_parameters().to_dict())
-    runs.write_run(folder, swinging(rows=500, rate=500.0), about)
+    write_run(folder, swinging(rows=500, rate=500.0), about)
     return folder
 
 

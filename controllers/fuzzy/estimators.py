@@ -84,7 +84,6 @@ def _differences(alpha: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def _strengths(scaled: np.ndarray, normalised: bool) -> np.ndarray:
-    """The strengths phi, shape (..., M), from sigma (alpha - x)."""
     squares = scaled * scaled
     exponent = squares[..., 0, :]
     for i in range(1, squares.shape[-2]):

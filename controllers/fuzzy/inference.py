@@ -43,10 +43,7 @@ class Variable:
 
     Attributes:
         name: what rules call it.
-        sets: labels to membership functions, in rising order.
-
-    Raises:
-        OctarmError: if there are no labels.
+        sets: labels to membership functions, in rising order; OctarmError if there are none.
     """
 
     name: str
@@ -68,15 +65,9 @@ class Variable:
     ) -> Variable:
         """Labels that peak at equal distances from `low` to `high`, with open shoulders.
 
-        Args:
-            name: what rules call it.
-            labels: in rising order, such as "NB NM NS ZE PS PM PB".
-            low: where the first label peaks.
-            high: where the last label peaks.
-            family: the kind of membership functions.
-
-        Raises:
-            OctarmError: for fewer than two labels, a label given twice, or an empty range.
+        Labels are in rising order, such as "NB NM NS ZE PS PM PB"; the family is the kind of
+        membership functions. Raises OctarmError for fewer than two labels, one given twice, or an
+        empty range.
         """
         labels = labels.split() if isinstance(labels, str) else list(labels)
         if len(labels) < 2:

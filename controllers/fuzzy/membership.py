@@ -73,8 +73,7 @@ def _step(x: np.ndarray) -> np.ndarray:
 class Triangular(_Straight):
     """Straight from 0 at `left` up to 1 at `peak`, and down to 0 at `right`.
 
-    Raises:
-        OctarmError: unless left <= peak <= right and the peak is finite.
+    Raises OctarmError unless left <= peak <= right and the peak is finite.
     """
 
     left: float
@@ -96,8 +95,7 @@ class Triangular(_Straight):
 class Trapezoidal(_Straight):
     """Straight from 0 at `left` up to 1 on [top_left, top_right], and down to 0 at `right`.
 
-    Raises:
-        OctarmError: unless left <= top_left <= top_right <= right and the top is finite.
+    Raises OctarmError unless left <= top_left <= top_right <= right and the top is finite.
     """
 
     left: float
@@ -122,13 +120,8 @@ class Trapezoidal(_Straight):
 class Gaussian(Membership):
     """exp(-((x - center) / width)^2), with a width for each side; 1 / width is the paper's sigma.
 
-    Attributes:
-        center: where it is 1.
-        left: width on the left, at which it is 1/e; inf for an open left shoulder.
-        right: width on the right; inf for an open right shoulder.
-
-    Raises:
-        OctarmError: unless the center is finite, and the other fields are above 0.
+    The widths, at which it is 1/e, are inf for open shoulders. Raises OctarmError unless the center
+    is finite, and the other fields are above 0.
     """
 
     half: ClassVar[float] = math.sqrt(math.log(2.0))  # widths at which the membership is 1/2

@@ -52,11 +52,7 @@ class Rule(NamedTuple):
 class RuleBase:
     """Rules in the order in which they were written.
 
-    Attributes:
-        rules: at least one.
-
-    Raises:
-        OctarmError: if there are no rules, or two of them share a case.
+    Raises OctarmError if there are no rules, or two of them share a case.
     """
 
     rules: tuple[Rule, ...]
@@ -87,8 +83,7 @@ class RuleBase:
     def from_sentences(cls, text: str) -> RuleBase:
         """Reads one rule a line, such as `if e is NB and rate is PS then NM`.
 
-        Raises:
-            OctarmError: for a line that is not such a sentence, or two rules for one case.
+        Raises OctarmError for a line that is not such a sentence, or two rules for one case.
         """
         return cls(tuple(_sentence(line) for line in _lines(text)))
 
@@ -96,9 +91,7 @@ class RuleBase:
     def from_table(cls, text: str) -> RuleBase:
         """Reads a table whose first line is `row variable / column variable` and column labels.
 
-        Raises:
-            OctarmError: for a first line without `/`, a row that is too short or too long, or two
-                rows or columns with the same label.
+        Raises OctarmError for another first line, or a row that is too short or too long.
         """
         first, *lines = _lines(text) or [""]
         head = re.fullmatch(r"(\S+)\s*/\s*(\S+)\s+(.+)", first)
@@ -123,12 +116,8 @@ class RuleBase:
     def check(self, inputs: Mapping[str, Iterable[str]], conclusions: Iterable[str]) -> None:
         """Checks that the rules use known words and leave no combination of labels out.
 
-        Args:
-            inputs: the labels of each input.
-            conclusions: the labels that rules may conclude.
-
-        Raises:
-            OctarmError: for an unknown variable or label, or a combination without a rule.
+        Inputs are given with their labels. Raises OctarmError for an unknown variable or label, or
+        a combination without a rule.
         """
         for rule in self.rules:
             for variable, label in itertools.chain(*rule.cases):

@@ -193,5 +193,4 @@ def _largest(x: np.ndarray) -> float:
 
 
 def _product(x: np.ndarray, matrix: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """x^T matrix y, shape (...)."""
     return np.einsum("...i,...ij,...j->...", x, matrix, y)

@@ -60,13 +60,8 @@ class Behaviour(NamedTuple):
 def behaviour_of(p: ArmParameters, groups: int, times: np.ndarray) -> Behaviour:
     """The behaviour of one arm, linearised about its hanging equilibrium.
 
-    Args:
-        p: its parameters.
-        groups: their number m, which divides that of the modules.
-        times: of the responses, shape (T,) [s].
-
-    Raises:
-        OctarmError: if the arm has no equilibrium.
+    The number of groups m divides that of the modules; the times of the responses have shape (T,)
+    [s]. Raises OctarmError if the arm has no equilibrium.
     """
     q = lagrange.equilibrium(p)
     stiffness, inertia = lagrange.potential_hessian(p, q), lagrange.mass_matrix(p, q)

@@ -100,19 +100,14 @@ def arm_of(document: Document, *keys: str) -> Arm:
         raise document.error(violation, *keys)
     source = (content.source,) if isinstance(content.source, str) else content.source
     return Arm(
-        parameters,
-        content.name,
-        tuple(filter(None, source)),
-        content.converted,
-        content.assumed,
+        parameters, content.name, tuple(filter(None, source)), content.converted, content.assumed
     )
 
 
 def cannot_hang(p: ArmParameters) -> str:
     """Why one arm cannot hang within its limits, a sentence; empty if it can.
 
-    Raises:
-        OctarmError: if there is no equilibrium.
+    Raises OctarmError if there is no equilibrium.
     """
     rest = equilibrium(p)
     broken = Limits.of(p).violation(rest, np.zeros_like(rest))

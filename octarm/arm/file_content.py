@@ -4,18 +4,75 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Annotated, Any
+from collections.abc import Sequence
+from typing import Annotated, Any, cast
 
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from octarm.arm.parameters import ArmParameters
-from octarm.arm.quantities import quantity
+from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
 from octarm.errors import OctarmError
-from octarm.formats import Array, Model, one_of
+from octarm.formats import Array, Model, one_of, spelt
+from octarm.units import NUMBER, UNITS, closed_up
 
-_MOST = 100  # modules
+
+def quantity(kind: str, given: Any) -> np.ndarray:
+    """The numbers of a quantity of a kind of `UNITS`, of any shape, in SI units.
+
+    A file has it as a word, `"120 mm"`, a list of words, or a table `{ value = [1200, 1000], unit =
+    "N/m" }`. A ValueError says what it must be.
+    """
+    si = next(iter(UNITS[kind]))
+    match given:
+        case str():
+            number = NUMBER.match(given)
+            if number is None or number.end() == len(given):
+                raise ValueError(f'a number with a unit, such as "1 {si}"')
+            return np.array(float(number[0])) * _unit_size(given[number.end() :], kind)
+        case {"value": value, "unit": str() as unit, **rest} if not rest:
+            return _numbers(value) * _unit_size(unit, kind)
+        case dict():
+            raise ValueError(f'a table such as {{ value = [1, 2], unit = "{si}" }}')
+        case list() | tuple() if given:
+            parts = [quantity(kind, part) for part in cast(Sequence[Any], given)]
+            if len({part.shape for part in parts}) > 1:
+                raise ValueError("a list of as many values in each row")
+            return np.stack(parts)
+        case bool() | int() | float():
+            raise ValueError(f'given with a unit, such as "{spelt(given)} {si}"')
+        case _:
+            raise ValueError(f'a number with a unit, such as "1 {si}"')
+
+
+def _numbers(value: Any) -> np.ndarray:
+    rows: list[Any] = [value]
+    while rows:
+        part = rows.pop()
+        if isinstance(part, list | tuple):
+            rows += cast(Sequence[Any], part)
+        elif isinstance(part, bool) or not isinstance(part, int | float):
+            raise ValueError("a table whose value is a number, or a list of numbers")
+    try:
+        return _finite_or_inf(np.array(value, dtype=np.float64))
+    except (ValueError, OverflowError):
+        raise ValueError("a list of as many numbers in each row") from None
+
+
+def _finite_or_inf(x: Any) -> np.ndarray:
+    numbers = np.asarray(x, dtype=np.float64)
+    if not numbers.size or np.isnan(numbers).any():
+        raise ValueError("made of numbers")
+    return numbers
+
+
+def _unit_size(unit: str, kind: str) -> float:
+    units = UNITS[kind]
+    known = {closed_up(name): size for name, size in units.items()}
+    if closed_up(unit) not in known:
+        *most, last = units
+        raise ValueError(f"in {', '.join(most)} or {last}, which are the units of {kind}")
+    return known[closed_up(unit)]
 
 
 def _of(kind: str) -> AfterValidator:
@@ -24,7 +81,7 @@ def _of(kind: str) -> AfterValidator:
 
 
 Length = Annotated[Any, _of("length")]
-Modules = Annotated[int, Field(ge=1, le=_MOST)]
+Modules = Annotated[int, Field(ge=1, le=MOST_MODULES)]
 Stiffness = Annotated[Any, _of("stiffness")]
 BendingStiffness = Annotated[Any, _of("bending stiffness")]
 Damping = Annotated[Any, _of("damping")]
@@ -76,8 +133,7 @@ class ArmFile(Model):
 def parameters_of(content: ArmFile) -> ArmParameters:
     """The parameters of one arm; numbers are broadcast, and what is not given is completed.
 
-    Raises:
-        OctarmError: if something is missing, or does not fit; the sentence begins with its key.
+    Raises OctarmError if something is missing or does not fit; the sentence begins with its key.
     """
     rod = content.rod
     with np.errstate(all="ignore"):  # a width of 0 is refused in the end
@@ -85,7 +141,6 @@ def parameters_of(content: ArmFile) -> ArmParameters:
 
 
 def _rod(content: ArmFile, rod: RodTable) -> ArmParameters:
-    """The chain that a table `[rod]` asks for."""
     given = content.model_fields_set - {"rod", "name", "source", "converted", "assumed"}
     wrong = sorted(given - {"gravity", "input_range"})
     if wrong:
@@ -110,8 +165,8 @@ class _Reader:
     def parameters(self) -> ArmParameters:
         content = self._content
         width = self._each("width")
-        stiffness, springs = self._springs(width)
-        damping, dampers = self._dampers(width, stiffness, springs)
+        stiffness, springs = self._shares("stiffness", width)
+        damping, dampers = self._damping(width, stiffness, springs)
         length, angle = self._shape(width)
         ranged = content.input_range is not None
         alike = bool(np.all(width == width[0]))
@@ -139,7 +194,6 @@ class _Reader:
         return value
 
     def _counted(self) -> int:
-        """The number of modules that the lists have."""
         for key in ("mass", "inertia", "width", "rest_length", "rest_angle", *_WHOLE):
             value = getattr(self._content, key)
             if value is not None and value.ndim == 1:
@@ -151,14 +205,12 @@ class _Reader:
         raise OctarmError("it needs a value of modules, since no list says how many there are")
 
     def _each(self, key: str) -> np.ndarray:
-        """One number a module, shape (N,)."""
         value = self._given(key)
         if value.shape not in ((), (1,), (self._modules,)):
             raise OctarmError(f"{key} has {_size(value)}; it needs {self._one_or_all()}")
         return np.broadcast_to(value, self._modules)
 
     def _columns(self, key: str) -> np.ndarray:
-        """One number a column, shape (2, N)."""
         value = self._given(key)
         rows = value if value.ndim == 2 else value[None]
         if value.ndim > 2 or len(rows) > 2 or rows.shape[-1:] not in ((), (1,), (self._modules,)):
@@ -180,30 +232,25 @@ class _Reader:
             raise OctarmError(f"{key} holds {np.min(value):g}; it must be at least 0")
         return value
 
-    def _springs(self, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        whole = self._whole("axial_stiffness"), self._whole("bending_stiffness")
-        if self._content.stiffness is None and not any(x is None for x in whole):
-            return _shared(None, whole, width, "stiffness")
-        return _shared(self._columns("stiffness"), whole, width, "stiffness")
-
-    def _dampers(
+    def _damping(
         self, width: np.ndarray, stiffness: np.ndarray, springs: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        content, whole = (
-            self._content,
-            (self._whole("axial_damping"), self._whole("bending_damping")),
-        )
-        if content.damping_time is not None:
-            if content.damping is not None or any(x is not None for x in whole):
-                raise OctarmError("damping_time is given beside damping, which says it already")
-            time = _single("damping_time", content.damping_time)
-            return time * stiffness, time * springs
-        if content.damping is None and not any(x is None for x in whole):
-            return _shared(None, whole, width, "damping")
-        return _shared(self._columns("damping"), whole, width, "damping")
+        content = self._content
+        if content.damping_time is None:
+            return self._shares("damping", width)
+        others = (content.damping, content.axial_damping, content.bending_damping)
+        if any(x is not None for x in others):
+            raise OctarmError("damping_time is given beside damping, which says it already")
+        time = _single("damping_time", content.damping_time)
+        return time * stiffness, time * springs
+
+    def _shares(self, what: str, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What columns and backbone have of stiffness or damping, shapes (2, N)."""
+        whole = self._whole(f"axial_{what}"), self._whole(f"bending_{what}")
+        left_out = getattr(self._content, what) is None and not any(x is None for x in whole)
+        return _shared(None if left_out else self._columns(what), whole, width, what)
 
     def _shape(self, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rest lengths and rest angles, shapes (N,)."""
         lengths, angle = self._columns("rest_length"), self._content.rest_angle
         if np.array_equal(lengths[0], lengths[1]):
             return lengths[0], np.zeros(self._modules) if angle is None else self._each(
@@ -226,13 +273,8 @@ def _shared(
     """What the columns have, shape (2, N), and what is left for the backbone, shape (2, N).
 
     The backbone has what a whole module has beyond its columns. Where columns would have more than
-    the whole module, that is taken off both of them alike.
-
-    Args:
-        columns: shape (2, N); as much as they can have if None.
-        whole: axial and in bending, shapes (N,); what the columns give if None.
-        width: shape (N,) [m].
-        what: stiffness or damping.
+    the whole module, that is taken off both of them alike. Where columns are None they have as much
+    as they can; where an axial or bending value of the whole is None, it is what the columns give.
     """
     lever = 0.25 * width * width
     both = np.full_like(width, np.inf) if columns is None else columns[0] + columns[1]

@@ -28,15 +28,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
+from octarm.arm import lagrange
 from octarm.arm.behaviour import Behaviour, behaviour_of
-from octarm.arm.lumping import lumped
-from octarm.arm.parameters import ArmParameters
-from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
-from octarm.errors import OctarmError, closest
+from octarm.arm.parameters import MOST_MODULES, ArmParameters
+from octarm.arm.rod import Rod, arm_from_rod, check_layout
+from octarm.errors import OctarmError
 
 _FITTED = ("mass", "inertia", "stiffness", "width", "damping")
 _FINE = 10  # modules for each one of the fitted chain, where a rod is given
-_MOST = 100  # modules that a rod is cut into
 _LARGEST = 50.0  # ratio of a parameter to where it starts
 _MOST_TRIALS = 100  # undamped chains, whose phases compete, need more than the usual 20
 _PRIOR = 0.01  # weight of the logarithm of such a ratio
@@ -44,13 +43,11 @@ _PERIODS, _SAMPLES = 3.0, 150  # of the transients
 
 
 class Row(NamedTuple):
-    """One quantity of the fine chain, and the errors of the coarse ones.
+    """One quantity of the fine chain, in `unit`, and the errors of the coarse ones.
 
     Attributes:
         kind: `statics`, `modes` or `transient`.
-        what: its name.
-        value: of the fine chain, in `unit`; for a transient the final value.
-        unit: of the value.
+        value: of the fine chain; for a transient the final value.
         before: error of the lumped chain from which the search starts, relative [1].
         after: error of the fitted chain, relative [1].
     """
@@ -65,13 +62,7 @@ class Row(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """A fitted chain, and what error remains.
-
-    Attributes:
-        parameters: the fitted chain.
-        start: the lumped chain from which the search started.
-        rows: the errors of both, quantity by quantity.
-    """
+    """A fitted chain, the lumped one from which the search started, and the errors of both."""
 
     parameters: ArmParameters
     start: ArmParameters
@@ -104,22 +95,15 @@ class Fit:
 
 
 def fit_modules(plant: ArmParameters | Rod, modules: int = 3, layout: str = "paper") -> Fit:
-    """The chain of few modules that stands best for a finer one, or for a rod.
+    """The chain of few modules, in a layout of `octarm.arm.rod`, that stands best for a finer one.
 
-    Args:
-        plant: a chain whose number of modules is a multiple of `modules`, or a rod, for which a
-            centred chain of ten times as many modules stands.
-        modules: number of modules of the fitted chain.
-        layout: `paper` or `centred`; see `octarm.arm.rod`.
-
-    Raises:
-        OctarmError: for another layout, a number of modules that does not divide the plant's, a
-            batch of plants, or a plant that does not hang stably.
+    For a rod a centred chain of ten times as many modules stands. Raises OctarmError for another
+    layout, a number of modules that does not divide the plant's, a batch of plants, or a plant that
+    does not hang stably.
     """
-    if layout not in LAYOUTS:
-        raise OctarmError(f"unknown layout {layout!r}{closest(layout, LAYOUTS)}")
+    check_layout(layout)
     if isinstance(plant, Rod):
-        size = max(1, min(_FINE, _MOST // max(modules, 1)))
+        size = max(1, min(_FINE, MOST_MODULES // max(modules, 1)))
         plant = arm_from_rod(plant, size * modules, "centred")
     if plant.batch_shape:
         raise OctarmError(f"the plant has batch axes {plant.batch_shape}; one arm is fitted")
@@ -163,7 +147,6 @@ def _residuals(errors: Behaviour) -> list[np.ndarray]:
 
 
 def _rows(right: Behaviour, before: Behaviour, after: Behaviour) -> Iterator[Row]:
-    """The errors of both chains beside the values of the fine one."""
     m = len(right.weight) - 2
     loads = ["force along", "force across", *(f"couple {b + 1}" for b in range(m))]
     outputs = ["tip along", "tip across", *(f"plate {b + 1}" for b in range(m))]
@@ -191,3 +174,68 @@ def _rows(right: Behaviour, before: Behaviour, after: Behaviour) -> Iterator[Row
         )
         what = f"{outputs[i]}, step of {loads[i]}"
         yield Row("transient", what, float(right.finals[k]), per[i], *errors)
+
+
+def lumped(plant: ArmParameters, modules: int, layout: str = "paper") -> ArmParameters:
+    """A chain of few modules, in some layout, that has the sums of a finer one's groups.
+
+    Masses, inertias, lengths and bends without force add up, as do compliances; dampers take what
+    the group dissipates under a force. Only columns remain: what the finer chain has in a backbone
+    goes into their stiffness and width. Where a rigid tip piece follows the plant, groups end
+    between hinges, and share the slide there in halves. From a chain that stands for a rod without
+    tapering it makes the one of `octarm.arm.rod` in the layout `paper`, up to what the rigid piece
+    does not stretch. The input range is that of the plant if it is one for all columns, else none.
+
+    Raises OctarmError if the number of groups does not divide that of the plant's modules.
+    """
+    size, rest = divmod(plant.modules, max(modules, 1))
+    if rest or modules < 1:
+        raise OctarmError(
+            f"{modules} groups were to be made of {plant.modules} modules; "
+            "their number must divide that of the modules"
+        )
+    hinges = np.kron(np.eye(modules), np.ones(size))  # [group, module]
+    slides = hinges.copy()
+    if plant.tip_length > 0.0:
+        for b in range(1, modules):
+            slides[b - 1 : b + 1, b * size] = 0.5
+    n = plant.modules
+    stiffness, damping = (
+        np.diag(matrix(plant)) for matrix in (lagrange.stiffness_matrix, lagrange.damping_matrix)
+    )
+    give = slides @ (1.0 / stiffness[:n])  # of the slides [m/N]
+    bend = hinges @ (1.0 / stiffness[n:])  # of the hinges [rad/(N m)]
+    lost = slides @ (damping[:n] / stiffness[:n] ** 2)  # power under a force's rate [m s/N]
+    sizes = np.sum(slides, axis=1)
+    springs, dampers = (
+        _shares(columns) @ slides.T / sizes for columns in (plant.stiffness, plant.damping)
+    )
+    length, inertia, tip = slides @ plant.rest_length, hinges @ plant.inertia, 0.0
+    length[-1] += plant.tip_length
+    if layout == "centred":
+        # Slides lead from the middle of a group to that of the next one, and plates turn with the
+        # halves on both sides of them; the base holds the first half.
+        halves = 0.5 * (np.eye(modules) + np.eye(modules, k=-1))
+        tip = 0.5 * float(length[-1])
+        length, give, lost = (halves @ x for x in (length, give, lost))
+        inertia = halves.T @ inertia
+    bounds = plant.input_range
+    return ArmParameters(
+        mass=hinges @ plant.mass,
+        inertia=inertia,
+        width=2.0 * np.sqrt(give / bend),
+        stiffness=springs / give,
+        damping=dampers * lost / give**2,
+        rest_length=length,
+        rest_angle=hinges @ np.broadcast_to(plant.rest_angle, n),
+        gravity=plant.gravity,
+        tip_length=tip,
+        input_range=bounds if bounds.shape == (2, 1) else (-np.inf, np.inf),
+    )
+
+
+def _shares(columns: np.ndarray) -> np.ndarray:
+    """What each column has of both, shape (2, N); a half where there is nothing."""
+    total = np.sum(columns, axis=0)
+    some = total > 0.0
+    return np.where(some, columns / np.where(some, total, 1.0), 0.5)

@@ -28,17 +28,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from octarm.arm.actuation import InternalActuation
 from octarm.arm.kinematics import last_axis, tip
-from octarm.arm.parameters import ArmParameters
-from octarm.arm.rod import LAYOUTS
-from octarm.arrays import Entry, split
-from octarm.errors import OctarmError, closest
+from octarm.arm.parameters import MOST_MODULES, ArmParameters
+from octarm.arm.rod import LAYOUTS, check_layout
+from octarm.arrays import Entry
+from octarm.errors import OctarmError
 
 PAPER, CENTRED = LAYOUTS
-MOST_MODULES = 100
 
-_Rows = tuple[tuple[tuple[int, float], ...], ...]  # of a matrix: places and values that are not 0
+_Rows = Sequence[tuple[slice | np.ndarray, np.ndarray | None]]  # of a matrix, see `_rows`
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,18 +59,12 @@ class Groups:
 
     @classmethod
     def of(cls, arm: ArmParameters, modules: int, layout: str = PAPER) -> Groups:
-        """The plant of so many modules that the arm stands for.
+        """The plant of N modules, in a layout, that the arm of M stands for.
 
-        Args:
-            arm: of M modules, each of the same rod all along; its batch axes are the plant's.
-            modules: N, a multiple of M up to 100.
-            layout: `paper` or `centred`.
-
-        Raises:
-            OctarmError: for another layout or number of modules.
+        Its batch axes are the arm's. Raises OctarmError for another layout, or an N that is no
+        multiple of M up to 100.
         """
-        if layout not in LAYOUTS:
-            raise OctarmError(f"unknown layout {layout!r}{closest(layout, LAYOUTS)}")
+        check_layout(layout)
         groups = arm.modules
         if not groups <= modules <= MOST_MODULES or modules % groups:
             raise OctarmError(
@@ -99,6 +91,10 @@ class Groups:
         """v_M of the plant's velocities, shapes (..., 2M) and (..., 2N) [m/s], [rad/s]."""
         return _product(self._sums, v)
 
+    def spread(self, change: np.ndarray) -> np.ndarray:
+        """The least change of q_N that changes q_M so, shapes (..., 2N) and (..., 2M)."""
+        return _product(_rows(np.linalg.pinv(self.matrix)), change)
+
     def force(self, force: np.ndarray) -> np.ndarray:
         """Q_N = B^T Q_M, shapes (..., 2N) and (..., 2M) [N], [N m]."""
         return _product(self._shares, force)
@@ -112,8 +108,11 @@ class Groups:
 
     def ctrl(self, force: np.ndarray) -> np.ndarray:
         """`ctrl` of the plant's model that exerts B^T Q_M, shape (..., 4N - 2) [N]."""
-        on_plant = self.force(force)
-        return self._columns.ctrl(self._columns.inputs(on_plant, on_plant))
+        n, on_plant = self.plant.modules, self.force(force)
+        push, couple = 0.5 * on_plant[..., :n], on_plant[..., n:] / self.plant.widths
+        out = np.zeros_like(on_plant, shape=(*on_plant.shape[:-1], 4 * n - 2))
+        out[..., 0 : 2 * n : 2], out[..., 1 : 2 * n : 2] = push + couple, push - couple
+        return out
 
     def tip(self, q: np.ndarray) -> np.ndarray:
         """The end of the last group, given q_N of shape (..., 2N), shape (..., 2) [m].
@@ -138,10 +137,6 @@ class Groups:
     @functools.cached_property
     def _means(self) -> _Rows:
         return _rows(np.linalg.pinv(self.matrix.T))
-
-    @functools.cached_property
-    def _columns(self) -> InternalActuation:
-        return InternalActuation(self.plant.widths)
 
     @functools.cached_property
     def _beyond(self) -> np.ndarray:
@@ -230,23 +225,36 @@ def _in_series(halves: np.ndarray) -> np.ndarray:
 
 
 def _rows(matrix: np.ndarray) -> _Rows:
-    """What is not zero of each row."""
-    return tuple(
-        tuple((j, x) for j, x in enumerate(row) if abs(x) > 1e-12) for row in matrix.tolist()
-    )
+    """The k-th entry of every row that is not zero, for each k: columns, and weights of shape (k,).
+
+    Columns that are evenly spaced are a slice, which costs no copy. Weights are None if all are 1;
+    a row that has fewer entries than others ends with weights of 0.
+    """
+    entries = [np.flatnonzero(np.abs(row) > 1e-12) for row in matrix]
+    parts: list[tuple[slice | np.ndarray, np.ndarray | None]] = []
+    for k in range(max(map(len, entries))):
+        columns = np.array([own[k] if k < len(own) else own[0] for own in entries])
+        there = np.array([k < len(own) for own in entries])
+        weights = np.where(there, matrix[np.arange(len(matrix)), columns], 0.0)
+        step = columns[1] - columns[0]
+        even = step > 0 and np.all(np.diff(columns) == step)
+        place = slice(columns[0], columns[-1] + 1, step) if even else columns
+        parts.append((place, None if np.all(weights == 1.0) else weights))
+    return parts
 
 
 def _product(rows: _Rows, x: np.ndarray) -> np.ndarray:
-    """A matrix times x, elementwise along the batch, shape (..., k)."""
-    entries = split(x)
-    return _joined([_sum(row, entries) for row in rows], x)
-
-
-def _sum(row: Sequence[tuple[int, float]], entries: Sequence[Entry]) -> Entry:
-    total: Entry = 0.0
-    for j, weight in row:
-        total = total + (entries[j] if weight == 1.0 else weight * entries[j])
-    return total
+    """A matrix times x, elementwise along the batch and added up in order, shape (..., k)."""
+    along, total = x.T, np.zeros(())
+    for columns, weights in rows:
+        part = along[columns]
+        if weights is not None:
+            factor = weights.reshape(-1, *[1] * (x.ndim - 1))
+            part = np.where(factor == 0.0, 0.0, part) * factor  # where x is infinite, too
+        total = total + part
+    out = np.empty_like(x, shape=(*x.shape[:-1], len(total)))
+    out.T[...] = total
+    return out
 
 
 def _joined(entries: Sequence[Entry], like: np.ndarray) -> np.ndarray:

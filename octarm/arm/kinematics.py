@@ -46,7 +46,6 @@ def jacobian_rate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _normal(u: np.ndarray) -> np.ndarray:
-    """n(a) to u(a), shapes (..., 2)."""
     return np.stack([-u[..., 1], u[..., 0]], axis=-1)
 
 
@@ -135,6 +134,14 @@ def tip(q: np.ndarray) -> tuple[Entry, Entry]:
     and a cosine.
     """
     n = q.shape[-1] // 2
+    if q.ndim > 1:  # all modules at once, added up in the same order
+        s, phi = q.T[:n], np.add.accumulate(q.T[n:-1], axis=0)
+        half = np.tan(0.5 * phi)
+        share = 2.0 / (1.0 + half * half)
+        along, across = np.concatenate([s[:1], s[1:] * (share - 1.0)]), s[1:] * (share * half)
+        across = np.concatenate([np.zeros_like(s[:1]), across])
+        x, y = (np.add.accumulate(part, axis=0)[-1].T for part in (along, across))
+        return x, y
     entries = split(q)
     x, y, phi = entries[0], 0.0, 0.0
     for i, theta in enumerate(entries[n:-1], 1):

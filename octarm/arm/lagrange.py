@@ -36,11 +36,7 @@ NO_EQUILIBRIUM = "no static equilibrium was found: stiffness is too low for this
 
 
 def inverse_dynamics(
-    p: ArmParameters,
-    q: np.ndarray,
-    v: np.ndarray,
-    a: np.ndarray,
-    v_r: np.ndarray | None = None,
+    p: ArmParameters, q: np.ndarray, v: np.ndarray, a: np.ndarray, v_r: np.ndarray | None = None
 ) -> np.ndarray:
     """The generalised force D(q) a + (C(q, v) + B) v_r + G(q), eq (1), in O(N).
 
@@ -225,14 +221,9 @@ def newton(
 ) -> np.ndarray:
     """Where the forces on an arm vanish, by Newton's method from q, shape (..., 2N).
 
-    Args:
-        linearised: gives the force at q and its slope, shapes (..., 2N) and (..., 2N, 2N).
-        q: coordinates to start from.
-        within: the last step, as a share of a coordinate or of 1; the next one would be about its
-            square.
-
-    Raises:
-        OctarmError: if it does not converge: the springs are too soft for this weight.
+    `linearised` gives the force at q and its slope, shapes (..., 2N) and (..., 2N, 2N). The last
+    step is `within` so small a share of a coordinate or of 1; the next one would be about its
+    square. Raises OctarmError if it does not converge: the springs are too soft for this weight.
     """
     with contextlib.suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
         for _ in range(50):
@@ -267,7 +258,6 @@ def potential_hessian(p: ArmParameters, q: np.ndarray) -> np.ndarray:
 
 
 def _from_the_tip(x: np.ndarray) -> np.ndarray:
-    """Sums from each module to the last one, shape (..., N)."""
     return np.cumsum(x[..., ::-1], axis=-1)[..., ::-1]
 
 

@@ -21,21 +21,16 @@ import mujoco
 import numpy as np
 
 from octarm.arm.lagrange import NO_EQUILIBRIUM, newton, potential_hessian
-from octarm.arm.parameters import ArmParameters
+from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.errors import FileError, OctarmError
 
 _COLUMN_SIDES = ((1, 1.0), (2, -1.0))  # column 1 lengthens with +theta
-MOST_MODULES = 100
 _FARTHEST = 1e9  # [m], [rad]; of springs so soft, MuJoCo's forces are nothing but rounding
 _PARTS = ("column_1", "column_2", "backbone")
 
 
 def model_path() -> Path:
-    """The file `octarm.xml`, in a checkout or in an installed package.
-
-    Raises:
-        FileError: if it is missing.
-    """
+    """The file `octarm.xml`, in a checkout or in a package; raises FileError if it is missing."""
     package = Path(__file__).resolve().parent.parent
     for folder in (package.parent / "models", package / "models"):
         if (folder / "octarm.xml").is_file():
@@ -51,14 +46,43 @@ def template_model() -> mujoco.MjModel:
 @functools.cache
 def nominal_parameters() -> ArmParameters:
     """The nominal arm: the numbers of `models/octarm.xml`."""
-    return ArmParameters.from_model(template_model())
+    return read_parameters(template_model())
+
+
+def read_parameters(model: mujoco.MjModel) -> ArmParameters:
+    """The parameters of a compiled arm, read by the names in `models/octarm.xml`.
+
+    The arm hangs along the negative z axis of the world.
+    """
+    modules = range(1, model.nq // 2 + 1)
+    bodies = [model.body(f"module_{i}") for i in modules]
+    columns = [[model.tendon(f"column_{a}_{i}") for i in modules] for a in (1, 2)]
+    widths = [2.0 * model.wrap_prm[model.tendon_adr[column.id] + 1] for column in columns[0]]
+    pushes = [model.actuator(f"push_{a}_{i}").ctrlrange for i in modules for a in (1, 2)]
+    alike = all(np.array_equal(push, pushes[0]) for push in pushes)
+    rest = [model.tendon_lengthspring[c.id, 0] for c in columns[0]]
+    joints = [[model.joint(f"{kind}_{i}") for i in modules] for kind in ("s", "theta")]
+    free = [[model.qpos_spring[j.qposadr[0]] for j in row] for row in joints]
+    return ArmParameters(
+        mass=[body.mass[0] for body in bodies],
+        inertia=[body.inertia[2] for body in bodies],
+        width=widths[:1] if len(set(widths)) == 1 else widths,
+        stiffness=[[model.tendon_stiffness[c.id] for c in row] for row in columns],
+        damping=[[model.tendon_damping[c.id] for c in row] for row in columns],
+        rest_length=free[0] if np.any(free) else rest,
+        gravity=-model.opt.gravity[2],
+        tip_length=model.site("tip").pos[0],
+        input_range=np.transpose(pushes[:1] if alike else pushes),
+        rest_angle=free[1],
+        backbone_stiffness=[[model.jnt_stiffness[j.id] for j in row] for row in joints],
+        backbone_damping=[[model.dof_damping[j.dofadr[0]] for j in row] for row in joints],
+    )
 
 
 def physics_step(timestep: float | None = None) -> float:
-    """A physics step, 1e-7 to 0.1 [s]; that of `models/octarm.xml` when it is not given.
+    """A physics step [s]; that of `models/octarm.xml` when it is not given.
 
-    Raises:
-        OctarmError: if it is not allowed.
+    Raises OctarmError if it is not within 1e-7 to 0.1 s.
     """
     if timestep is None:
         return _nominal_step()
@@ -75,16 +99,10 @@ def _nominal_step() -> float:
 def build_model(
     parameters: ArmParameters | None = None, timestep: float | None = None
 ) -> mujoco.MjModel:
-    """Compiles the arm with these parameters, for any number of modules.
+    """Compiles one arm, the nominal one when none is given, for any number of modules.
 
-    Its keyframe `hanging` is the loaded equilibrium.
-
-    Args:
-        parameters: one arm's parameters (no batch axes); the nominal ones when not given.
-        timestep: physics step, 1e-7 to 0.1 [s]; that of `models/octarm.xml` when not given.
-
-    Raises:
-        OctarmError: if an argument is not allowed, or there is no equilibrium.
+    Its keyframe `hanging` is the loaded equilibrium. The step is that of `physics_step`. Raises
+    OctarmError if an argument is not allowed, or there is no equilibrium.
     """
     parameters = nominal_parameters() if parameters is None else parameters
     return _compiled(_arm_spec(parameters, timestep), parameters)
@@ -145,7 +163,6 @@ def _compiled(spec: mujoco.MjSpec, parameters: ArmParameters) -> mujoco.MjModel:
     data = mujoco.MjData(model)
 
     def residual(qpos: np.ndarray) -> np.ndarray:
-        """What gravity and springs leave over, by MuJoCo's own forces."""
         data.qpos[:] = qpos
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
@@ -176,6 +193,11 @@ def paper_order(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     return np.array([j.qposadr[0] for j in joints]), np.array([j.dofadr[0] for j in joints])
 
 
+def rest_of(model: mujoco.MjModel) -> np.ndarray:
+    """The loaded equilibrium of a model in the paper's order, shape (2N,) [m], [rad]."""
+    return model.key("hanging").qpos[paper_order(model)[0]]
+
+
 def world_position(position: np.ndarray) -> np.ndarray:
     """Points (x, y) of the base plane, shape (..., 2), in the world frame, shape (..., 3) [m]."""
     x, y = position[..., 0], position[..., 1]
@@ -200,12 +222,10 @@ class PlantFields:
         self._field = field
 
     def write(self, p: ArmParameters, gravity_angle: np.ndarray | float = 0.0) -> bool:
-        """Writes the parameters.
+        """Writes the parameters, of all arms or with the batch's axis (n,).
 
-        Args:
-            p: of all arms, or with the batch's axis (n,).
-            gravity_angle: by which gravity turns from the hanging arm towards +y of the base
-                frame, shape () or (n,) [rad].
+        The angle by which gravity turns from the hanging arm towards +y of the base frame has shape
+        () or shape (n,) [rad].
 
         Returns:
             Whether inertias changed, so that the caller must make MuJoCo's constants follow.
@@ -235,7 +255,6 @@ class PlantFields:
         return bool(changed)
 
     def _write_backbone(self, p: ArmParameters) -> None:
-        """What the joints have of springs and dampers, and where all springs are relaxed."""
         stiffness, damping, relaxed = map(
             self._field, ("jnt_stiffness", "dof_damping", "qpos_spring")
         )
@@ -280,12 +299,10 @@ def _rods(i: int) -> list[str]:
 
 
 def _reactions(i: int) -> list[str]:
-    """The motors that put the reactions of module i on the ground."""
     return [f"reaction_{a}_{i}" for a, _ in _COLUMN_SIDES]
 
 
 def _add_module(spec: mujoco.MjSpec, i: int) -> None:
-    """Adds module i like the one before it."""
     parent = spec.body(f"module_{i - 1}")
     body = parent.add_body(name=f"module_{i}", mass=1.0, inertia=[1.0] * 3, explicitinertial=True)
     joints = [
@@ -310,7 +327,6 @@ def _add_module(spec: mujoco.MjSpec, i: int) -> None:
 
 
 def _add_reaction(spec: mujoco.MjSpec, i: int) -> None:
-    """Adds the motors that put the reactions of module i on the ground."""
     name = f"reaction_{i}"
     spec.body(f"module_{i - 1}").add_site(spec.find_default("reaction"), name=name)
     for motor_name in _reactions(i):
@@ -319,7 +335,6 @@ def _add_reaction(spec: mujoco.MjSpec, i: int) -> None:
 
 
 def _add_sensor(spec: mujoco.MjSpec, target: str, quantity: str, kind: str, of: str) -> None:
-    """A sensor of a quantity of a target, by MuJoCo's words for both."""
     sensor = getattr(mujoco.mjtSensor, f"mjSENS_{kind}")
     thing = getattr(mujoco.mjtObj, f"mjOBJ_{of}")
     spec.add_sensor(name=f"{target}_{quantity}", type=sensor, objtype=thing, objname=target)

@@ -40,16 +40,8 @@ def largest_error(
 ) -> np.ndarray:
     """The largest |F_i| over all arms that the uncertainty allows; for each i one attains it.
 
-    Args:
-        nominal: the model that the controller believes.
-        uncertainty: share u in [0, 1), shape () or (..., 1) [1].
-        q: coordinates, shape (..., 2N) [m], [rad].
-        v: velocities, shape (..., 2N) [m/s], [rad/s].
-        a_r: q_r'', shape (..., 2N) [m/s^2], [rad/s^2].
-        v_r: q_r', shape (..., 2N) [m/s], [rad/s].
-
-    Returns:
-        Generalised force, shape (..., 2N) [N], [N m].
+    For a share u in [0, 1), shape () or (..., 1) [1], and q, q', q_r'' and q_r' of shape (..., 2N)
+    it is a generalised force of shape (..., 2N) [N], [N m].
     """
     n, entries = nominal.modules, nominal.entries
     x, rates = split(q), split(v_r)
@@ -74,7 +66,6 @@ def largest_error(
 
 
 def _interval(u: Entry) -> tuple[Entry, Entry]:
-    """Middle and half width of the interval of p / p^ - 1."""
     rest = 1.0 - u * u
     return u * u / rest, u / rest
 
@@ -124,7 +115,6 @@ def _column_terms(
 def _with_backbone(
     columns: _Terms, coefficients: tuple[Sequence[Entry], Sequence[Entry]], along: Sequence[Entry]
 ) -> _Terms:
-    """The terms of the columns, and those of the backbone's springs or dampers."""
     forces = [k * x for k, x in zip((*coefficients[0], *coefficients[1]), along, strict=True)]
     sums = [a + b for a, b in zip(columns[0], forces, strict=True)]
     return sums, [a + abs(b) for a, b in zip(columns[1], forces, strict=True)]

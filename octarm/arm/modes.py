@@ -1,8 +1,8 @@
 """The arm linearised about a pose: its modes, and the longest physics step that bears them.
 
-About a pose q0 that a constant generalised force holds, x = (q - q0, v) moves by x' = A x + B tau,
+About a pose q0 that a constant generalised force holds, x = (q - q0, v) moves by x' = A x,
 
-    A = [[0, 1], [-D^-1 dG/dq, -D^-1 B_c]],    B = [0; D^-1 F_coeff]        all of them at q0
+    A = [[0, 1], [-D^-1 dG/dq, -D^-1 B_c]]        all of it at q0
 
 with the damping matrix B_c of the columns, eq (4). An eigenvalue of A is a mode: it decays, swings,
 or grows, which is physics and no fault of a step.
@@ -33,15 +33,6 @@ def state_matrix(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     """
     stiffness, damping = _per_inertia(p, q)
     return _companion(-stiffness, -damping)
-
-
-def input_matrix(p: ArmParameters, q: np.ndarray) -> np.ndarray:
-    """B = d(v, v')/d tau at q, shape (..., 4N, 2N), with Q = F_coeff(q) tau, eq (2)."""
-    q = _spread(p, q)
-    out = np.zeros((*q.shape[:-1], 2 * p.coordinates, p.coordinates))
-    inertia, columns = lagrange.mass_matrix(p, q), lagrange.force_coefficients(p, q)
-    out[..., p.coordinates :, :] = np.linalg.solve(inertia, columns)
-    return out
 
 
 def rates(p: ArmParameters, q: np.ndarray) -> np.ndarray:
@@ -103,12 +94,8 @@ def growth_rate(p: ArmParameters, q: np.ndarray) -> np.ndarray:
 def longest_step(p: ArmParameters, q: np.ndarray, integrator: str = "rk4") -> np.ndarray:
     """The longest step at which no mode at q grows that does not grow by itself, shape (...) [s].
 
-    It is 0 where the modes are beyond a float.
-
-    Args:
-        p: of the arms.
-        q: pose, shape (..., 2N) [m], [rad].
-        integrator: a name of `INTEGRATORS`.
+    It is 0 where the modes are beyond a float. The pose q has shape (..., 2N) [m], [rad], and the
+    integrator a name of `INTEGRATORS`.
     """
     with np.errstate(all="ignore"):
         stiffness, damping = _per_inertia(p, q)
@@ -179,7 +166,6 @@ def _spread(p: ArmParameters, q: np.ndarray) -> np.ndarray:
 
 
 def _companion(lower_left: np.ndarray, lower_right: np.ndarray) -> np.ndarray:
-    """[[0, 1], [lower_left, lower_right]], shape (..., 4N, 4N)."""
     n = lower_left.shape[-1]
     out = np.zeros((*lower_left.shape[:-2], 2 * n, 2 * n))
     out[..., :n, n:] = np.eye(n)

@@ -13,8 +13,7 @@ import numpy.typing as npt
 from octarm.arrays import Entry, entry, plain, read_only, split
 from octarm.errors import OctarmError, closest, quoted
 
-if TYPE_CHECKING:
-    import mujoco
+MOST_MODULES = 100
 
 # field: (number of axes after the batch axes, smallest value allowed, may it equal that value)
 _RULES: dict[str, tuple[int, float, bool]] = {
@@ -229,16 +228,11 @@ class ArmParameters:
         return ArmParameters(**{n: x[i] if x.ndim > _RULES[n][0] else x for n, x in fields})
 
     def scaled(self, **factors: npt.ArrayLike) -> ArmParameters:
-        """A copy with the named fields multiplied.
+        """A copy with the named fields multiplied by factors [1] that broadcast against them.
 
         What the backbone has of stiffness or damping follows the mean of a module's columns, and
-        the bend without force follows the rest length.
-
-        Args:
-            **factors: field name to factor [1], anything that broadcasts against the field.
-
-        Raises:
-            OctarmError: for an unknown field, or a factor that makes a field invalid.
+        the bend without force follows the rest length. Raises OctarmError for an unknown field, or
+        a factor that makes a field invalid.
         """
         changed: dict[str, Any] = {}
         for name, factor in factors.items():
@@ -263,9 +257,7 @@ class ArmParameters:
         """A nominal model that is wrong by `mismatch` [1], shape () or a batch's (...).
 
         Mass, inertia and damping are multiplied by 1 + mismatch, stiffness by 1 + mismatch/2.
-
-        Raises:
-            OctarmError: unless mismatch is above -1 and at most 1e6.
+        Raises OctarmError unless mismatch is above -1 and at most 1e6.
         """
         wrong = np.asarray(mismatch, dtype=np.float64)
         good = (wrong > -1.0) & (wrong <= 1e6)
@@ -289,11 +281,7 @@ class ArmParameters:
 
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any]) -> ArmParameters:
-        """The inverse of `to_dict`.
-
-        Raises:
-            OctarmError: if a field is missing, unknown or invalid.
-        """
+        """The inverse of `to_dict`; OctarmError if a field is missing, unknown or invalid."""
         optional = {"tip_length", *_MOSTLY_ZERO}  # have defaults
         wrong = (set(fields) ^ set(_RULES)) - optional
         if wrong:
@@ -303,39 +291,8 @@ class ArmParameters:
             )
         return cls(**fields)
 
-    @classmethod
-    def from_model(cls, model: mujoco.MjModel) -> ArmParameters:  # pyright: ignore
-        """Reads the parameters of a compiled arm, by the names in `models/octarm.xml`.
-
-        The arm hangs along the negative z axis of the world.
-        """
-        modules = range(1, model.nq // 2 + 1)
-        bodies = [model.body(f"module_{i}") for i in modules]
-        columns = [[model.tendon(f"column_{a}_{i}") for i in modules] for a in (1, 2)]
-        widths = [2.0 * model.wrap_prm[model.tendon_adr[column.id] + 1] for column in columns[0]]
-        pushes = [model.actuator(f"push_{a}_{i}").ctrlrange for i in modules for a in (1, 2)]
-        alike = all(np.array_equal(push, pushes[0]) for push in pushes)
-        rest = [model.tendon_lengthspring[c.id, 0] for c in columns[0]]
-        joints = [[model.joint(f"{kind}_{i}") for i in modules] for kind in ("s", "theta")]
-        free = [[model.qpos_spring[j.qposadr[0]] for j in row] for row in joints]
-        return cls(
-            mass=[body.mass[0] for body in bodies],
-            inertia=[body.inertia[2] for body in bodies],
-            width=widths[:1] if len(set(widths)) == 1 else widths,
-            stiffness=[[model.tendon_stiffness[c.id] for c in row] for row in columns],
-            damping=[[model.tendon_damping[c.id] for c in row] for row in columns],
-            rest_length=free[0] if np.any(free) else rest,
-            gravity=-model.opt.gravity[2],
-            tip_length=model.site("tip").pos[0],
-            input_range=np.transpose(pushes[:1] if alike else pushes),
-            rest_angle=free[1],
-            backbone_stiffness=[[model.jnt_stiffness[j.id] for j in row] for row in joints],
-            backbone_damping=[[model.dof_damping[j.dofadr[0]] for j in row] for row in joints],
-        )
-
 
 def _two_rows(x: np.ndarray) -> tuple[Sequence[Entry], Sequence[Entry]]:
-    """The entries of both rows of an array of shape (..., 2, N)."""
     return split(x[..., 0, :]), split(x[..., 1, :])
 
 

@@ -22,7 +22,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from octarm.arm.parameters import ArmParameters
+from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.errors import OctarmError, closest
 
 LAYOUTS = ("paper", "centred")
@@ -36,7 +36,8 @@ class Rod:
     """A straight extensible rod; the defaults are the means of the nominal arm.
 
     EA, EI, density and rotary inertia are numbers, or pairs of their values at the base and at the
-    tip, between which they change linearly.
+    tip, between which they change linearly. Raises OctarmError for what is not positive and finite;
+    the last two may be 0.
 
     Attributes:
         length: L, unloaded [m].
@@ -46,9 +47,6 @@ class Rod:
         rotary_inertia: moment of inertia per length, rho I [kg m].
         damping_time: ratio of damping to stiffness [s].
         gravity: along the hanging rod [m/s^2].
-
-    Raises:
-        OctarmError: if one of them is not positive and finite; the last two may be 0.
     """
 
     length: float = 0.36
@@ -82,25 +80,22 @@ class Rod:
         return lambda x: base + (tip - base) * (x / self.length)
 
 
+def check_layout(name: str) -> None:
+    """Raises OctarmError unless it is one of `LAYOUTS`."""
+    if name not in LAYOUTS:
+        raise OctarmError(f"unknown layout {name!r}{closest(name, LAYOUTS)}")
+
+
 def arm_from_rod(rod: Rod, modules: int, layout: str = "paper") -> ArmParameters:
-    """The chain of N modules that stands for a rod.
+    """The chain of N modules, 1 to 100, that stands for a rod in a layout; see this module.
 
-    Args:
-        rod: what is cut into elements.
-        modules: their number N, 1 to 100.
-        layout: `paper` or `centred`; see this module.
-
-    Returns:
-        Its parameters. Both columns of a module are alike; widths differ between modules where the
-        rod tapers, and where the layout is `centred`.
-
-    Raises:
-        OctarmError: for another layout or number of modules.
+    Both columns of a module are alike; widths differ between modules where the rod tapers, and
+    where the layout is `centred`. Raises OctarmError for another layout or number of modules.
     """
-    if layout not in LAYOUTS:
-        raise OctarmError(f"unknown layout {layout!r}{closest(layout, LAYOUTS)}")
-    if not 1 <= modules <= 100:
-        raise OctarmError(f"a rod was to be cut into {modules} modules; it must be 1 to 100")
+    check_layout(layout)
+    if not 1 <= modules <= MOST_MODULES:
+        most = f"1 to {MOST_MODULES}"
+        raise OctarmError(f"a rod was to be cut into {modules} modules; it must be {most}")
     h = rod.length / modules
     borders = np.linspace(0.0, rod.length, modules + 1)
     axial = h / _integrals(rod, rod.EA, borders, -1)  # springs in series: compliances add

@@ -48,8 +48,7 @@ class Scales(NamedTuple):
 def scales(p: ArmParameters) -> Scales:
     """The scales of the hanging arm.
 
-    Raises:
-        OctarmError: if no mode swings, or masses, lengths or stiffnesses are beyond a float.
+    Raises OctarmError if no mode swings, or masses, lengths or stiffnesses are beyond a float.
     """
     length = np.concatenate([p.rest_length, np.ones_like(p.rest_length)], axis=-1)
     with np.errstate(all="ignore"):

@@ -25,12 +25,10 @@ class ArmSummary:
     """What follows from the parameters of one arm.
 
     Attributes:
-        arm: with what its file says.
         rest: where it hangs, shape (2N,) [m], [rad].
         modes: about that, by ascending frequency.
         steps: longest stable physics step by integrator [s].
         growth: rate of the fastest growing mode, 0 if it stays where it hangs [1/s].
-        reach: the largest bends that are held within the input range.
         conditions: of the mass and of the stiffness matrix at rest, in coordinates that give each a
             diagonal of ones, so that units do not count [1].
     """
@@ -82,7 +80,6 @@ class ArmSummary:
         )
 
     def _parameters(self, p: ArmParameters) -> Iterator[str]:
-        """A row a module; of many modules the first and the last ones."""
         n = p.modules
         springs, dampers = (
             np.diagonal(of(p)).reshape(2, n)
@@ -154,7 +151,6 @@ def _condition(matrix: np.ndarray) -> float:
 
 
 def _pair(x: np.ndarray) -> str:
-    """A negative and a positive number."""
     low, high = x.tolist()
     if min(-low, high) > 6.28:
         return "> 6.28"

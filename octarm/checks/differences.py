@@ -29,11 +29,8 @@ def compare(
     """Entries that only one of them has, or that have another value, down to single numbers.
 
     Numbers are the same when all their bits are. What is missing on one side is `absent` there.
-
-    Args:
-        was: content of a JSON file.
-        now: the same, or what would become of it in JSON.
-        may_differ: keys below which numbers and words may differ; what there is may not.
+    Both are contents of JSON files, or what would become one; below the keys of `may_differ`
+    numbers and words may differ, what there is may not.
     """
     yield from _compare_tables("", was, json.loads(json.dumps(now)), may_differ)
 
@@ -69,13 +66,7 @@ def origin(description: Mapping[str, Any]) -> dict[str, str]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Comparison(abc.ABC):
-    """A result that was written down beside that of a re-run.
-
-    Attributes:
-        differences: of entries.
-        then: versions and machine of the result, as far as they are known.
-        now: those of the re-run.
-    """
+    """A result that was written down beside that of a re-run, and the origins of both."""
 
     differences: tuple[Difference, ...]
     then: Mapping[str, str]

@@ -62,7 +62,7 @@ class Finding(NamedTuple):
 
 
 # Extras that are told of, and what needs them.
-_EXTRAS = {"cluster": "--cluster", "fast": "--engine lagrange"}
+_EXTRAS = {"cluster": "--cluster", "fast": "--engine lagrange", "gym": "octarm.gym"}
 
 
 def versions() -> Iterator[Finding]:

@@ -8,19 +8,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import root_scalar
 
 from octarm.arm.rod import Rod, arm_from_rod
-from octarm.checks import rod_halves, rod_motion, rod_peer, rod_study, rod_theory
-from octarm.checks.rod_curves import MODULES, Curve, table
+from octarm.checks import rod_motion, rod_study, rod_theory
 from octarm.tolerances import Check, CheckTable, run_checks
 
 ORDERS = {"paper": 1, "centred": 2}
-HALVES = "half-half"  # a layout that no arm has; see `octarm.checks.rod_halves`
+HALVES = "half-half"  # a layout that no arm has; see `octarm.checks.rod_study`
 TAPERED = Rod(EA=(300.0, 150.0), EI=(0.5, 0.2), density=(3.0, 1.0), rotary_inertia=(4e-3, 1e-3))
 
 _SMALL = 1e-4  # load on the tip [N]
@@ -32,10 +31,8 @@ class Study(NamedTuple):
     """The whole comparison.
 
     Attributes:
-        curves: of all quantities and layouts.
         motions: of the tip of the default rod let go, by name, shape (T, 2) [m].
         peer: likewise of the slim rod, beside PyElastica; empty where that is not installed.
-        table: what is checked.
     """
 
     curves: list[Curve]
@@ -55,18 +52,15 @@ class Study(NamedTuple):
             "hinges: paper, at the ends of modules; centred, amid elements, with a rigid tip;",
             "half-half, amid modules, as no arm has them. Releases: distances in rod lengths.",
         ]
-        notes += [] if self.peer else [rod_peer.MISSING]
+        notes += [] if self.peer else [rod_motion.MISSING]
         return "\n".join([table(self.curves), *notes, "", str(self.table)])
 
 
 def study(progress: Callable[[str], object] | None = None) -> Study:
     """Compares chains of MODULES with the default rod, and with one that tapers.
 
-    Args:
-        progress: called with the name of each part before it starts.
-
-    Raises:
-        OctarmError: if a static shape is not found.
+    The progress is called with the name of each part. Raises OctarmError if no static shape is
+    found.
     """
     rod, curves = Rod(), list[Curve]()
     motions, peer = dict[str, np.ndarray](), dict[str, np.ndarray]()
@@ -77,7 +71,7 @@ def study(progress: Callable[[str], object] | None = None) -> Study:
         "frequencies": _listed(_frequencies(rod), curves),
         "motion": _listed(_motion(rod, motions), curves),
     }
-    if rod_peer.installed():
+    if rod_motion.installed():
         parts["PyElastica"] = _peer(peer)
     checks = run_checks(parts, progress)
     title = f"chains of up to {MODULES[-1]} modules against the extensible rod"
@@ -86,7 +80,6 @@ def study(progress: Callable[[str], object] | None = None) -> Study:
 
 
 def _closed_forms(rod: Rod) -> Iterator[Check]:
-    """The deflection by a small tip load, for all N up to the largest."""
     beam = rod_theory.tip_compliance(rod)
     factors: dict[str, Callable[[int], float]] = {
         "paper": lambda n: 1.0 - 1.5 / n + 0.5 / n**2,
@@ -101,7 +94,6 @@ def _closed_forms(rod: Rod) -> Iterator[Check]:
 
 
 def _listed(curves: Iterator[Curve], listed: list[Curve]) -> Iterator[Check]:
-    """The checks of curves, which are listed as well."""
     for curve in curves:
         listed.append(curve)
         yield from curve.checks()
@@ -110,7 +102,7 @@ def _listed(curves: Iterator[Curve], listed: list[Curve]) -> Iterator[Check]:
 def _tips(rod: Rod, layout: str, force: np.ndarray, gravity: np.ndarray) -> np.ndarray:
     """The static tip of each chain, x, y and the angle there, shape (7, 3) [m], [m], [rad]."""
     if layout == HALVES:
-        return np.array([rod_halves.static_tip(rod, n, force, gravity) for n in MODULES])
+        return np.array([rod_study.halves_tip(rod, n, force, gravity) for n in MODULES])
     chains = [arm_from_rod(rod, n, layout) for n in MODULES]
     return np.array([rod_study.static_tip(p, force, gravity) for p in chains])
 
@@ -128,7 +120,6 @@ def _deflections(
 
 
 def _statics(rod: Rod) -> Iterator[Curve]:
-    """Deflections of the tip under a small and a large load on it, and under the weight."""
     none = np.zeros(2)
     yield from _deflections(rod, "small tip load", np.array([0.0, _SMALL]), none)
     yield from _large_load(rod)
@@ -177,7 +168,6 @@ def _tapered() -> Iterator[Curve]:
 
 
 def _frequencies(rod: Rod) -> Iterator[Curve]:
-    """The first three bending frequencies, and the first axial one."""
     bending, axial = rod_theory.bending_frequencies(rod, 3), rod_theory.axial_frequencies(rod, 1)
     for layout, order in ORDERS.items():
         chains = [rod_study.frequencies(arm_from_rod(rod, n, layout)) for n in MODULES]
@@ -204,17 +194,115 @@ def _motion(rod: Rod, motions: dict[str, np.ndarray]) -> Iterator[Curve]:
 
 def _peer(motions: dict[str, np.ndarray]) -> Iterator[Check]:
     """PyElastica's slim rod against the chain of its own discretisation, and extrapolated."""
-    rod = rod_peer.slim_rod()
+    rod = rod_motion.slim_rod()
     motions["rod"] = rod_motion.converged(rod)
-    peers = [rod_peer.released(rod, n) for n in rod_peer.ELEMENTS]
-    for n, tips in zip(rod_peer.ELEMENTS, peers, strict=True):
+    peers = [rod_motion.peer_released(rod, n) for n in rod_motion.ELEMENTS]
+    for n, tips in zip(rod_motion.ELEMENTS, peers, strict=True):
         motions[f"PyElastica, n = {n}"] = tips
-        chain = motions[f"the same chain, N = {n}"] = rod_motion.released(rod_peer.like(rod, n))
+        chain = motions[f"the same chain, N = {n}"] = rod_motion.released(rod_motion.like(rod, n))
         apart = rod_motion.distance(rod, tips, chain)
         yield Check(f"slim rod let go: PyElastica, n = {n}, against its chain", apart, _APART)
-    limit = motions["PyElastica, extrapolated"] = rod_peer.extrapolated(*peers)
+    limit = motions["PyElastica, extrapolated"] = rod_motion.extrapolated(*peers)
     part = slice(rod_motion.FIRST + 1)
     apart = rod_motion.distance(rod, limit[part], motions["rod"][part])
     # The weights of the extrapolation, in sum 5, magnify what PyElastica's rods differ by.
     what = "slim rod let go, .3 s: PyElastica extrapolated, against the rod"
     yield Check(what, apart, 5.0 * _APART)
+
+
+MODULES = (1, 2, 3, 5, 10, 20, 40)
+
+# Weights of the errors at N = 10, 20, 40 that leave out the terms 1/N and 1/N^2, or 1/N^2 and
+# 1/N^4; and the error that may be left, of the order 1/N^3 or 1/N^6.
+_ENDLESS = {1: np.array([1.0, -6.0, 8.0]) / 3.0, 2: np.array([1.0, -20.0, 64.0]) / 45.0}
+_LEFT = {1: 2e-4, 2: 1e-6}
+_CLOSE = 0.15  # of an observed order to that of theory
+
+
+class Curve(NamedTuple):
+    """The errors of one quantity over the number of modules.
+
+    Attributes:
+        case: what is compared.
+        layout: of the chains.
+        errors: relative to the rod's value, at each of MODULES, shape (7,) [1]; NaN where a chain
+            has no such quantity. Those of a motion are distances in lengths of the rod.
+        order: at which they vanish; 0 where they are zero, None where terms cancel up to N = 40.
+        signed: whether errors have a sign, so that they can be extrapolated.
+    """
+
+    case: str
+    layout: str
+    errors: np.ndarray
+    order: int | None
+    signed: bool = True
+
+    @property
+    def observed(self) -> float:
+        """The order between the two largest numbers of modules [1]."""
+        return float(np.log2(np.abs(self.errors[-2] / self.errors[-1])))
+
+    @property
+    def endless(self) -> float:
+        """The error to which those of the three largest numbers of modules tend [1]."""
+        return float(_ENDLESS[self.order or 1] @ self.errors[-3:])
+
+    def needed(self, error: float) -> int:
+        """The number of modules from which on errors are at most `error` [1].
+
+        Between MODULES by straight lines in logarithmic scales, beyond them by the order.
+        """
+        size = np.abs(self.errors)
+        above = np.flatnonzero(~(size <= error))
+        if not above.size:
+            return MODULES[0]
+        i, slope = int(above[-1]), float(self.order or 1)
+        if i < len(size) - 1:
+            slope = math.log(size[i] / size[i + 1]) / math.log(MODULES[i + 1] / MODULES[i])
+        return math.ceil(MODULES[i] * (size[i] / error) ** (1.0 / slope) * (1.0 - 1e-9))
+
+    def checks(self) -> Iterator[Check]:
+        """The order, and what errors tend to; or that they are zero."""
+        what = f"{self.case}, {self.layout}"
+        if self.order == 0:
+            yield Check(f"{what}: largest error", float(np.max(np.abs(self.errors))), 1e-9)
+            return
+        if self.order is not None:
+            low, high = self.order - _CLOSE, self.order + _CLOSE
+            yield Check(f"{what}: order", self.observed, high, low)
+        if self.signed:
+            left = _LEFT[self.order or 1]
+            yield Check(f"{what}: error, extrapolated", abs(self.endless), left)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The errors for JSON; None where there is none."""
+        errors = [None if math.isnan(x) else float(x) for x in self.errors]
+        return {"case": self.case, "layout": self.layout, "error": errors}
+
+
+def table(curves: Sequence[Curve]) -> str:
+    """The errors of all curves in percent, observed orders, and how many modules are enough."""
+    head = ("error [%] at N =", "layout", *map(str, MODULES), "order", "5 % from", "1 % from")
+    rows = [head, *map(_row, curves)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines: list[str] = []
+    for row in rows:
+        cells = [text.rjust(width) for text, width in zip(row, widths, strict=True)]
+        cells[:2] = [text.ljust(width) for text, width in zip(row[:2], widths[:2], strict=True)]
+        lines.append("  ".join(cells))
+    return "\n".join(lines)
+
+
+def _row(curve: Curve) -> tuple[str, ...]:
+    errors = ["-" if math.isnan(x) else _percent(x) for x in curve.errors]
+    zero = curve.order == 0
+    order = "-" if zero or curve.order is None else f"{curve.observed:.2f}"
+    needed = ["1" if zero else str(curve.needed(x)) for x in (0.05, 0.01)]
+    return (curve.case, curve.layout, *errors, order, *needed)
+
+
+def _percent(error: float) -> str:
+    percent = 100.0 * error
+    if abs(percent) < 0.005:
+        return "0"
+    return f"{percent:.{0 if abs(percent) >= 99.5 else 1 if abs(percent) >= 9.95 else 2}f}"

@@ -26,15 +26,9 @@ def static_tip(rod: Rod, tip_force: np.ndarray, gravity: np.ndarray) -> np.ndarr
         p' = (1 + eps) u(phi),  phi' = m / EI,  m' = -(1 + eps) u(phi) x n,  eps = n.u(phi) / EA
 
     with the force n(S) of all loads beyond S; the clamp gives p(0) = 0 and phi(0) = 0, and the free
-    end m(L) = 0.
-
-    Args:
-        rod: its own gravity does not count.
-        tip_force: dead force on the tip, shape (2,) [N].
-        gravity: acceleration, shape (2,) [m/s^2].
-
-    Raises:
-        OctarmError: if the shooting does not converge: the load is too large for one simple bow.
+    end m(L) = 0. Loads are a force on the tip, shape (2,) [N], and an acceleration, shape (2,)
+    [m/s^2]; the rod's own gravity does not count. Raises OctarmError if the shooting does not
+    converge: the load is too large for one simple bow.
     """
     length = rod.length
     axial, bending = rod.at(rod.EA), rod.at(rod.EI)
@@ -126,7 +120,6 @@ def axial_frequencies(rod: Rod, count: int) -> np.ndarray:
 
 
 def _uniform(rod: Rod) -> tuple[float, float, float, float]:
-    """Length, EI, rho A and rho I of a uniform rod."""
     profiles = (rod.EA, rod.EI, rod.density, rod.rotary_inertia)
     if any(np.ptp(np.broadcast_to(p, 2)) > 0.0 for p in profiles):
         raise OctarmError("beam theory needs a uniform rod; this one tapers")

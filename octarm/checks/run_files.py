@@ -1,7 +1,9 @@
-"""The files of a run folder beside those that a repetition of the run writes."""
+"""The files of run and sweep folders beside those that a repetition writes or that were stated."""
 
 from __future__ import annotations
 
+import itertools
+import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,13 +14,21 @@ import pyarrow as pa
 
 from octarm.checks.differences import ABSENT, Difference, compare
 from octarm.errors import OctarmError
+from octarm.interfaces import ControllerFactory
 from octarm.recordings.contents import contents
 from octarm.recordings.recording import write_recording
 from octarm.runs import folder as runs
-from octarm.simulation.stored import unreadable
-from octarm.simulation.trajectory import Ending, Trajectory
+from octarm.simulation.trajectory import Ending, Trajectory, unreadable
+from octarm.sweeps.episodes import FinishedSweep
+from octarm.sweeps.manifest import EPISODES, MANIFEST, SPEC
+from octarm.sweeps.store import LOCK, PROGRESS, RECORDED, read_shard
 
 _FILES = (runs.DESCRIPTION, runs.ARRAYS, runs.RECORDING)
+_OF_SWEEPS = (SPEC, MANIFEST, LOCK, PROGRESS)  # what else there is are folders
+# Of run.json: what came of a run, and where it was made.
+_OF_THE_RUN = (
+    "disturbances", "metrics", "status", "message", "digest", "command", *runs.NAMED,
+)  # fmt: skip
 _ENDING = Ending._fields  # arrays that have no row for each instant
 
 
@@ -26,12 +36,8 @@ class Deviation(NamedTuple):
     """Where an array of `run.npz` and that of the re-run first have other bits.
 
     Attributes:
-        array: name.
-        row: number of the control instant.
-        t: its time [s].
+        row: number of the control instant, at time t [s].
         place: which number of the row.
-        was: the number in `run.npz`.
-        now: that of the re-run.
         largest: largest difference of all their numbers.
     """
 
@@ -47,8 +53,7 @@ class Deviation(NamedTuple):
 def stored_arrays(path: Path) -> dict[str, np.ndarray]:
     """What a `.npz` file holds by name, as it is stored: rows of shape (T, ...), and the ending.
 
-    Raises:
-        OctarmError: if it cannot be read, or has no rows.
+    Raises OctarmError if it cannot be read, or has no rows.
     """
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
@@ -72,9 +77,7 @@ def form_differences(
 ) -> Iterator[Difference]:
     """Arrays that only one side has, numbers of rows, kinds and shapes, and what has no rows.
 
-    Args:
-        was: rows of shape (T, ...), and the ending; see `stored_arrays`.
-        now: the same of the re-run; see `saved_arrays`.
+    Both are rows of shape (T, ...) with the ending, of `stored_arrays` and of `saved_arrays`.
     """
     if len(was["t"]) != len(now["t"]):
         yield Difference("rows", len(was["t"]), len(now["t"]))
@@ -103,10 +106,7 @@ def deviations(
 ) -> list[Deviation]:
     """Where arrays that both sides have in the same form differ, the earliest first.
 
-    Args:
-        was: rows of shape (T, ...), and the ending; see `stored_arrays`.
-        now: the same of the re-run; see `saved_arrays`.
-        coordinates: their names.
+    Both are rows of shape (T, ...) with the ending, of `stored_arrays` and of `saved_arrays`.
     """
     differences = (
         _deviation(name, was[name], now[name], now["t"], coordinates)
@@ -138,12 +138,7 @@ def _deviation(
 
 
 def checksum_differences(folder: Path, description: Mapping[str, Any]) -> list[Difference]:
-    """Files whose SHA-256 is not the one that `run.json` states, and files that belong to no run.
-
-    Args:
-        folder: of the run.
-        description: content of its `run.json`.
-    """
+    """Files whose SHA-256 is not what `run.json` states, and files that belong to no run."""
     stated = {key: description[key] for key in (runs.SUMS,) if key in description}
     differences = [*compare(stated, {runs.SUMS: runs.checksums(folder, description)})]
     extra = sorted(path.name for path in folder.iterdir() if path.name not in _FILES)
@@ -153,13 +148,7 @@ def checksum_differences(folder: Path, description: Mapping[str, Any]) -> list[D
 def recording_differences(
     file: Path, run: Trajectory, description: Mapping[str, Any]
 ) -> Iterator[Difference]:
-    """What a recording holds, beside what one that is made of the run holds.
-
-    Args:
-        file: the recording.
-        run: the trajectory.
-        description: what `run.json` holds.
-    """
+    """What a recording holds, beside what one that is made of the run and its `run.json` holds."""
     with tempfile.TemporaryDirectory() as scratch:
         again = Path(scratch) / runs.RECORDING
         write_recording(again, run, description)
@@ -184,7 +173,6 @@ def recording_differences(
 
 
 def _first_difference(was: pa.Array, now: pa.Array) -> int:
-    """The first row in which two arrays of one type and length differ."""
     low, high = 0, len(was)
     while high - low > 1:
         middle = (low + high) // 2
@@ -196,7 +184,6 @@ def _first_difference(was: pa.Array, now: pa.Array) -> int:
 
 
 def _same(was: pa.Array, now: pa.Array) -> bool:
-    """Whether two arrays have the same type and the same bits."""
     pairs = zip(_leaves(was), _leaves(now), strict=False)
     return was.type == now.type and len(was) == len(now) and all(a.equals(b) for a, b in pairs)
 
@@ -216,3 +203,69 @@ def _leaves(array: pa.Array) -> Iterator[pa.Array]:
         yield array.view({16: pa.uint16(), 32: pa.uint32(), 64: pa.uint64()}[kind.bit_width])
     else:
         yield array
+
+
+def sweep_differences(sweep: FinishedSweep, factory: ControllerFactory) -> list[Difference]:
+    """What of a finished or unfinished sweep is not as it was written, without running it again.
+
+    The factory is the one that the sweep had. Raises OctarmError if a controller cannot be made.
+    """
+    spec = sweep.plan.spec
+    first = spec.all_arms()[0]
+    made = {name: spec.controller(name, first, factory) for name in spec.controllers}
+    gains = {name: runs.gains_of(controller) for name, controller in made.items()}
+    recorded = sorted((sweep.path / RECORDED).glob("*"))
+    return [
+        *compare({"gains": sweep.gains}, {"gains": gains}),
+        *_shards(sweep),
+        *_extra(sweep),
+        *itertools.chain.from_iterable(_recorded(sweep, each, factory) for each in recorded),
+    ]
+
+
+def _shards(sweep: FinishedSweep) -> Iterator[Difference]:
+    """Shards that are damaged, missing although they were finished, or there without a SHA-256."""
+    for i, shard in enumerate(sweep.manifest["shards"]):
+        file = sweep.path / shard["file"]
+        if file.exists() != bool(shard["sha256"]):
+            yield Difference(
+                shard["file"], *("there" if x else ABSENT for x in (file.exists(), shard["sha256"]))
+            )
+            continue
+        try:
+            read_shard(sweep.path, sweep.plan, sweep.manifest, i, ())
+        except OctarmError as error:
+            yield Difference(shard["file"], str(error), "undamaged")
+
+
+def _extra(sweep: FinishedSweep) -> Iterator[Difference]:
+    """Files that belong to no sweep; folders beside its own may be the user's, such as reports."""
+    known = {sweep.path / shard["file"] for shard in sweep.manifest["shards"]}
+    known |= {sweep.path / name for name in _OF_SWEEPS}
+    places = [*(sweep.path / EPISODES).iterdir(), *sweep.path.iterdir()]
+    for path in sorted({*places} - known):
+        if path.is_file() or path.parent != sweep.path:
+            yield Difference(f"file {path.relative_to(sweep.path)}", "there", ABSENT)
+
+
+def _recorded(
+    sweep: FinishedSweep, folder: Path, factory: ControllerFactory
+) -> Iterator[Difference]:
+    """A recorded episode whose files were changed, or that is another run than its name says."""
+    place = f"{RECORDED}/{folder.name}"
+    number = re.match(r"\d+(?=-)", folder.name)
+    if number is None or int(number[0]) >= sweep.plan.episodes:
+        yield Difference(f"file {place}", "there", ABSENT)
+        return
+    try:
+        description = runs.read_description(folder)
+    except OctarmError as error:
+        yield Difference(place, str(error), "a run")
+        return
+    for key, was, now in checksum_differences(folder, description):
+        yield Difference(f"{place}: {key}", was, now)
+    *_, announced = sweep.begin(int(number[0]), factory)
+    inputs = {key: x for key, x in runs.written(announced).items() if key not in _OF_THE_RUN}
+    was = {key: value for key, value in description.items() if key in inputs}
+    for key, before, now in compare(was, inputs):
+        yield Difference(f"{place}: {key}", before, now)

@@ -73,11 +73,8 @@ class LinearPlant:
     ) -> LinearPlant:
         """The hanging arm.
 
-        Args:
-            p: of one arm.
-            sums: B, from its coordinates to the model's, shape (2N, 2N_plant); the identity if
-                None.
-            rest: the model's coordinates where it hangs, shape (2N,); B q if None.
+        B leads from its coordinates to the model's, shape (2N, 2N_plant), the identity if None;
+        `rest` is where the model's coordinates hang, shape (2N,), B q if None.
         """
         q = lagrange.equilibrium(p)
         B = np.eye(len(q)) if sums is None else sums
@@ -136,13 +133,8 @@ class LinearLaw(NamedTuple):
 def linear_law(controller: Controller, rest: np.ndarray, period: float) -> LinearLaw:
     """The slopes of a law at rest on a reference that rests there, by central differences.
 
-    Args:
-        controller: for arms without batch axes.
-        rest: coordinates, shape (2N,) [m], [rad].
-        period: time between two calls [s].
-
-    Raises:
-        NoSlopeError: if the law has no derivative there.
+    It is called for arms without batch axes at `rest`, shape (2N,) [m], [rad], a period [s] apart.
+    Raises NoSlopeError if the law has no derivative there.
     """
     fine, coarse = (_slopes(controller, rest, period, h) for h in (_SMALL, 10.0 * _SMALL))
     for name, a, b in zip(("measurements", "its state"), fine, coarse, strict=True):
@@ -175,7 +167,8 @@ def _slopes(
         _resting(rest, rows),
     )
     z = _flat(state, rows)
-    learnt = h * (1.0 + np.abs(z[-1])) if k else np.empty(0)
+    # A state may be small: an integral of e that gives way at 1e-5 m s acts like any other.
+    learnt = 1e-3 * h * (1.0 + np.abs(z[-1])) if k else np.empty(0)
     z = z.copy()
     z[4 * n : 4 * n + k] += np.diag(learnt)
     z[4 * n + k :] -= np.diag(learnt)

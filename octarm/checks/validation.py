@@ -11,23 +11,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from octarm.arm import lagrange
-from octarm.arm.mjcf import (
-    MOST_MODULES,
-    build_model,
-    nominal_parameters,
-    paper_order,
-    template_model,
-)
+from octarm.arm.mjcf import build_model, nominal_parameters, paper_order, template_model
 from octarm.arm.modes import longest_step
-from octarm.arm.parameters import ArmParameters
-from octarm.checks import forced_motion, free_motion
-from octarm.checks.mechanics import (
-    lagrange_mechanics,
-    levers,
-    mujoco_mechanics,
-    random_states,
-    relative_error,
-)
+from octarm.arm.parameters import MOST_MODULES, ArmParameters
+from octarm.checks import forced_motion, free_motion, mechanics
 from octarm.errors import OctarmError
 from octarm.memory import check_memory
 from octarm.simulation.steps import fitting_step
@@ -45,14 +32,11 @@ _PHYSICS = (
 
 
 def arm_with(modules: int) -> ArmParameters:
-    """The nominal arm with N modules.
+    """The nominal arm with N modules, 1 to 100, else it raises OctarmError.
 
     Fewer modules than nominal: the arm cut off after module N. More: a longer arm with the same
-    base and tip, mass, inertia, stiffness and damping tapering in between as they do in the
-    nominal one.
-
-    Raises:
-        OctarmError: if `modules` is below 1 or above 100.
+    base and tip, mass, inertia, stiffness and damping tapering in between as they do in the nominal
+    one.
     """
     if not 1 <= modules <= MOST_MODULES:
         raise OctarmError(
@@ -105,18 +89,13 @@ def validate(
 ) -> CheckTable:
     """Compares MuJoCo's arm with the analytic one, point by point and in motion.
 
-    MuJoCo takes its usual timestep, or a shorter one where the arm's fastest mode needs it.
-    The timesteps at which orders of convergence are taken suit arms with some damping; on an arm
-    with none at all, the dissipative DISCRETE does not get near its order.
+    MuJoCo takes its usual timestep, or a shorter one where the arm's fastest mode needs it. The
+    timesteps at which orders of convergence are taken suit arms with some damping; on an arm with
+    none at all, the dissipative DISCRETE does not get near its order.
 
-    Args:
-        parameters: one arm's parameters.
-        states: number of random states for the comparison point by point.
-        seed: of the random states and motions.
-        progress: called with the name of each part before it starts.
-
-    Raises:
-        OctarmError: if `states` is below 1, or the parameters do not describe one arm that hangs.
+    So many random states are compared point by point. The progress is called with the name of each
+    part. Raises OctarmError if `states` is below 1, or the parameters do not describe one arm that
+    hangs.
     """
     if states < 1:
         raise OctarmError(f"the number of states is {states}; it must be at least 1")
@@ -161,9 +140,12 @@ def _compare_template() -> Iterator[Check]:
 def _compare_states(
     model: mujoco.MjModel, p: ArmParameters, count: int, rng: np.random.Generator
 ) -> Iterator[Check]:
-    states = random_states(p, count, rng)
-    by_mujoco, by_lagrange = mujoco_mechanics(model, p, states), lagrange_mechanics(p, states)
-    r = levers(p)  # makes one unit of the entries of each quantity: forces and lengths
+    states = mechanics.random_states(p, count, rng)
+    by_mujoco, by_lagrange = (
+        mechanics.mujoco_mechanics(model, p, states),
+        mechanics.lagrange_mechanics(p, states),
+    )
+    r = mechanics.levers(p)  # makes one unit of the entries of each quantity: forces and lengths
     force, column = 1.0 / r, 1.0 / r[:, None]
     rows: tuple[tuple[str, str, np.ndarray | float, float], ...] = (
         ("positions of the modules", "positions", 1.0, 1e-12),
@@ -180,7 +162,7 @@ def _compare_states(
         ("kinetic energy", "kinetic", 1.0, 1e-12),
     )
     for what, name, weight, allowed in rows:
-        error = relative_error(weight * by_mujoco[name], weight * by_lagrange[name])
+        error = mechanics.relative_error(weight * by_mujoco[name], weight * by_lagrange[name])
         yield Check(what, error, allowed)
     # Potential energies may differ by a constant; both models happen to put it at zero.
     difference = by_mujoco["potential"] - by_lagrange["potential"]
@@ -193,12 +175,12 @@ def _compare_states(
 def _compare_equilibrium(model: mujoco.MjModel, p: ArmParameters) -> Iterator[Check]:
     q = lagrange.equilibrium(p)
     qpos, dof = paper_order(model)
-    error = np.max(np.abs(model.key("hanging").qpos[qpos] - q) * levers(p))
+    error = np.max(np.abs(model.key("hanging").qpos[qpos] - q) * mechanics.levers(p))
     yield Check("equilibrium, keyframe", float(error), 1e-10, unit="m")
     data = mujoco.MjData(model)
     data.qpos[qpos] = q
     mujoco.mj_forward(model, data)
-    acceleration = np.max(np.abs(data.qacc[dof]) * levers(p))
+    acceleration = np.max(np.abs(data.qacc[dof]) * mechanics.levers(p))
     yield Check("equilibrium, acceleration left", float(acceleration), 1e-9, unit="m/s^2")
 
 
@@ -236,7 +218,8 @@ def _compare_forced_motion(model: mujoco.MjModel, p: ArmParameters) -> Iterator[
         yield from _compare_orders(f"order under {what} inputs", motion)
     # On an arm of one module, which ends on the base's axis, no force on the tip depends on q.
     held = (1.7, 2.3) if p.modules > 1 or p.tip_length > 0.0 else (3.7, 4.3)
-    expected = {"payload": (3.7, 4.3), "sine on the tip": (0.8, 1.2)}
+    # With much damping the steps are long, and a fast mode adds terms of higher order.
+    expected = {"payload": (3.7, 4.8), "sine on the tip": (0.8, 1.2)}
     for what, order in forced_motion.disturbed_orders(p, reference).items():
         low, high = expected.get(what, held)
         yield Check(f"order with a {what}, RK4", order, high, low)
@@ -252,7 +235,6 @@ def _compare_orders(what: str, motion: free_motion.Motion) -> Iterator[Check]:
 def _compare_energy(
     model: mujoco.MjModel, p: ArmParameters, rng: np.random.Generator
 ) -> Iterator[Check]:
-    """The energy balance of RK4 at the model's timestep."""
     # A step takes the fraction z^6 / 72 off the energy of an oscillation, z = frequency * timestep.
     # Three times that of the fastest mode leaves room for frequencies 20 % above those at rest.
     h = model.opt.timestep

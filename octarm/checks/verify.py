@@ -1,4 +1,4 @@
-"""Whether a run comes out again bit by bit, and where it does not."""
+"""Whether a run, or an episode of a sweep, comes out again bit by bit, and where it does not."""
 
 from __future__ import annotations
 
@@ -10,22 +10,20 @@ from typing import Any
 
 import numpy as np
 
+from octarm.checks import run_files
 from octarm.checks.differences import Comparison, Difference, compare, listed, origin
-from octarm.checks.run_files import (
-    Deviation,
-    checksum_differences,
-    deviations,
-    form_differences,
-    recording_differences,
-    saved_arrays,
-    stored_arrays,
-)
 from octarm.declared import CodeChanged
 from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, perform
+from octarm.runs.versions import host, versions
 from octarm.simulation.trajectory import Ending
+from octarm.sweeps import engine_check
+from octarm.sweeps.episodes import FinishedSweep, first_difference
+from octarm.sweeps.plan import Plan
+from octarm.sweeps.shards import run_arms
+from octarm.sweeps.store import RECORDED, origin_of
 
 _RESULTS = ("disturbances", "metrics", "status", "message", "digest")
 
@@ -40,20 +38,14 @@ class RunCheck(Comparison):
     """A run folder beside a re-run of what its `run.json` says.
 
     Differences are those of `run.json`, of the form of arrays, of checksums and of files; those of
-    results only when no array deviates, and those of the recording when nothing else differs.
-
-    Attributes:
-        rows: number of control instants in `run.npz`.
-        arrays: number of arrays there.
-        recorded: whether there is a recording.
-        deviations: of its arrays, the earliest first.
-        digests: those that `run.json` and `run.npz` state, and that of the re-run.
+    results only when no array deviates, and those of the recording when nothing else differs. The
+    digests are those that `run.json` and `run.npz` state, and that of the re-run.
     """
 
     rows: int
     arrays: int
     recorded: bool
-    deviations: tuple[Deviation, ...]
+    deviations: tuple[run_files.Deviation, ...]
     digests: tuple[str, str, str]
 
     @property
@@ -106,12 +98,8 @@ def check_run(
 ) -> RunCheck:
     """Runs again what `run.json` of a run folder says, and compares all that the folder holds.
 
-    A run that diverged or was interrupted is repeated up to where it ended.
-
-    Args:
-        folder: of the run.
-        factory: makes the controller from all its gains.
-        progress: called after every control period.
+    A run that diverged or was interrupted is repeated up to where it ended. The factory makes the
+    controller from all its gains; the progress is called after every control period.
 
     Raises:
         OctarmError: if the folder holds no complete run, or one that cannot be made again.
@@ -134,20 +122,22 @@ def check_run(
     again, described = perform(environment, controller, announced, progress=progress)
     if again.status == "interrupted" and not (interrupted and len(again) == len(was["t"])):
         raise KeyboardInterrupt
-    now, written = saved_arrays(again), runs.written(described)
-    form = [*form_differences(was, now)]
-    found = deviations(was, now, environment.physics.coordinates.names)
+    now, written = run_files.saved_arrays(again), runs.written(described)
+    form = [*run_files.form_differences(was, now)]
+    found = run_files.deviations(was, now, environment.physics.coordinates.names)
     stated = {key: value for key, value in description.items() if key != runs.SUMS}
     if found:  # what was measured of another motion is another one anyway
         form = [d for d in form if d.key != f"digest in {runs.ARRAYS}"]
         stated |= {key: written[key] for key in _RESULTS if key in stated}
     may_differ = (*_MAY_DIFFER, *(_OF_INTERRUPTED if interrupted else ()))
     entries = [*compare(stated, written, may_differ)]
-    sums = _unexplained(checksum_differences(folder, description), entries, [*form, *found])
+    sums = _unexplained(
+        run_files.checksum_differences(folder, description), entries, [*form, *found]
+    )
     recording = folder / runs.RECORDING
     if recording.is_file() and not (entries or form or found or sums):
         as_then = written | {key: description[key] for key in may_differ}
-        sums = [*recording_differences(recording, again, as_then)]
+        sums = [*run_files.recording_differences(recording, again, as_then)]
     return RunCheck(
         rows=len(was["t"]),
         arrays=len(was.keys() - Ending._fields),
@@ -161,13 +151,12 @@ def check_run(
 
 
 def _stored(folder: Path, description: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """The arrays of a run; an OctarmError if there are none."""
     file = folder / runs.ARRAYS
     if not file.is_file():
         killed = description.get("status") == runs.RUNNING
         why = "it is still going on or was killed" if killed else "it is incomplete"
         raise OctarmError(f"{folder} has no {runs.ARRAYS} to compare with: {why}")
-    return stored_arrays(file)
+    return run_files.stored_arrays(file)
 
 
 def _interrupting(rows: int, progress: Callable[[], object] | None) -> Callable[[], object]:
@@ -189,3 +178,78 @@ def _unexplained(
     """The differing checksums but those of files of which it is known already what differs."""
     known = {runs.DESCRIPTION: entries or arrays, runs.ARRAYS: arrays}
     return [d for d in sums if not known.get(d.key.removeprefix(f"{runs.SUMS}."))]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EpisodeCheck(Comparison):
+    """A row of a sweep's table compared with that of the episode run alone.
+
+    Differences are those of the columns, the checkpoints aside.
+
+    Attributes:
+        label: what the episode is, in words.
+        between: the instants between which the motion parts [s]; None if it does not.
+        gains: of the controller for the nominal arm, where they are not what they were.
+        recorded: run folder of the episode, if there is one.
+    """
+
+    episode: int
+    label: str
+    between: tuple[float, float] | None
+    gains: tuple[Difference, ...]
+    recorded: Path | None
+
+    @property
+    def identical(self) -> bool:  # noqa: D102
+        return self.between is None and not self.differences and not self.gains
+
+    def lines(self) -> list[str]:  # noqa: D102
+        head = f"episode {self.episode} ({self.label})"
+        if self.identical:
+            same = f"{head}: identical when run alone: digest, checkpoints and all measures"
+            return [same, *self.harmless_changes()]
+        if self.between is None:
+            lines = [f"{head}: the motion is the same, but not what the table says of it"]
+        else:
+            begin, end = self.between
+            lines = [f"{head}: different from an instant between t = {begin:g} s and {end:g} s on"]
+            if self.recorded is not None:
+                lines.append(f"  octarm verify {self.recorded} says from which one on")
+        lines += [*listed(self.differences, "column"), *listed(self.gains, "gain")]
+        return [*lines, *self.origins()]
+
+
+def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory) -> EpisodeCheck:
+    """Runs an episode of a sweep alone, and compares; the factory is the one that the sweep had.
+
+    Raises OctarmError if the episode is not there, or cannot be made again.
+    """
+    row = sweep.row(episode)
+    (stored,) = row.to_pylist()
+    arms, spec = sweep.plan.episode(episode), sweep.plan.spec
+    (again,) = run_arms(sweep.plan, arms, factory).to_pylist()
+    was, now = (values.pop("checkpoints") for values in (stored, again))
+    for values in (stored, again):  # that an episode alone does not show again
+        values.pop(engine_check.COLUMN, None)
+    spec = sweep.plan.spec
+    controller = spec.controller(arms.controller, spec.all_arms()[0], factory)
+    gains = runs.gains_of(controller)
+    return EpisodeCheck(
+        episode=episode,
+        label=_label(sweep.plan, episode),
+        between=first_difference(was, now, sweep.plan.spec.duration),
+        differences=tuple(compare(stored, again, ["wall_time"])),
+        gains=tuple(compare(sweep.gains.get(arms.controller, {}), gains)),
+        recorded=next(iter((sweep.path / RECORDED).glob(f"{episode}-*")), None),
+        then=origin(origin_of(row)),
+        now=origin({"versions": versions(spec.engine, spec.code), "host": host()}),
+    )
+
+
+def _label(plan: Plan, episode: int) -> str:
+    number = np.array([episode])
+    values = {name: column[0] for name, column in plan.values(number).items()}
+    words = [str(values.pop(name)) for name in ("controller", "reference")]
+    for name, value in values.items():
+        words.append(f"{name} {value}" if isinstance(value, str) else f"{name} {value:g}")
+    return ", ".join([*words, f"seed {plan.seeds(number)[0]}"])

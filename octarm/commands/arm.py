@@ -12,7 +12,7 @@ import numpy as np
 from controllers import CONTROLLERS, make_controller
 from octarm.arm.file import Arm, arm_toml, cannot_hang, read_arm_file
 from octarm.arm.fit import fit_modules
-from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.mjcf import nominal_parameters, physics_step
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
 from octarm.arm.summary import ArmSummary
@@ -20,7 +20,6 @@ from octarm.checks.stability import Stability, check_period
 from octarm.declared import named
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
 from octarm.files import write_files, write_text
-from octarm.simulation.steps import usual_step
 
 _ROD = [*(field.name for field in dataclasses.fields(Rod)), "modules", "layout"]
 
@@ -38,7 +37,7 @@ class LoopOptions:
         names = [name for word in self.controllers for name in word.split(",")]
         if not names:
             return None
-        period = usual_step() if self.period is None else self.period
+        period = physics_step() if self.period is None else self.period
         check_period(period)
         short, _ = named((CONTROLLERS, word) for word in names)
         laws = [make_controller(word, p, gain_set=self.gains) for word in names]

@@ -6,10 +6,10 @@ import sys
 from typing import Any
 
 from controllers.gain_sets import unsuited
+from octarm.arm.mjcf import physics_step
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
 from octarm.errors import printable
-from octarm.simulation.steps import usual_step
 
 
 def print_unsuited(
@@ -31,7 +31,7 @@ def print_unsuited(
     Returns:
         The sentence; empty if they suit.
     """
-    step = timestep if isinstance(timestep, float) else usual_step()
+    step = timestep if isinstance(timestep, float) else physics_step()
     period = step if control_period is None else control_period
     sentence = unsuited(controller, gain_set, LagrangeModel(nominal), period)
     if sentence:

@@ -30,7 +30,7 @@ _WORDS = {
     "CONTROLLER": "controllers:CONTROLLERS",
     "METRIC": "octarm.metrics.declared:ACCUMULATORS",
     "REFERENCE": "octarm.references:REFERENCES",
-    "DISTURBANCE": "octarm.disturbances.catalogue:DISTURBANCES",
+    "DISTURBANCE": "octarm.disturbances.spelling:DISTURBANCES",
     "ACTUATION": "octarm.arm.actuation:ACTUATIONS",
     "INTEGRATOR": "octarm.arm.modes:INTEGRATORS",
     "ENGINE": "octarm.simulation.engines:ENGINES",

@@ -18,8 +18,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
 from octarm.declared import Code, named, short_name
-from octarm.disturbances.catalogue import DISTURBANCES
-from octarm.disturbances.spelling import parse_disturbance, spelling
+from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance, spelling
 from octarm.errors import ExitCode, OctarmError
 from octarm.files import write_text
 from octarm.formats import to_json

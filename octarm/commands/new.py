@@ -8,7 +8,7 @@ from pathlib import Path
 from jinja2 import Template
 
 from octarm.commands.kinds import STARTS
-from octarm.disturbances.catalogue import DISTURBANCES
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import ExitCode, FileError, OctarmError, closest, printable, quoted
 
 _FILES = Path(__file__).resolve().parent / "starts"

@@ -10,9 +10,8 @@ import numpy as np
 from octarm.arm.rod import LAYOUTS
 from octarm.bars import bar as new_bar
 from octarm.checks import rod_motion
-from octarm.checks.rod_convergence import Study
+from octarm.checks.rod_convergence import MODULES, Study
 from octarm.checks.rod_convergence import study as study
-from octarm.checks.rod_curves import MODULES
 from octarm.errors import ExitCode, printable
 from octarm.files import write_files, write_text
 from octarm.reports.convergence import pictures

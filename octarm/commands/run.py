@@ -27,8 +27,8 @@ from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
 from octarm.commands.summary import Swing, summary
 from octarm.declared import Code, named, short_name, word_of
-from octarm.disturbances.catalogue import DISTURBANCES
 from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
 from octarm.metrics.declared import ACCUMULATORS
 from octarm.recordings import viewer

@@ -26,11 +26,10 @@ from octarm.sweeps.cluster import WAIT, dask_cluster
 from octarm.sweeps.episodes import COLUMNS, FinishedSweep, record_episodes, select
 from octarm.sweeps.execute import estimate
 from octarm.sweeps.execute import sweep as run_sweep
-from octarm.sweeps.plan import Plan
+from octarm.sweeps.plan import Plan, with_step
 from octarm.sweeps.progress import ProgressBar, digits
 from octarm.sweeps.spec import SweepSpec
 from octarm.sweeps.spec_file import read_spec
-from octarm.sweeps.steps import with_step
 from octarm.sweeps.store import RECORDED, SweepFolder, read_sweep
 from octarm.sweeps.workers import WorkerProcesses, cores
 

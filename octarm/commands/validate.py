@@ -13,7 +13,7 @@ from controllers.proofs.ledger import ledger as ledger
 from octarm.arm.file import read_arm
 from octarm.arm.parameters import ArmParameters
 from octarm.bars import bar as new_bar
-from octarm.checks.engines import compare_engines
+from octarm.checks.closed_loops import compare_engines
 from octarm.checks.validation import arm_with, random_arm
 from octarm.checks.validation import validate as plant
 from octarm.errors import ExitCode

@@ -12,9 +12,8 @@ import numpy as np
 from controllers import make_controller
 from octarm.bars import bar as new_bar
 from octarm.checks.differences import listed
-from octarm.checks.sweep_files import sweep_differences
-from octarm.checks.verify import check_run
-from octarm.checks.verify_episode import check_episode
+from octarm.checks.run_files import sweep_differences
+from octarm.checks.verify import check_episode, check_run
 from octarm.declared import Code, CodeChanged, file_of, word_of
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.formats import Document

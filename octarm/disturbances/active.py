@@ -10,9 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from octarm.arm.groups import Groups
 from octarm.arm.parameters import ArmParameters
-from octarm.disturbances.catalogue import DISTURBANCES
 from octarm.disturbances.episode import (
     ActuatorFault,
     ActuatorProcess,
@@ -29,6 +27,7 @@ from octarm.disturbances.episode import (
     occurrences,
 )
 from octarm.disturbances.forces import TipProcess
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError
 
 _SIMULATED = (1e-14, 1e14)  # masses [kg] and inertias [kg m^2]; beyond, MuJoCo divides by zero
@@ -43,15 +42,11 @@ class ActiveDisturbances:
     on, in order; asking again for the same step gives the same, except for `received`.
 
     Attributes:
-        episode: that they act in.
-        forces: names and processes, in order.
-        plant_changes: likewise.
-        actuators: likewise.
-        sensors: likewise.
+        forces: names and processes, in order; likewise `plant_changes`, `actuators` and `sensors`.
         shares: each force's own share of the last `force`, by name, shape (..., 2N) [N], [N m]; of
             a force on the tip of a plant of more modules, what is nearest to it.
-        inputs: what came out of each actuator fault in the last `received`, by name, shape
-            (..., 2N) [N].
+        inputs: what came out of each actuator fault in the last `received`, by name, shape (...,
+            2N) [N].
         commanded: the input forces tau that the last `received` was given, shape (..., 2N) [N].
         readings: what came out of each sensor fault in the last `sensed`, by name.
         input_bounds: what |tau| is limited to by disturbances, each broadcasts to (..., 2N) [N].
@@ -63,6 +58,7 @@ class ActiveDisturbances:
         bounds = (disturbance.input_bound() for disturbance in disturbances)
         self.input_bounds = [bound for bound in bounds if bound is not None]
         self.shares: dict[str, np.ndarray] = {}
+        self._own: dict[str, np.ndarray] = {}  # what the forces gave, a tip's on the plant
         self.inputs: dict[str, np.ndarray] = {}
         self.commanded = np.empty(0)
         self.readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
@@ -78,6 +74,7 @@ class ActiveDisturbances:
             process = disturbance.start(episode if count == 1 else episode.again(count))
             started[disturbance.family].append((numbered(name, count), process))
         self.forces: list[tuple[str, ForceProcess]] = started[Force.family]
+        self._tips = {name for name, process in self.forces if isinstance(process, TipProcess)}
         self.plant_changes: list[tuple[str, PlantProcess]] = started[PlantChange.family]
         self.actuators: list[tuple[str, ActuatorProcess]] = started[ActuatorFault.family]
         self.sensors: list[tuple[str, SensorProcess]] = started[SensorFault.family]
@@ -101,42 +98,32 @@ class ActiveDisturbances:
     def force(self, step: int, q: np.ndarray, plant_q: np.ndarray | None = None) -> np.ndarray:
         """The generalised force held over a physics step, shape (..., 2N) [N], [N m]; read-only.
 
-        Args:
-            step: number of the physics step.
-            q: true coordinates at its middle, shape (..., 2N) [m], [rad].
-            plant_q: those of all modules of the plant, which the force is on; q if not given.
+        It is given the true coordinates at its middle, shape (..., 2N) [m], [rad], and those of all
+        modules of the plant, which the force is on, where it has more.
         """
         if not self.forces:
             return np.zeros_like(q)
-        if self.episode.groups is not None and plant_q is not None:
-            return self._force_on(self.episode.groups, step, q, plant_q)
-        shares = {name: process(step, q) for name, process in self.forces}
-        if not self.shares or not all(map(is_, shares.values(), self.shares.values())):
-            self.shares = shares
-            self._total = sum(shares.values(), start=np.zeros(()))  # 0.0, never -0.0
+        groups, tips = (None, set[str]()) if plant_q is None else (self.episode.groups, self._tips)
+        own = {
+            name: process(step, q if plant_q is None or name not in tips else plant_q)
+            for name, process in self.forces
+        }
+        if not self._own or not all(map(is_, own.values(), self._own.values())):
+            self._own = self.shares = own
+            forces = list(own.values())
+            if groups is not None:  # by virtual work; a tip is pushed where it is
+                self.shares = own | {name: groups.mean_force(own[name]) for name in tips}
+                forces = [f if name in tips else groups.force(f) for name, f in own.items()]
+            self._total = sum(forces, start=np.zeros(()))  # 0.0, never -0.0
             self._total.setflags(write=False)
             self._measured = self._total
+            if groups is not None:
+                self._measured = sum(self.shares.values(), start=np.zeros(()))
         return self._total
 
     def measured_force(self) -> np.ndarray:
         """The last `force` as far as it is measured, the sum of `shares`, shape (..., 2N)."""
         return self._measured
-
-    def _force_on(
-        self, groups: Groups, step: int, q: np.ndarray, plant_q: np.ndarray
-    ) -> np.ndarray:
-        """The same on a plant of more modules, by virtual work; a tip is pushed where it is."""
-        total = np.zeros_like(plant_q)
-        for name, process in self.forces:
-            if isinstance(process, TipProcess):
-                force = process(step, plant_q)
-                self.shares[name] = groups.mean_force(force)
-            else:
-                self.shares[name] = process(step, q)
-                force = groups.force(self.shares[name])
-            total = total + force
-        self._measured = sum(self.shares.values(), start=np.zeros(()))
-        return total
 
     def plant_changes_at(self, step: int) -> bool:
         """Whether `plant` at this physics step differs from the one before it."""
@@ -145,11 +132,8 @@ class ActiveDisturbances:
     def plant(self, step: int) -> Plant | None:
         """The true arm from this physics step on; None when it is the one of the step before.
 
-        At step 0 it is None only when nothing ever changes it.
-
-        Raises:
-            OctarmError: for an arm that cannot be simulated, so light or so heavy, or with modes
-                too fast for the physics step.
+        At step 0 it is None only when nothing ever changes it. Raises OctarmError for an arm that
+        cannot be simulated, so light or so heavy, or with modes too fast for the physics step.
         """
         plant = self._changed_plant(step)
         if plant is None:

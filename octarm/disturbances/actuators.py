@@ -15,13 +15,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from octarm.disturbances.delivered import Measured
-from octarm.disturbances.episode import (
-    ActuatorFault,
-    ActuatorProcess,
-    Disturbance,
-    Episode,
-    Event,
-)
+from octarm.disturbances.episode import ActuatorFault, ActuatorProcess, Disturbance, Episode, Event
 from octarm.disturbances.fields import Amount, Quantity
 from octarm.disturbances.streams import DelayLine, first_step
 
@@ -58,8 +52,6 @@ class ActuationDelay(Delay, ActuatorFault):
 
 
 class _LateInputs(DelayLine):
-    """The input forces of a while ago."""
-
     def __call__(self, step: int, tau: np.ndarray) -> np.ndarray:
         self.put(step, tau)
         (late,) = self.take(step - self.steps)
@@ -207,7 +199,6 @@ def _weakened(kept: np.ndarray, onset: np.ndarray, step: int, tau: np.ndarray) -
 
 
 def _columns(fault: ActuatorFault, field: str, episode: Episode) -> np.ndarray:
-    """One value a column, shape (..., 2N), contiguous along the arms."""
     return np.asfortranarray(episode.value(fault, field))
 
 

@@ -140,13 +140,9 @@ class Record:
 
 
 def _between(original: np.ndarray, rows: np.ndarray, at: np.ndarray, steps: int) -> float:
-    """The delay of rows between so many steps and one more [1]; NaN if they do not fit to any.
+    """The delay of rows between so many whole steps and one more [1]; NaN if there is none.
 
-    Args:
-        original: the source at steps 0, 1, .., shape (n, k).
-        rows: what came of it, shape (m, k).
-        at: the steps of the rows, shape (m,).
-        steps: whole ones of the delay.
+    The source has rows at steps 0, 1, .., shape (n, k); what came of it has those at other steps.
     """
     late = at > steps
     one, other = original[at[late] - steps], original[at[late] - steps - 1]

@@ -3,19 +3,17 @@
 There are four families, by what they act on: the forces on the arm, the plant's parameters, the
 input forces on their way to the plant, and the readings on their way to the controller.
 
-A disturbance is a frozen dataclass of numbers with units. Its fields may differ from arm to arm:
-a number for each arm has the shape of the batch, one for each coordinate broadcasts to the batch
-and 2N. `start` returns what changes during one episode, and nothing else does. Processes count
-physics steps, never seconds: step k begins at k times the timestep.
-
-What holds for all of them: an arm alone and its row of a batch get the same bits, and a neutral
-value (a ratio of 0, 0 kg, a factor of 1) leaves what it acts on exactly as it was.
+A disturbance is a frozen dataclass of numbers with units. Its fields may differ from arm to arm: a
+number for each arm has the shape of the batch, one for each coordinate broadcasts to the batch and
+2N. `start` returns what changes during one episode, and nothing else does. Processes count physics
+steps, never seconds: step k begins at k times the timestep. An arm alone and its row of a batch get
+the same bits, and a neutral value (a ratio of 0, 0 kg, a factor of 1) leaves what it acts on
+exactly as it was.
 """
 
 from __future__ import annotations
 
 import abc
-import collections
 import copy
 import dataclasses
 import functools
@@ -41,10 +39,9 @@ _AT_ONCE = 20_000  # arms times instants
 
 
 class Plant(NamedTuple):
-    """The true arm at one instant.
+    """The true arm at one instant, with or without batch axes.
 
     Attributes:
-        parameters: with or without batch axes.
         gravity_angle: by which gravity is turned in the arm's plane, from the x axis of the base
             frame, along the hanging arm, towards its y axis, shape () or the batch's [rad].
     """
@@ -54,12 +51,7 @@ class Plant(NamedTuple):
 
 
 class Event(NamedTuple):
-    """A moment at which a disturbance begins or ends.
-
-    Attributes:
-        at: when [s].
-        text: what begins, such as `payload 0.1`; empty when it ends.
-    """
+    """A moment [s] at which a disturbance begins, or ends, with an empty text."""
 
     at: float
     text: str
@@ -77,13 +69,11 @@ class Episode:
     Attributes:
         parameters: the undisturbed true arm, as it is measured.
         timestep: physics step [s].
-        reference: the desired motion.
         seeds: of this episode, one for each arm; a single one for a single arm.
         batch_shape: () for one arm, (n,) for a batch.
         index: which one of the environment's episodes it is, from 0.
         occurrence: 1, or which one of several disturbances of the same class is started.
-        check_arm: raises OctarmError for an arm that cannot be simulated; it is called with every
-            arm that the plant may become.
+        check_arm: raises OctarmError for an arm that cannot be simulated, of those it may become.
         groups: of a plant of more modules; None where the plant is the arm itself.
     """
 
@@ -144,6 +134,10 @@ class Episode:
         """The episode of this number, given episode 0: all that is random is drawn anew."""
         return self._with(index=index, seeds=[episode_seed(seed, index) for seed in self._seeds])
 
+    def seeded(self, seeds: Sequence[np.random.SeedSequence]) -> Episode:
+        """The same with other seeds, one for each arm."""
+        return self._with(seeds=seeds)
+
     def _with(self, **fields: Any) -> Episode:
         other = copy.copy(self)  # with the input amplitude, if it is known already
         for name, value in fields.items():
@@ -191,9 +185,8 @@ class Episode:
 
         sqrt(2) times the standard deviation over time of each generalised force that the
         undisturbed arm needs to follow the reference exactly, D a_d + (C + B) v_d + G [N], [N m].
-
-        Sums of differences from the first value, one instant after another: no cancellation, and
-        the same bits for an arm and its row of a batch.
+        Differences from the first value are added instant by instant: no cancellation, and the same
+        bits for any batch.
         """
         first = total = square = np.zeros(())
         shape = (*self.batch_shape, self.coordinates)
@@ -220,14 +213,14 @@ class Disturbance(abc.ABC):
 
     Subclasses are frozen, keyword-only dataclasses without `eq`, since fields may be arrays. Every
     field is annotated with a `Quantity` or `Words`, by which it is checked; numbers become floats
-    or read-only arrays. The command line takes the first field without a key. The first line of
-    the docstring stands in the help.
+    or read-only arrays. The command line takes the first field without a key. The first line of the
+    docstring stands in the help.
 
     Attributes:
         name: as the command line, `run.json` and the random streams spell it.
         family: what it acts on; a heading in the help.
         instead_of_two: what to give instead of two of this class; empty if two may act together.
-        units: of what `delivered` returns, by name, where there is one unit for all coordinates.
+        units: of what `delivered` returns, where there is one unit for all coordinates.
     """
 
     name: ClassVar[str]
@@ -292,8 +285,8 @@ class PlantProcess(NamedTuple):
     Attributes:
         changes_at: whether `apply` at a physics step differs from the one before it.
         apply: the plant from a physics step on, given what it would be without this process.
-        extremes: the same at the ends of the range that it goes through, whatever the duration;
-            when none are given, the plant is checked each time that it changes.
+        extremes: the same at the ends of the range that it goes through; when none are given, the
+            plant is checked each time that it changes.
     """
 
     changes_at: Callable[[int], bool]
@@ -305,10 +298,7 @@ class SensorProcess(Protocol):
     """Something between the true motion and what the controller reads."""
 
     def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
-        """Takes note of the true motion, q and v of shape (..., 2N), after so many physics steps.
-
-        It is called at step 0 and after every physics step, in order.
-        """
+        """Takes note of the true q and v, shapes (..., 2N), at step 0 and after each step."""
 
     def __call__(self, step: int, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What is read of q and v as read so far, shapes (..., 2N), as a physics step begins."""
@@ -318,10 +308,9 @@ class SensorProcess(Protocol):
 class Force(Disturbance):
     """A disturbance that pushes the arm.
 
-    Its process is called with the number of a physics step and the true coordinates at its middle,
-    as the velocities at its start predict them, shape (..., 2N) [m], [rad]. It returns the
-    generalised force held over this step, shape (..., 2N) [N], [N m]. With a force that depends on
-    q, a run is therefore of second order in the physics step.
+    Its process gives the generalised force held over a physics step, shape (..., 2N) [N], [N m],
+    from the number of the step and the true coordinates at its middle, as the velocities at its
+    start predict them, shape (..., 2N) [m], [rad]: a run is of second order in the step.
     """
 
     family: ClassVar[str] = "forces"
@@ -346,8 +335,8 @@ class PlantChange(Disturbance):
 class ActuatorFault(Disturbance):
     """A disturbance of the input forces on their way to the plant.
 
-    Its process is called once at every physics step, in order, with the number of the step and the
-    input forces that are asked for, shape (..., 2N) [N]. It returns those that the plant receives.
+    Its process is called once at every physics step, in order, with its number and the input forces
+    that are asked for, shape (..., 2N) [N]. It returns those that the plant receives.
     """
 
     family: ClassVar[str] = "the inputs"
@@ -361,12 +350,8 @@ class SensorFault(Disturbance):
 
 def occurrences(disturbances: Iterable[Disturbance]) -> list[int]:
     """For each disturbance, which one of its name it is: 1, 2 and so on."""
-    counts = collections.Counter[str]()
-    out: list[int] = []
-    for disturbance in disturbances:
-        counts[disturbance.name] += 1
-        out.append(counts[disturbance.name])
-    return out
+    names = [disturbance.name for disturbance in disturbances]
+    return [names[: i + 1].count(name) for i, name in enumerate(names)]
 
 
 def numbered(name: str, occurrence: int) -> str:

@@ -62,7 +62,6 @@ class BandLimitedNoise(Force):
         return sizes | measured.signal.band() | {"unexplained": measured.unexplained}
 
     def _wanted(self, episode: Episode) -> np.ndarray:
-        """The rms of each coordinate, shape (..., 2N) [N], [N m]."""
         field = "rms" if self.ratio is None else "ratio"
         value = np.where(episode.selected(self.on), episode.value(self, field), 0.0)
         if self.ratio is None:
@@ -90,7 +89,6 @@ class _PushForce(Force):
     on: str
 
     def start(self, episode: Episode) -> ForceProcess:
-        """The force of one episode."""
         size = self._size(episode.values(self), episode.timestep)
         if self.on not in _TIP:
             return _Push(size, self.on, episode)
@@ -99,7 +97,6 @@ class _PushForce(Force):
         return TipProcess(push, episode.plant.entries.tip_length)
 
     def events(self) -> Sequence[Event]:
-        """When it begins and ends."""
         return self.span(self.at, self.length)
 
     def _size(self, values: Mapping[str, Amount], timestep: float) -> Callable[[int], Amount]:
@@ -169,13 +166,12 @@ class PulseForce(_PushForce):
     """A constant force on joints or tip from the time `at` on, for a while.
 
     A physics step that it covers in part gets that part of the force, so that the impulse is
-    amplitude times length for any timestep.
+    amplitude times length for any timestep. See `SineForce` for `on`.
 
     Attributes:
         amplitude: shape (...) [N], or [N m] on a bend.
         at: when it begins, shape (...) [s].
         length: for how long, may be infinite, shape (...) [s].
-        on: as for `SineForce`.
     """
 
     name: ClassVar[str] = "pulse"
@@ -202,7 +198,6 @@ class StepForce(_PushForce):
 
 
 def _along(size: Callable[[int], Amount], x: float, y: float, step: int) -> tuple[Amount, Amount]:
-    """A force of a size in a direction."""
     amount = size(step)
     return amount * x, amount * y
 
@@ -226,8 +221,6 @@ class TipProcess:
 
 
 class _Push:
-    """A force on coordinates, whose size at a step has shape () or (n,)."""
-
     def __init__(self, size: Callable[[int], Amount], on: str, episode: Episode) -> None:
         self._size = size
         self._places = np.flatnonzero(episode.selected(on)).tolist()

@@ -9,17 +9,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol, cast
+from typing import Annotated, Any, Protocol, cast
 
 import numpy as np
+from pydantic import Strict
 
+from octarm.arrays import plain
 from octarm.declared import BUILT_IN, Code
 from octarm.disturbances.active import ActiveDisturbances
-from octarm.disturbances.catalogue import DISTURBANCES
 from octarm.disturbances.delivered import Measured, Record
-from octarm.disturbances.drawn import Drawn
-from octarm.disturbances.episode import Disturbance, Plant, numbered, occurrences
-from octarm.disturbances.spelling import from_entry, spelling, to_dict
+from octarm.disturbances.episode import Disturbance, Event, Plant, numbered, occurrences
+from octarm.disturbances.fields import Amount
+from octarm.disturbances.spelling import DISTURBANCES, from_entry, spelling, to_dict
+from octarm.formats import Array, Model
+
+Number = Annotated[float, Strict(False)]  # infinity is a word in JSON
+Moment = Annotated[tuple[Number, str], Strict(False)]
+Load = Annotated[tuple[Number, Number], Strict(False)]
 
 _NOT_IN_LINES = ("peak", "unexplained")
 _MOST_NUMBERS = 12  # of a parameter or signal in a line; of more, the least and the largest one
@@ -109,7 +115,6 @@ class Ledger:
         self._read(active, step)
 
     def _read(self, active: ActiveDisturbances, step: int) -> None:
-        """The readings, if they are new."""
         before, source = self._truth, self._motion
         for name, reading in active.readings.items():
             if reading is self._last_read.get(name):
@@ -123,7 +128,7 @@ class Ledger:
 def asked(disturbances: Sequence[Disturbance]) -> list[dict[str, Any]]:
     """An entry for each disturbance, `name` and `asked`: the ledger before a run.
 
-    Those that are not built in have `drawn` as well, see `octarm.disturbances.drawn`.
+    Those that are not built in have `drawn` as well, see `octarm.disturbances.ledger`.
     """
     rows: list[dict[str, Any]] = []
     for disturbance, count in zip(disturbances, occurrences(disturbances), strict=True):
@@ -154,7 +159,6 @@ def _line(disturbance: Disturbance, delivered: dict[str, Any]) -> str:
 
 
 def _change(name: str, moments: dict[str, Any]) -> str:
-    """A parameter before and at the end, and what it was in between if that is beyond both."""
     before, end, least, most = (moments[key] for key in ("undisturbed", "end", "least", "most"))
     change = f"{name} {_number(before)} -> {_number(end)}"
     if np.any(least < np.minimum(before, end)) or np.any(most > np.maximum(before, end)):
@@ -172,7 +176,6 @@ def _number(value: Any) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """Numbers, lists and dicts for JSON, with None for what is not finite."""
     if isinstance(value, dict):
         return {name: _finite(item) for name, item in cast("dict[str, Any]", value).items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -180,3 +183,48 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list):
         return [_finite(item) for item in cast("list[Any]", value)]
     return value if math.isfinite(value) else None
+
+
+class Drawn(Model):
+    """How a disturbance is drawn that is not built in, as `run.json` remembers it.
+
+    Whoever looks at a run need not have, nor import, what a user wrote. It is what the methods of
+    `Disturbance` of the same names answer.
+
+    Attributes:
+        moments: times [s] and texts of its events.
+        load: mass that the tip carries, and from when on [kg], [s].
+        bound: on |tau| [N].
+        tilt: of gravity [rad].
+    """
+
+    moments: Array[Moment] = ()
+    load: Load | None = None
+    bound: Number | Array[Number] | None = None
+    tilt: Number = 0.0
+
+    @classmethod
+    def of(cls, disturbance: Disturbance) -> Drawn:
+        """What a disturbance of one arm answers."""
+        return cls(
+            moments=tuple((float(at), text) for at, text in disturbance.events()),
+            load=disturbance.carried(),
+            bound=plain(disturbance.input_bound()),
+            tilt=float(disturbance.gravity_angle()),
+        )
+
+    def events(self) -> Sequence[Event]:
+        """The moments at which it begins and ends."""
+        return [Event(float(at), str(text)) for at, text in self.moments]
+
+    def carried(self) -> tuple[float, float] | None:
+        """The mass that the tip carries and from when on [kg], [s]; None if none."""
+        return None if self.load is None else (self.load[0], self.load[1])
+
+    def input_bound(self) -> Amount | None:
+        """Bound on |tau| to be drawn, shape () or (2N,) [N]; None if it sets none."""
+        return self.bound if isinstance(self.bound, float | None) else np.array(self.bound)
+
+    def gravity_angle(self) -> float:
+        """By how much it turns gravity [rad]."""
+        return self.tilt

@@ -34,8 +34,8 @@ class Mismatch(PlantChange):
     """A true arm with other parameters, from the start.
 
     Attributes:
-        mismatch: mass, inertia and damping are multiplied by 1 + mismatch, stiffness by
-            1 + mismatch/2, as in `ArmParameters.mismatched`, shape (...) [1].
+        mismatch: mass, inertia and damping are multiplied by 1 + mismatch, stiffness by 1 +
+            mismatch/2, as in `ArmParameters.mismatched`, shape (...) [1].
         mass: further factor, shape (...) [1].
         inertia: further factor, shape (...) [1].
         stiffness: further factor, shape (...) [1].
@@ -175,7 +175,6 @@ class Payload(PlantChange):
 
 
 def _loaded(mass: Amount, first: np.ndarray, step: int, plant: Plant) -> Plant:
-    """The plant with a mass [kg] at its last plate, from a step on."""
     p = plant.parameters
     added = np.where(step >= first, mass, 0.0)
     batch = np.broadcast_shapes(p.mass.shape[:-1], added.shape)
@@ -210,7 +209,6 @@ class Drift(PlantChange):
 
 
 def _ramp(t: float, rate: Amount, limit: Amount) -> np.ndarray:
-    """1 + rate t, within 1 +- limit."""
     return 1.0 + np.clip(rate * t, -np.asarray(limit), limit)
 
 
@@ -241,15 +239,11 @@ class CyclicDrift(PlantChange):
 
 
 def _swing(t: float, share: Amount, period: Amount, phase: Amount) -> np.ndarray:
-    """1 + share sin(2 pi t / period + phase)."""
     return 1.0 + share * np.sin(2.0 * np.pi / period * t + phase)
 
 
 def _drifting(
-    factor: Callable[[float], np.ndarray],
-    of: str,
-    episode: Episode,
-    ends: Sequence[np.ndarray],
+    factor: Callable[[float], np.ndarray], of: str, episode: Episode, ends: Sequence[np.ndarray]
 ) -> PlantProcess:
     """A factor, shape (...), on some parameters that follows time [s] on a grid of its own.
 

@@ -42,8 +42,6 @@ class MeasurementDelay(Delay, SensorFault):
 
 
 class _LateReadings(DelayLine):
-    """The motion of a while ago."""
-
     def __init__(self, delay: Entry, timestep: float, batch_shape: tuple[int, ...]) -> None:
         super().__init__(delay, timestep, batch_shape)
         self._timestep = timestep
@@ -106,8 +104,6 @@ class MeasurementNoise(SensorFault):
 
 
 class _Noise(SensorProcess):
-    """Held numbers that are added, the first half of them to q and the second to v."""
-
     def __init__(self, held: HeldNoise) -> None:
         self._held = held
         self.rms_q, self.rms_v = np.split(held.scale, 2, axis=-1)
@@ -137,8 +133,6 @@ class Quantisation(SensorFault):
 
 
 class _Rounding(SensorProcess):
-    """Rounding to the nearest multiple of a step, shapes (..., 2N)."""
-
     def __init__(self, step_q: np.ndarray, step_v: np.ndarray) -> None:
         self.step_q, self.step_v = (np.where(x > _FINEST, x, 0.0) for x in (step_q, step_v))
 

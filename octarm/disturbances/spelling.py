@@ -1,6 +1,8 @@
-"""Disturbances by name, as the command line and `run.json` spell them.
+"""All disturbances by name, and how files and the command line spell them.
 
-On the command line a disturbance is NAME:VALUE[,KEY=VALUE]*, such as `payload:0.2,at=3`.
+On the command line a disturbance is NAME:VALUE[,KEY=VALUE]*, such as `payload:0.2,at=3`. One of
+your own needs no line here: it is given as MODULE:NAME or FILE.py:NAME, see `octarm.declared`.
+Commands, specs, `run.json`, the ledger and the recordings then know it by its name and its fields.
 """
 
 from __future__ import annotations
@@ -13,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from octarm.arrays import plain
-from octarm.declared import BUILT_IN, Code, word_of
-from octarm.disturbances.catalogue import DISTURBANCES as DISTURBANCES
-from octarm.disturbances.episode import Disturbance
+from octarm.declared import BUILT_IN, Code, Declared, lacking, word_of
+from octarm.disturbances import actuators, forces, plant, sensors
+from octarm.disturbances.episode import ActuatorFault, Disturbance, Force, PlantChange, SensorFault
 from octarm.disturbances.fields import (
     Amount,
     Quantity,
@@ -27,7 +29,73 @@ from octarm.disturbances.fields import (
 from octarm.errors import OctarmError, closest, quoted
 from octarm.units import number
 
+_FAMILIES = (Force, PlantChange, ActuatorFault, SensorFault)
+_NAME = re.compile(r"(?!.*-\d+$)[a-z][a-z0-9-]*")  # -2 is put behind the second one's
 _SEPARATOR = re.compile(r"/(?=[-+.\di])")  # between numbers; units hold a / before a letter
+
+
+def _lacks(thing: Any) -> str:
+    """What a class of a user lacks of a disturbance; empty if nothing."""
+    if not (isinstance(thing, type) and issubclass(thing, _FAMILIES)):
+        return f"is no {', '.join(f.__name__ for f in _FAMILIES)} of octarm.disturbances.episode"
+    if misses := lacking(thing, start=["episode"]):
+        return misses
+    name: Any = getattr(thing, "name", None)
+    if not (isinstance(name, str) and _NAME.fullmatch(name)):
+        return f"has the name {quoted(name)}; it must be lower-case letters, digits and hyphens"
+    if name in _BUILT_IN:
+        return f"has the name {name}, which is that of a built-in one"
+    params = vars(thing).get("__dataclass_params__")
+    if params is None or not params.frozen:
+        return "is no frozen dataclass"
+    try:
+        kinds = [*field_kinds(thing).values()]
+    except (AttributeError, NameError, TypeError):
+        kinds = []
+    if not kinds or not isinstance(kinds[0], Quantity) or not _are_kinds(kinds):
+        return "needs fields annotated with Quantity or Words, and a Quantity first"
+    return ""
+
+
+def _are_kinds(kinds: list[Any]) -> bool:
+    return all(isinstance(kind, Quantity | Words) for kind in kinds)
+
+
+def _declares(thing: type[Disturbance]) -> dict[str, dict[str, Any]]:
+    kinds = field_kinds(thing)
+    return {
+        key: {"field": name, "unit": kinds[name].unit, "number": isinstance(kinds[name], Quantity)}
+        for key, name in field_keys(thing).items()
+    }
+
+
+# In the order in which those of one family act, whatever the order in which they are listed. Those
+# that are not built in act after them, as listed.
+_BUILT_IN: dict[str, type[Disturbance]] = {
+    cls.name: cls
+    for cls in (
+        forces.BandLimitedNoise,
+        forces.SineForce,
+        forces.PulseForce,
+        forces.StepForce,
+        plant.Mismatch,  # parameters of the bare arm, before it is loaded
+        plant.RandomMismatch,
+        plant.Drift,
+        plant.CyclicDrift,
+        plant.Payload,
+        plant.GravityTilt,
+        actuators.ActuationDelay,  # from the controller to the plate: a line, a valve, a column
+        actuators.DeadZone,
+        actuators.Saturation,
+        actuators.SlewLimit,
+        actuators.Lag,
+        actuators.LossOfEffectiveness,
+        sensors.MeasurementDelay,  # reads the true motion
+        sensors.MeasurementNoise,
+        sensors.Quantisation,
+    )
+}
+DISTURBANCES: Declared[type[Disturbance]] = Declared("disturbance", _BUILT_IN, _lacks, _declares)
 
 
 def parse_disturbance(text: str) -> Disturbance:
@@ -123,7 +191,6 @@ def first_field(cls: type[Disturbance]) -> tuple[str, Quantity]:
 
 
 def _usage(cls: type[Disturbance]) -> str:
-    """The spelling with all keys that have a value: NAME:VALUE,KEY=default and so on."""
     main, *others = keys = field_keys(cls)
     parts = [f"{cls.name}:{main.upper()}"]
     for key in others:

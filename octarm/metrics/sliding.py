@@ -91,7 +91,7 @@ class ReachingBound(Accumulator):
     metrics: ClassVar = {
         "reaching_bound": Metric(
             "arm", ("s",), "what the controller promised for s = 0 at the start", better="neither"
-        ),
+        )
     }
     signals: ClassVar = ("reaching_bound",)
 

@@ -228,10 +228,8 @@ class Column(NamedTuple):
 
     Attributes:
         name: of the column: `rms_error_theta1`, `effort_tau2`, `tip_rms_error`.
-        metric: name of the metric.
         of: the coordinate or input whose number it holds; empty for the arm.
         place: of that number along the last axis of the metric.
-        unit: of the values.
     """
 
     name: str
@@ -249,12 +247,9 @@ class Column(NamedTuple):
 def columns(
     coordinates: Sequence[str], units: Sequence[str], metrics: Mapping[str, Metric] = METRICS
 ) -> list[Column]:
-    """The columns of metrics, metric by metric.
+    """The columns of metrics, metric by metric, for coordinates with these names and units.
 
-    Args:
-        coordinates: their names, in the order of q; there are as many inputs, tau1 and so on.
-        units: those of the coordinates, `m` or `rad`.
-        metrics: by name.
+    There are as many inputs, tau1 and so on.
     """
     inputs = [f"tau{i}" for i in range(1, len(coordinates) + 1)]
     held: list[Column] = []

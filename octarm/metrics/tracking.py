@@ -153,7 +153,6 @@ class Overshoot(Accumulator):
 
 
 def _percent(reached: np.ndarray, size: np.ndarray, meant: np.ndarray) -> np.ndarray:
-    """100 (reached / size - 1), NaN where it is not meant."""
     return np.where(meant, 100.0 * ((reached - size) / np.where(meant, size, 1.0)), np.nan)
 
 

@@ -19,8 +19,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from octarm.arrays import Coordinates, planar_coordinates
-from octarm.disturbances.drawn import Drawn
 from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.ledger import Drawn
 from octarm.disturbances.spelling import from_entry
 from octarm.interfaces import WITHIN, Rows
 

@@ -20,8 +20,8 @@ import rerun.blueprint as rrb
 from octarm.arm.kinematics import arc_tip
 from octarm.arm.mjcf import world_position
 from octarm.arm.parameters import ArmParameters
-from octarm.disturbances.drawn import Drawn
 from octarm.disturbances.episode import Disturbance
+from octarm.disturbances.ledger import Drawn
 from octarm.interfaces import Rows
 from octarm.recordings import shapes
 

@@ -10,8 +10,9 @@ from matplotlib.colors import LogNorm, Normalize, to_rgb
 
 from octarm.reports import figures
 from octarm.reports.comparisons import Cells, Comparisons
+from octarm.reports.factors import Factor
 from octarm.reports.figures import COLORS, MARKERS, Axes, Figure, Picture
-from octarm.reports.frame import Episodes, Factor
+from octarm.reports.frame import Episodes
 from octarm.reports.statistics import FEWEST
 
 _MOST_MAPS = 6

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octarm.errors import OctarmError, closest, quoted
-from octarm.reports.frame import Episodes, Factor, Measure
+from octarm.reports.factors import Factor
+from octarm.reports.frame import Episodes, Measure
 from octarm.reports.statistics import (
     FEWEST,
     Interval,
@@ -56,10 +57,8 @@ class Group(NamedTuple):
     Attributes:
         factor: None for the whole sweep.
         level: number of the factor's level.
-        controller: its name.
         episodes: number of finished ones.
-        failed: number of those that diverged.
-        failures: their share.
+        failed: number of those that diverged, and `failures` their share.
         medians: of the measures, arrays of shape (M,).
         seeds: that have a value of each measure, shape (M,); with fewer than `FEWEST` the interval
             of the median is a range.
@@ -98,13 +97,10 @@ class Cells(NamedTuple):
 
 
 class Comparisons(NamedTuple):
-    """All the numbers.
+    """All the numbers of some episodes.
 
-    Attributes:
-        episodes: from which they were computed.
-        baseline: name of a controller; empty when there is only one.
-        groups: the whole sweep first, then factor by factor, level by level.
-        cells: for each pair of factors.
+    The groups are the whole sweep first, then factor by factor, level by level. The baseline is the
+    name of a controller, empty when there is only one.
     """
 
     episodes: Episodes
@@ -118,14 +114,9 @@ class Comparisons(NamedTuple):
 
 
 def compare(episodes: Episodes, baseline: str | None = None) -> Comparisons:
-    """Computes the numbers.
+    """Computes the numbers; the baseline is the first controller if None.
 
-    Args:
-        episodes: of a sweep.
-        baseline: the controller that the others are compared with; the first one if None.
-
-    Raises:
-        OctarmError: if the sweep has no such controller.
+    Raises OctarmError if the sweep has no such controller.
     """
     names, factors = episodes.controllers, episodes.factors
     if baseline is not None and baseline not in names:

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from octarm.reports.comparisons import partners
-from octarm.reports.frame import Episodes, Factor
+from octarm.reports.factors import Factor
+from octarm.reports.frame import Episodes
 from octarm.reports.statistics import FEWEST
 from octarm.sweeps.engine_check import LIMIT, sentence
 
@@ -16,11 +17,10 @@ _FEW = 8  # seeds, below which intervals are rough
 
 
 class Remark(NamedTuple):
-    """Something that a reader should know.
+    """Something that a reader should know: a sentence.
 
     Attributes:
         warning: whether a number is not to be believed without looking into it.
-        text: one sentence.
     """
 
     warning: bool

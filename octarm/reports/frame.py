@@ -3,62 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from octarm.declared import Code
-from octarm.disturbances.episode import field_kinds
-from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError, closest, printable, quoted
 from octarm.metrics.declared import declared_metrics
 from octarm.metrics.metric import SETTLED_AFTER, Metric
 from octarm.references import REFERENCES, named_reference
+from octarm.reports.factors import LONGEST, Factor, factors_of, places
 from octarm.sweeps import engine_check
 from octarm.sweeps.manifest import open_sweep
-from octarm.sweeps.spec import which
 from octarm.sweeps.store import metadata_of, read_schema, read_sweep
 
 DEFAULT = ("rms_error", "tip_rms_error", "chattering", "effort", "overshoot")
 
-_FEWEST, _MOST_RANGES = 4, 6  # values in a range of a drawn factor, and ranges
-_LONGEST = 60  # characters of a name in tables and figures
 _TOGETHER = {"rms": ", over all inputs", "max": ", of any input", "mean": ", mean of the inputs"}
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Factor:
-    """What differs between episodes, apart from the controller and the seed: an axis of the grid.
-
-    Attributes:
-        name: of its column.
-        unit: of its values; empty for ratios and words.
-        labels: its levels in words; ranges when its values were drawn.
-        places: where its levels stand on an axis, shape (k,); their order when they are words or
-            infinite.
-        scaled: whether the places are numbers.
-        drawn: whether it was drawn for each seed.
-        code: the number of the level of each episode, shape (n,).
-    """
-
-    name: str
-    unit: str
-    labels: tuple[str, ...]
-    places: np.ndarray
-    scaled: bool
-    drawn: bool
-    code: np.ndarray
-
-    @property
-    def title(self) -> str:
-        """The name with its unit."""
-        return self.name + (f" [{self.unit}]" if self.unit else "")
 
 
 class Measure(NamedTuple):
@@ -66,10 +31,7 @@ class Measure(NamedTuple):
 
     Attributes:
         name: its column, or the name of the metric if there are several.
-        metric: name of the metric.
         of: the coordinate or input; empty for the arm and for all inputs.
-        columns: names of the columns.
-        unit: of its values.
         declared: the declaration of the metric.
     """
 
@@ -164,14 +126,9 @@ class Episodes:
 def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
     """Reads a sweep, and no more columns than are needed.
 
-    Args:
-        folder: of the sweep.
-        metrics: names of metrics, or of columns; `DEFAULT` when not given. Of a metric of
-            coordinates those that move are taken, one of inputs is brought together.
-
-    Raises:
-        OctarmError: if it is no sweep, has no finished episode, or a metric is unknown or has no
-            value in any episode.
+    Metrics or columns are given by name; they are `DEFAULT` when none are given. Of a metric of
+    coordinates those that move are taken, one of inputs is brought together. Raises OctarmError if
+    it is no sweep, has no finished episode, or a metric is unknown or has no value in any episode.
     """
     plan, manifest = open_sweep(folder)
     spec = manifest["spec"]
@@ -192,7 +149,7 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
         needed += [*measure.columns, *(name for name in _awaited(measure) if name in schema.names)]
     table = read_sweep(folder, [*dict.fromkeys(needed)])
     held = {name: table[name].to_numpy() for name in table.column_names}
-    controller = _places(held["controller"], controllers)
+    controller = places(held["controller"], controllers)
     diverged = held["status"] == "diverged"
     absent = [name for name, measures in wanted.items() if not measures]
     values: dict[Measure, np.ndarray] = {}
@@ -216,10 +173,10 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
             f"{folder} has no value of {', '.join(absent)} in any finished episode; {why}"
         )
     lost, exact = _suspects(held, errors, spec["duration"])
-    factors = _factors(held, spec, names, code)
+    factors = factors_of(held, spec, names, code)
     return Episodes(
         manifest=manifest,
-        controllers=tuple(printable(name, _LONGEST) for name in controllers),
+        controllers=tuple(printable(name, LONGEST) for name in controllers),
         factors=tuple(factors),
         measures=tuple(values),
         absent=tuple(absent),
@@ -249,7 +206,7 @@ def _metrics_of(word: str, code: Mapping[str, Code]) -> list[str]:
 def _column(field: pa.Field, known: Mapping[str, Metric]) -> Measure | None:
     """A column of a metric, as the schema describes it; None for another column."""
     said = {
-        key.decode(): printable(text.decode(), _LONGEST) for key, text in metadata_of(field).items()
+        key.decode(): printable(text.decode(), LONGEST) for key, text in metadata_of(field).items()
     }
     metric = said.get("metric", "")
     if metric not in known:
@@ -260,11 +217,7 @@ def _column(field: pa.Field, known: Mapping[str, Metric]) -> Measure | None:
 def _measures(
     name: str, columns: Sequence[Measure], spec: Mapping[str, Any], known: Mapping[str, Metric]
 ) -> list[Measure]:
-    """The measures that the name of a metric or column stands for; none if it has no column.
-
-    Raises:
-        OctarmError: for an unknown name.
-    """
+    """The measures that the name of a metric or column stands for; none if it has no column."""
     of_metric = [column for column in columns if column.metric == name]
     single = [column for column in columns if column.name == name]
     if name not in known and not single:
@@ -341,66 +294,3 @@ def _suspects(
             lost |= here & (limit > 0.0) & (held[column] >= limit)
             exact |= here & (limit > 0.0) & (held[column] == 0.0)
     return lost, exact
-
-
-def _factors(
-    held: Mapping[str, np.ndarray],
-    spec: Mapping[str, Any],
-    names: Sequence[str],
-    declared: Mapping[str, Code],
-) -> list[Factor]:
-    """The factors that take more than one value."""
-    factors: list[Factor] = []
-    for name in names:
-        column, unit, title = held[name], _unit(name, declared), printable(name, _LONGEST)
-        if f"random.{name}" in spec:
-            factors += _drawn(title, unit, column)
-            continue
-        values = np.array(spec[f"grid.{name}"])
-        if len(values) < 2:
-            continue
-        words = column.dtype.kind != "f"
-        labels = tuple(printable(str(value), _LONGEST) for value in values.tolist())
-        if not words:
-            if values.dtype.kind not in "if":
-                raise OctarmError(f"the manifest of the sweep has words for values of {name}")
-            values = np.sort(values.astype(float))
-            labels = tuple(f"{v:g}" for v in values)
-        scaled = not words and bool(np.isfinite(values).all())
-        places = values if scaled else np.arange(len(values))
-        code = _places(column, values)
-        factors.append(Factor(title, unit, labels, places, scaled, drawn=False, code=code))
-    return factors
-
-
-def _drawn(name: str, unit: str, column: np.ndarray) -> list[Factor]:
-    """A drawn factor, cut into ranges with as many values each; none if there are too few."""
-    different = np.unique(column)
-    bins = min(len(different) // _FEWEST, _MOST_RANGES)
-    if bins < 2:
-        return []
-    edges = np.quantile(different, np.linspace(0.0, 1.0, bins + 1))
-    code = np.clip(np.searchsorted(edges, column, side="right") - 1, 0, bins - 1)
-    labels = tuple(f"{a:.3g} .. {b:.3g}" for a, b in itertools.pairwise(edges))
-    places = np.array([np.median(column[code == i]) for i in range(bins)])
-    return [Factor(name, unit, labels, places, scaled=True, drawn=True, code=code)]
-
-
-def _unit(factor: str, code: Mapping[str, Code]) -> str:
-    """The unit of a disturbance's field; empty for ratios and words."""
-    name, _, key = factor.removeprefix("disturbance.").partition(".")
-    kind = which(name)[0]
-    if factor == "mismatch" or kind not in (*DISTURBANCES, *code):
-        return ""
-    if kind in code:
-        units = {name: str(said["unit"]) for name, said in code[kind].declares.items()}
-    else:
-        kinds = field_kinds(DISTURBANCES[kind])
-        units = {kind.key or field: kind.unit for field, kind in kinds.items()}
-    unit = units.get(key or next(iter(units), ""), "")
-    return "" if unit == "1" else unit
-
-
-def _places(column: np.ndarray, values: npt.ArrayLike) -> np.ndarray:
-    """The places of a column's entries in a list, shape (n,)."""
-    return np.argmax(column[:, None] == np.asarray(values), axis=1)

@@ -14,8 +14,8 @@ from octarm.metrics.metric import SETTLED_AFTER
 from octarm.reports.charts import Scale, scales_of
 from octarm.reports.comparisons import Comparisons, Difference, Group
 from octarm.reports.consistency import Remark
+from octarm.reports.factors import Factor
 from octarm.reports.figures import COLORS, Picture
-from octarm.reports.frame import Factor
 from octarm.reports.statistics import CONFIDENCE, FEWEST, Interval
 
 
@@ -36,10 +36,7 @@ class Source(NamedTuple):
 
 
 def page(
-    comparisons: Comparisons,
-    remarks: Iterable[Remark],
-    pictures: Iterable[Picture],
-    source: Source,
+    comparisons: Comparisons, remarks: Iterable[Remark], pictures: Iterable[Picture], source: Source
 ) -> str:
     """The page as text; the same for the same numbers."""
     manifest = comparisons.episodes.manifest

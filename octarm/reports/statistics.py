@@ -53,10 +53,8 @@ class Interval(NamedTuple):
 def binomial(count: float, total: float, confidence: float = CONFIDENCE) -> Interval:
     """The share of a count with the exact interval of Clopper and Pearson; NaN without a trial.
 
-    Trials are independent. Their number need not be whole, see `share`.
-
-    Raises:
-        OctarmError: for a count that is not between 0 and the total.
+    Trials are independent. Their number need not be whole, see `share`. Raises OctarmError for a
+    count that is not between 0 and the total.
     """
     if total == 0 and count == 0:
         return Interval(np.nan, np.nan, np.nan)
@@ -76,12 +74,7 @@ def share(true: npt.ArrayLike, seeds: npt.ArrayLike, confidence: float = CONFIDE
     no more than there are rows, and no less than there are seeds. The variance is the one between
     seeds, and to one part in m + 1 the largest that there can be, that of seeds whose rows are all
     alike: m is the number of seeds with a true row, or with a false one if they are fewer. So it is
-    the latter alone where nothing was seen of a variance.
-
-    Args:
-        true: of the rows, shape (n,) of bool.
-        seeds: likewise, shape (n,).
-        confidence: of the interval.
+    the latter alone where nothing was seen of a variance. Rows and their seeds have shape (n,).
     """
     rows = np.asarray(true, dtype=np.float64)
     owner = np.unique(np.asarray(seeds), return_inverse=True)[1]
@@ -107,12 +100,8 @@ def medians(
 ) -> Interval:
     """Medians of columns, with the intervals of a sign test over seeds.
 
-    A value may be infinite: it counts as larger, or smaller, than all others.
-
-    Args:
-        values: a row an episode, shape (n, M); NaN where there is no value.
-        seeds: of the rows, shape (n,).
-        confidence: of the intervals.
+    There is a row an episode, shape (n, M), NaN where there is no value, with its seeds, shape
+    (n,). A value may be infinite: it counts as larger, or smaller, than all others.
 
     Returns:
         Three arrays of shape (M,); NaN where a column has no value, and for intervals where fewer
@@ -158,14 +147,9 @@ def paired(
     sign: npt.ArrayLike,
     **options: Any,
 ) -> Paired:
-    """Compares rows with their partners.
+    """Compares rows with their partners, both of shape (n, M) as `medians` takes them.
 
-    Args:
-        own: values, shape (n, M); see `medians`.
-        partner: those of the partners, shape (n, M).
-        seeds: of the rows, shape (n,).
-        sign: 1 where less is better, -1 where more is, 0 where neither, shape (M,).
-        options: those of `medians`.
+    The sign is 1 where less is better, -1 where more is, 0 where neither, shape (M,).
     """
     one, other = (np.asarray(x, dtype=np.float64) for x in (own, partner))
     sign = np.asarray(sign)

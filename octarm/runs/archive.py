@@ -21,9 +21,8 @@ from numpy.lib import format as npy
 from octarm.errors import FileError, OctarmError
 from octarm.files import whole_file
 from octarm.interfaces import Rows
-from octarm.simulation.stored import NUMBER
 from octarm.simulation.trajectory import BLOCK as BLOCK
-from octarm.simulation.trajectory import Ending, Trajectory, joined
+from octarm.simulation.trajectory import NUMBER, Ending, Trajectory, joined
 
 _LONGEST_HEADER = 10_000_000  # [byte]
 
@@ -36,12 +35,7 @@ class Archive:
     """
 
     def __init__(self, path: str | os.PathLike[str], *, rows: int) -> None:
-        """An archive that is empty.
-
-        Args:
-            path: of the file of blocks; its folder must exist.
-            rows: number that is expected, for which there must be room.
-        """
+        """An archive in a file of blocks, whose folder must exist, with room for so many rows."""
         self._path, self._expected, self._count = Path(path), rows, 0
         self._file: IO[bytes] | None = None
         # For each block where each of its arrays begins, how many bytes it has, and its shape.
@@ -65,15 +59,10 @@ class Archive:
         return self._count
 
     def add(self, rows: Rows, layer: np.ndarray | None = None) -> None:
-        """Appends rows; they are with the operating system afterwards.
+        """Appends a block of rows; they are with the operating system afterwards.
 
-        Args:
-            rows: a block of them.
-            layer: half width of the boundary layer, shape (2N,) [m/s], [rad/s]; None if there is
-                none.
-
-        Raises:
-            FileError: if the file cannot be written, or there is no room for all that is expected.
+        The half width of the boundary layer has shape (2N,) [m/s], [rad/s], if there is one. Raises
+        FileError if the file cannot be written, or there is no room for all that is expected.
         """
         arrays = dict(rows) if layer is None else {**rows, "layer": layer}
         block = np.empty((), [(name, NUMBER, np.shape(x)) for name, x in arrays.items()])

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, FiniteFloat
 
 from octarm.declared import Code
-from octarm.disturbances.drawn import Drawn
+from octarm.disturbances.ledger import Drawn
 from octarm.formats import Array, Model
 
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
@@ -44,8 +44,8 @@ class _Coordinate(_Table):
     unit: str
 
 
-class _Run(_Table):
-    """What is needed of `run.json` whatever is done with the run."""
+class Description(_Table):
+    """All that is read of `run.json`; of a run that is run again `REPEATED` must be there."""
 
     controller: _Controller
     parameters: dict[str, Any]
@@ -53,11 +53,6 @@ class _Run(_Table):
     code: dict[str, Code] = Field(default_factory=dict)
     plant: Plant | None = None
     spawn_key: Array[Annotated[int, Field(ge=0, lt=2**32)]] = ()
-
-
-class Description(_Run):
-    """All that is read of `run.json` to look at a run."""
-
     status: Literal["running", "ok", "diverged", "interrupted"]
     coordinates: Array[_Coordinate] = ()
     nominal: dict[str, Any] = Field(default_factory=dict)
@@ -77,15 +72,7 @@ class Description(_Run):
     command: str = ""
 
 
-class Inputs(_Run):
-    """What is read of `run.json` to run it again."""
-
-    nominal: dict[str, Any]
-    disturbances: Array[_Disturbance]
-    seed: Annotated[int, Field(ge=0)]
-    duration: Positive
-    timestep: Positive
-    control_period: Positive
-    actuation: str
-    integrator: str
-    engine: str
+REPEATED = (
+    "nominal", "disturbances", "seed", "duration", "timestep", "control_period", "actuation",
+    "integrator", "engine",
+)  # fmt: skip

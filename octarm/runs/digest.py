@@ -45,13 +45,9 @@ class StateDigest:
             self._alive = None if alive.all() else alive
 
     def update(self, q: np.ndarray, v: np.ndarray, alive: np.ndarray | None = None) -> None:
-        """Takes up the states at one instant.
+        """Takes up the states at one instant, q and v of shape (2N,), or (n, 2N) for a batch.
 
-        Args:
-            q: shape (2N,), or (n, 2N) for a batch [m], [rad].
-            v: likewise [m/s], [rad/s].
-            alive: arms that have not diverged, shape (n,) of bool; all of them when not given.
-                The number of the others stays as it is.
+        The number of arms that are not alive, shape (n,) of bool, stays as it is.
         """
         value = _mixed(q, 0)
         value += _mixed(v, q.shape[-1])

@@ -29,13 +29,14 @@ from octarm.metrics.table import Metrics, as_json
 from octarm.references import REFERENCES
 from octarm.runs import folder as runs
 from octarm.runs.archive import Archive
-from octarm.runs.description import Inputs
+from octarm.runs.description import REPEATED, Description
 from octarm.runs.place import new_folder
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import MUJOCO
-from octarm.simulation.environment import TrackingTask, load, whole_periods
+from octarm.simulation.environment import load, whole_periods
 from octarm.simulation.rollout import ArmRecorder, Observer, copied
 from octarm.simulation.stepping import AnyPhysics
+from octarm.simulation.task import TrackingTask
 from octarm.simulation.trajectory import Ending, Trajectory, joined
 
 _LIVE = 500  # rows of a block that is to be seen while the run goes on
@@ -65,27 +66,15 @@ OpenRecording = Callable[
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Experiment:
-    """All that a run of one arm depends on.
+    """All that a run of one arm depends on; see `octarm.load` for what is not said here.
 
     Attributes:
-        controller: name.
         gains: those that the factory of controllers is given.
         nominal: the model of the arm that the controller is given.
         parameters: the true arm.
-        reference: name of the desired motion.
-        disturbances: what acts on the arm that the controller does not know.
-        seed: of all that is random.
         spawn_key: of the `SeedSequence` that has this seed; empty but for episodes of sweeps.
         duration: of the run [s].
-        timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
-        control_period: time between control actions [s]; one physics step when None.
-        actuation: see `octarm.arm.actuation`.
-        integrator: see `octarm.load`.
-        engine: that steps the arm, see `octarm.simulation.engines`.
-        plant_modules: number of modules of the plant, see `octarm.load`; the arm itself when None.
-        layout: of that plant.
-        code: what is not built in by name, and metrics that are measured as well; see
-            `octarm.declared.named`.
+        code: what is not built in by name, and metrics that are measured as well.
     """
 
     controller: str
@@ -109,9 +98,8 @@ class Experiment:
     def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
         """The environment and the controller.
 
-        Raises:
-            OctarmError: if one of them cannot be made.
-            CodeChanged: if the code of one of them is not what it was.
+        Raises OctarmError if one of them cannot be made, CodeChanged if its code is not what it
+        was.
         """
         seed = self.seed
         if self.spawn_key:
@@ -178,11 +166,14 @@ class Experiment:
     def from_description(cls, description: Mapping[str, Any]) -> Experiment:
         """What was run, from the content of `run.json`; its factory is to be given all the gains.
 
-        Raises:
-            OctarmError: if something is missing or not allowed, or the reference is a custom one.
-            CodeChanged: if the code of a disturbance is not what it was.
+        Raises OctarmError if something is missing or not allowed, or the reference is a custom one,
+        CodeChanged if the code of a disturbance is not what it was.
         """
-        inputs = Document(runs.DESCRIPTION, description).read(Inputs)
+        document = Document(runs.DESCRIPTION, description)
+        inputs = document.read(Description)
+        for key in REPEATED:
+            if description.get(key) is None:
+                raise document.error(f"it needs a value of {key}", key)
         reference = inputs.reference.name
         if reference not in (*REFERENCES, *inputs.code):
             raise OctarmError(
@@ -219,13 +210,7 @@ def perform(
     *,
     progress: Callable[[], object] | None = None,
 ) -> tuple[Trajectory, dict[str, Any]]:
-    """Runs an experiment that was begun and announced, in memory.
-
-    Args:
-        environment: from `Experiment.begin`.
-        controller: likewise.
-        announced: from `Experiment.announcement`.
-        progress: called after every control period.
+    """Runs an experiment that was begun and announced, in memory; see `Experiment`.
 
     Returns:
         The trajectory, and the content of `run.json`: also what came of the run.
@@ -249,7 +234,7 @@ def run_into(
     partial: bool = True,
     live: Recording | None = None,
 ) -> tuple[Trajectory, dict[str, Any]]:
-    """Runs an experiment of any length into a run folder: recording, arrays and description.
+    """Runs an experiment that was begun and announced, of any length, into a run folder.
 
     Args:
         out: the folder; an earlier run there is replaced when this one is complete.
@@ -259,17 +244,16 @@ def run_into(
         recording: opens the recording.
         progress: called after every control period.
         keep: called with every block of rows, when it is on disk.
-        partial: whether a run that is interrupted is kept up to there, with the status
-            `interrupted`, unless there is an earlier one.
+        partial: whether a run that is interrupted is kept up to there, unless there is an earlier
+            one.
         live: takes the same rows in smaller blocks, as they come, and the complete description.
 
     Returns:
-        The trajectory, whose arrays stay on disk until they are looked at, and the content of
-        `run.json`.
+        The trajectory, whose arrays stay on disk until they are looked at, and what `run.json`
+            holds.
 
     Raises:
-        OctarmError: if the place is taken by something else.
-        FileError: if it cannot be written.
+        OctarmError: if the place is taken by something else, or cannot be written.
         KeyboardInterrupt: if interrupted, and nothing was kept.
     """
     expected = whole_periods(announced["duration"], environment.control_timestep())

@@ -61,17 +61,10 @@ def _plain(value: Any) -> Any:
     return plain(value.item()) if isinstance(value, np.generic) else type(value).__name__
 
 
-def write_run(folder: Path, rows: Trajectory, description: Mapping[str, Any]) -> None:
-    """Writes `run.npz`, then `run.json`, with which the run is complete, into a folder."""
-    rows.save(folder / ARRAYS)
-    write_description(folder, description)
-
-
 def write_description(folder: Path, description: Mapping[str, Any]) -> None:
     """Writes `run.json`, with the version of its format and the `checksums` of what is there.
 
-    Raises:
-        FileError: if it cannot be written.
+    Raises FileError if it cannot be written.
     """
     content = written(description)
     _write(folder, content, checksums(folder, content))
@@ -89,10 +82,6 @@ def checksums(folder: Path, content: Mapping[str, Any]) -> dict[str, str]:
 
     The latter covers what no repetition of the run can tell, such as its command; versions and
     machine are left out, and so is this table.
-
-    Args:
-        folder: of the run.
-        content: of `run.json`.
     """
     files = [folder / name for name in (ARRAYS, RECORDING)]
     covered = {key: value for key, value in content.items() if key not in (*NAMED, SUMS)}
@@ -104,9 +93,7 @@ def checksums(folder: Path, content: Mapping[str, Any]) -> dict[str, str]:
 def note_recording(folder: Path) -> None:
     """Enters a recording that was made again into `run.json`, which stays as it is otherwise.
 
-    Raises:
-        OctarmError: if the folder holds no run.
-        FileError: if it cannot be written.
+    Raises OctarmError if the folder holds no run, FileError if it cannot be written.
     """
     content = read_description(folder)
     stated = content.get(SUMS)
@@ -132,8 +119,7 @@ def _checksum(path: Path) -> str:
 def read_description(folder: Path) -> dict[str, Any]:
     """What was run, from `run.json`.
 
-    Raises:
-        OctarmError: if the folder holds no run, one of another format, or a value is not allowed.
+    Raises OctarmError if it is no run, one of another format, or a value is not allowed.
     """
     path = folder / DESCRIPTION
     if not os.path.isfile(path):  # nor is what cannot be a file's name
@@ -185,8 +171,7 @@ class Run(NamedTuple):
 def read_run(folder: str | Path) -> Run:
     """The run of a folder, in memory.
 
-    Raises:
-        OctarmError: if the folder holds no run.
+    Raises OctarmError if the folder holds no run.
     """
     folder = Path(folder)
     description = read_description(folder)
@@ -196,8 +181,7 @@ def read_run(folder: str | Path) -> Run:
 def map_run(folder: Path) -> Run:
     """The same, read from disk as far as it is looked at; what there is of a run that was killed.
 
-    Raises:
-        OctarmError: if the folder holds no run, or no rows of it.
+    Raises OctarmError if the folder holds no run, or no rows of it.
     """
     description = read_description(folder)
     arrays, blocks = folder / ARRAYS, folder / BLOCKS

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import fcntl
 import os
 import re
 import shutil
@@ -100,16 +101,9 @@ def _taken(folder: Path) -> str:
 def _claimed(folder: Path, made: list[Path]) -> Generator[None]:
     """Holds a lock on the folder, which dies with this process.
 
-    Folders that were made for it go if it cannot be opened, or the block fails.
-
-    Raises:
-        OctarmError: if another process, or another thread, holds it.
+    Folders that were made for it go if it cannot be opened, or the block fails. Raises OctarmError
+    if another process, or another thread, holds it.
     """
-    try:
-        import fcntl
-    except ImportError:  # not on POSIX
-        yield
-        return
     with _removed_on_failure(made):
         handle = os.open(folder, os.O_RDONLY)
     try:

@@ -44,17 +44,10 @@ class LagrangePhysics(AnyPhysics):
         timestep: float | None = None,
         threads: int = 1,
     ) -> None:
-        """Physics of one arm, or of a batch.
+        """Physics of one arm, or of a batch of `arms` with parameters of all or each of them.
 
-        Args:
-            parameters: of all arms, or with batch axis (n,).
-            arms: their number n; one arm without the batch axis when None.
-            actuation: how inputs act on them.
-            timestep: physics step [s]; that of models/octarm.xml when None.
-            threads: number of threads; results do not depend on it.
-
-        Raises:
-            OctarmError: if the timestep is not allowed, or an arm has no equilibrium.
+        The timestep [s] is that of models/octarm.xml when None; results do not depend on the number
+        of threads. Raises OctarmError if the timestep is not allowed, or an arm has no equilibrium.
         """
         n = parameters.modules
         self.batch_shape = () if arms is None else (arms,)
@@ -170,10 +163,8 @@ class PlantRows:
     def write(self, p: ArmParameters, gravity_angle: np.ndarray | float = 0.0) -> bool:
         """Writes the parameters, of all arms or with batch axis (n,).
 
-        The angle by which gravity turns has shape () or (n,) [rad].
-
-        Returns:
-            False: there are no constants that would have to follow.
+        The angle by which gravity turns has shape () or (n,) [rad]. False: no constants have to
+        follow.
         """
         self.plant, of = Plant(p, gravity_angle), p.entries
         half = of.half_width

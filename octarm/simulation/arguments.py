@@ -27,8 +27,7 @@ _DISTURBANCES = (
 def whole_number(name: str, value: Any, at_least: int, at_most: int | None = None) -> int:
     """An argument that counts something; a number with a point or a truth value counts nothing.
 
-    Raises:
-        OctarmError: unless it is a whole number of at least and at most so much.
+    Raises OctarmError unless it is a whole number of at least and at most so much.
     """
     try:
         number = None if isinstance(value, bool | np.bool) else operator.index(value)
@@ -83,6 +82,11 @@ def check_simulation(environment: Any, controller: Any, duration: Any) -> None:
         raise OctarmError(
             f"the environment is {quoted(environment)}; it must be what octarm.load returns"
         )
+    if environment.task.flat:
+        raise OctarmError(
+            "the environment has flat observations; a loop needs them one by one, as octarm.load "
+            "gives them without flat_observation"
+        )
     check_real("duration", duration)
     if (
         isinstance(controller, type)
@@ -96,15 +100,10 @@ def check_simulation(environment: Any, controller: Any, duration: Any) -> None:
 
 
 def commanded(answer: Any, shape: tuple[int, ...], *, first: bool) -> tuple[Command, Any]:
-    """What a controller answers: a command and its state.
+    """What a controller answers: a command and its state, the force of this shape (..., 2N).
 
-    Args:
-        answer: of the controller.
-        shape: of the force, (..., 2N).
-        first: whether signals and layer are looked at as well, as is done once in a run.
-
-    Raises:
-        OctarmError: unless the force is an array of real numbers, of this shape.
+    Signals and layer are looked at at the `first` answer of a run. Raises OctarmError unless the
+    force is an array of real numbers, of this shape.
     """
     pair = cast("tuple[Any, ...]", answer)
     if type(answer) is not tuple or len(pair) != 2 or not isinstance(pair[0], Command):

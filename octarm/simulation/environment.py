@@ -1,34 +1,26 @@
 """The tracking task on dm_control's environment loop."""
-# pyright: reportIncompatibleMethodOverride=false
-# (dm_control's abstract methods are inferred to return None)
 
 from __future__ import annotations
 
-import collections
 import math
-import operator
 from collections.abc import Sequence
 
 import numpy as np
 from dm_control.rl import control
-from dm_env import specs
 
 from octarm.arm.actuation import ACTUATIONS
 from octarm.arm.groups import PAPER, groups_of
-from octarm.arm.kinematics import arc_tip, last_axis, tip_position
-from octarm.arm.mjcf import build_model, build_slim_model, nominal_parameters, world_position
+from octarm.arm.mjcf import build_model, build_slim_model, nominal_parameters
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import split
-from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Disturbance, Episode
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Motion
 from octarm.memory import check_batch, check_steps
 from octarm.references import named_reference, wanted
 from octarm.simulation.arguments import check_load, whole_number
-from octarm.simulation.batch import BatchPhysics
 from octarm.simulation.engines import LAGRANGE, MUJOCO, check_engine
-from octarm.simulation.physics import ArmPhysics
+from octarm.simulation.physics import ArmPhysics, BatchPhysics
+from octarm.simulation.start import REST, Start
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.steps import (
     AUTO,
@@ -39,11 +31,14 @@ from octarm.simulation.steps import (
     step_check,
     steps_of,
 )
+from octarm.simulation.task import TrackingTask
 
 _MOST_THREADS = 1024
 
 # A tracking error of this size, by its unit, earns a tenth of the reward.
 _MARGINS = {"m": 0.01, "rad": 0.1}
+
+_DURATION = 10.0  # of an episode for which nothing else is asked [s]
 
 
 def load(
@@ -62,8 +57,11 @@ def load(
     engine: str = MUJOCO,
     plant_modules: int | None = None,
     layout: str = PAPER,
+    start: str = REST,
+    start_share: float = 0.1,
+    flat_observation: bool = False,
 ) -> control.Environment:
-    """The arm, hanging at rest, and a motion it shall follow; or a batch of n such arms.
+    """The arm, and a motion it shall follow; or a batch of n such arms.
 
     The action is tau, the input forces of eq (1), shape (2N,) [N]. What is within the arm's input
     range acts as the generalised force F_coeff(q) tau and is held for one control period. For a
@@ -85,8 +83,9 @@ def load(
             fastest mode of every arm that the disturbances may make.
         control_period: time between two actions [s], at most 10 s; when not given, one physics
             step, or 0.5 ms with the timestep `auto`.
-        duration: when an episode ends [s], rounded up to whole control periods; never when not
-            given.
+        duration: when an episode ends [s], rounded up to whole control periods. When not given, it
+            ends after 10 s, but `octarm.rollout` and all other loops go on for as long as they are
+            asked to.
         actuation: `f-coeff`, or `internal` for forces between neighbouring modules.
         seed: of all that is random. Arm i of a batch has the seed
             `SeedSequence(seed, spawn_key=(i,))`, unless one is given for each arm. The seeds of
@@ -99,17 +98,24 @@ def load(
             that stands for the same rod, of which the sums over N groups are measured and moved;
             see `octarm.arm.groups`. The arm itself when not given.
         layout: of that plant, `paper` or `centred`.
+        start: of an episode: `rest`, the arm hangs still; `random`, at a place that is drawn for
+            each episode and arm, and still; `moving`, with a drawn velocity, too.
+        start_share: share of what the inputs reach within which it is drawn, above 0 and at most 1;
+            see `octarm.simulation.start`.
+        flat_observation: whether all observations are one array, `observations`, of shape
+            (10N + 2,), in the order below; the loops of octarm need them one by one.
 
     Returns:
         An environment with the observations q, v, q_d, v_d, a_d, each of shape (2N,), and
-        tip_position, shape (3,), in the world frame, where the arm seems to have it.
+        tip_position, shape (2,), where the arm seems to have it: the world's x and z, in the plane
+        of the arm.
 
     Raises:
         OctarmError: for an unknown name, an engine that is not installed, a period that is not a
             whole multiple of the step, an arm that does not hang within its limits, a step that is
             too long for its fastest mode, or more arms than memory holds.
     """
-    times = {"control_period": control_period, "duration": duration}
+    times = {"control_period": control_period, "duration": duration, "start_share": start_share}
     if not isinstance(timestep, str):
         times["timestep"] = timestep
     check_load(reference, disturbances, parameters, seed, **times)
@@ -164,7 +170,7 @@ def load(
         rest, plant_rest = (x[*[0] * (x.ndim - 1)] for x in (rest, plant_rest))
     motion = named_reference(reference, rest) if isinstance(reference, str) else reference
     wanted(motion, 0.0, physics.q().shape)  # before it is used
-    limit = None if duration is None else whole_periods(duration, steps_a_period * step)
+    period = steps_a_period * step
     episode = Episode(
         parameters=true,
         timestep=step,
@@ -178,8 +184,11 @@ def load(
         episode,
         disturbances,
         margin=[_MARGINS[unit] for unit in physics.coordinates.units],
-        period=steps_a_period * step,
-        episode_periods=limit,
+        period=period,
+        periods=whole_periods(_DURATION if duration is None else duration, period),
+        lasting=duration is None,
+        start=Start.of(true, start, start_share),
+        flat=flat_observation,
     )
     return control.Environment(physics, task, n_sub_steps=steps_a_period)
 
@@ -224,144 +233,6 @@ def whole_periods(duration: float, period: float) -> int:
             f"1e9 control periods of {period:g} s"
         )
     return max(1, math.ceil(duration / period - 1e-6))
-
-
-class TrackingTask(control.Task):
-    """Follow a desired motion; the episode ends early when the arm leaves its limits.
-
-    Attributes:
-        reference: the desired motion.
-        disturbances: what acts on the arm that the controller does not know.
-        random: what wrappers draw from; a stream of the present episode.
-        episode: number of the present episode, from 0.
-        next_episode: number of the episode that the next reset starts; it may be written to.
-    """
-
-    def __init__(
-        self,
-        episode: Episode,
-        disturbances: Sequence[Disturbance] = (),
-        *,
-        margin: Sequence[float],
-        period: float,
-        episode_periods: int | None = None,
-    ) -> None:
-        """A task for episodes of whole control periods [s], of which the first one is given.
-
-        The margin is the error of each coordinate [m], [rad] that earns a tenth of the reward.
-        """
-        self.reference = episode.reference
-        self.disturbances = tuple(disturbances)
-        self.random = episode.streams("wrappers")[0]
-        self.episode = self.next_episode = 0
-        self._first = episode
-        ActiveDisturbances(self.disturbances, episode)  # raises when one does not suit the arm
-        self._margin = np.array(margin)
-        self._period = period
-        self._episode_periods = episode_periods
-        self._periods = 0
-        self._shape = (*episode.batch_shape, episode.coordinates)
-        self._desired = wanted(self.reference, 0.0, self._shape)
-
-    @property
-    def time(self) -> float:
-        """Time since the start of the episode [s]: whole control periods times their length."""
-        return self._periods * self._period
-
-    def desired_steps(self, step: float, count: int) -> np.ndarray:
-        """q_d at the physics steps of the present period, shape (count, ..., 2N) [m], [rad].
-
-        The step is given in seconds. As in the answers of the reference, (count, 2N) will do.
-        """
-        later = range(self._periods * count + 1, (self._periods + 1) * count)
-        rows = [wanted(self.reference, i * step, self._shape).q for i in later]
-        return np.stack([self._desired.q, *rows])
-
-    def initialize_episode(self, physics: AnyPhysics) -> None:
-        """The arm hangs still, as it does undisturbed; what changes it acts from here on.
-
-        Raises:
-            OctarmError: if the number of the episode is not a whole one, at least 0.
-        """
-        try:
-            index = operator.index(self.next_episode)
-        except TypeError:
-            index = -1
-        if index < 0:
-            given = self.next_episode
-            raise OctarmError(
-                f"next_episode is {quoted(given)}; it must be a whole number, at least 0"
-            )
-        episode = self._first.later(index)
-        self._start_at(0)
-        self.random = episode.streams("wrappers")[0]
-        rest = physics.plant_rest()
-        physics.set_motion(rest, np.zeros_like(rest))
-        physics.begin(ActiveDisturbances(self.disturbances, episode))
-        self.episode, self.next_episode = episode.index, episode.index + 1
-
-    def before_step(self, action: np.ndarray, physics: AnyPhysics) -> None:
-        """Holds the action, tau, shape (2N,) [N]."""
-        physics.set_control(action)
-
-    def after_step(self, physics: AnyPhysics) -> None:
-        """One control period has passed."""
-        del physics
-        self._start_at(self._periods + 1)
-
-    def action_spec(self, physics: AnyPhysics) -> specs.BoundedArray:
-        """Input forces tau, shape (2N,) [N], within the arm's input range."""
-        low, high = physics.input_range()
-        return specs.BoundedArray(low.shape, np.float64, low, high, name="tau")
-
-    def get_observation(self, physics: AnyPhysics) -> collections.OrderedDict[str, np.ndarray]:
-        """What is measured and what is wanted, in fresh arrays.
-
-        q, v, q_d, v_d and a_d have shape (..., 2N), tip_position has shape (..., 3); see `load`.
-        """
-        desired, active = self._desired, physics.active
-        q, v = physics.q(), physics.v()
-        if active is not None and active.sensors:  # nothing acts before the first episode
-            q, v = active.sensed(physics.steps(), q, v)
-            tip = self._seeming_tip(q)
-        else:
-            tip = physics.tip_position()
-        return collections.OrderedDict(
-            q=q,
-            v=v,
-            q_d=desired.q.copy(),
-            v_d=desired.v.copy(),
-            a_d=desired.a.copy(),
-            tip_position=tip,
-        )
-
-    def get_reward(self, physics: AnyPhysics) -> np.ndarray | float:
-        """In [0, 1], shape (...).
-
-        It is 1 without error, 0.1 when the rms of error by margin is 1, 0 when diverged.
-        """
-        error = (physics.q() - self._desired.q) / self._margin
-        mean = sum(split(error * error)) / error.shape[-1]
-        reward = np.exp(math.log(0.1) * mean)
-        return reward if physics.all_intact() else np.where(physics.intact(), reward, 0.0)[()]
-
-    def get_termination(self, physics: AnyPhysics) -> float | None:
-        """Discount 0 when every arm has left its limits, 1 when the time is up, else None."""
-        if physics.all_lost():
-            return 0.0
-        return 1.0 if self._periods == self._episode_periods else None
-
-    def _seeming_tip(self, q: np.ndarray) -> np.ndarray:
-        """The tip of an arm with these coordinates, shape (..., 3) [m], in the world frame."""
-        length = self._first.parameters.entries.tip_length
-        if self._first.groups is None:
-            return tip_position(q, length)
-        (x, y), (cos, sin) = arc_tip(q), last_axis(q)
-        return world_position(np.stack([x + length * cos, y + length * sin], axis=-1))
-
-    def _start_at(self, periods: int) -> None:
-        self._periods = periods
-        self._desired = wanted(self.reference, self.time, self._shape)
 
 
 def _whole_steps(period: float, step: float) -> int:

@@ -20,9 +20,8 @@ class Exclusive:
     def __enter__(self) -> None:
         """Begins a change.
 
-        Raises:
-            OctarmError: if another thread or a loop moves the arms, or two threads have done so
-                since they were reset.
+        Raises OctarmError if another thread or a loop moves the arms, or two threads have done so
+        since they were reset.
         """
         if not self._change.acquire(blocking=False):
             self._mixed = not self._loop.locked()
@@ -42,11 +41,7 @@ class Exclusive:
 
     @contextlib.contextmanager
     def loop(self) -> Generator[_Turn]:
-        """A loop, which moves the arms only within `with turn:`; nothing else moves them.
-
-        Raises:
-            OctarmError: if there is a loop already.
-        """
+        """A loop, which alone moves the arms, within `with turn:`; OctarmError if there is one."""
         if not self._loop.acquire(blocking=False):
             raise _refusal()
         try:

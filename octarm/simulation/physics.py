@@ -1,6 +1,7 @@
-"""One arm as MuJoCo steps it, behind dm_control's Physics."""
-# pyright: reportUnknownMemberType=false, reportIncompatibleMethodOverride=false
-# (the base class, dm_control's Physics, has no types)
+"""Arms as MuJoCo steps them: one behind dm_control's Physics, or many side by side."""
+# pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportIncompatibleMethodOverride=false
+# (mujoco ships no type stubs, the base class, dm_control's Physics, has no types)
 
 from __future__ import annotations
 
@@ -13,8 +14,11 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 from dm_control.rl import control
+from mujoco.batch import Batch
 
 from octarm.arm.actuation import Actuation, GroundedActuation
+from octarm.arm.kinematics import tip_position
+from octarm.arm.mjcf import build_slim_model, read_parameters, rest_of
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import coordinate_names
 from octarm.disturbances.episode import Plant
@@ -54,7 +58,7 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
             model,
             lambda name: getattr(data.ptr, name),
             lambda name: operator.attrgetter(name)(model),
-            ArmParameters.from_model(model),
+            read_parameters(model),
         )
         tip = model.sensor("tip_position").adr[0]
         self._state_size = mujoco.mj_stateSize(model, _INTEGRATION)
@@ -121,7 +125,7 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
         """The arm as it is in MuJoCo's model."""
         gravity = self.model.ptr.opt.gravity
         angle = float(np.arctan2(gravity[0], -gravity[2]))
-        return Plant(ArmParameters.from_model(self.model.ptr), angle)
+        return Plant(read_parameters(self.model.ptr), angle)
 
     def integration_state(self) -> np.ndarray:
         """All that the next step depends on (mjSTATE_INTEGRATION), shape (k,)."""
@@ -144,3 +148,70 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
         acceleration = np.abs(self.data.qacc[self._qvel_index])
         names = coordinate_names(len(acceleration) // 2)
         return names[int(np.argmax(np.nan_to_num(acceleration, nan=np.inf)))]
+
+
+class BatchPhysics(AnyPhysics):
+    """n arms, each of which gives bit for bit what it gives alone.
+
+    An arm that leaves its limits is frozen where it is; the others go on.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        arms: int,
+        actuation: Actuation,
+        *,
+        parameters: ArmParameters | None = None,
+        threads: int = 1,
+    ) -> None:
+        """Physics of so many arms, stepped by threads, on which results do not depend.
+
+        Parameters with batch axis (n,) take the place of the model's.
+        """
+        each = parameters if parameters is not None and parameters.batch_shape else None
+        self.batch = Batch(model, arms, threads)
+        self.batch_shape = (arms,)
+        self.actuation = actuation
+        undisturbed = each or read_parameters(model)
+        self._attach(model, self.batch.bind, self.batch.expand, undisturbed)
+        if each is not None:
+            self._fields.write(each)
+            self.batch.set_const()
+            for i in range(arms):
+                self._rest[i] = rest_of(build_slim_model(each.arm(i), self._timestep))
+        self.reset()
+
+    @property
+    def arms(self) -> int:
+        """Number of arms n."""
+        return self.batch.nsim
+
+    def tip_position(self) -> np.ndarray:
+        """Tips in the world frame, shape (n, 3) [m]."""
+        return tip_position(self.plant_q(), self._undisturbed.entries.tip_length)
+
+    def step(self, n_sub_steps: int = 1) -> None:
+        """Advances by physics steps; see `AnyPhysics.step`."""
+        with self.exclusive, np.errstate(all="ignore"):  # a frozen arm may hold anything
+            super().step(n_sub_steps)
+            if self.batch.warning.any():  # MuJoCo refused a state or an input of some arms
+                self.freeze(np.any(self.batch.warning, axis=(1, 2)))
+
+    def reset(self) -> None:
+        """All arms to the undisturbed model's defaults, with no input."""
+        with self.exclusive.anew():
+            self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+            self._forget()
+
+    def after_reset(self) -> None:
+        """Nothing is derived from the state."""
+
+    def _advance(self) -> None:
+        self.batch.step(None if self._all_intact else np.flatnonzero(self._intact))
+
+    def _check_limits(self) -> None:
+        self.freeze(~self.plant_limits.holding(self.plant_q(), self.plant_v()))
+
+    def _follow_inertias(self) -> None:
+        self.batch.set_const()

@@ -10,8 +10,8 @@ from dm_control.rl import control
 
 from octarm.interfaces import Controller, Measurement, Reference
 from octarm.simulation.arguments import check_simulation, commanded
-from octarm.simulation.environment import TrackingTask
 from octarm.simulation.stepping import AnyPhysics
+from octarm.simulation.task import TrackingTask
 
 
 class Policy:

@@ -19,10 +19,11 @@ from octarm.bars import visible
 from octarm.errors import OctarmError
 from octarm.interfaces import Controller, Instant, Measurement, Reference, Rows, Within
 from octarm.simulation.arguments import check_simulation, commanded
-from octarm.simulation.environment import TrackingTask, whole_periods
+from octarm.simulation.environment import whole_periods
 from octarm.simulation.physics import ArmPhysics
 from octarm.simulation.recorder import Recorder
 from octarm.simulation.stepping import AnyPhysics
+from octarm.simulation.task import TrackingTask
 from octarm.simulation.trajectory import BLOCK, Ending, Trajectory, joined
 
 _LARGEST_FORCE = 1e8  # [N], [N m]; MuJoCo would drop much larger ones
@@ -32,10 +33,7 @@ Observer = Callable[[Instant], object]
 
 
 def simulate(
-    environment: control.Environment,
-    controller: Controller,
-    duration: float,
-    *observers: Observer,
+    environment: control.Environment, controller: Controller, duration: float, *observers: Observer
 ) -> str:
     """The simulation loop: the environment's next episode, for one arm or a batch.
 
@@ -76,6 +74,7 @@ def _episode(
     steps = round(environment.control_timestep() / step)
     with turn:
         timestep = environment.reset()
+        task.go_on()
     state = controller.initial_state(physics.batch_shape)
     message = ""
     for period in range(periods):
@@ -130,22 +129,17 @@ def rollout(
     *,
     progress: Callable[[], object] | None = None,
 ) -> Trajectory:
-    """Runs the next episode of one arm, and records it.
+    """Runs the next episode of one arm, see `simulate`, and records it.
 
-    Args:
-        environment: what `octarm.load` returns, possibly wrapped.
-        controller: see `octarm.interfaces`.
-        duration: length of the run [s], rounded up to whole control periods.
-        progress: called after every control period; when not given, a bar says how far the run is
-            where it takes more than a second, on terminals and in notebooks.
+    The progress is called after every control period; when it is None, a bar says how far the run
+    is where it takes more than a second, on terminals and in notebooks.
 
     Returns:
         The trajectory; its status is `diverged` when the arm left its limits, or a force was not
         finite. Such a run ends there.
 
     Raises:
-        OctarmError: if the duration is not positive, the controller's force has a wrong shape, the
-            environment holds a batch of arms, or something else moves the arm meanwhile.
+        OctarmError: as `simulate` does, or if the environment holds a batch of arms.
     """
     check_simulation(environment, controller, duration)
     blocks: list[Rows] = []
@@ -185,11 +179,7 @@ class ArmRecorder(Recorder):
         *,
         rows: int = BLOCK,
     ) -> None:
-        """A recorder of blocks of so many physics steps, empty.
-
-        Raises:
-            OctarmError: if the environment holds a batch of arms.
-        """
+        """A recorder of blocks of so many physics steps; OctarmError for a batch of arms."""
         self._environment = environment
         self._physics: ArmPhysics = environment.physics
         if self._physics.batch_shape:
@@ -219,12 +209,8 @@ class ArmRecorder(Recorder):
     def run(self, controller: Controller, duration: float, *observers: Observer) -> Ending:
         """Runs the next episode, as `rollout` does; to be called once.
 
-        An interrupt ends the run. Further observers are called after every control period.
-
-        Raises:
-            OctarmError: if the duration is not positive, or the controller's force has a wrong
-                shape.
-            KeyboardInterrupt: if interrupted before there was a row.
+        An interrupt ends the run; it is a KeyboardInterrupt where there was no row before. Further
+        observers are called after every control period.
         """
         interrupted = False
         try:

@@ -20,7 +20,7 @@ from dm_control.rl import control
 from octarm.arm.actuation import Actuation
 from octarm.arm.groups import Groups
 from octarm.arm.limits import Limits
-from octarm.arm.mjcf import PlantFields, paper_order
+from octarm.arm.mjcf import PlantFields, paper_order, rest_of
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Coordinates, planar_coordinates, stacked
 from octarm.disturbances.active import ActiveDisturbances
@@ -38,12 +38,9 @@ class AnyPhysics(control.Physics):
     its groups: its own coordinates are those of the methods `plant_..` and of `set_motion`.
 
     Attributes:
-        batch_shape: batch axes of all arrays.
-        coordinates: names and units of the coordinates and inputs.
-        actuation: how inputs act on the arms.
-        limits: beyond which an arm has diverged.
+        limits: beyond which an arm has diverged; `plant_limits` are those of each module of the
+            plant.
         groups: through which a plant of more modules is seen; None where every module is measured.
-        plant_limits: the limits of each module of the plant.
         active: the disturbances of this episode; None before the first one.
         watch: called when an episode begins, and after every physics step.
         exclusive: by which `reset`, `set_control` and `step` refuse a second user.
@@ -66,14 +63,7 @@ class AnyPhysics(control.Physics):
         field: Callable[[str], np.ndarray],
         undisturbed: ArmParameters,
     ) -> None:
-        """Connects to MuJoCo's memory.
-
-        Args:
-            model: of the arms.
-            state: the array of a state variable or an input of all arms, by MuJoCo's name.
-            field: the array of a model's field, likewise.
-            undisturbed: the arms' parameters, of one arm or with batch axis (n,).
-        """
+        """Connects to MuJoCo's memory: arrays of states and model fields by its names."""
         self._qpos_index, self._qvel_index = paper_order(model)
         # Views of MuJoCo's memory, kept because looking them up costs as much as a small product;
         # of those that are read the coordinate is the first axis.
@@ -83,13 +73,7 @@ class AnyPhysics(control.Physics):
         self._describe(undisturbed, float(model.opt.timestep), rest_of(model))
 
     def _describe(self, undisturbed: ArmParameters, timestep: float, rest: np.ndarray) -> None:
-        """Takes what is the same in every episode.
-
-        Args:
-            undisturbed: the arms' parameters, of one arm or with batch axis (n,).
-            timestep: physics step [s].
-            rest: the loaded equilibrium of an arm, shape (2N,) [m], [rad].
-        """
+        """Takes what is the same in every episode; an arm hangs at `rest`, shape (2N,)."""
         self._timestep, self._undisturbed = timestep, undisturbed
         self.plant_limits = Limits.of(undisturbed)
         self._rest = self._alike(rest)
@@ -124,15 +108,11 @@ class AnyPhysics(control.Physics):
         """Makes MuJoCo's constants follow inertias that were written."""
 
     def divergence(self) -> str:
-        """How an arm alone has left its limits and when, as a sentence; empty if it has not.
-
-        It is empty for a batch, whose arms diverge one by one, see `intact`.
-        """
+        """How an arm alone has left its limits and when; empty if it has not, and for a batch."""
         violation = "" if self.batch_shape else self._violation()
         return f"diverged at t = {self.time():.6g} s: {violation}" if violation else ""
 
     def _violation(self) -> str:
-        """Which coordinate of one arm has left its limits; empty if none has."""
         violation = self.limits.violation(self.q(), self.v())
         if violation or self.groups is None:
             return violation
@@ -175,19 +155,15 @@ class AnyPhysics(control.Physics):
     def within(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """The physics steps of the last `step`, of which there were several.
 
-        Returns:
-            `q`, `received` and `plant_tip` of an `octarm.interfaces.Within`, shapes (m, ..., 2N),
-            (m, ..., 2N) and (m, ..., 2) [m], [rad], [N]. A step that was not taken any more, as no
-            arm was left, is like the last one.
+        They are `q`, `received` and `plant_tip` of an `octarm.interfaces.Within`, shapes (m, ...,
+        2N), (m, ..., 2N) and (m, ..., 2). A step that was not taken any more, as no arm was left,
+        is like the last.
         """
         q, received, *tip = self._within
         return q, received, tip[0] if tip else None
 
     def reachable_inputs(self) -> tuple[np.ndarray, np.ndarray]:
-        """The input range, narrowed by what this episode's disturbances limit the inputs to.
-
-        The lowest and the highest input forces, each of shape (..., 2N) [N].
-        """
+        """The input range, narrowed by this episode's disturbances, each of shape (..., 2N) [N]."""
         low, high = self.input_range()
         for bound in () if self.active is None else self.active.input_bounds:
             low, high = np.maximum(low, -np.asarray(bound)), np.minimum(high, bound)
@@ -249,24 +225,17 @@ class AnyPhysics(control.Physics):
         self._qvel[self._qvel_index] = v.T
 
     def set_control(self, control: np.ndarray) -> None:
-        """Holds the input forces tau, shape (..., 2N) [N], until the next call.
-
-        Raises:
-            OctarmError: unless they are numbers of this shape.
-        """
+        """Holds tau, shape (..., 2N) [N], until the next call; OctarmError for another shape."""
         with self.exclusive:
+            shape = self._zero.shape
             try:
                 tau = np.array(control, dtype=np.float64)
             except (TypeError, ValueError):
-                raise OctarmError(
-                    f"the action is {quoted(control)}; it must be an array of numbers"
-                ) from None
-            if tau.shape != self._zero.shape:
-                raise OctarmError(
-                    f"the action has shape {tau.shape}; it must be {self._zero.shape}"
-                )
-            self._tau = tau
-            self._possible = self._within_range(self._tau)
+                what = f"the action is {quoted(control)}; it must be an array of numbers"
+                raise OctarmError(what) from None
+            if tau.shape != shape:
+                raise OctarmError(f"the action has shape {tau.shape}; it must be {shape}")
+            self._tau, self._possible = tau, self._within_range(tau)
 
     @contextlib.contextmanager
     def reset_context(self) -> Generator[AnyPhysics]:
@@ -277,7 +246,7 @@ class AnyPhysics(control.Physics):
     def begin(self, active: ActiveDisturbances) -> None:
         """Starts an episode under these disturbances, the arms standing where they were placed."""
         self.active = active
-        self._change(active)
+        self._write(active.plant(self._steps))
         active.record(0, self.q(), self.v())
         if self.watch is not None:
             self.watch(self)
@@ -321,60 +290,49 @@ class AnyPhysics(control.Physics):
                 return
 
     def _memory(self, steps: int) -> list[np.ndarray]:
-        """Memory for what `within` returns of so many steps."""
         like = [self._zero] * 2 + [self._zero[..., :2]] * (self.groups is not None)
         return [stacked(row, steps) for row in like]
 
     def _receive(self, nstep: int) -> None:
-        """What acts during the next physics step."""
         received, active = self._possible, self.active
+        middle = q = self._zero
+        if self.groups is not None or (active is not None and active.forces):
+            middle = self._middle()
+            q = middle if self.groups is None else self.groups.measured(middle)
         if active is not None:
-            self._change(active)
+            self._write(active.plant(self._steps))
             if active.actuators:
                 received = self._within_range(active.received(self._steps, received))
             if active.forces:
-                middle = self._middle()
-                q = middle if self.groups is None else self.groups.measured(middle)
                 self._added[self._qvel_index] = active.force(self._steps, q, middle).T
                 mean = active.measured_force() / nstep
                 if not self._all_intact:
                     mean = np.where(self._intact[..., None], mean, 0.0)
                 self._disturbance = self._disturbance + mean
         self._received = received
-        self._ctrl[...] = self._motors(received)
+        if self.groups is None:
+            self._ctrl[...] = self.actuation.ctrl(received)
+        else:
+            self._ctrl[...] = self.groups.ctrl(self.actuation.force(q, received))
 
     def _middle(self) -> np.ndarray:
         """Where the plants will be in the middle of a step, shape (..., 2N) [m], [rad].
 
-        Forces that depend on q are taken there and held over the step. Taken at its start, they
-        would be late by half a step: of first order, and a spring would feed the arm energy. So
-        they are of second order.
+        Forces that depend on q are taken there and held over the step: they are of second order.
+        Taken at its start, they would be late by half a step, and a spring would feed the arm
+        energy.
         """
         return self.plant_q() + (0.5 * self._timestep) * self.plant_v()
 
-    def _motors(self, tau: np.ndarray) -> np.ndarray:
-        """`ctrl` under input forces tau, shapes (..., 4N - 2) and (..., 2N) [N]."""
-        if self.groups is None:
-            return self.actuation.ctrl(tau)
-        q = self.groups.measured(self._middle())
-        return self.groups.ctrl(self.actuation.force(q, tau))
-
     def _within_range(self, tau: np.ndarray) -> np.ndarray:
-        """What the actuators can give of the input forces tau, shape (..., 2N) [N]."""
         if not self._limited:
             return tau
         low, high = self._input_range
         return np.minimum(np.maximum(tau, low), high)
 
-    def _change(self, active: ActiveDisturbances) -> None:
-        """Lets the plants follow their disturbances."""
-        plant = active.plant(self._steps)
-        if plant is not None:
-            self._write(plant)
-
-    def _write(self, plant: Plant) -> None:
-        """Makes the plants these."""
-        if self._fields.write(plant.parameters, plant.gravity_angle):
+    def _write(self, plant: Plant | None) -> None:
+        """Makes the plants these, if they have changed."""
+        if plant is not None and self._fields.write(plant.parameters, plant.gravity_angle):
             self._follow_inertias()
 
     def _forget(self) -> None:
@@ -393,8 +351,3 @@ class AnyPhysics(control.Physics):
         """The same row for every arm, shape (..., k), contiguous along the arms."""
         shape = (len(row), *self.batch_shape)
         return np.broadcast_to(row.reshape(-1, *[1] * len(self.batch_shape)), shape).copy().T
-
-
-def rest_of(model: mujoco.MjModel) -> np.ndarray:
-    """The loaded equilibrium of a model in the paper's order, shape (2N,) [m], [rad]."""
-    return model.key("hanging").qpos[paper_order(model)[0]]

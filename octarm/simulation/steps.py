@@ -17,7 +17,7 @@ import numpy as np
 
 from octarm.arm.groups import Groups
 from octarm.arm.lagrange import equilibrium
-from octarm.arm.mjcf import build_slim_model
+from octarm.arm.mjcf import physics_step
 from octarm.arm.modes import INTEGRATORS, longest_step, rate_bound, rates
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.active import ActiveDisturbances
@@ -47,13 +47,7 @@ def integrator_of(name: str) -> int:
 def step_check(
     rest: np.ndarray, timestep: float, integrator: str
 ) -> Callable[[ArmParameters], None]:
-    """What refuses arms for which a step is too long, as `Episode.check_arm`.
-
-    Args:
-        rest: where the undisturbed arms hang, shape (..., 2N) [m], [rad].
-        timestep: physics step [s].
-        integrator: name.
-    """
+    """What refuses arms that hang at rest, shape (..., 2N), for which a step [s] is too long."""
     return functools.partial(_check, rest, timestep, integrator)
 
 
@@ -101,7 +95,6 @@ def _fastest(arm: ArmParameters, rest: np.ndarray, allowed: float) -> str:
 
 
 def _rounded_down(x: float) -> float:
-    """A positive number to three digits, not above it."""
     unit = 10.0 ** (math.floor(math.log10(x)) - 2) if x > 0.0 else 1.0
     return math.floor(x / unit * (1.0 + 1e-12)) * unit
 
@@ -133,18 +126,12 @@ def check_arms(
     timestep: float | None,
     groups: Groups | None = None,
 ) -> None:
-    """Raises StepError if a step is too long for an arm of an episode.
+    """Raises StepError if a step [s] is too long for an arm of an episode, see `Episode`.
 
-    Args:
-        arm: undisturbed parameters, of one arm or of the batch.
-        disturbances: of which those count that change the arm.
-        seeds: one an arm.
-        batch_shape: () or (n,).
-        integrator: name.
-        timestep: physics step [s]; that of `models/octarm.xml` if None.
-        groups: of a plant of more modules.
+    Of the disturbances those count that change the arm. The step is that of `models/octarm.xml` if
+    None.
     """
-    step = usual_step() if timestep is None else timestep
+    step = physics_step() if timestep is None else timestep
 
     def look(rest: np.ndarray, arms: ArmParameters) -> None:
         _check(rest, step, integrator, arms)
@@ -166,7 +153,7 @@ def _survey(
     still = Reference(q, np.zeros_like(q), np.zeros_like(q))
     episode = Episode(
         parameters=arm,
-        timestep=usual_step(),
+        timestep=physics_step(),
         reference=lambda t: still,
         seeds=seeds,
         batch_shape=batch_shape,
@@ -180,12 +167,10 @@ def fitting_step(longest: float, control_period: float | None) -> tuple[float, f
     """A step [s] for arms with this longest stable step [s], and the control period [s].
 
     It is a period over 1, 2, 5, 10, 20 and so on, shorter than the longest stable one by a tenth at
-    least, and at most that of `models/octarm.xml`, which the period is if None.
-
-    Raises:
-        OctarmError: if it would be below 1e-7 s.
+    least, and at most that of `models/octarm.xml`, which the period is if None. Raises OctarmError
+    if it would be below 1e-7 s.
     """
-    usual = usual_step()
+    usual = physics_step()
     period = usual if control_period is None else control_period
     if not period > 0.0:
         raise OctarmError(f"control period is {period:g} s; it must be positive")
@@ -210,9 +195,3 @@ def check_period(period: float, step: float) -> None:
             f"control period is {period:g} s; it must be at most {most:g} s: an arm that is left "
             "alone for longer than it swings is not controlled"
         )
-
-
-@functools.cache
-def usual_step() -> float:
-    """The physics step of `models/octarm.xml` [s]."""
-    return float(build_slim_model().opt.timestep)

@@ -30,15 +30,14 @@ def dask_cluster(
     is no worker.
 
     Args:
-        address: of a scheduler, such as `tcp://10.0.0.1:8786`; or `local` for a cluster of this
+        address: of a scheduler, such as `tcp://10.0.0.1:8786`; `local` for a cluster of this
             machine.
         workers: number of processes of a local cluster.
         wait: how long it may have no worker, at the beginning or later [s].
 
     Raises:
-        OctarmError: if the package distributed is not installed, there is no scheduler at the
-            address, it has no worker for too long, or a worker lacks something or has it in another
-            version. The number of calls raises it, too.
+        OctarmError: if the package distributed is not installed, no scheduler answers, it has no
+            worker for too long, or a worker lacks something. The number of calls raises it, too.
     """
     check_not_beginning()
     if not wait >= 0.0:
@@ -92,7 +91,6 @@ class _Executor(Executor):
         self._executor: Executor = client.get_executor(pure=False)  # what failed is tried again
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Has the cluster call a function."""
         from distributed import KilledWorker
 
         answer: Future[Any] = Future()
@@ -129,18 +127,13 @@ class _Watch:
         self._looked_at: set[str] = set()
 
     def wait(self) -> None:
-        """Waits for the first worker."""
         call = self._client.submit(os.getpid, pure=False)  # a cluster may grow with the demand
         while not self.threads():
             time.sleep(_GLANCE)
         call.release()
 
     def threads(self) -> int:
-        """The number of threads of all workers.
-
-        Raises:
-            OctarmError: if there have been none for too long, or a new worker will not do.
-        """
+        """The number of threads of all workers; raises OctarmError if they will not do."""
         try:
             threads: Mapping[str, int] = self._client.nthreads()
             if not self._looked_at >= threads.keys():
@@ -181,13 +174,11 @@ class _Watch:
 
 
 def _needed() -> dict[str, str]:
-    """What a shard depends on, and its versions here."""
     needed = {name: x for name, x in versions().items() if name not in _UNUSED}
     return {**needed, "python": _minor(needed["python"])}
 
 
 def _minor(version: str) -> str:
-    """The version of Python that decides whether functions can be sent."""
     return ".".join(version.split(".")[:2])
 
 

@@ -31,9 +31,6 @@ class FinishedSweep:
     """A sweep folder, whose episodes can be run again one by one.
 
     Attributes:
-        path: the folder.
-        plan: of its episodes.
-        manifest: content of `manifest.json`.
         gains: of each controller for the first arm when the sweep was begun.
     """
 
@@ -99,12 +96,8 @@ class FinishedSweep:
     ) -> tuple[control.Environment, Controller, dict[str, Any]]:
         """Environment and controller of an episode that is run alone, and its announcement.
 
-        Args:
-            episode: number.
-            factory: of the controllers, the one that the sweep had.
-
-        Raises:
-            OctarmError: if the episode is not there or cannot be made.
+        The factory is the one that the sweep had. Raises OctarmError if the episode is not there or
+        cannot be made.
         """
 
         def make(name: str, nominal: Any, gains: Mapping[str, Any]) -> Controller:
@@ -119,12 +112,9 @@ class FinishedSweep:
 def first_difference(
     was: Sequence[int], now: Sequence[int], duration: float
 ) -> tuple[float, float] | None:
-    """Between which instants [s] two motions part; None if they do not.
+    """Between which instants [s] two motions of a duration [s] part; None if they do not.
 
-    Args:
-        was: checkpoints of one of them, see `octarm.runs.digest.StateDigest`.
-        now: of the other one.
-        duration: of both [s].
+    They are given by their checkpoints, see `octarm.runs.digest.StateDigest`.
     """
     for k, pair in enumerate(zip(was, now, strict=True)):
         if pair[0] != pair[1]:
@@ -151,14 +141,8 @@ def select(table: pa.Table, record: Sequence[int | str]) -> Selection:
     - `median`: the middle one of them by `METRIC`, the lower one of two;
     - `diverged`: the one that diverged first.
 
-    Of equals it is the one with the lowest number. The reason for a number is `chosen`.
-
-    Args:
-        table: of a sweep, with at least `COLUMNS`.
-        record: numbers and words.
-
-    Raises:
-        OctarmError: if the table has no episode of a number.
+    Of equals it is the one with the lowest number. The reason for a number is `chosen`. The table
+    has at least `COLUMNS`. Raises OctarmError if it has no episode of a number.
     """
     episodes, controllers, status, lost, size = (
         table[name].to_numpy(zero_copy_only=False) for name in COLUMNS
@@ -201,7 +185,7 @@ def record_episodes(
     Those that are there already are left alone. After an interruption the next call goes on.
 
     Args:
-        sweep: the sweep, whose rows of these episodes are there.
+        sweep: whose rows of these episodes are there.
         reasons: see `select`.
         factory: of the controllers, the one that the sweep had.
         begin: called before every run with its number of control periods and what it is.
@@ -211,9 +195,7 @@ def record_episodes(
         Where a run differs from what the sweep's table says of it: a sentence by episode.
 
     Raises:
-        OctarmError: if an episode cannot be run.
-        OSError: if a folder cannot be written.
-        KeyboardInterrupt: if interrupted; finished folders stay.
+        OctarmError: if an episode cannot be run, or a folder cannot be written.
     """
     from octarm.recordings.recording import run_recording  # the import takes half a second
 
@@ -254,7 +236,6 @@ def _is_there(folder: Path, episode: int) -> bool:
 
 
 def _difference(sweep: FinishedSweep, episode: int, trajectory: Trajectory, periods: int) -> str:
-    """How a recorded run differs from its row; empty if it does not."""
     digest = StateDigest(periods)
     for q, v in zip(trajectory.q, trajectory.v, strict=True):
         digest.update(q, v)

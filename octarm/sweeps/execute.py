@@ -7,14 +7,8 @@ import contextlib
 import dataclasses
 import time
 from collections.abc import Callable
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    wait,
-)
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from concurrent.futures import wait as first_of
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,11 +19,10 @@ from octarm.interfaces import ControllerFactory, Instant
 from octarm.memory import check_batch
 from octarm.runs import folder as runs
 from octarm.simulation.environment import whole_periods
-from octarm.sweeps.plan import Plan
+from octarm.sweeps.plan import Plan, with_step
 from octarm.sweeps.progress import Note, Notes
 from octarm.sweeps.shards import begin, run_arms, run_shard
 from octarm.sweeps.spec import SweepSpec
-from octarm.sweeps.steps import with_step
 from octarm.sweeps.store import PROGRESS, SweepFolder, shard_bytes
 from octarm.sweeps.workers import WorkerProcesses, WorkersError, check_not_beginning, cores
 
@@ -64,9 +57,8 @@ def sweep(
     Args:
         spec: see `octarm.sweeps.spec_file.read_spec`.
         factory: makes a controller from its name, the nominal model and gains, and the gain set if
-            the spec names one, as `controllers.make_controller` does; other processes have to be
-            able to import it.
-        out: folder of the sweep.
+            the spec names one; other processes have to be able to import it.
+        out: folder of the sweep, which is returned.
         executor: that runs the shards; processes on all cores when not given.
         in_flight: number of shards that it is given at a time, 0 when it has nobody to run them;
             one a core when not given.
@@ -78,12 +70,9 @@ def sweep(
             work are worth.
         say: called with sentences on what happens meanwhile.
 
-    Returns:
-        The folder.
-
     Raises:
-        OctarmError: for a spec that cannot be run, or a folder that holds something else.
-        OSError: if the folder cannot be written; what was finished is kept.
+        OctarmError: for a spec that cannot be run, or a folder that holds something else or cannot
+            be written; what was finished is kept.
         RuntimeError: if shards failed; the others are kept.
         KeyboardInterrupt: if interrupted, when the shards at work are finished; at once if
             interrupted again. It says what is there.
@@ -141,7 +130,6 @@ class _Run:
         self._interrupted = False
 
     def go(self, limit: int | Callable[[], int]) -> None:
-        """Runs them, so many at a time."""
         useful = 1
         while self._at_work or (self.pending and not self._stopping):
             try:
@@ -149,7 +137,7 @@ class _Run:
                 if self._interrupted and not useful:
                     return
                 self._begin(max(1, useful))
-                for future in wait(self._at_work, _GLANCE, FIRST_COMPLETED).done:
+                for future in first_of(self._at_work, _GLANCE, "FIRST_COMPLETED").done:
                     self._take(self._at_work[future], future)
                     del self._at_work[future]
                 future = None  # a cluster keeps the result for as long as anybody might ask for it
@@ -170,7 +158,6 @@ class _Run:
             raise OctarmError(f"{error}; {self._left()}") from error
 
     def report(self) -> None:
-        """Raises the error that the run ended with, if it did."""
         if self._interrupted:
             raise KeyboardInterrupt(self._left())
         if self._failed:
@@ -190,7 +177,6 @@ class _Run:
         return f"shards left to do: {left}, the others are kept; --resume goes on"
 
     def _begin(self, limit: int) -> None:
-        """Submits shards, if the run goes on."""
         while len(self._at_work) < limit and self.pending and not self._stopping:
             shard = self.pending[0]
             self.notes.forget(shard)
@@ -200,7 +186,6 @@ class _Run:
             del self.pending[0]
 
     def _take(self, shard: int, future: Future[pa.Table]) -> None:
-        """Keeps a finished shard, or has it run again."""
         try:
             table = future.result()
         except (BrokenExecutor, CancelledError) as error:
@@ -224,8 +209,7 @@ class _Run:
 def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
     """Runs a control period of every controller with every value of every axis.
 
-    Returns:
-        The gains of each controller for the first arm, ready for JSON.
+    It returns the gains of each controller for the first arm, ready for JSON.
     """
     nominal = plan.spec.all_arms()[0]
     check_batch(
@@ -244,14 +228,10 @@ def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
 
 
 class Forecast(NamedTuple):
-    """What a sweep will take.
+    """What a sweep will take: seconds of one worker, at most `size` bytes on disk.
 
     Attributes:
-        episodes: their number.
         periods: number of control periods of an episode.
-        shards: their number.
-        seconds: that one worker needs [s].
-        size: of the table on disk, at most [byte].
     """
 
     episodes: int

@@ -15,7 +15,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
-from octarm.errors import FileError, OctarmError
+from octarm.errors import OctarmError
+from octarm.files import read_bytes
 from octarm.formats import FORMAT, check_format, read_json, spelt
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spec import hash_of
@@ -35,10 +36,8 @@ _SUM = re.compile(r"[0-9a-f]{64}|")  # empty for a shard that is not finished
 def new_manifest(plan: Plan, gains: Mapping[str, Any], spec_file: bytes) -> dict[str, Any]:
     """The manifest of a sweep that begins, without a start.
 
-    Args:
-        plan: of the sweep.
-        gains: of each controller for the nominal arm.
-        spec_file: content of `spec.toml`.
+    It holds the gains of each controller for the nominal arm; `spec_file` are the bytes of
+    `spec.toml`.
     """
     return {
         "format": FORMAT,
@@ -55,9 +54,7 @@ def new_manifest(plan: Plan, gains: Mapping[str, Any], spec_file: bytes) -> dict
 def open_sweep(folder: Path) -> tuple[Plan, dict[str, Any]]:
     """The plan of a sweep folder and its manifest, which agree; all that reads a sweep begins here.
 
-    Raises:
-        OctarmError: if the folder holds no sweep, one of another format, or one whose `spec.toml`
-            or `manifest.json` was changed.
+    Raises OctarmError if it is no sweep, one of another format, or one whose files were changed.
     """
     file = folder / MANIFEST
     if not os.path.isfile(file):  # nor is what cannot be a file's name
@@ -77,10 +74,7 @@ def open_sweep(folder: Path) -> tuple[Plan, dict[str, Any]]:
 
 def _plan(file: Path, sha256: Any) -> Plan:
     """The plan of `spec.toml`, which has to be the file that the sweep was begun with."""
-    try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise FileError(f"{file} cannot be read: {error.strerror}") from None
+    content = read_bytes(file)
     if hashlib.sha256(content).hexdigest() != sha256:
         raise OctarmError(
             f"{file} was changed: it is not what the sweep was run with, or {MANIFEST} was changed"
@@ -121,7 +115,6 @@ def _is_start(start: Any) -> bool:
 
 
 def _shards(plan: Plan) -> list[dict[str, Any]]:
-    """What the manifest says of each shard but its SHA-256."""
     return [
         {"file": f"{EPISODES}/{i:05d}.parquet", "first": each.start, "episodes": len(each)}
         for i, each in enumerate(plan.shards)

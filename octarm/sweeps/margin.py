@@ -1,10 +1,9 @@
 """Robustness margins: how far something may grow before an error bound is broken.
 
 Each seed has a margin of its own. The bound is tried on a coarse grid of values, the same for all
-seeds, and then at some values between the last one that met it and the first one that did not, of
-every seed at once, until that gap is small. It is taken for granted that the bound is not met again
-further on; where the grid shows that it is, that is reported, and the margin is that of the first
-failure.
+seeds, and then within the gap between the last one that met it and the first one that did not, of
+every seed at once, until that is small. Where the grid shows that the bound is met again further
+on, that is reported, and the margin is that of the first failure.
 """
 
 from __future__ import annotations
@@ -42,8 +41,8 @@ class Attempt(NamedTuple):
     """What came of some arms.
 
     Attributes:
-        excess: the measure over its bound, the largest of them if there are several, shape (n,)
-            [1]; the bound is met up to 1. Infinite for an arm that diverged.
+        excess: the measure over its bound, the largest of several, shape (n,) [1]; the bound is met
+            up to 1. Infinite for an arm that diverged.
         digest: a number that stands for the motion, shape (n,).
     """
 
@@ -66,8 +65,8 @@ class Brackets:
         again: whether a larger share met it again, shape (n,).
         grid: the shares of the coarse grid, shape (k,).
         excess: what came of them, shape (n, k).
-        alike: whether all seeds gave the same motion on the grid, bit by bit; the rest is then that
-            of the first one.
+        alike: whether all seeds gave the same motion on the grid; the rest is then that of the
+            first.
     """
 
     met: np.ndarray
@@ -84,15 +83,9 @@ class Brackets:
 
 
 def search(attempt: Try, seeds: int, *, intervals: int = 8, resolution: float = 0.01) -> Brackets:
-    """The brackets of all seeds.
+    """The brackets of seeds 0, 1, ..; that of a seed does not depend on the other seeds.
 
-    That of a seed does not depend on the other seeds.
-
-    Args:
-        attempt: runs arms.
-        seeds: number of seeds; they are 0, 1, ...
-        intervals: of the coarse grid.
-        resolution: largest gap between `met` and `failed`, as a share of `failed` [1].
+    The gap between `met` and `failed` becomes at most the resolution, a share of `failed` [1].
     """
     grid = np.arange(intervals + 1) / intervals
     tried = attempt(np.repeat(np.arange(seeds), len(grid)), np.tile(grid, seeds))
@@ -124,10 +117,8 @@ def search(attempt: Try, seeds: int, *, intervals: int = 8, resolution: float = 
 class Margin(NamedTuple):
     """A margin of all seeds, in shares of the way; inf: beyond the high value, -inf: below the low.
 
-    Attributes:
-        value: the largest that so many of the seeds bear.
-        low: lower end of its confidence interval; NaN where the seeds cannot carry one.
-        high: upper end, likewise.
+    It is the largest that so many of the seeds bear. The ends of its confidence interval are NaN
+    where the seeds cannot carry one.
     """
 
     value: float
@@ -136,19 +127,14 @@ class Margin(NamedTuple):
 
 
 def margin_of(brackets: Brackets, share: float, confidence: float = 0.95) -> Margin:
-    """The largest value that a share of the seeds bears, with an interval of order statistics.
+    """The largest value that a share [1] of the seeds bears, with an interval of order statistics.
 
     The margin is a quantile of those of the seeds: of n of them, Bin(n, 1 - share) are below it,
     whatever their distribution. So the r-th smallest is above it with P(Bin <= r - 1), the s-th
     below it with P(Bin >= s), and the ends are those two that leave at most half of what is missing
-    in the confidence on either side. The interval holds the margin in at least `confidence` of all
-    samples. There is no end where `seeds_needed` is larger than the number of seeds, and none when
-    all of them are alike. It says nothing of the gap of the search, which `resolution` bounds.
-
-    Args:
-        brackets: of the seeds.
-        share: of the seeds that have to meet the bound [1]; 1 for all of them.
-        confidence: of the interval [1].
+    in the confidence [1] on either side. The interval holds the margin in at least `confidence` of
+    all samples. There is no end where `seeds_needed` is larger than the number of seeds, and none
+    when all of them are alike. It says nothing of the gap of the search, which `resolution` bounds.
     """
     margins = np.sort(brackets.margins)
     n, tail = len(margins), 0.5 * (1.0 - confidence)
@@ -198,13 +184,11 @@ def parse_bound(text: str) -> tuple[str, float]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Varied:
-    """What varies, and between which values.
+    """What varies: a disturbance by its first field, or `nominal-mismatch`.
 
     Attributes:
-        name: of a disturbance, or `nominal-mismatch`.
         low: value at which the bound should be met; need not be the smaller one.
         high: value up to which it is tried.
-        unit: of the values.
         disturbance: the one whose first field varies; None for `nominal-mismatch`.
     """
 
@@ -237,10 +221,8 @@ def is_varied(text: str) -> bool:
 def parse_varied(text: str, low: float | str | None, high: float | str | None) -> Varied:
     """What varies, from NAME or NAME:KEY=VALUE,..; `low` and `high` are usual ones when None.
 
-    Texts are numbers with a unit, such as "60ms".
-
-    Raises:
-        OctarmError: for an unknown name or key, or values that are not allowed.
+    Texts are numbers with a unit, such as "60ms". Raises OctarmError for what is unknown or not
+    allowed.
     """
     name, _, rest = text.partition(":")
     if name != NOMINAL:
@@ -284,25 +266,15 @@ class MarginRuns:
     """Runs of one controller with other values of what varies, seed by seed; see `Try`.
 
     The seeds are those of a sweep with the same `seed`, and the same for every controller and
-    value.
+    value. See `octarm.load` for what is not said here.
 
     Attributes:
         factory: makes the controller from its nominal model.
-        varied: what varies.
         bounds: metrics, and what their absolute values may be at most, all of them.
         disturbances: what acts in addition.
         mismatch: of the controller's nominal model [1].
-        reference: name of the desired motion.
         duration: of a run [s].
-        timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
-        control_period: time between control actions [s]; one physics step when None.
-        engine: that steps the arms; `lagrange` where it is installed, when not given.
         parameters: the true arm, and the controller's model of it but for the mismatch.
-        plant_modules: number of modules of the plant, see `octarm.load`.
-        layout: of that plant.
-        seed: of all that is random.
-        threads: that step a batch.
-        catalogue: the metrics that are measured.
         progress: called with the seconds that were simulated since the last call, all arms counted.
     """
 
@@ -325,12 +297,9 @@ class MarginRuns:
     progress: Callable[[float], object] = lambda seconds: None
 
     def rehearse(self, seeds: int = 1) -> MarginRuns:
-        """The same runs, for which a physics step `auto` has become a number.
+        """The same runs for so many seeds, whose physics step, if `auto`, has become a number.
 
-        The step is one that suits both ends of the range, for so many seeds.
-
-        Raises:
-            OctarmError: if a control period at both ends fails.
+        Raises OctarmError if a control period at both ends of the range fails.
         """
         ends = np.array([0.0, 1.0])
         modules = self.plant_modules or self.parameters.modules
@@ -352,8 +321,7 @@ class MarginRuns:
     def __call__(self, seeds: np.ndarray, shares: np.ndarray) -> Attempt:
         """The runs of these seeds at these shares of the way, both of shape (n,).
 
-        Raises:
-            OctarmError: if there is no number for a metric, although arms bore it all.
+        Raises OctarmError if there is no number for a metric, although arms bore it all.
         """
         environment, controller = self._begin(seeds, shares)
         with arm_seconds(environment, self.duration, self.progress) as seconds:

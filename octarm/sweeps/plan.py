@@ -1,4 +1,9 @@
-"""The episodes of a sweep, how they are counted, and which of them are stepped together."""
+"""The episodes of a sweep, how they are counted, and which of them are stepped together.
+
+All of them share one physics step, so that controllers and cells are compared alike. It is looked
+at before any of them is run: an episode whose arm is too stiff for it would diverge, whatever the
+controller.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +15,13 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from octarm.arm.groups import PAPER
-from octarm.disturbances.episode import Disturbance
+from octarm.arm.groups import PAPER, groups_of
+from octarm.disturbances.episode import Disturbance, PlantChange
 from octarm.disturbances.fields import Amount, Quantity, field_kinds
 from octarm.disturbances.streams import stream
 from octarm.errors import OctarmError
 from octarm.memory import check_memory
+from octarm.simulation.steps import AUTO, StepError, check_arms, fitting_step, steps_of
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec
 
 _MOST_EPISODES = 10**15
@@ -26,17 +32,14 @@ _MOST_SHARDS = 100_000
 class Arms:
     """All that makes episodes what they are: of arms that share a batch, or of one arm alone.
 
+    See `octarm.load` for what is not said here.
+
     Attributes:
         episodes: their numbers, shape (n,).
         batch: n; None for one arm alone.
-        controller: name.
-        reference: name.
         mismatch: of the nominal model, shape () or (n,) [1].
         disturbances: with fields for each arm where they differ.
-        seeds: one for each arm.
         arm: name of the arm; empty for the nominal one.
-        plant_modules: number of modules of the plant, see `octarm.load`; the arm itself when None.
-        layout: of that plant.
     """
 
     episodes: np.ndarray
@@ -85,13 +88,9 @@ class Shards(Sequence[range]):
 class Plan:
     """Numbers for episodes and shards.
 
-    Episode numbers count through the grid, the first axis slowest and the seeds fastest. A shard
-    is a run of numbers with the same controller, reference, plant and words, which share a batch.
-    The partition depends on the spec alone.
-
-    Attributes:
-        spec: the sweep.
-        shards: the episodes of each shard.
+    Episode numbers count through the grid, the first axis slowest and the seeds fastest. A shard is
+    a run of numbers with the same controller, reference, plant and words, which share a batch. The
+    partition depends on the spec alone.
     """
 
     def __init__(self, spec: SweepSpec) -> None:
@@ -157,11 +156,7 @@ class Plan:
         )
 
     def episode(self, number: int) -> Arms:
-        """One episode, to be run alone.
-
-        Raises:
-            OctarmError: if there is no such episode.
-        """
+        """One episode, to be run alone; raises OctarmError if there is none of this number."""
         if not 0 <= number < self.episodes:
             raise OctarmError(
                 f"there is no episode {number}; they are numbered 0 .. {self.episodes - 1}"
@@ -228,3 +223,38 @@ class Plan:
 def _common(column: np.ndarray) -> Any:
     """The value that all arms have, or the column when they differ."""
     return column[0].item() if np.all(column == column[0]) else column
+
+
+def with_step(spec: SweepSpec, *, probes: bool = False) -> SweepSpec:
+    """The spec, whose physics step suits all of its arms; `auto` has become a number.
+
+    With `probes` a few episodes are looked at, in which every value of every axis occurs. Raises
+    OctarmError if the step is too long for an arm; the sentence names its episode.
+    """
+    plan = Plan(spec)
+    alike = len(spec.controllers) * len(spec.references)  # in which the step is the same
+    first = range(len(plan.shards) // alike)
+    shards = plan.probes() if probes else (np.array(plan.shards[i]) for i in first)
+    if not any(issubclass(spec.class_of(name), PlantChange) for name in spec.disturbances):
+        first = range(0, len(plan.shards) // alike, plan.shards.pieces)
+        shards = (np.array(plan.shards[i][:1]) for i in first)  # all arms of a plant are alike
+    longest = min(_longest(spec, plan.arms(shard)) for shard in shards)
+    if spec.timestep != AUTO:
+        return spec
+    step, period = fitting_step(longest, spec.control_period)
+    return dataclasses.replace(spec, timestep=step, control_period=period)
+
+
+def _longest(spec: SweepSpec, arms: Arms) -> float:
+    """The longest stable step of some arms [s], or infinity for a given step that suits them."""
+    arm = spec.arm(arms.arm)
+    given = arm, arms.disturbances, arms.seeds, (len(arms.seeds),), spec.integrator
+    groups = groups_of(arm, arms.plant_modules, arms.layout)
+    if isinstance(spec.timestep, str):
+        return float(np.min(steps_of(*given, groups)))
+    try:
+        check_arms(*given, spec.timestep, groups)
+    except StepError as error:
+        episode = arms.episodes[error.arm or 0]
+        raise OctarmError(f"episode {episode}: {error.sentence}") from None
+    return np.inf

@@ -23,7 +23,6 @@ class Scenario:
     """What a controller is tried on; the true arm is the nominal one.
 
     Attributes:
-        reference: name of the desired motion.
         mismatch: of its nominal model, see `ArmParameters.mismatched` [1].
         noise: rms of the force on each joint over the amplitude of its input signal [1].
         correlation_time: of this noise [s].

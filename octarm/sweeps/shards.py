@@ -38,8 +38,8 @@ def run_shard(
     """The rows of a shard; they depend on nothing else.
 
     Some episodes of the analytic arm are run again on MuJoCo, see `octarm.sweeps.engine_check`. The
-    metadata of the table's schema say where the rows were made, `host` and `versions`, and with
-    which `gains` for the first arm.
+    schema's metadata say where the rows were made, `host` and `versions`, and the `gains` for the
+    first arm.
     """
     plan = Plan(spec)
     arms = plan.arms(plan.shards[shard])
@@ -85,12 +85,8 @@ def run_arms(
 ) -> pa.Table:
     """The rows of arms that share a batch, or of one arm alone.
 
-    Args:
-        plan: of the sweep.
-        arms: some of its episodes.
-        factory: that makes the controller.
-        observers: called at every control instant.
-        duration: instead of that of the sweep [s].
+    The observers are called at every control instant; a duration [s] takes the place of the
+    sweep's.
     """
     started = time.perf_counter()
     environment, controller = begin(plan.spec, arms, factory)
@@ -120,8 +116,7 @@ def begin(
 ) -> tuple[control.Environment, Controller]:
     """The environment and the controller of arms that share a batch, or of one arm alone.
 
-    Raises:
-        OctarmError: if an arm, a disturbance or a controller cannot be made.
+    Raises OctarmError if an arm, a disturbance or a controller cannot be made.
     """
     arm = spec.arm(arms.arm)
     environment = load(
@@ -223,14 +218,9 @@ def measure(
     *observers: Observe,
     catalogue: Catalogue = METRICS,
 ) -> Outcome:
-    """Runs a controller against a batch or one arm, and measures while it runs.
+    """Runs a controller against a batch or one arm for a duration [s], and measures while it runs.
 
-    Args:
-        environment: from `octarm.load`.
-        controller: see `octarm.interfaces`.
-        duration: of the run [s].
-        observers: called at every control instant.
-        catalogue: what is measured.
+    The observers are called at every control instant.
     """
     observer = Observer(environment, duration, catalogue)
 
@@ -268,7 +258,6 @@ def schema(spec: SweepSpec) -> pa.Schema:
 
 
 def _column(values: Any, kind: pa.DataType, count: int) -> pa.Array:
-    """A column of the table; NaN and what there is not are null."""
     if values is None:
         return pa.nulls(count, kind)
     if isinstance(values, pa.Array):

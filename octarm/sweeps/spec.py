@@ -86,18 +86,15 @@ SETTINGS = (
 class SweepSpec:
     """A sweep: every controller in every cell of a grid, each with the same seeds.
 
+    See `octarm.load` for what is not said here.
+
     Attributes:
         axes: the grid: controller and reference, then what keeps batches apart, then the others.
         random: axes that are drawn.
         seed: of all that is random.
         episodes: seeds in each cell of the grid.
         duration: of an episode [s].
-        timestep: physics step [s], or `auto`; that of models/octarm.xml when None.
-        control_period: time between control actions [s]; one physics step when None.
-        actuation: see `octarm.arm.actuation`.
-        engine: that steps the arms, see `octarm.simulation.engines`.
         batch: largest number of arms that are stepped together.
-        integrator: see `octarm.load`.
         fixed: fields of disturbances that are the same in all episodes, by disturbance.
         gain_sets: `tuned`, `recommended` or the content of a file of gains, by controller; tuned
             gains where there are any, else recommended ones, for the others.
@@ -158,12 +155,9 @@ class SweepSpec:
         return max(arm.modules for arm in self.all_arms())
 
     def controller(self, name: str, nominal: Any, factory: ControllerFactory) -> Controller:
-        """The controller of this name, with the gains of the spec.
+        """The controller of this name for a nominal model, with the gains of the spec.
 
-        Args:
-            name: of the controller.
-            nominal: its model of the arm.
-            factory: takes a keyword `gain_set` where the spec has one for the controller.
+        The factory takes a keyword `gain_set` where the spec has one for the controller.
         """
         gains, word = self.gains.get(name, {}), word_of(name, self.code)
         if name not in self.gain_sets:

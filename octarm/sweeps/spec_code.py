@@ -6,13 +6,14 @@ of the spec that the sweep keeps. Whoever reads that one imports nothing: see `o
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
 from octarm.declared import Declared, absolute, named
-from octarm.disturbances.catalogue import DISTURBANCES
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError
 from octarm.formats import Document
 from octarm.metrics.declared import ACCUMULATORS
@@ -58,7 +59,6 @@ def with_names(document: Document) -> Document:
 
 
 def _words(content: Mapping[str, Any]) -> Iterator[tuple[Declared[Any], str, tuple[str, ...]]]:
-    """The words of a spec that may name code, each with its kind and the keys where it stands."""
     for place in ((), ("grid",)):
         for kind, table in _TABLES.items():
             value = _at(content, *place).get(kind)
@@ -72,8 +72,6 @@ def _words(content: Mapping[str, Any]) -> Iterator[tuple[Declared[Any], str, tup
 
 
 def _renamed(content: Mapping[str, Any], name: Callable[[str, str], str]) -> dict[str, Any]:
-    """The content with the names of words, given their kind, in place of the words."""
-
     def value(kind: str, old: Any) -> Any:
         if isinstance(old, list):
             return [value(kind, item) for item in cast("list[Any]", old)]
@@ -87,7 +85,7 @@ def _renamed(content: Mapping[str, Any], name: Callable[[str, str], str]) -> dic
     def controller(word: str) -> str:
         return name("controller", word)
 
-    new = _copied(content)
+    new = copy.deepcopy(dict(content))
     for place in ((), ("grid",)):
         table = _at(new, *place)
         table |= {kind: value(kind, table[kind]) for kind in _TABLES if kind in table}
@@ -98,15 +96,6 @@ def _renamed(content: Mapping[str, Any], name: Callable[[str, str], str]) -> dic
             table.clear()
             table |= items
     return new
-
-
-def _copied(content: Mapping[str, Any]) -> dict[str, Any]:
-    tables = {
-        key: _copied(cast("dict[str, Any]", value))
-        for key, value in content.items()
-        if isinstance(value, dict)
-    }
-    return {**content, **tables}
 
 
 def _at(content: Mapping[str, Any], *keys: str) -> dict[str, Any]:

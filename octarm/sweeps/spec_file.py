@@ -1,35 +1,6 @@
 """A sweep's TOML file, checked word by word before anything happens.
 
-At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep` (or `"auto"`),
-`control_period` [s], `actuation`, `integrator`, `engine`, `batch` and `gain_set`, and `controller`,
-`reference`, `mismatch`, `plant_modules` and `layout` (of a plant of more modules, see
-`octarm.arm.groups`) where they have one value. The tables are:
-
-- `[grid]`: `controller`, `reference`, `mismatch`, `plant_modules` and `layout` as lists;
-- `[grid.disturbance]`: lists of values of disturbances, spelt as on the command line: `noise` for
-  the value that goes without a key there, `noise.time` for one with a key;
-- `[random]` with `mismatch`, and `[random.disturbance]`: what is drawn for each seed,
-  `payload = { low = 0.0, high = 0.2, method = "sobol" }`; `uniform` is the usual method;
-- `[disturbance]`: what is the same in all episodes, `noise.time = 0.01`;
-- `[gains.NAME]`: gains of a controller [SI];
-- `[arm]`: the arm, as in a file of one (`octarm.arm.file`), instead of `arm = "my-arm.toml"`;
-- `[record]`: `episodes`, a list of numbers, `"worst"`, `"median"` and `"diverged"`.
-
-An arm is a file, beside the spec, or one that comes with octarm; `arm` is a key at the top, or a
-list in `[grid]`. Its numbers become part of the spec that the sweep keeps, in a table `[arms.NAME]`
-as `run.json` has them.
-
-A number may be a text with a unit, such as `"40%"`, `"100 g"`, `"15deg"` or `"60ms"`.
-
-Controllers, references and disturbances may be `MODULE:NAME` or `FILE.py:NAME`, and so may those of
-`metric`, what is measured as well; see `octarm.sweeps.spec_code`.
-
-A further disturbance of the same class has its number behind its name, from 2 on: `pulse-2`,
-`noise-2.time`. It has columns and random numbers of its own.
-
-The gain set is `"tuned"`, `"recommended"` or a file of `octarm tune`, beside the spec, for all
-controllers; or there is a table `[gain_set]` with one of these for each. What is in a file becomes
-part of the spec that the sweep keeps.
+What it may hold stands in `octarm.sweeps.spec_content`.
 """
 
 from __future__ import annotations
@@ -41,40 +12,20 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
-import pydantic
-from pydantic import AfterValidator, Field, FiniteFloat
-
-from octarm.arm.actuation import ACTUATIONS
 from octarm.arm.file import arm_of, read_arm
-from octarm.arm.groups import MOST_MODULES, PAPER, groups_of
+from octarm.arm.groups import PAPER, groups_of
 from octarm.arm.mjcf import nominal_parameters
-from octarm.arm.modes import INTEGRATORS
 from octarm.arm.parameters import ArmParameters
-from octarm.arm.rod import LAYOUTS
 from octarm.declared import Code, short_name, word_of
 from octarm.disturbances.fields import Words, field_defaults, field_keys, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError, OctarmError, closest, quoted
-from octarm.formats import Array, Document, Model, one_of, parse_toml, read_toml, spelt
+from octarm.formats import Array, Document, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
-from octarm.simulation.engines import ENGINES, MUJOCO
-from octarm.simulation.steps import AUTO
-from octarm.sweeps.spec import (
-    ARM,
-    LAYOUT,
-    PLANT_MODULES,
-    SETTINGS,
-    Axis,
-    SweepSpec,
-    keys_of,
-    which,
-)
+from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SETTINGS, Axis, SweepSpec, keys_of, which
 from octarm.sweeps.spec_code import with_names
+from octarm.sweeps.spec_content import GAIN_SETS, Bounds, Distinct, GainFile, Number, SpecFile
 from octarm.units import number
-
-RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
-METHODS = ("uniform", "sobol")
-GAIN_SETS = ("tuned", "recommended")
 
 _LIKE_A_NUMBER = re.compile(r"\s*[-+.]{0,2}\d")  # how a number begins, with a unit or not
 # The units of what is no field of a disturbance; numbers may be texts with another unit.
@@ -86,126 +37,14 @@ _UNITS = {
     ("grid", "mismatch"): "1",
     ("random", "mismatch"): "1",
 }
-# Axes of every sweep, and those that only some have.
-_USUAL, _MORE = ("controller", "reference", "mismatch"), (ARM, LAYOUT, PLANT_MODULES)
+_MORE = (ARM, LAYOUT, PLANT_MODULES)  # axes that only some sweeps have
 _OWN = ("controller", "reference", *_MORE, "mismatch")  # in their order, slowest first
-
-
-def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
-    if not values:
-        raise ValueError("a list with a value")
-    if len(set(values)) < len(values):
-        raise ValueError("without the same value twice")
-    return values
-
-
-def _step(value: float | str) -> float | str:
-    if value != AUTO and not (isinstance(value, float) and 1e-7 <= value <= 0.1):
-        raise ValueError(f"{spelt(AUTO)}, or a number from 1e-07 to 0.1")
-    return value
-
-
-Distinct = AfterValidator(_distinct)
-Mismatch = Annotated[float, Field(gt=-1.0, le=1e6)]
-Layout = Annotated[str, one_of(LAYOUTS)]
-Modules = Annotated[int, Field(ge=1, le=MOST_MODULES)]
-Positive = Annotated[FiniteFloat, Field(gt=0.0)]
-Step = Annotated[float | str, AfterValidator(_step)]
-Number = Annotated[float, pydantic.AllowInfNan(True)]
-Gain = float | list[float]
-
-
-class Bounds(Model):
-    """Between which values an axis is drawn."""
-
-    low: FiniteFloat
-    high: FiniteFloat
-    method: Annotated[str, one_of(METHODS)] = "uniform"
-
-    @pydantic.model_validator(mode="after")
-    def _ordered(self) -> Bounds:
-        if not self.low < self.high:
-            raise ValueError("such that low is below high")
-        return self
-
-
-class MismatchBounds(Bounds):
-    """Bounds of the mismatch of the nominal model."""
-
-    low: Mismatch
-    high: Mismatch
-
-
-class Grid(Model):
-    """The table `[grid]`."""
-
-    controller: Annotated[Array[str], Distinct] | None = None
-    reference: Annotated[Array[str], Distinct] | None = None
-    mismatch: Annotated[Array[Mismatch], Distinct] | None = None
-    plant_modules: Annotated[Array[Modules], Distinct] | None = None
-    layout: Annotated[Array[Layout], Distinct] | None = None
-    arm: Annotated[Array[str], Distinct] | None = None
-    disturbance: dict[str, Any] = Field(default_factory=dict)
-
-
-class Random(Model):
-    """The table `[random]`."""
-
-    mismatch: MismatchBounds | None = None
-    disturbance: dict[str, Any] = Field(default_factory=dict)
-
-
-class Record(Model):
-    """The table `[record]`."""
-
-    episodes: Array[Annotated[int, Field(ge=0)] | Annotated[str, one_of(RECORDED)]] = ()
-
-
-class GainFile(Model):
-    """What a sweep reads of a file of `octarm tune`."""
-
-    model_config = pydantic.ConfigDict(extra="ignore")
-
-    controller: str
-    gains: dict[str, Gain]
-    arm: dict[str, float]
-
-
-class SpecFile(Model):
-    """The whole file; fields of disturbances are read in `_fields`."""
-
-    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
-    episodes: Annotated[int, Field(ge=1)] = 1
-    duration: Positive = 10.0
-    timestep: Step | None = None
-    control_period: Annotated[FiniteFloat, Field(gt=0.0, le=10.0)] | None = None
-    actuation: Annotated[str, one_of(ACTUATIONS)] = "f-coeff"
-    engine: Annotated[str, one_of(ENGINES)] = MUJOCO
-    batch: Annotated[int, Field(ge=1)] = 1024
-    integrator: Annotated[str, one_of(INTEGRATORS)] = "rk4"
-    controller: str | None = None
-    reference: str | None = None
-    metric: str | Array[str] = ()  # those that are not built in are in `code`
-    mismatch: Mismatch | None = None
-    plant_modules: Modules | None = None
-    layout: Layout | None = None
-    gain_set: str | dict[str, str | GainFile] | None = None
-    grid: Grid = Grid()
-    random: Random = Random()
-    disturbance: dict[str, Any] = Field(default_factory=dict)
-    gains: dict[str, dict[str, Gain]] = Field(default_factory=dict)
-    arm: str | dict[str, Any] | None = None
-    arms: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    record: Record = Record()
-    code: dict[str, Code] = Field(default_factory=dict)
 
 
 def read_spec(path: str | Path) -> SweepSpec:
     """The spec in a TOML file.
 
-    Raises:
-        OctarmError: if it is not a valid spec; the sentence names the line.
-        FileError: if the file cannot be read.
+    Raises OctarmError with the line where it is not valid, FileError if it cannot be read.
     """
     return _spec(read_toml(path))
 
@@ -348,17 +187,12 @@ def _arms(document: Document, content: SpecFile, axes: Sequence[Axis]) -> dict[s
 
 
 def _other_files(content: SpecFile, arms: Iterable[str]) -> bool:
-    """Whether arms are not in the spec itself."""
     return not isinstance(content.arm, dict) and any(name not in content.arms for name in arms)
 
 
 def _check_plants(
-    document: Document,
-    content: SpecFile,
-    axes: Sequence[Axis],
-    arms: Mapping[str, ArmParameters],
+    document: Document, content: SpecFile, axes: Sequence[Axis], arms: Mapping[str, ArmParameters]
 ) -> None:
-    """Raises OctarmError for plants of more modules that cannot be made."""
     values = {axis.name: axis.values for axis in axes}
     sizes: Any = values.get(PLANT_MODULES, (None,))
     layouts: Any = values.get(LAYOUT, (PAPER,))
@@ -474,7 +308,6 @@ def _gain_sets(
 
 
 def _content_of(path: Path, controller: str) -> dict[str, Any]:
-    """What a file of `octarm tune` holds of gains."""
     document = read_toml(path)
     file = document.read(GainFile)
     if file.controller != controller:

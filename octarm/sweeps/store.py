@@ -38,12 +38,8 @@ LOCK = ".lock"
 def read_sweep(folder: str | Path, columns: Sequence[str] | None = None) -> pa.Table:
     """The finished episodes of a sweep, a row each, in the order of their numbers.
 
-    Args:
-        folder: of the sweep.
-        columns: names of those to read; all when not given. Metadata of a field holds its `unit`.
-
-    Raises:
-        OctarmError: if the folder holds no sweep, no finished shard or a damaged one.
+    The columns are all of them where none are named; metadata of a field holds its `unit`. Raises
+    OctarmError if the folder holds no sweep, no finished shard or a damaged one.
     """
     shards = _shards(Path(folder), columns=columns)
     return pa.concat_tables([table.replace_schema_metadata(None) for table in shards])
@@ -57,8 +53,7 @@ def read_schema(folder: str | Path) -> pa.Schema:
 def read_row(folder: str | Path, episode: int) -> pa.Table:
     """The row of an episode; the metadata of its schema are what `origin_of` reads.
 
-    Raises:
-        OctarmError: if the folder holds no sweep, or the episode is not finished or damaged.
+    Raises OctarmError if the folder holds no sweep, or the episode is not finished or damaged.
     """
     plan, manifest = open_sweep(Path(folder))
     for i, episodes in enumerate(plan.shards):
@@ -95,9 +90,6 @@ class SweepFolder:
     """The folder of one sweep, from which finished shards are never lost.
 
     Every file appears whole or not at all, and only this process writes.
-
-    Attributes:
-        path: the folder.
     """
 
     def __init__(self, path: Path, plan: Plan) -> None:
@@ -109,9 +101,7 @@ class SweepFolder:
     def check(self, *, resume: bool, replace: bool = False) -> None:
         """Raises OctarmError if the folder holds something else, or a sweep that may not go on.
 
-        Args:
-            resume: whether the same sweep, begun there, may go on.
-            replace: whether another sweep may be there, which is to be cleared.
+        The same sweep may `resume`; another one may be there if it is to be replaced.
         """
         if self.path.exists() and not self.path.is_dir():
             raise OctarmError(f"{self.path} is not a folder; choose another --out")
@@ -166,10 +156,7 @@ class SweepFolder:
         (self.path / EPISODES).mkdir()
 
     def begin(self, gains: Mapping[str, Any]) -> list[str]:
-        """Writes what the sweep is, or notes that it goes on.
-
-        Args:
-            gains: of each controller; they may not change.
+        """Writes what the sweep is, or notes that it goes on; its gains may not change.
 
         Returns:
             Which versions have changed since it was begun, a sentence each.
@@ -234,16 +221,8 @@ def read_shard(
 ) -> pa.Table | None:
     """The rows of a shard, which are those that were written; None if it is not finished.
 
-    Args:
-        folder: of the sweep.
-        plan: see `open_sweep`.
-        manifest: likewise.
-        shard: its number.
-        columns: names of those to read; all if None.
-
-    Raises:
-        OctarmError: if it is damaged, has no such column, or holds other rows than those of the
-            plan.
+    All columns are read where none are named. Raises OctarmError if the shard is damaged, has no
+    such column, or holds other rows than those of the plan.
     """
     entry = manifest["shards"][shard]
     file = folder / entry["file"]
@@ -270,7 +249,6 @@ def read_shard(
 
 
 def _table(file: Path, content: bytes, needed: Sequence[str], *, whole: bool) -> pa.Table:
-    """The columns that are needed, or all, of the bytes of a Parquet file."""
     try:
         with pq.ParquetFile(pa.BufferReader(content)) as stored:
             known = stored.schema_arrow.names
@@ -304,7 +282,6 @@ def _shards(folder: Path, columns: Sequence[str] | None = None) -> Iterator[pa.T
 
 
 def _content(file: Path) -> bytes | None:
-    """The bytes of a file; None if there is none."""
     try:
         return file.read_bytes()
     except FileNotFoundError:

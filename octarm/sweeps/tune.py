@@ -2,10 +2,8 @@
 
 Differential evolution searches the `Space` of a controller's gains for the least cost by
 `octarm.sweeps.tune_cost`. A whole generation is one batch of arms, each candidate in every
-scenario.
-
-Every generation has random numbers of its own, and begins from nothing but the population and its
-costs. These are all there is to keep: a search that goes on from a file ends with the same bits.
+scenario. It has random numbers of its own, and begins from nothing but the population and its
+costs: a search that goes on from a file ends with the same bits.
 
 What learns or integrates may do well for a while and drift away later. So the best of the last
 generation, and the hand-set gains, are tried for longer and under other noise; the best there wins.
@@ -55,8 +53,6 @@ class Space:
 
     Attributes:
         gains: the hand-set ones, by name.
-        knobs: what the controller lets be turned.
-        unknowns: what is searched.
         bounds: smallest and largest entry of a candidate, shape (d, 2).
     """
 
@@ -120,11 +116,8 @@ class Budget:
     """How much is tried; the same for every controller.
 
     Attributes:
-        population: candidates in a generation.
         generations: of the search, the initial one included.
         finalists: candidates of the last one that are tried for longer, with the hand-set gains.
-        short: what the search is about.
-        long: what decides between the finalists.
         unseen: what the winner is evaluated on.
     """
 
@@ -159,10 +152,9 @@ class Budget:
 
 
 class SearchState(NamedTuple):
-    """The search after a generation; the best candidate comes first.
+    """The search after a generation, 0 being the initial one; the best candidate comes first.
 
     Attributes:
-        generation: its number; 0 is the initial one.
         population: candidates, shape (n, d) [1].
         costs: of each of them, shape (n,) [1].
     """
@@ -174,17 +166,16 @@ class SearchState(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Tuned:
-    """The result of a search.
+    """The result of a search; costs are those of each scenario, shape (scenarios,) [1].
 
     Attributes:
-        gains: all gains of the controller that are numbers, by name, in the scales of the nominal
-            model, shape () or (2N,).
-        short: cost in each scenario of the search, shape (scenarios,) [1].
-        long: cost in each scenario of the longer examination, shape (scenarios,) [1].
-        short_by_hand: the same with the hand-set gains, shape (scenarios,).
+        gains: all that are numbers, by name, in the scales of the nominal model, shape () or (2N,).
+        short: in the search, shape (scenarios,); likewise `short_by_hand` with the hand-set gains.
+        long: in the longer examination, shape (scenarios,).
+        short_by_hand: likewise.
         long_by_hand: likewise.
-        unseen: cost in each scenario that nothing was chosen by, shape (scenarios,) [1].
-        unseen_by_hand: the same with the hand-set gains, shape (scenarios,).
+        unseen: in scenarios that nothing was chosen by, shape (scenarios,).
+        unseen_by_hand: likewise.
         at_bounds: the unknowns that are as small or large as they were allowed to be.
     """
 
@@ -211,8 +202,8 @@ def tune(
     """Searches gains; the same bits for the same arguments, wherever it went on from.
 
     Args:
-        factory: makes the controller from its nominal model and gains; gains that it is not given
-            are the hand-set ones.
+        factory: makes the controller from its nominal model and gains; hand-set ones where not
+            given.
         budget: how much is tried.
         seed: of the search. The scenarios do not depend on it.
         state: where an earlier search stopped; the beginning when not given.
@@ -296,16 +287,9 @@ def next_generation(
         return known.pop() if known else cost(columns.T)
 
     result = differential_evolution(
-        evaluate,
-        bounds,
-        init=state.population,  # pyright: ignore[reportArgumentType]
-        maxiter=1,
-        tol=0.0,
-        polish=False,
-        updating="deferred",
-        vectorized=True,
-        rng=random,
-    )
+        evaluate, bounds, maxiter=1, tol=0.0, polish=False, updating="deferred", vectorized=True,
+        rng=random, init=state.population,  # pyright: ignore[reportArgumentType]
+    )  # fmt: skip
     return SearchState(state.generation + 1, result.population, result.population_energies)
 
 
@@ -314,8 +298,6 @@ def _random(seed: int, generation: int) -> np.random.Generator:
 
 
 class _StateContent(Model):
-    """What the file of a search holds."""
-
     settings: dict[str, Any]
     generation: int
     population: list[list[float]]
@@ -341,10 +323,8 @@ class StateFile:
         content = read_json(self.path).read(_StateContent)
         for key in self._settings:
             if content.settings.get(key) != self._settings[key]:
-                raise OctarmError(
-                    f"{self.path} belongs to a search with another {key}; go on with that one, or "
-                    "delete the file"
-                )
+                other = f"{self.path} belongs to a search with another {key}"
+                raise OctarmError(f"{other}; go on with that one, or delete the file")
         try:
             population, costs = np.array(content.population), np.array(content.costs)
         except ValueError:

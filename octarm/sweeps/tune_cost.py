@@ -70,14 +70,7 @@ _ENTROPY = int.from_bytes(b"tuning", "big")
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Examination:
-    """The scenarios, for how long, and with which noise.
-
-    Attributes:
-        scenarios: what is tried.
-        begin: when the measurement begins [s].
-        duration: of an episode [s].
-        noise: number of the realisation of the noise.
-    """
+    """The scenarios, from when on and for how long [s] they last, and with which noise."""
 
     scenarios: tuple[Scenario, ...] = SCENARIOS
     begin: float = 1.0
@@ -111,14 +104,7 @@ UNSEEN = Examination(scenarios=EVALUATION, noise=2)
 
 @dataclasses.dataclass(frozen=True)
 class Rig:
-    """What controllers are tried on.
-
-    Attributes:
-        engine: that steps the arms.
-        plant_modules: number of modules of the plant, see `octarm.load`; the arm itself when None.
-        layout: of that plant.
-        parameters: of the arm; the nominal ones when None.
-    """
+    """What controllers are tried on; the nominal arm when no parameters are given."""
 
     engine: str = dataclasses.field(default_factory=usual_engine)
     plant_modules: int | None = None
@@ -159,16 +145,10 @@ def costs(
 ) -> np.ndarray:
     """The cost of each candidate in each scenario, shape (n, scenarios) [1].
 
-    J is its `Examination.mean`. A cost does not depend on the other candidates.
-
-    Args:
-        examination: what is tried.
-        factory: makes the controller from its nominal model and gains; gains that it is not given
-            are the hand-set ones.
-        candidates: gains with a row for each of them, shapes (n, 1) or (n, 2N).
-        progress: called with the seconds that have been simulated since the last call, all arms
-            counted.
-        rig: what they are tried on; the arm itself on the usual engine when not given.
+    J is its `Examination.mean`. A cost does not depend on the other candidates. They are gains by
+    name with a row for each candidate, shapes (n, 1) or (n, 2N); the factory makes the controller
+    of its nominal model and gains, hand-set where not given. The progress is called with the
+    seconds that were simulated since the last call, all arms counted.
     """
     table = np.empty((len(next(iter(candidates.values()))), len(examination.scenarios)))
     kinds = [(scenario.period, scenario.plant_modules) for scenario in examination.scenarios]
@@ -227,10 +207,9 @@ def _costs(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class EachItsOwn:
-    """A desired motion for each arm of a batch, out of a few.
+    """A desired motion for each arm of a batch, out of a few of one arm each.
 
     Attributes:
-        motions: of one arm each, shapes (2N,).
         choice: which of them each arm has, shape (n,).
     """
 
@@ -244,8 +223,6 @@ class EachItsOwn:
 
 
 class _Observer:
-    """Measures the arms while they run."""
-
     def __init__(self, examination: Examination, period: float, physics: AnyPhysics) -> None:
         self._examination, self._period, self._physics = examination, period, physics
         like = np.zeros_like(physics.q())
@@ -263,7 +240,6 @@ class _Observer:
             self._error.update({"error": error, "squared_error": error * error}, steady)
 
     def costs(self, true: ArmParameters) -> np.ndarray:
-        """The cost of each arm, shape (n,)."""
         with np.errstate(all="ignore"):
             rms, rattle = self._error.result()["rms_error"], self._chattering.result()["chattering"]
             e = root_mean_square(rms / np.repeat([SLIDE_SCALE, BEND_SCALE], true.modules))

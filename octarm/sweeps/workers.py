@@ -33,9 +33,7 @@ _IMPORTED = "what worker processes call must be a function that they can import 
 
 def cores() -> int:
     """Number of processor cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return len(os.sched_getaffinity(0))
 
 
 class WorkersError(OctarmError):
@@ -71,8 +69,7 @@ class WorkerProcesses(ThreadPoolExecutor):
     def __init__(self, workers: int) -> None:
         """So many processes, each started when there is a call for it.
 
-        Raises:
-            WorkersError: if they could not import the script of this process.
+        Raises WorkersError if they could not import the script of this process.
         """
         check_not_beginning()
         _check_script()
@@ -166,8 +163,7 @@ class _Process:
 
 def _block_interrupts() -> None:
     """Processes that this thread starts do not see Ctrl-C, not even while they begin."""
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
 def _serve(connection: Connection) -> None:

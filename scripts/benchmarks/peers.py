@@ -23,7 +23,7 @@ from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import build_slim_model
 from octarm.arm.modes import longest_step
 from octarm.arm.rod import Rod, arm_from_rod
-from octarm.checks.rod_peer import cosserat_rod, installed
+from octarm.checks.rod_motion import cosserat_rod, installed
 from octarm.simulation.engines import LAGRANGE, usual_engine
 
 ELEMENTS = (10, 20)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,14 +13,14 @@ import pyarrow as pa
 import octarm
 from octarm.reports.statistics import Interval, medians
 from paper import jobs, lyapunov, runs
+from paper.periods import searches
+from paper.plants import Planted, planted
 from paper.runs import Cost, Series
-from paper.studies import BENDS, MODELS, TIME, Effort, Sweep, sweeps
+from paper.studies import BENDS, MODELS, NOISE, SCALE, TIME, Effort, Sweep, study_of_plants, sweeps
 from paper.variants import Variant
 
 # What an episode has where its sweep does not say it, in the order of the fields of `Cell`.
-NEUTRAL = {"noise": 0.0, "noise.time": TIME, "payload": 0.0, "actuation-delay": 0.0, "loss": 0.0,
-           "plant_modules": 3}  # fmt: skip
-SCALE = {"s": 0.0175, "theta": 0.3}  # A, the mean amplitude of the motions [m], [rad]
+NEUTRAL = {"noise": 0.0, "noise.time": TIME, "payload": 0.0, "actuation-delay": 0.0, "loss": 0.0}
 _METRICS = ("rms_error", "overshoot", "chattering")
 
 
@@ -76,6 +76,8 @@ class Evidence:
         columns: quantities by name, and `diverged`, each with an entry an episode.
         series: runs over time, by name.
         outcomes: how Lyapunov functions went.
+        periods: the longest control periods by label, `predicted` and `simulated`, see
+            `paper.periods`, each with an entry a plant [s].
         costs: of a controller's step, by name.
     """
 
@@ -85,6 +87,7 @@ class Evidence:
     columns: Mapping[str, np.ndarray]
     series: Mapping[str, Series]
     outcomes: Sequence[lyapunov.Outcome]
+    periods: Mapping[str, Mapping[str, np.ndarray]]
     costs: Mapping[str, Cost]
 
     def has(self, *cells: Cell) -> bool:
@@ -137,6 +140,29 @@ class Evidence:
             shares = self.values(cell, quantity) / self.values(cell._replace(label=label), quantity)
         return interval(np.where(np.isnan(shares), 1.0, shares))
 
+    def rank(self, cell: Cell, names: Sequence[str]) -> Interval:
+        """The rank of a law by its error among laws in the same place, 1 the best; NaN if lost.
+
+        The interval ends where it is better, or worse, than others beyond their own intervals:
+        pair by pair, seed by seed.
+        """
+        own = self.error(cell).value
+        others = [name for name in names if name != cell.label]
+        ratios = [self.ratio(cell, name) for name in others]
+        better = sum(self.error(cell._replace(label=name)).value < own for name in others)
+        low, high = sum(r.low > 1.0 for r in ratios), sum(not r.high < 1.0 for r in ratios)
+        return Interval(*(1.0 + x if np.isfinite(own) else np.nan for x in (better, low, high)))
+
+    def plants(self) -> Iterator[list[Cell]]:
+        """The cells of all laws in each place of the study of plants: plant, period, noise."""
+        for rate in self.effort.plant_rates:
+            for noise in (0.0, NOISE):
+                for modules in self.effort.plants:
+                    start = Cell("", study_of_plants(rate), noise=noise, plant=modules)
+                    cells = [start._replace(label=name) for name in self.effort.plant_labels]
+                    if known := self.known(cells):
+                        yield known
+
     def models(self, label: str) -> list[float]:
         """The model errors with which a variant was run on theta1 and theta2 without noise [1]."""
         return sorted(c.mismatch for c in self.rows if c == Cell(label, mismatch=c.mismatch))
@@ -176,7 +202,12 @@ def gather(
     """
     requests = list(runs.requests(variants, effort))
     arrays = jobs.read_arrays(out, requests)
-    rows, columns = measured(list(sweeps(variants, effort)), out / jobs.SWEEPS)
+    plants = list(planted(variants, effort))
+    rows, columns = with_plants(
+        *measured(list(sweeps(variants, effort)), out / jobs.SWEEPS),
+        plants,
+        jobs.read_arrays(out, plants),
+    )
     return Evidence(
         variants=variants,
         effort=effort,
@@ -189,6 +220,10 @@ def gather(
             if request.keep is lyapunov.counts
             for outcome in lyapunov.outcomes(request, arrays[request.name])
         ],
+        periods={
+            one.variant.label: jobs.read_arrays(out, [one])[one.name]
+            for one in searches(variants, effort)
+        },
         costs=costs,
     )
 
@@ -209,6 +244,29 @@ def measured(
         rows.setdefault(key, []).append(row)
     ordered = {key: np.array(sorted(own, key=lambda row: seeds[row])) for key, own in rows.items()}
     return ordered, _columns(tables)
+
+
+def with_plants(
+    rows: dict[Cell, np.ndarray],
+    columns: dict[str, np.ndarray],
+    plants: Sequence[Planted],
+    arrays: Mapping[str, Mapping[str, np.ndarray]],
+) -> tuple[dict[Cell, np.ndarray], dict[str, np.ndarray]]:
+    """The same with the runs on plants of more modules, of which errors alone are known."""
+    count = len(columns["error"])
+    for one in plants:
+        cell = Cell(one.variant.label, study_of_plants(one.rate), plant=one.modules)
+        rows[cell] = np.array([count])
+        rows[cell._replace(noise=NOISE)] = count + 1 + np.arange(one.seeds)
+        count += 1 + one.seeds
+    own = {
+        name: np.concatenate([np.empty(0), *(arrays[one.name][key] for one in plants)])
+        for name, key in (("error", "error"), ("diverged", "lost"))
+    }
+    nothing = np.full(len(own["error"]), np.nan)
+    return rows, {
+        name: np.concatenate([column, own.get(name, nothing)]) for name, column in columns.items()
+    }
 
 
 def _cells(part: Sweep, table: pa.Table) -> list[Cell]:

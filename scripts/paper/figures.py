@@ -30,10 +30,9 @@ from paper.studies import (
     BENDS,
     BEYOND,
     MODELS,
+    MODULES,
     MOVING,
     NOISE,
-    PLANT_RATES,
-    PLANTS,
     RATES,
     SLIDES,
     WRONG,
@@ -94,9 +93,8 @@ def pictures(evidence: Evidence) -> Iterator[Picture]:
                 joints=" and ".join(joints),
                 seeds=effort.seeds,
             )
-    if _planted(evidence):
-        seeds = len(evidence.values(max(_planted(evidence), key=lambda c: c.noise), "error"))
-        yield draw("plants", lambda: _plants(evidence), seeds=seeds)
+    if any(evidence.plants()):
+        yield draw("plants", lambda: _plants(evidence), seeds=effort.seeds)
     yield draw("overshoot", lambda: _overshoot(evidence))
     yield draw("ranking", lambda: _ranking(evidence))
     yield draw("ablations", lambda: _ablations(evidence))
@@ -201,46 +199,49 @@ def _overshoot(evidence: Evidence) -> Figure:
     return figure
 
 
-def _planted(evidence: Evidence) -> list[Cell]:
-    """The cells with arms of more modules than the controllers' model."""
-    return [cell for cell in evidence.rows if cell.study.startswith("plants")]
-
-
 def _plants(evidence: Evidence) -> Figure:
-    """Errors over the modules of the arm: a column a control period, a row a noise."""
-    own = _planted(evidence)
-    rates = [r for r in PLANT_RATES if any(c.study == study_of_plants(r) for c in own)]
-    labels = [n for n in (SIGN, SMC, PROPOSED) if any(c.label == n for c in own)]
-    figure, grid = _panels(2, len(rates), 4.4, 2.4, sharex=True, sharey="row")
-    places = np.arange(len(PLANTS))
-    for row, noise in enumerate((0.0, NOISE)):
-        for ax, rate in zip(grid[row], rates, strict=True):
-            for shift, label in enumerate(labels):
-                cell = Cell(label, study_of_plants(rate), noise=noise)
-                cells = [cell._replace(plant=modules) for modules in PLANTS]
-                errors = [
-                    evidence.error(c) if evidence.has(c) else Interval(*(np.nan,) * 3)
-                    for c in cells
-                ]
-                _band(ax, label, places, errors)
-                lost = [x for x, error in zip(places, errors, strict=True) if error.value == np.inf]
-                ax.plot(
-                    np.array(lost) + 0.12 * (shift - 1), [0.95] * len(lost), "x", markersize=7,
-                    color=look(label).color, transform=ax.get_xaxis_transform(),
-                    markeredgewidth=2.0,
-                )  # fmt: skip
-        grid[row, 0].set_ylabel(f"error [%]\n{'40 % noise' if noise else 'no noise'}")
-        _logarithmic(grid[row, 0], "y")
-        low, high = grid[row, 0].get_ylim()
-        grid[row, 0].set_ylim(low, 3.0 * high)  # room for the crosses
-    for column, rate in enumerate(rates):
-        grid[0, column].set_title(f"control period {1e3 / rate:g} ms")
-        grid[1, column].set(xlabel="modules of the arm", xticks=places, xlim=(-0.3, 3.3))
-        grid[1, column].set_xticklabels(
-            [f"{n}\n(the model)" if n == PLANTS[0] else str(n) for n in PLANTS]
-        )
+    """Errors of all laws: a column a plant, a row a control period."""
+    effort = evidence.effort
+    places = {
+        (cells[0].plant, cells[0].study, cells[0].noise): {cell.label: cell for cell in cells}
+        for cells in evidence.plants()
+    }
+    start = places[effort.plants[0], study_of_plants(effort.plant_rates[0]), NOISE]
+    order = sorted(start, key=lambda name: evidence.error(start[name]).value)
+    shape = len(effort.plant_rates), len(effort.plants)
+    figure, grid = _panels(*shape, 2.3, 0.21 * len(order) + 0.55, sharex=True, sharey=True)
+    for row, rate in enumerate(effort.plant_rates):
+        for ax, modules in zip(grid[row], effort.plants, strict=True):
+            for noise in (NOISE, 0.0):
+                cells = places[modules, study_of_plants(rate), noise]
+                for place, name in enumerate(order):
+                    _plant_mark(ax, name, evidence.error(cells[name]), place, noise)
+            ax.set_title(f"{modules} modules" + (", the model" if modules == MODULES else ""))
+            _named_rows(ax, [title_of(name) for name in order])
+        grid[row, 0].set_ylabel(f"control period {1e3 / rate:g} ms")
+    for ax in grid[-1]:
+        ax.set_xlabel("error [% of the motion]")
+    _logarithmic(grid[0, 0], "x")
+    low, high = grid[0, 0].get_xlim()
+    grid[0, 0].set_xlim(low, high * (high / low) ** 0.12)  # room for the crosses
+    grid[0, 0].invert_yaxis()
+    marks = (("o", "full", "40 % noise"), ("o", "none", "no noise"), ("x", "full", "lost"))
+    for marker, fill, label in marks:
+        grid[0, 0].plot([], [], marker, color=GRAY, fillstyle=fill, label=label)
     _legend(figure, grid[0, 0])
     return figure
+
+
+def _plant_mark(ax: Axes, name: str, error: Interval, place: int, noise: float) -> None:
+    """An error under noise, full, or without, hollow; a cross at the edge where the arm is lost."""
+    if not np.isfinite(error.value):
+        y, size = place + (0.0 if noise else 0.2), 5 if noise else 3
+        ax.plot(0.96, y, "x", color=look(name).color, markersize=size, markeredgewidth=1.4,
+                transform=ax.get_yaxis_transform())  # fmt: skip
+    elif noise:
+        _dot(ax, name, error, place)
+    else:
+        ax.plot(error.value, place, "o", color=look(name).color, fillstyle="none")
 
 
 def _ranking(evidence: Evidence) -> Figure:

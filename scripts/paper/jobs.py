@@ -17,11 +17,14 @@ from controllers import make_controller
 from octarm.files import write_files
 from octarm.sweeps.workers import WorkerProcesses, cores
 from paper import runs
+from paper.periods import Search, searches
+from paper.plants import Planted, planted
 from paper.runs import Request
 from paper.studies import MODELS, Effort, Sweep, sweeps
 from paper.variants import CONTROLLERS, Variant
 
 SPECS, SWEEPS, SERIES, RUNS = "specs", "sweeps", "series", "runs"  # folders
+Task = Request | Planted | Search  # whose arrays are kept in a file of its name
 Advance = Callable[[float], None]  # takes simulated seconds that are done
 
 
@@ -64,6 +67,8 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
     jobs = [
         *(_sweep_job(sweep, out) for sweep in sweeps(variants, effort)),
         *(_run_job(request, out) for request in requests),
+        *(_run_job(one, out) for one in planted(variants, effort)),
+        *(_run_job(one, out) for one in searches(variants, effort)),
         *(_recording_job(r, model, out) for r in figure_1 for model in MODELS),
     ]
     jobs.sort(key=lambda job: -job.seconds)
@@ -109,11 +114,11 @@ def _sweep_job(sweep: Sweep, out: Path) -> Job:
     return Job(sweep.seconds, do)
 
 
-def _run_job(request: Request, out: Path) -> Job:
+def _run_job(request: Task, out: Path) -> Job:
     def do(pool: Executor, advance: Advance) -> None:
         if not series_file(out, request).is_file():
             content = io.BytesIO()
-            np.savez(content, allow_pickle=False, **pool.submit(runs.perform, request).result())
+            np.savez(content, allow_pickle=False, **pool.submit(request.perform).result())
             write_files({series_file(out, request): content.getvalue()})
         advance(request.seconds)
 
@@ -132,12 +137,12 @@ def _recording_job(request: Request, model: float, out: Path) -> Job:
     return Job(seconds, do)
 
 
-def series_file(out: Path, request: Request) -> Path:
+def series_file(out: Path, request: Task) -> Path:
     """Where what was kept of a run stands."""
     return out / SERIES / f"{request.name}.npz"
 
 
-def read_arrays(out: Path, requests: Iterable[Request]) -> dict[str, dict[str, np.ndarray]]:
+def read_arrays(out: Path, requests: Iterable[Task]) -> dict[str, dict[str, np.ndarray]]:
     """What was kept of runs, by their names.
 
     Raises:

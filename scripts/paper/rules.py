@@ -22,13 +22,12 @@ from paper.studies import (
     BENDS,
     BEYOND,
     MODELS,
+    MODULES,
     MOVING,
     NOISE,
-    PLANT_RATES,
-    PLANTS,
     RATE,
     SLIDES,
-    study_of_plants,
+    rate_of_plants,
 )
 from paper.variants import (
     AS_PRINTED,
@@ -214,16 +213,14 @@ def load(evidence: Evidence) -> Iterator[Case]:
 def plants(evidence: Evidence) -> Iterator[Case]:
     """Whether AFSMC is better than SMC when the arm is not its model."""
     rivals = {law: f"SMC with {reading}" for law, reading in LAWS.items()}
-    for modules in PLANTS[1:]:
-        for rate in PLANT_RATES:
-            for noise in (0.0, NOISE):
-                cell = Cell(PROPOSED, study_of_plants(rate), noise=noise, plant=modules)
-                where = {
-                    "gains": TUNED, "plant": f"{modules} modules",
-                    "period": f"{1e3 / rate:g} ms", "noise": _noise(noise),
-                }  # fmt: skip
-                if evidence.has(cell):
-                    yield from _against(evidence, cell, where, rivals, BETTER)
+    for cells in evidence.plants():
+        cell = cells[0]._replace(label=PROPOSED)
+        where = {
+            "gains": TUNED, "plant": f"{cell.plant} modules",
+            "period": f"{1e3 / rate_of_plants(cell.study):g} ms", "noise": _noise(cell.noise),
+        }  # fmt: skip
+        if cell.plant > MODULES:
+            yield from _against(evidence, cell, where, rivals, BETTER)
 
 
 def _places(

@@ -21,6 +21,7 @@ import octarm
 from octarm.disturbances.forces import BandLimitedNoise
 from octarm.errors import ExitCode, OctarmError
 from octarm.interfaces import Instant, Rows
+from octarm.simulation.engines import MUJOCO, usual_engine
 from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
 from paper import lyapunov
@@ -50,6 +51,7 @@ class Request(NamedTuple):
         seeds: number of seeds of the noise; they are those of the sweeps.
         quiet: whether there are arms without noise.
         rate: of control [Hz].
+        engine: that steps the arms.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Request(NamedTuple):
     seeds: int = 0
     quiet: bool = True
     rate: float = RATE
+    engine: str = MUJOCO
 
     @property
     def mismatch(self) -> np.ndarray:
@@ -84,6 +87,10 @@ class Request(NamedTuple):
         """What is simulated, all arms counted [s]."""
         return len(self.mismatch) * self.duration
 
+    def perform(self) -> Arrays:
+        """Runs the arms; what is kept of them."""
+        return perform(self)
+
 
 def requests(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Request]:
     """Those of figures 1 and 2 in both readings, the long ones, those of the Lyapunov functions."""
@@ -98,7 +105,7 @@ def requests(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Reques
     for label, name in LONG.items() if effort.long else ():
         yield Request(
             name, variants[label], BENDS, effort.long, fields, EVERY, kept, (WRONG,), effort.seeds,
-            quiet=False,
+            quiet=False, engine=usual_engine(),
         )  # fmt: skip
     places = [(BENDS, rate) for rate in effort.rates]
     places += [(reference, RATE) for reference in effort.readings if reference != BENDS]
@@ -130,7 +137,7 @@ def perform(request: Request) -> Arrays:
         timestep=min(period, 1.0 / RATE),
         seed=[np.random.SeedSequence(SEED, spawn_key=(i,)) for i in seeds]
         * len(request.mismatches),
-        engine="mujoco",
+        engine=request.engine,
     )
     blocks: list[Arrays] = []
     moved = Moved(request, period)

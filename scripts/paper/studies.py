@@ -16,13 +16,14 @@ from typing import Any, NamedTuple
 
 import tomlkit
 
-from octarm.simulation.engines import LAGRANGE, usual_engine
+from octarm.simulation.engines import usual_engine
 from paper.variants import Variant
 
 STUDIES = Path(__file__).with_name("studies.toml")
 BENDS, SLIDES = "sine", "sine-slides"  # the two readings of "first two links"
 MOVING = {BENDS: ("theta1", "theta2"), SLIDES: ("s1", "s2")}  # what each of them moves
 MODELS = (-0.3, 0.0, 0.3)  # model errors of the paper's figures [1]
+MODULES = 3  # that every controller believes in
 WRONG = -0.3  # the one model error of the studies that vary something else
 NOISE = 0.4  # the paper's: rms over the amplitude of the input signal [1]
 TIME = 0.01  # correlation time of the noise [s]
@@ -52,8 +53,7 @@ BEYOND = {
     "delay": Beyond((0.0, 0.0005, 0.001, 0.0015, 0.002), "ms", 1e3),
     "loss": Beyond((0.0, 0.1, 0.3, 0.5), "%", 100.0),  # of the force of every column
 }
-PLANTS = (3, 9, 15, 30)  # modules of the plants; the controllers' model has 3
-PLANT_RATES = (RATE, 10_000.0)  # of control, for them [Hz]
+SCALE = {"s": 0.0175, "theta": 0.3}  # A, the mean amplitude of the motions [m], [rad]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -70,6 +70,9 @@ class Effort:
         long: duration of the runs that show drift; none if 0 [s].
         rates: at which Lyapunov functions are looked at [Hz].
         lyapunov: labels of the variants of which they are looked at.
+        plants: modules of the arms whose controllers believe in three.
+        plant_rates: of control, for them [Hz].
+        plant_labels: of the variants that are tried on them.
     """
 
     name: str
@@ -81,6 +84,9 @@ class Effort:
     long: float
     rates: Sequence[float]
     lyapunov: Sequence[str]
+    plants: Sequence[int]
+    plant_rates: Sequence[float]
+    plant_labels: Sequence[str]
 
 
 FULL, QUICK = (
@@ -115,12 +121,10 @@ class Sweep(NamedTuple):
 
 
 def sweeps(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Sweep]:
-    """All sweeps; those of finer plants only where the engine `lagrange` is installed."""
+    """All sweeps."""
     for entry in effort.sweeps:
         content = {"engine": usual_engine(), "duration": effort.duration, **entry}
         name, study, labels = (content.pop(key) for key in ("name", "study", "labels"))
-        if "plant_modules" in content["grid"] and usual_engine() != LAGRANGE:
-            continue
         for i, own in enumerate(_apart(variants, labels)):
             grid = {"controller": list(own), **content["grid"]}
             gains = {one: dict(variants[label].gains) for one, label in own.items()}
@@ -151,10 +155,15 @@ def study_of_plants(rate: float) -> str:
     return f"plants-{rate:g}"
 
 
+def rate_of_plants(study: str) -> float:
+    """The control rate of that study [Hz]."""
+    return float(study.removeprefix("plants-"))
+
+
 def _quiet_apart(content: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """A spec in two: without noise and one seed, and with noise for the models of the figures."""
     noises = content["grid"].get("disturbance", {}).get("noise", [])
-    if 0.0 not in noises or "plant_modules" in content["grid"]:  # which cost the same a step
+    if 0.0 not in noises:
         yield "", content
         return
     quiet = copy.deepcopy(content)

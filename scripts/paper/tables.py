@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from octarm.reports.statistics import Interval
+from octarm.reports.statistics import Interval, binomial
 from paper.claims import Claim, worded, words
 from paper.evidence import Cell, Evidence, interval
 from paper.numbers import percent
+from paper.periods import LONGEST, SHORTEST, SHORTEST_TRACKED
 from paper.runs import EVERY, LONG
 from paper.studies import (
     BENDS,
@@ -24,14 +25,12 @@ from paper.studies import (
     MODELS,
     MOVING,
     NOISE,
-    PLANT_RATES,
-    PLANTS,
     RATE,
     RATES,
     SLIDES,
     TIME,
     WRONG,
-    study_of_plants,
+    rate_of_plants,
     study_of_rate,
 )
 from paper.variants import (
@@ -77,6 +76,8 @@ def all_tables(evidence: Evidence, claims: Sequence[Claim], gains: Path) -> dict
         _table("ranking", ranking(evidence)),
         _table("best", best(evidence)),
         plants(evidence),
+        _table("plants-ranking", plants_ranking(evidence)),
+        periods(evidence),
         _table("joints", joints(evidence)),
         _table("ablations", ablations(evidence)),
         _table("gain-sets", gain_sets(evidence)),
@@ -142,26 +143,66 @@ def best(evidence: Evidence) -> Rows:
 
 
 def plants(evidence: Evidence) -> Table:
-    """Arms of more modules than their controllers' model."""
-    own = {cell.label for cell in evidence.rows if cell.study.startswith("plants")}
-    labels = [name for name in (SIGN, SMC, PROPOSED) if name in own]
-    rivals = [name for name in labels if name != PROPOSED]
+    """The paper's laws on arms of more modules than their model."""
+    laws = [name for name in (SIGN, SMC, PROPOSED) if name in evidence.effort.plant_labels]
+    rivals = [name for name in laws if name != PROPOSED]
     rows: list[Sequence[Entry]] = []
-    for rate in PLANT_RATES:
-        for noise in (0.0, NOISE):
-            for modules in PLANTS:
-                cell = Cell(PROPOSED, study_of_plants(rate), noise=noise, plant=modules)
-                cells = [cell._replace(label=name) for name in labels]
-                if labels and evidence.has(*cells):
-                    ratios = [evidence.ratio(cell, rival) for rival in rivals]
-                    first = _least(evidence, cells)
-                    name = first.label if np.isfinite(evidence.error(first).value) else "none"
-                    errors = map(evidence.error, cells)
-                    seeds = len(evidence.values(cell, "error"))
-                    where = modules, f"{1e3 / rate:g} ms", _noise(noise), seeds
-                    rows.append((*where, name, *errors, *ratios))
-    heads = [*(f"{name} [%]" for name in labels), *(f"afsmc over {name}" for name in rivals)]
-    return _table("plants", rows, heads)
+    for cells in evidence.plants():
+        own = {cell.label: cell for cell in cells}
+        first = _least(evidence, cells)
+        best = first.label if np.isfinite(evidence.error(first).value) else "none"
+        errors = [evidence.error(own[name]) for name in laws]
+        ratios = [evidence.ratio(own[PROPOSED], name) for name in rivals]
+        ranks = [_rank(evidence, own[name], list(own)) for name in laws]
+        rows.append((*_plant(cells[0]), best, *errors, *ratios, *ranks))
+    heads = [*(f"{name} [%]" for name in laws), *(f"afsmc over {name}" for name in rivals)]
+    return _table("plants", rows, [*heads, *(f"rank of {name}" for name in laws)])
+
+
+def plants_ranking(evidence: Evidence) -> Rows:
+    """All laws on all plants, the best first."""
+    for cells in evidence.plants():
+        own = {cell.label: cell for cell in cells}
+        for cell in sorted(cells, key=lambda cell: evidence.error(cell).value):
+            lost, count = evidence.diverged(cell)
+            share = binomial(lost, count) if cell.noise else Interval(*(float(lost),) * 3)
+            percent_lost = Interval(*(100.0 * x for x in share))
+            rank = _rank(evidence, cell, list(own))
+            yield *_plant(cell), rank, cell.label, evidence.error(cell), percent_lost
+
+
+def _plant(cell: Cell) -> tuple[Entry, ...]:
+    """Modules, control period and noise."""
+    return cell.plant, f"{1e3 / rate_of_plants(cell.study):g} ms", _noise(cell.noise)
+
+
+def _rank(evidence: Evidence, cell: Cell, names: Sequence[str]) -> Entry:
+    rank = evidence.rank(cell, names)
+    return "lost" if np.isnan(rank.value) else rank
+
+
+def periods(evidence: Evidence) -> Table:
+    """The longest control periods of each law, predicted and simulated."""
+    rows: list[Sequence[Entry]] = []
+    for name, own in evidence.periods.items():
+        sorts = [SHORTEST_TRACKED if math.isnan(x) else SHORTEST for x in own["predicted"]]
+        pairs = zip(own["predicted"], own["simulated"], sorts, strict=True)
+        rows.append((name, *(_period(x, shortest) for *pair, shortest in pairs for x in pair)))
+    heads = [
+        f"{modules} modules, {kind} [ms]"
+        for modules in evidence.effort.plants
+        for kind in ("predicted", "simulated")
+    ]
+    return _table("periods", rows, heads)
+
+
+def _period(seconds: float, shortest: float) -> Entry:
+    """In milliseconds, or beyond which one it is [s]."""
+    if math.isnan(seconds):
+        return "no slope"
+    if seconds > LONGEST:
+        return f"above {1e3 * LONGEST:g}"
+    return f"below {1e3 * shortest:g}" if seconds < shortest else 1e3 * float(seconds)
 
 
 def _least(evidence: Evidence, cells: Sequence[Cell]) -> Cell:

@@ -95,8 +95,10 @@ def content(
         "command": words()["command"],
         "claims": [one.to_dict(timings=timings) for one in claims if one.place],
         "questions": [one.to_dict(timings=timings) for one in claims if not one.place],
-        "best": _strings(written["best"]),
-        "plants": _strings(written["plants"]) if "plants" in written else [],
+        **{
+            name: _strings(written[name]) if name in written else []
+            for name in ("best", "plants", "periods")
+        },
         "ranking": [
             {"controller": row[0], "error_with_noise": _triple(row[1]), "error": _triple(row[5])}
             for row in written["ranking"].rows

@@ -19,9 +19,8 @@ import numpy as np
 
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.mechanics import levers
-from octarm.disturbances.catalogue import DISTURBANCES
 from octarm.disturbances.episode import Disturbance
-from octarm.disturbances.spelling import first_field
+from octarm.disturbances.spelling import DISTURBANCES, first_field
 from octarm.interfaces import Controller, Instant
 from octarm.simulation.engines import ENGINES, check_engine
 from octarm.simulation.environment import load

@@ -1,0 +1,112 @@
+"""What differs between the episodes of a sweep, from its columns and its manifest."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from octarm.declared import Code
+from octarm.disturbances.fields import field_kinds
+from octarm.disturbances.spelling import DISTURBANCES
+from octarm.errors import OctarmError, printable
+from octarm.sweeps.spec import which
+
+LONGEST = 60  # characters of a name in tables and figures
+_FEWEST, _MOST_RANGES = 4, 6  # values in a range of a drawn factor, and ranges
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Factor:
+    """What differs between episodes, apart from the controller and the seed: an axis of the grid.
+
+    Attributes:
+        name: of its column.
+        unit: of its values; empty for ratios and words.
+        labels: its levels in words; ranges when its values were drawn.
+        places: where its levels stand on an axis, shape (k,); their order when they are words or
+            infinite.
+        scaled: whether the places are numbers.
+        drawn: whether it was drawn for each seed.
+        code: the number of the level of each episode, shape (n,).
+    """
+
+    name: str
+    unit: str
+    labels: tuple[str, ...]
+    places: np.ndarray
+    scaled: bool
+    drawn: bool
+    code: np.ndarray
+
+    @property
+    def title(self) -> str:
+        """The name with its unit."""
+        return self.name + (f" [{self.unit}]" if self.unit else "")
+
+
+def factors_of(
+    held: Mapping[str, np.ndarray],
+    spec: Mapping[str, Any],
+    names: Sequence[str],
+    declared: Mapping[str, Code],
+) -> list[Factor]:
+    """The factors that take more than one value, given columns of shape (n,)."""
+    factors: list[Factor] = []
+    for name in names:
+        column, unit, title = held[name], _unit(name, declared), printable(name, LONGEST)
+        if f"random.{name}" in spec:
+            factors += _drawn(title, unit, column)
+            continue
+        values = np.array(spec[f"grid.{name}"])
+        if len(values) < 2:
+            continue
+        words = column.dtype.kind != "f"
+        labels = tuple(printable(str(value), LONGEST) for value in values.tolist())
+        if not words:
+            if values.dtype.kind not in "if":
+                raise OctarmError(f"the manifest of the sweep has words for values of {name}")
+            values = np.sort(values.astype(float))
+            labels = tuple(f"{v:g}" for v in values)
+        scaled = not words and bool(np.isfinite(values).all())
+        place = values if scaled else np.arange(len(values))
+        code = places(column, values)
+        factors.append(Factor(title, unit, labels, place, scaled, drawn=False, code=code))
+    return factors
+
+
+def _drawn(name: str, unit: str, column: np.ndarray) -> list[Factor]:
+    """A drawn factor, cut into ranges with as many values each; none if there are too few."""
+    different = np.unique(column)
+    bins = min(len(different) // _FEWEST, _MOST_RANGES)
+    if bins < 2:
+        return []
+    edges = np.quantile(different, np.linspace(0.0, 1.0, bins + 1))
+    code = np.clip(np.searchsorted(edges, column, side="right") - 1, 0, bins - 1)
+    labels = tuple(f"{a:.3g} .. {b:.3g}" for a, b in itertools.pairwise(edges))
+    middles = np.array([np.median(column[code == i]) for i in range(bins)])
+    return [Factor(name, unit, labels, middles, scaled=True, drawn=True, code=code)]
+
+
+def _unit(factor: str, code: Mapping[str, Code]) -> str:
+    """The unit of a disturbance's field; empty for ratios and words."""
+    name, _, key = factor.removeprefix("disturbance.").partition(".")
+    kind = which(name)[0]
+    if factor == "mismatch" or kind not in (*DISTURBANCES, *code):
+        return ""
+    if kind in code:
+        units = {name: str(said["unit"]) for name, said in code[kind].declares.items()}
+    else:
+        kinds = field_kinds(DISTURBANCES[kind])
+        units = {kind.key or field: kind.unit for field, kind in kinds.items()}
+    unit = units.get(key or next(iter(units), ""), "")
+    return "" if unit == "1" else unit
+
+
+def places(column: np.ndarray, values: npt.ArrayLike) -> np.ndarray:
+    """The places of a column's entries in a list, shape (n,)."""
+    return np.argmax(column[:, None] == np.asarray(values), axis=1)

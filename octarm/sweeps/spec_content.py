@@ -1,0 +1,162 @@
+"""What the TOML file of a sweep may hold; `octarm.sweeps.spec_file` reads it.
+
+At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `timestep` (or `"auto"`),
+`control_period` [s], `actuation`, `integrator`, `engine`, `batch` and `gain_set`, and `controller`,
+`reference`, `mismatch`, `plant_modules` and `layout` (of a plant of more modules, see
+`octarm.arm.groups`) where they have one value. The tables are:
+
+- `[grid]`: `controller`, `reference`, `mismatch`, `plant_modules` and `layout` as lists;
+- `[grid.disturbance]`: lists of values of disturbances, spelt as on the command line: `noise` for
+  the value that goes without a key there, `noise.time` for one with a key;
+- `[random]` with `mismatch`, and `[random.disturbance]`: what is drawn for each seed,
+  `payload = { low = 0.0, high = 0.2, method = "sobol" }`; `uniform` is the usual method;
+- `[disturbance]`: what is the same in all episodes, `noise.time = 0.01`;
+- `[gains.NAME]`: gains of a controller [SI];
+- `[arm]`: the arm, as in a file of one (`octarm.arm.file`), instead of `arm = "my-arm.toml"`;
+- `[record]`: `episodes`, a list of numbers, `"worst"`, `"median"` and `"diverged"`.
+
+An arm is a file, beside the spec, or one that comes with octarm; `arm` is a key at the top, or a
+list in `[grid]`. Its numbers become part of the spec that the sweep keeps, in a table `[arms.NAME]`
+as `run.json` has them.
+
+A number may be a text with a unit, such as `"40%"`, `"100 g"`, `"15deg"` or `"60ms"`.
+
+Controllers, references and disturbances may be `MODULE:NAME` or `FILE.py:NAME`, and so may those of
+`metric`, what is measured as well; see `octarm.sweeps.spec_code`.
+
+A further disturbance of the same class has its number behind its name, from 2 on: `pulse-2`,
+`noise-2.time`. It has columns and random numbers of its own.
+
+The gain set is `"tuned"`, `"recommended"` or a file of `octarm tune`, beside the spec, for all
+controllers; or there is a table `[gain_set]` with one of these for each. What is in a file becomes
+part of the spec that the sweep keeps.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import pydantic
+from pydantic import AfterValidator, Field, FiniteFloat
+
+from octarm.arm.actuation import ACTUATIONS
+from octarm.arm.modes import INTEGRATORS
+from octarm.arm.parameters import MOST_MODULES
+from octarm.arm.rod import LAYOUTS
+from octarm.declared import Code
+from octarm.formats import Array, Model, one_of, spelt
+from octarm.simulation.engines import ENGINES, MUJOCO
+from octarm.simulation.steps import AUTO
+
+RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
+METHODS = ("uniform", "sobol")
+GAIN_SETS = ("tuned", "recommended")
+
+
+def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    if not values:
+        raise ValueError("a list with a value")
+    if len(set(values)) < len(values):
+        raise ValueError("without the same value twice")
+    return values
+
+
+def _step(value: float | str) -> float | str:
+    if value != AUTO and not (isinstance(value, float) and 1e-7 <= value <= 0.1):
+        raise ValueError(f"{spelt(AUTO)}, or a number from 1e-07 to 0.1")
+    return value
+
+
+Distinct = AfterValidator(_distinct)
+Mismatch = Annotated[float, Field(gt=-1.0, le=1e6)]
+Layout = Annotated[str, one_of(LAYOUTS)]
+Modules = Annotated[int, Field(ge=1, le=MOST_MODULES)]
+Positive = Annotated[FiniteFloat, Field(gt=0.0)]
+Step = Annotated[float | str, AfterValidator(_step)]
+Number = Annotated[float, pydantic.AllowInfNan(True)]
+Gain = float | list[float]
+
+
+class Bounds(Model):
+    """Between which values an axis is drawn."""
+
+    low: FiniteFloat
+    high: FiniteFloat
+    method: Annotated[str, one_of(METHODS)] = "uniform"
+
+    @pydantic.model_validator(mode="after")
+    def _ordered(self) -> Bounds:
+        if not self.low < self.high:
+            raise ValueError("such that low is below high")
+        return self
+
+
+class MismatchBounds(Bounds):
+    """Bounds of the mismatch of the nominal model."""
+
+    low: Mismatch
+    high: Mismatch
+
+
+class Grid(Model):
+    """The table `[grid]`."""
+
+    controller: Annotated[Array[str], Distinct] | None = None
+    reference: Annotated[Array[str], Distinct] | None = None
+    mismatch: Annotated[Array[Mismatch], Distinct] | None = None
+    plant_modules: Annotated[Array[Modules], Distinct] | None = None
+    layout: Annotated[Array[Layout], Distinct] | None = None
+    arm: Annotated[Array[str], Distinct] | None = None
+    disturbance: dict[str, Any] = Field(default_factory=dict)
+
+
+class Random(Model):
+    """The table `[random]`."""
+
+    mismatch: MismatchBounds | None = None
+    disturbance: dict[str, Any] = Field(default_factory=dict)
+
+
+class Record(Model):
+    """The table `[record]`."""
+
+    episodes: Array[Annotated[int, Field(ge=0)] | Annotated[str, one_of(RECORDED)]] = ()
+
+
+class GainFile(Model):
+    """What a sweep reads of a file of `octarm tune`."""
+
+    model_config = pydantic.ConfigDict(extra="ignore")
+
+    controller: str
+    gains: dict[str, Gain]
+    arm: dict[str, float]
+
+
+class SpecFile(Model):
+    """The whole file; fields of disturbances are read in `_fields`."""
+
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
+    episodes: Annotated[int, Field(ge=1)] = 1
+    duration: Positive = 10.0
+    timestep: Step | None = None
+    control_period: Annotated[FiniteFloat, Field(gt=0.0, le=10.0)] | None = None
+    actuation: Annotated[str, one_of(ACTUATIONS)] = "f-coeff"
+    engine: Annotated[str, one_of(ENGINES)] = MUJOCO
+    batch: Annotated[int, Field(ge=1)] = 1024
+    integrator: Annotated[str, one_of(INTEGRATORS)] = "rk4"
+    controller: str | None = None
+    reference: str | None = None
+    metric: str | Array[str] = ()  # those that are not built in are in `code`
+    mismatch: Mismatch | None = None
+    plant_modules: Modules | None = None
+    layout: Layout | None = None
+    gain_set: str | dict[str, str | GainFile] | None = None
+    grid: Grid = Grid()
+    random: Random = Random()
+    disturbance: dict[str, Any] = Field(default_factory=dict)
+    gains: dict[str, dict[str, Gain]] = Field(default_factory=dict)
+    arm: str | dict[str, Any] | None = None
+    arms: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    record: Record = Record()
+    code: dict[str, Code] = Field(default_factory=dict)
