@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
-from recordings import described, entities, fields, swinging
+from recordings import described, entities, fields, swinging, write_run
 
 from octarm.commands.cli import main
 from octarm.recordings.comparison import difference, write_comparison
 from octarm.recordings.differences import differences, labels, verdict
-from octarm.runs.folder import write_run
 
 
 def test_it_holds_both_runs_and_the_difference_of_their_errors(tmp_path):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recordings import described, swinging
+from recordings import described, swinging, write_run
 from test_sweep import Inline
 
 import octarm
@@ -21,7 +21,7 @@ from octarm import bars
 from octarm.errors import OctarmError
 from octarm.recordings.contents import contents
 from octarm.recordings.recording import write_recording
-from octarm.runs.folder import Run, write_run
+from octarm.runs.folder import Run
 from octarm.simulation import rollout as rollouts
 from octarm.sweeps.spec_file import parse_spec
 
