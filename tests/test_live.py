@@ -57,6 +57,7 @@ def compared(path: Path) -> dict[str, str]:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # the sink that is killed writes no footer
 def test_the_viewer_gets_the_run_and_the_recording_is_the_same():
     assert main([*RUN, "--out", "alone"]) == 0
     with sink(Path("got.rrd")) as (address, process):
@@ -103,6 +104,7 @@ def test_the_viewer_is_sent_rows_as_they_come(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # the sink that is killed writes no footer
 def test_a_viewer_that_goes_away_does_not_end_the_run(capfd: pytest.CaptureFixture[str]):
     run, said = swinging(rows=3000), []
     rows = dict(run.arrays())
