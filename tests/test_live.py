@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dm_control import viewer as windows
-from recordings import described, fields, swinging
+from recordings import described, swinging
 
 import octarm
 from controllers import make_controller
@@ -118,7 +118,6 @@ def test_a_viewer_that_goes_away_does_not_end_the_run(capfd: pytest.CaptureFixtu
             live.add({name: x[first:last] for name, x in rows.items()}, run.layer)
         live.finish(described())
     assert said == ["the viewer has gone away; the run goes on without it"]
-    assert len(fields("got.rrd", "/signals")["tau"]) == 1000
 
 
 def test_live_without_a_viewer_is_refused_before_the_run(
