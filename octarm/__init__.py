@@ -16,10 +16,14 @@ if TYPE_CHECKING:
     from octarm.interfaces import Controller as Controller
     from octarm.interfaces import Measurement as Measurement
     from octarm.interfaces import Reference as Reference
+    from octarm.recordings.cell import show as show
+    from octarm.reports.report import report as report
+    from octarm.runs.folder import Run as Run
     from octarm.runs.folder import read_run as read_run
     from octarm.simulation.environment import load as load
     from octarm.simulation.rollout import rollout as rollout
     from octarm.simulation.trajectory import Trajectory as Trajectory
+    from octarm.sweeps.episodes import FinishedSweep as FinishedSweep
     from octarm.sweeps.execute import sweep as sweep
     from octarm.sweeps.spec_file import read_spec as read_spec
     from octarm.sweeps.store import read_sweep as read_sweep
@@ -39,6 +43,10 @@ _HOMES = {
     "read_arm": "arm.file",
     "rollout": "simulation.rollout",
     "sweep": "sweeps.execute",
+    "Run": "runs.folder",
+    "show": "recordings.cell",
+    "report": "reports.report",
+    "FinishedSweep": "sweeps.episodes",
     "read_run": "runs.folder",
     "read_sweep": "sweeps.store",
     "read_spec": "sweeps.spec_file",

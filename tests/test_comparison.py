@@ -1,13 +1,17 @@
 """Two runs in one recording."""
 
 import dataclasses
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 import rerun as rr
-from recordings import described, entities, fields, swinging
+from recordings import described, entities, fields, swinging, write_run
 
+from octarm.commands.cli import main
 from octarm.recordings.comparison import difference, write_comparison
+from octarm.recordings.differences import differences, labels, verdict
 
 
 def test_it_holds_both_runs_and_the_difference_of_their_errors(tmp_path):
@@ -24,6 +28,119 @@ def test_it_holds_both_runs_and_the_difference_of_their_errors(tmp_path):
     np.testing.assert_allclose(found["slides"], expected[:, :3], atol=1e-15)
     np.testing.assert_allclose(found["bends"], expected[:, 3:], atol=1e-15)
     assert len(rr.chunk.RrdReader(path).blueprints()) == 1
+
+
+def test_any_number_of_runs_is_held_with_the_differences_from_the_first(tmp_path):
+    runs = [dataclasses.replace(swinging(rows=300 + 10 * i)) for i in range(4)]
+    path = tmp_path / "all.rrd"
+    write_comparison(path, *((run, described()) for run in runs))
+    assert {f"/{root}/world/tube" for root in "ABCD"} <= entities(path)
+    for i, root in enumerate("BCD", 1):
+        expected = np.abs(runs[0].error) - np.abs(runs[i].error[:300])
+        parts = fields(path, f"/difference/{root}", "difference")
+        np.testing.assert_allclose(parts["bends"], expected[:, 3:], atol=1e-15)
+    assert labels(28)[24:] == ["Y", "Z", "AA", "AB"]
+
+
+def of(name="noise", **asked):
+    """An entry of the disturbances of `run.json`."""
+    return {"disturbances": [{"name": name, "asked": {"ratio": 0.4, **asked}}]}
+
+
+DIFFERENT = [
+    ({"seed": 4}, "seed", False),  # nothing draws from it
+    ({"controller": {"name": "pd", "gains": {"K_p": 3.0}}}, "controller", False),
+    ({"nominal": {"mass": [0.1, 0.2]}}, "model's mass", False),
+    ({"control_period": 0.001}, "control period [s]", False),
+    ({"reference": {"name": "step"}}, "reference", True),
+    ({"duration": 3.0}, "duration [s]", True),
+    ({"parameters": described(tip=1)["parameters"] | {"gravity": 1.6}}, "arm's gravity", True),
+    ({"status": "interrupted"}, "end", True),
+    (of(), "disturbance noise", True),
+    ({"plant": {"modules": 15, "layout": "paper"}}, "plant's modules", True),
+]
+
+
+@pytest.mark.parametrize(("change", "name", "task"), DIFFERENT, ids=lambda x: str(x)[:24])
+def test_what_differs_is_named_and_tasks_that_differ_are_not_ranked(change, name, task):
+    found = differences([described(), described(3, **change)])
+    assert {each.name: each.of_the_task for each in found}[name] is task
+    assert ("Not ranked" in verdict(found)) is task
+    assert name in verdict(found)
+    assert differences([described(3, **change)] * 3) == []
+
+
+def test_the_seed_counts_where_something_is_random_and_digits_that_are_not_printed():
+    found = differences([described(3, **of()), described(3, **of(), seed=4)])
+    assert [(each.name, each.of_the_task) for each in found] == [("seed", True)]
+    found = differences([described(3, **of(ratio=x)) for x in (0.1, 0.1 + 1e-12)])
+    assert len(set(found[0].values)) == 2
+    found = differences([described(), described(controller={"name": "pd", "gains": {"K": 1}})])
+    assert [each.name for each in found] == ["controller"]  # gains of other laws mean other things
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_a_plot_of_the_difference_says_who_is_nearer_only_of_the_same_task(tmp_path, alike):
+    runs = [(swinging(rows=200), described()), (swinging(rows=200), described())]
+    if not alike:
+        runs[1] = (runs[1][0], described(3, **of()))
+    write_comparison(tmp_path / "x.rrd", *runs)
+    reader = rr.chunk.RrdReader(tmp_path / "x.rrd")
+    stores = [chunk for store in reader.blueprints() for chunk in reader.stream(store=store)]
+    names = " ".join(str(chunk.to_record_batch().to_pylist()) for chunk in stores)
+    assert ("B is nearer" in names) is alike
+    assert ("not ranked" in names) is not alike
+
+
+def run_folders(count, **changes):
+    """Run folders with arrays, of which the last one is described otherwise."""
+    for i in range(count):
+        more = changes if i == count - 1 else {}
+        run = swinging(rows=2200, rate=1000.0)
+        metrics = {"rms_error": [1e-3 * (i + 1)] * 6, "tip_rms_error": 0.5 / (i + 1)}
+        Path(f"r{i}").mkdir()
+        write_run(Path(f"r{i}"), run, described(metrics=metrics, **more))
+    return [f"r{i}" for i in range(count)]
+
+
+@pytest.mark.parametrize("changes", [{}, of("<b>gust</b>"), {"status": "diverged"}])
+def test_the_command_writes_one_page_and_one_recording(tmp_path, monkeypatch, capsys, changes):
+    monkeypatch.chdir(tmp_path)
+    if "disturbances" in changes:
+        monkeypatch.setattr("octarm.recordings.recording.disturbances_of", lambda d: {})
+        monkeypatch.setattr("octarm.recordings.channels.disturbances_of", lambda d: {})
+    assert main(["compare", *run_folders(3, **changes), "--out", "c"]) == 0
+    assert {path.name for path in Path("c").iterdir()} == {"comparison.html", "comparison.rrd"}
+    text = Path("c/comparison.html").read_text()
+    ranked = "disturbances" not in changes
+    assert text.index("What differs") < text.index("Numbers") < text.index("Figures")
+    assert ('<td class="best">' in text) is ranked
+    assert ("Not ranked" in text) is not ranked
+    assert ("the other one is nearer" in text) is ranked
+    assert "<b>gust" not in text and "<script" not in text
+    assert len(re.findall("<figure>", text)) == 3
+    assert "/C/world/tube" in entities("c/comparison.rrd")
+    out = capsys.readouterr().out
+    assert "A: r0, smc on sine" in out
+    assert main(["compare", "r0", "r1", "--out", "c"]) == 2
+    assert "--force replaces it" in capsys.readouterr().err
+    assert main(["compare", "r0", "r1", "--out", "c", "--force"]) == 0
+
+
+def test_what_cannot_be_compared_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    run_folders(1)
+    Path("two").mkdir()
+    write_run(Path("two"), swinging(2, rows=50), described(2, metrics={}))
+    for words, sentence in (
+        ([], "0 runs are given; octarm compare needs two or more"),
+        (["r0"], "1 runs are given"),
+        (["r0", "two"], "the arms have 3 and 2 modules; they cannot be compared"),
+        (["r0", "nothing"], "nothing is not a run folder"),
+    ):
+        assert main(["compare", *words, "--out", "c"]) == 2
+        assert sentence in capsys.readouterr().err
+    assert not Path("c").exists()
 
 
 def test_another_rate_is_interpolated():

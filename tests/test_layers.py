@@ -14,7 +14,7 @@ CONTROLLERS = Path(controllers.__file__).parent
 # From the bottom up: a package imports from itself and from those before it.
 LAYERS = [
     "errors interrupts tolerances",
-    "arrays files memory palette",
+    "arrays bars files html memory palette",
     "formats importing units",
     "fields",
     "declared",

@@ -23,10 +23,10 @@ import octarm
 from controllers import make_controller
 from octarm.commands import cli
 from octarm.errors import FileError, OctarmError, closest, printable, quoted
+from octarm.html import templates
 from octarm.recordings import viewer
 from octarm.recordings.notes import notes_of
 from octarm.recordings.titles import title_of
-from octarm.reports.page import templates
 
 HOSTILE = "\x1b[31mred\x1b[0m\n\u202eevil\u2028\x85\x7f"
 

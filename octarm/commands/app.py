@@ -12,6 +12,7 @@ from typing import Annotated
 from cyclopts import App, Argument, Group, Parameter
 from cyclopts.exceptions import (
     CoercionError,
+    ConsumeMultipleError,
     CycloptsError,
     MissingArgumentError,
     RepeatArgumentError,
@@ -59,7 +60,10 @@ def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
 
 
 for title, functions in {
-    "one run": (one_run.run, one_run.replay, one_run.record, one_run.plot, one_run.video),
+    "one run": (
+        *(one_run.run, one_run.view, one_run.replay, one_run.record),
+        *(one_run.plot, one_run.video, one_run.compare),
+    ),
     "many runs": (many_runs.sweep, many_runs.report, many_runs.margin, many_runs.tune),
     "an arm": (one_arm.arm,),
     "your own": (own.new,),
@@ -71,7 +75,7 @@ for title, functions in {
         APP.command(function, group=group)
 
 # [GB] that rerun reserves, although it uses little of them; other commands need less.
-_ADDRESS_SPACE = {"run": 3.5, "record": 3.5, "replay": 3.5}
+_ADDRESS_SPACE = {"run": 3.5, "record": 3.5, "replay": 3.5, "compare": 3.5}
 
 # What makes the script work at the end of ~/.zshrc; the function is named by cyclopts.
 _AFTER = {"zsh": "autoload -U +X compinit && compinit\ncompdef _cyclopts_octarm octarm"}
@@ -143,6 +147,8 @@ def _sentence(error: CycloptsError, command: str) -> str:
             return f"octarm {command} has no use for {quoted(word)}{_as_option(command, word)}"
         case RepeatArgumentError():
             return f"{error.token.keyword} is given twice"
+        case ConsumeMultipleError(argument=Argument() as argument):
+            return f"{argument.name} takes one value at most"
         case MissingArgumentError(argument=Argument() as argument) if is_operand(argument):
             return f"octarm {command} needs {spelling(argument)}, {_help(command, argument)}"
         case MissingArgumentError(argument=Argument() as argument):

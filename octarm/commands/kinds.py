@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 import pkgutil
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
@@ -274,6 +275,22 @@ GAINS = _converted("GAINS", _gains, completer=lambda _: known_words("GAINS"))
 # Operands, which are looked at after all options.
 FILE_OR_ARM, SHELL, KIND = map(_word, ("ARM", "SHELL", "KIND"))
 ARM = _converted("ARM", _arm, completer=lambda _: known_words("ARM"))
+
+
+def _address(option: str, word: str) -> str:
+    """HOST:PORT, given that or the URL that rerun says."""
+    match = re.fullmatch(r"(?:rerun\+http://)?([\w.-]+:\d{1,5})(?:/proxy/?)?", word, re.ASCII)
+    if match is None or int(match[1].rpartition(":")[2]) > 65535:
+        raise ValueError(f"{option} is {quoted(word)}; an address reads HOST:PORT")
+    return match[1]
+
+
+def _live(hint: Any, tokens: Sequence[Token]) -> list[str]:
+    return [_address(str(token.keyword), token.value) for token in tokens]
+
+
+# An option whose value may be left out; the value, if there is one, as a list.
+LIVE = Parameter(metavar="[HOST:PORT]", converter=_live, consume_multiple=(0, 1))
 
 
 def heading(name: str) -> Parameter:

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from controllers import CONTROLLERS, make_controller
 from octarm.arm.parameters import ArmParameters
+from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
 from octarm.commands.options import ArmOptions, GainOptions
 from octarm.declared import Code, named, short_name
@@ -166,9 +166,7 @@ def _controller(name: str, options: GainOptions, nominal: ArmParameters) -> Cont
 
 def _search(name: str, run: MarginRuns, seeds: int) -> Brackets:
     """The brackets of one controller, with a bar on the progress."""
-    with tqdm(
-        desc=name, total=0, unit=" simulated s", unit_scale=True, disable=None, leave=False
-    ) as bar:
+    with new_bar(desc=name, total=0, unit=" simulated s", unit_scale=True) as bar:
         counted = dataclasses.replace(run, progress=bar.update)
 
         def attempt(arms: np.ndarray, shares: np.ndarray) -> Attempt:

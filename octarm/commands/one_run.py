@@ -1,7 +1,8 @@
-"""The commands on one run: run, replay, record, plot, video."""
+"""The commands on one run and a few: run, view, replay, compare, record, plot, video."""
 
 from __future__ import annotations
 
+import os
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,7 @@ from octarm.commands import kinds
 from octarm.commands.kinds import Work
 from octarm.commands.options import NOMINAL_ARM, USUAL_GAINS, ArmOptions, GainOptions
 from octarm.commands.terminal import surviving_output
+from octarm.errors import OctarmError
 
 
 def run(
@@ -31,6 +33,7 @@ def run(
     out: Annotated[Path | None, kinds.DIR, kinds.OUTPUT] = None,
     force: Annotated[bool, kinds.OUTPUT] = False,
     view: Annotated[bool, kinds.OUTPUT] = False,
+    live: Annotated[list[str] | None, kinds.LIVE, kinds.OUTPUT] = None,
 ) -> Work:
     """Run one controller on the arm and record it.
 
@@ -57,9 +60,12 @@ def run(
         out: run folder to write; runs/DATE-TIME-CONTROLLER when not given
         force: replace an earlier run
         view: open the recording in the viewer when the run is done
+        live: show the run in a viewer while it goes on: in a new window, or in the viewer that is
+            open at HOST:PORT
 
     Examples:
       octarm run --view
+      octarm run --duration 60 --live
       octarm run --controller afsmc --mismatch -0.3 --out runs/adaptive
       octarm run --disturbance noise:0.4 --disturbance payload:0.2,at=3
       octarm run --reference sine:amplitude=20deg,frequency=1
@@ -86,6 +92,10 @@ def run(
     {disturbances}
     """
     kinds.check_free(force, out and out / "run.json")
+    if live is not None:
+        if view or len(live) > 1:
+            raise OctarmError("--live is given with --view, or twice; one viewer shows a run")
+        os.environ.setdefault("RUST_LOG", "off")  # a viewer that goes away is said by octarm
     from octarm.commands.words import named_words
 
     gains, (true, nominal) = gain_options.values(), model.both()
@@ -114,9 +124,72 @@ def run(
             layout=model.layout,
             code=code,
         )
-        return work.run(experiment, gain_options.gains, out, view)
+        url = None if live is None else "".join(live)
+        return work.run(experiment, gain_options.gains, out, view, url)
 
     return surviving_output(job)
+
+
+def view(
+    *,
+    controller: Annotated[str, kinds.CONTROLLER, kinds.EXPERIMENT] = "smc-boundary",
+    reference: Annotated[str, kinds.REFERENCE, kinds.EXPERIMENT] = "sine",
+    disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = (),
+    seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
+    arm: Annotated[str | None, kinds.ARM, kinds.MODEL] = None,
+    mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0,
+    gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None,
+    gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = (),
+    control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
+) -> Work:
+    """Watch the arm in MuJoCo's viewer, moved by a controller.
+
+    In a window of dm_control, where the arm can be pushed: the space bar starts and stops, F1 shows
+    the keys. A restart is the next episode: all that is random is drawn anew, and the controller
+    begins anew. Nothing is recorded. The options are those of octarm run.
+
+    Args:
+        controller: the control law
+        reference: the desired motion
+        disturbance: NAME:VALUE[,KEY=VALUE..], what acts on the arm; see octarm run --help
+        seed: seed of all that is random
+        arm: the true arm and the controller's model of it, a file or an arm that comes with octarm
+        mismatch: error of the controller's model
+        gains: tuned, recommended, or a file; tuned ones when not given
+        gain: one gain in SI
+        control_period: time between control actions [s]; one physics step when not given
+
+    Examples:
+      octarm view --controller afsmc
+      octarm view --controller pd --disturbance noise:0.4
+    """
+    from octarm.recordings.viewer import check_display
+
+    def job() -> int:
+        check_display("octarm run and octarm video need none")
+        os.environ["MUJOCO_GL"] = "glfw"  # before anything imports MuJoCo
+        from octarm.commands import view as work
+        from octarm.commands import words
+        from octarm.disturbances.spelling import parse_disturbance
+        from octarm.runs.experiment import Experiment
+
+        names, code = words.named_words(controller, reference, disturbance, ())
+        true = words.true_arm((), arm)
+        experiment = Experiment(
+            controller=names[0],
+            gains=words.gain_values(gain),
+            nominal=true.mismatched(mismatch),
+            parameters=true,
+            reference=names[1],
+            disturbances=tuple(map(parse_disturbance, disturbance)),
+            seed=seed,
+            duration=1.0,  # of a run; the window stays open
+            control_period=control_period,
+            code=code,
+        )
+        return work.view(experiment, gains)
+
+    return job
 
 
 def replay(
@@ -150,6 +223,32 @@ def replay(
 
     job = partial(work.replay, runs, screenshot, time, web)
     return job if screenshot is None else surviving_output(job)
+
+
+def compare(
+    *runs: Annotated[Path, kinds.RUN],
+    out: Annotated[Path, kinds.DIR] = Path("comparison"),
+    force: bool = False,
+) -> Work:
+    """Put two runs or more into one page and one recording.
+
+    First in what they differ, then their metrics and their errors over time. Runs that had
+    different things to do (another arm, reference, duration, disturbance or seed) are not ranked.
+    Writes a folder: comparison.html, which needs nothing beside itself, and comparison.rrd.
+
+    Args:
+        runs: run folders; the first one is A, the next B
+        out: folder to write
+        force: replace a comparison that is there
+
+    Examples:
+      octarm compare runs/smc runs/afsmc
+      octarm compare runs/a runs/b runs/c --out comparison-of-gains
+    """
+    kinds.check_free(force, out / "comparison.html", out / "comparison.rrd")
+    from octarm.commands import compare as work
+
+    return surviving_output(partial(work.compare, runs, out))
 
 
 def record(

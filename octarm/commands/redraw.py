@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
 from octarm.errors import ExitCode, printable
 from octarm.runs import folder as runs
-from octarm.simulation.trajectory import Trajectory
 
 
 def record(run: Path, out: Path | None) -> int:
@@ -44,7 +42,7 @@ def video(run: Path, out: Path, *, size: tuple[int, int], rate: float, speed: fl
     return ExitCode.FINE
 
 
-def rows_of(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
+def rows_of(folder: Path) -> runs.Run:
     """The arrays of a run, as far as there are any, and its description.
 
     Raises:
@@ -54,8 +52,8 @@ def rows_of(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
     if description["status"] == runs.RUNNING:
         say_partial(float(trajectory.t[-1]))
         ended = {"status": trajectory.status, "message": trajectory.message}
-        return trajectory, {**description, **ended}
-    return trajectory, description
+        return runs.Run(trajectory, {**description, **ended})
+    return runs.Run(trajectory, description)
 
 
 def say_partial(end: float) -> None:

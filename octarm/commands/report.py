@@ -10,11 +10,11 @@ from pathlib import Path
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.files import write_files
 from octarm.formats import read_toml
+from octarm.reports import report as reports
 from octarm.reports.charts import pictures, scales_of
-from octarm.reports.comparisons import TABLES, Comparisons, compare, tables
-from octarm.reports.consistency import Remark, remarks
+from octarm.reports.comparisons import TABLES, Comparisons, tables
+from octarm.reports.consistency import Remark
 from octarm.reports.figures import Picture
-from octarm.reports.frame import read_episodes
 from octarm.reports.page import Source, page
 from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.shards import schema
@@ -29,13 +29,11 @@ def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Pat
     """`octarm report`: a page, tables and figures on a sweep."""
     folder = out or sweep / "report"
     _check_place(folder, sweep)
-    episodes = read_episodes(sweep, metrics)
-    numbers = compare(episodes, None if baseline is None else _called(baseline, sweep))
-    remarked = remarks(episodes)
+    name, numbers, remarked = reports.report(sweep, baseline, metrics)
     drawn = list(pictures(numbers))
     files = tables(numbers)
     source = Source(
-        name=sweep.resolve().name,
+        name=name,
         spec=read_toml(sweep / SPEC).text,
         commands=_commands(sweep, baseline, metrics, out),
         files=list(files),
@@ -60,12 +58,6 @@ def columns(sweep: Path | None) -> int:
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=False))
         print(printable("  ".join([*cells, row[3]])))
     return ExitCode.FINE
-
-
-def _called(controller: str, sweep: Path) -> str:
-    """The name of a controller in a sweep, given that or MODULE:NAME or FILE.py:NAME."""
-    code = open_sweep(sweep)[0].spec.code
-    return next((name for name, each in code.items() if each.path == controller), controller)
 
 
 def _check_place(out: Path, sweep: Path) -> None:
@@ -111,7 +103,7 @@ def _commands(
     return [shlex.join(again), shlex.join(words)]
 
 
-def _print_summary(numbers: Comparisons, remarked: list[Remark]) -> None:
+def _print_summary(numbers: Comparisons, remarked: Sequence[Remark]) -> None:
     """A row a controller, and the warnings."""
     measure, scale = numbers.episodes.measures[0], scales_of(numbers.episodes)[0]
     unit = scale.unit or "1"

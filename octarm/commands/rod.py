@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from octarm.arm.rod import LAYOUTS
+from octarm.bars import bar as new_bar
 from octarm.checks import rod_motion
 from octarm.checks.rod_convergence import MODULES, Study
 from octarm.checks.rod_convergence import study as study
@@ -41,7 +41,7 @@ def validate_rod(out: Path | None, file: Path | None) -> int:
         out: folder for the figures; none are drawn if None.
         file: for the report as JSON; none if None.
     """
-    with tqdm(bar_format="checking {desc}", disable=None, leave=False) as line:
+    with new_bar(bar_format="checking {desc}") as line:
         result = study(line.set_description_str)
     print(result, flush=True)
     if file is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import functools
 import itertools
@@ -16,12 +17,15 @@ from tqdm import tqdm
 
 from controllers import make_controller
 from octarm.arm.modes import growth_rate
+from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
 from octarm.commands.summary import Swing, summary
 from octarm.declared import short_name, word_of
 from octarm.disturbances.episode import Disturbance
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.metrics.metric import unsettled
+from octarm.recordings import viewer
+from octarm.recordings.live import LiveRecording
 from octarm.recordings.recording import run_recording
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
@@ -29,8 +33,24 @@ from octarm.simulation.environment import whole_periods
 from octarm.simulation.physics import ArmPhysics
 
 
-def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bool) -> int:
-    """`octarm run`: one controller against the arm, as a run folder."""
+def run(
+    experiment: Experiment,
+    gain_set: str | None,
+    out: Path | None,
+    view: bool,
+    live: str | None = None,
+) -> int:
+    """`octarm run`: one controller against the arm, as a run folder.
+
+    `live` is the address of a viewer that shows it meanwhile; if empty, a window is opened.
+    """
+    with contextlib.nullcontext() if live is None else viewer.open_for_run(live) as url:
+        return _run(experiment, gain_set, out, view, url)
+
+
+def _run(
+    experiment: Experiment, gain_set: str | None, out: Path | None, view: bool, url: str | None
+) -> int:
     environment, controller = experiment.begin(
         functools.partial(make_controller, gain_set=gain_set)
     )
@@ -47,7 +67,7 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
         print(f"octarm: {sentence}", file=sys.stderr)
     out = out or _dated_folder(experiment.controller)
     started, swing = time.perf_counter(), Swing()
-    with tqdm(total=periods, unit=" periods", disable=None, leave=False) as bar:
+    with new_bar(total=periods, unit=" periods") as bar:
         trajectory, description = run_into(
             out,
             environment,
@@ -56,6 +76,7 @@ def run(experiment: Experiment, gain_set: str | None, out: Path | None, view: bo
             recording=run_recording,
             progress=bar.update,
             keep=swing.add,
+            live=None if url is None else LiveRecording(url, announced, _say),
         )
     elapsed = time.perf_counter() - started
     print(summary(len(trajectory), swing.amplitude(), description, elapsed, experiment.code))
@@ -107,14 +128,16 @@ def _advice(far: str, environment: control.Environment) -> str:
 
 def _view(folder: Path) -> None:
     """Opens the viewer on a fresh run; without a display the run is still fine."""
-    from octarm.recordings import viewer
-
     try:
         viewer.open_viewer([folder / runs.RECORDING])
     except OctarmError as error:
         print(f"the viewer did not open: {error}")
         name = printable(shlex.quote(str(folder)))
         print(f"a picture: octarm replay {name} --screenshot picture.png")
+
+
+def _say(sentence: str) -> None:
+    tqdm.write(f"octarm: {sentence}", file=sys.stderr)  # above the bar
 
 
 def _dated_folder(controller: str) -> Path:

@@ -11,9 +11,9 @@ from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from controllers import CONTROLLERS, make_controller
+from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
 from octarm.declared import short_name, word_of
 from octarm.errors import ExitCode, OctarmError, printable, sentence_of
@@ -154,7 +154,7 @@ def _record(spec: SweepSpec, options: Options, out: Path) -> bool:
         print(f"octarm: {printable(note)}", file=sys.stderr)
     with (
         SweepFolder(out, done.plan).locked(),
-        tqdm(unit=" periods", disable=None, leave=False) as bar,
+        new_bar(unit=" periods") as bar,
     ):
 
         def begin(periods: int, label: str) -> None:

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from controllers import CONTROLLERS, make_controller
 from controllers.gain_sets import GainSet, shortest
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
+from octarm.bars import bar as new_bar
 from octarm.commands.options import NOMINAL_ARM, USUAL_GAINS, ArmOptions, GainOptions
 from octarm.declared import Code, lacking, short_name
 from octarm.disturbances.spelling import parse_disturbance
@@ -125,9 +125,7 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
             "begin it anew by --force"
         )
     state = file.read() if resume else None
-    bar = tqdm(
-        total=budget.seconds, unit=" simulated s", unit_scale=True, disable=None, leave=False
-    )
+    bar = new_bar(total=budget.seconds, unit=" simulated s", unit_scale=True)
 
     def keep(state: SearchState) -> None:
         file.write(state)

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from controllers import CONTROLLERS, make_controller
 from controllers.proofs.ledger import ledger as ledger
 from octarm.arm.file import read_arm
 from octarm.arm.parameters import ArmParameters
+from octarm.bars import bar as new_bar
 from octarm.checks.closed_loops import compare_engines
 from octarm.checks.validation import arm_with, random_arm
 from octarm.checks.validation import validate as plant
@@ -51,7 +51,7 @@ def validate(
     """`octarm validate`: MuJoCo and the analytic model, or the controllers' Lyapunov ledger."""
     reports: list[CheckTable] = []
     for arm in arms:
-        with tqdm(bar_format="checking {desc}", disable=None, leave=False) as line:
+        with new_bar(bar_format="checking {desc}") as line:
             reports.append(compare(arm, states, seed, line.set_description_str))
         print(reports[-1], flush=True)
     if file is not None:

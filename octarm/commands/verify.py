@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from controllers import make_controller
+from octarm.bars import bar as new_bar
 from octarm.checks.differences import listed
 from octarm.checks.run_files import sweep_differences
 from octarm.checks.verify import check_episode, check_run
@@ -48,7 +48,7 @@ def _run(folder: Path) -> bool:
     description = runs.read_description(folder)
     _announce(folder, Document(runs.DESCRIPTION, description).read(Description).code)
     periods = description.get("duration", 0.0) / description.get("control_period", 1.0)
-    with tqdm(total=round(periods) or None, unit=" periods", disable=None, leave=False) as bar:
+    with new_bar(total=round(periods) or None, unit=" periods") as bar:
         check = check_run(folder, factory, bar.update)
     _print_lines(folder, check.lines())
     return check.identical
@@ -65,7 +65,7 @@ def _sweep(folder: Path, named: Sequence[int], sample: int | None) -> bool:
     if changed:
         _print_lines(folder, ["the files are not those of this sweep", *listed(changed, "entry")])
     identical = not changed
-    with tqdm(episodes, unit=" episodes", disable=None, leave=False) as bar:
+    with new_bar(episodes, unit=" episodes") as bar:
         for episode in bar:
             check = check_episode(sweep, episode, make_controller)
             bar.clear()

@@ -204,6 +204,7 @@ def blueprint(
     largest: Mapping[str, np.ndarray] | None = None,
     *,
     listed: bool = False,
+    following: bool = False,
 ) -> rrb.Blueprint:
     """The layout for one run.
 
@@ -214,6 +215,7 @@ def blueprint(
         lanes: of the state timeline, without those of single coordinates.
         largest: sizes of the numbers of each channel, shape (numbers,), see `Plots`.
         listed: whether the viewer keeps its list of recordings open.
+        following: whether the viewer follows the last instant.
     """
     plots = Plots(channels, float(description["duration"]), largest=largest)
     tabs = _tabs(plots, ledger=bool(description.get("disturbances")))
@@ -237,7 +239,8 @@ def blueprint(
         rrb.Tabs(*tabs.values(), active_tab=list(tabs).index(opened)),
         row_shares=[*[1.0] * len(tracking), 1.15],
     )
-    return Layout(rrb.Horizontal(left, right, column_shares=[2, 3]), listed=listed)
+    body = rrb.Horizontal(left, right, column_shares=[2, 3])
+    return Layout(body, listed=listed, following=following)
 
 
 def _tabs(plots: Plots, *, ledger: bool) -> dict[str, Any]:
@@ -286,11 +289,15 @@ class Layout(rrb.Blueprint):
     It does not note when each of its parts was made, and is smaller by a tenth.
     """
 
-    def __init__(self, layout: Any, *, listed: bool = False) -> None:
-        """The layout of a container of views; with the list of recordings if they are listed."""
+    def __init__(self, layout: Any, *, listed: bool = False, following: bool = False) -> None:
+        """The layout of a container of views; with the list of recordings if they are listed.
+
+        It opens at the first instant, or follows the last one.
+        """
+        play_state = "following" if following else "paused"
         super().__init__(
             layout,
-            rrb.TimePanel(timeline="t", play_state="paused", state="collapsed"),
+            rrb.TimePanel(timeline="t", play_state=play_state, state="collapsed"),
             rrb.SelectionPanel(state="hidden"),
             *([] if listed else [rrb.BlueprintPanel(state="hidden")]),
         )

@@ -1,15 +1,19 @@
-"""Two runs in one recording, side by side and at the same time, and how their errors differ."""
+"""Runs in one recording, side by side and at the same time, and how their errors differ."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
 
 from octarm.errors import OctarmError
 from octarm.recordings.blueprints import Layout, Plots
+from octarm.recordings.differences import differences, labels, verdict
+from octarm.recordings.notes import markdown_table
 from octarm.recordings.recording import RunRecording
 from octarm.recordings.rrd import Path, rerun_errors, rrd_file, structures, times
 from octarm.recordings.titles import title_of
@@ -20,10 +24,10 @@ Run = tuple[Trajectory, Mapping[str, Any]]
 
 
 @np.errstate(all="ignore")  # a diverged arm may hold anything
-def write_comparison(path: Path, first: Run, second: Run) -> None:
-    """Writes two runs as one recording, whole or not at all; they appear as A and B.
+def write_comparison(path: Path, *runs: Run) -> None:
+    """Writes two runs or more as one recording, whole or not at all; they appear as A, B and so on.
 
-    They share the time. Where the second has no row at an instant of the first, its error is
+    They share the time. Where another one has no row at an instant of the first, its error is
     interpolated; the difference ends where the shorter run ends.
 
     Raises:
@@ -31,26 +35,35 @@ def write_comparison(path: Path, first: Run, second: Run) -> None:
             the data.
         OSError: if the file cannot be written.
     """
-    runs = [trajectory for trajectory, _ in (first, second)]
-    titles = [title_of(description) for _, description in (first, second)]
-    a, b = (run.q.shape[1] // 2 for run in runs)
-    if a != b:
-        raise OctarmError(f"the arms have {a} and {b} modules; they cannot be compared")
-    if not all(map(len, runs)):
-        raise OctarmError("there is nothing to compare: a run has no rows")
+    check_comparable([trajectory for trajectory, _ in runs])
+    names = labels(len(runs))
     with rrd_file(path) as stream, rerun_errors(path):
         recordings: list[RunRecording] = []
-        for name, (run, description) in (("A", first), ("B", second)):
+        for name, (run, description) in zip(names, runs, strict=True):
             recording = RunRecording(stream, path, description, root=f"{name}/")
             recording.add_all(run)
             recording.finish(description)
             recordings.append(recording)
-        t, larger = difference(*runs)
         parts = recordings[0].channels["error"].parts
-        table = structures({name: larger[:, part] for name, part in parts.items()}, "difference")
-        stream.send_columns("difference", times(t), table)
-        stream.send_recording_name(f"{titles[0]} against {titles[1]}")
-        stream.send_blueprint(_blueprint(recordings, titles, runs))
+        layout = _Layout(recordings, runs)
+        for entity, (run, _) in zip(layout.entities, runs[1:], strict=True):
+            t, larger = difference(runs[0][0], run)
+            lists = {name: larger[:, part] for name, part in parts.items()}
+            stream.send_columns(entity, times(t), structures(lists, "difference"))
+        page = rr.TextDocument(layout.page(), media_type=rr.MediaType.MARKDOWN)
+        stream.log("differences", page, static=True)
+        stream.send_recording_name(" against ".join(layout.titles))
+        stream.send_blueprint(layout.blueprint())
+
+
+def check_comparable(runs: Sequence[Trajectory]) -> None:
+    """Raises OctarmError if arms differ in their numbers of modules, or a run has no rows."""
+    modules = list(dict.fromkeys(run.q.shape[1] // 2 for run in runs))
+    if len(modules) > 1:
+        counts = f"{', '.join(map(str, modules[:-1]))} and {modules[-1]}"
+        raise OctarmError(f"the arms have {counts} modules; they cannot be compared")
+    if not all(map(len, runs)):
+        raise OctarmError("there is nothing to compare: a run has no rows")
 
 
 def difference(first: Trajectory, second: Trajectory) -> tuple[np.ndarray, np.ndarray]:
@@ -66,43 +79,77 @@ def difference(first: Trajectory, second: Trajectory) -> tuple[np.ndarray, np.nd
     return t, np.abs(first.error[shared]) - np.stack(other, axis=1)
 
 
-def _blueprint(
-    recordings: Sequence[RunRecording], titles: Sequence[str], runs: Sequence[Trajectory]
-) -> rrb.Blueprint:
-    end = max(float(run.t[-1]) for run in runs)
-    channels = recordings[0].channels
-    error, both = channels["error"], Plots(channels, end)
-    arms: list[Any] = []
-    inputs: list[Any] = []
-    pages: list[Any] = []
-    rows: dict[str, list[Any]] = {part: [] for part in error.parts}
-    for name, recording, title in zip("AB", recordings, titles, strict=True):
-        plots = Plots(recording.channels, end, f"{name}/")
-        arms.append(recording.scene.view(f"{name}: {title}   pale sheath: desired", f"{name}/"))
-        pages.append(rrb.TextDocumentView(origin=f"{name}/notes", name=name))
-        forces = f"input forces of {name}{channels['tau'].units['']}"
-        inputs.append(plots.view(forces, plots.curves("tau"), legend=True))
-        for part, row in rows.items():
-            sizes = [np.nan_to_num(np.abs(run.error[:, error.parts[part]])).max() for run in runs]
-            largest = float(max(sizes))
-            row.append(
-                plots.view(
-                    f"error of {part} in {name}{error.units[part]}",
-                    plots.curves("error", part),
-                    legend=name == "A",
-                    largest=1.05 * largest if largest < 1e3 else None,
-                )
+class _Layout:
+    """How the viewer lays out several runs: arms, errors, inputs, notes."""
+
+    def __init__(self, recordings: Sequence[RunRecording], runs: Sequence[Run]) -> None:
+        self._recordings, self._runs = recordings, [run for run, _ in runs]
+        self._names = labels(len(runs))
+        self.titles = [title_of(description) for _, description in runs]
+        self._differences = differences([description for _, description in runs])
+        self._ranked = not any(each.of_the_task for each in self._differences)
+        self._end = max(float(run.t[-1]) for run in self._runs)
+        # Where the difference of the first run from each other one stands.
+        many = len(runs) > 2
+        self.entities = [f"difference/{name}" if many else "difference" for name in self._names[1:]]
+
+    def page(self) -> str:
+        """In what the runs differ, as Markdown."""
+        rows = [[each.name, *each.values] for each in self._differences]
+        runs = [f"- {name}: {t}" for name, t in zip(self._names, self.titles, strict=True)]
+        heading = f"# What differs\n\n{verdict(self._differences)}"
+        return "\n\n".join([heading, "\n".join(runs), markdown_table(["", *self._names], rows)])
+
+    def blueprint(self) -> rrb.Blueprint:
+        """The layout; all plots of a part have the same range."""
+        arms: list[Any] = []
+        inputs: list[Any] = []
+        for name, recording, title in zip(self._names, self._recordings, self.titles, strict=True):
+            arms.append(recording.scene.view(f"{name}: {title}   pale sheath: desired", f"{name}/"))
+            plots, channel = self._plots(name, recording), recording.channels["tau"]
+            forces = f"input forces of {name}{channel.units['']}"
+            inputs.append(plots.view(forces, plots.curves("tau"), legend=True))
+        pages = [rrb.TextDocumentView(origin=f"{x}/notes", name=x) for x in self._names]
+        differing = rrb.TextDocumentView(origin="differences", name="what differs")
+        parts = self._recordings[0].channels["error"].parts
+        errors = {part: list(self._errors(part)) for part in parts}
+        larger = {part: list(self._larger(part)) for part in parts}
+        if len(arms) == 2:  # one row has room for all
+            errors, larger = {part: errors[part] + larger[part] for part in parts}, {}
+        tabs = [differing, self._rows("errors", errors), self._rows("inputs", {"inputs": inputs})]
+        tabs += [self._rows("differences of errors", larger)] if larger else []
+        tabs += [rrb.Horizontal(*pages, name="notes")]
+        columns = math.ceil(math.sqrt(len(arms))) if len(arms) > 3 else len(arms)
+        row = rrb.Grid(*arms, grid_columns=columns)
+        return Layout(rrb.Vertical(row, rrb.Tabs(*tabs, active_tab=1), row_shares=[1.15, 1]))
+
+    @staticmethod
+    def _rows(name: str, rows: Mapping[str, Sequence[Any]]) -> Any:
+        return rrb.Vertical(*(rrb.Horizontal(*row, name=x) for x, row in rows.items()), name=name)
+
+    def _plots(self, name: str, recording: RunRecording) -> Plots:
+        return Plots(recording.channels, self._end, f"{name}/")
+
+    def _errors(self, part: str) -> Iterator[Any]:
+        """A plot for each run."""
+        error = self._recordings[0].channels["error"]
+        sizes = [np.nan_to_num(np.abs(run.error[:, error.parts[part]])).max() for run in self._runs]
+        largest = float(max(sizes))
+        for name, recording in zip(self._names, self._recordings, strict=True):
+            plots = self._plots(name, recording)
+            yield plots.view(
+                f"error of {part} in {name}{error.units[part]}",
+                plots.curves("error", part),
+                legend=name == "A",
+                largest=1.05 * largest if largest < 1e3 else None,
             )
-    for part, row in rows.items():
-        text = f"|error| of A less that of B, {part}{error.units[part]}   above 0: B is nearer"
-        curves = both.curves("error", part)._replace(entity="difference", path=f".{part}[]")
-        row.append(both.view(text, curves))
-    errors = [rrb.Horizontal(*row, name=part) for part, row in rows.items()]
-    tabs = [
-        rrb.Vertical(*errors, name="errors"),
-        rrb.Horizontal(*inputs, name="inputs"),
-        rrb.Horizontal(*pages, name="notes"),
-    ]
-    return Layout(
-        rrb.Vertical(rrb.Horizontal(*arms), rrb.Tabs(*tabs, active_tab=0), row_shares=[1.15, 1])
-    )
+
+    def _larger(self, part: str) -> Iterator[Any]:
+        """A plot of the difference from each other run, which ranks those alone that it may."""
+        channels = self._recordings[0].channels
+        plots, error = Plots(channels, self._end), channels["error"]
+        for name, entity in zip(self._names[1:], self.entities, strict=True):
+            end = f"above 0: {name} is nearer" if self._ranked else "not ranked, see what differs"
+            text = f"|error| of A less that of {name}, {part}{error.units[part]}   {end}"
+            curves = plots.curves("error", part)._replace(entity=entity, path=f".{part}[]")
+            yield plots.view(text, curves)

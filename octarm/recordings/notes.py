@@ -62,8 +62,8 @@ def notes_of(description: Mapping[str, Any]) -> dict[str, str]:
         ("Versions", description.get("versions")),
     ):
         if table:
-            rows = [[name, _text(value)] for name, value in table.items()]
-            parts.append(f"## {heading}\n\n{_table(['', ''], rows)}")
+            rows = [[name, in_words(value)] for name, value in table.items()]
+            parts.append(f"## {heading}\n\n{markdown_table(['', ''], rows)}")
     remark = _REMARK + (_OF_PLANT if description.get("plant") else "")
     parts.append(f"## What is drawn\n\n{' '.join(remark.split())}")
     pages = {"notes": "\n\n".join(parts)}
@@ -81,16 +81,17 @@ def _metrics(description: Mapping[str, Any]) -> str:
     rows: list[list[str]] = []
     for name, values in description["metrics"].items():
         numbers = cast(list[Any], values) if isinstance(values, list) else [values]
-        texts = [_text(x) for x in numbers] + [""] * len(names)
+        texts = [in_words(x) for x in numbers] + [""] * len(names)
         units = text = ""
         if meaning := known.get(name):
             units = ", ".join(meaning.units)
             text = re.sub(r"\|([^|]+)\|", r"abs(\1)", meaning.text)
         rows.append([name, *texts[: len(names)], units, text])
-    return _table(["", *names, "unit", ""], rows)
+    return markdown_table(["", *names, "unit", ""], rows)
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown."""
     lines = [head, ["---"] * len(head), *rows]
     cells = ([printable(cell, LONGEST) for cell in line] for line in lines)
     return "\n".join(f"| {' | '.join(line)} |" for line in cells)
@@ -100,7 +101,7 @@ def _ledger(entry: Mapping[str, Any]) -> str:
     """What a disturbance was asked to do and what was delivered, as a table with units."""
     units = units_of(entry)
     rows = [
-        ["asked", name, _text(value), _unit(units.get(name, ""))]
+        ["asked", name, in_words(value), _unit(units.get(name, ""))]
         for name, value in entry["asked"].items()
         if value is not None
     ]
@@ -108,14 +109,14 @@ def _ledger(entry: Mapping[str, Any]) -> str:
     for name, value in (delivered or {}).items():
         change = cast(dict[str, Any], value) if isinstance(value, dict) else {}
         if "undisturbed" in change and "end" in change:  # a parameter of the arm
-            value = f"{_text(change['undisturbed'])} → {_text(change['end'])}"
+            value = f"{in_words(change['undisturbed'])} → {in_words(change['end'])}"
         unit = _UNITS.get(name) or _signal_unit(entry["name"], name) or units.get(name, "")
-        rows.append(["delivered", name, _text(value), _unit(unit)])
+        rows.append(["delivered", name, in_words(value), _unit(unit)])
     if not delivered:
         rows.append(["delivered", "not known yet" if delivered is None else "nothing", "", ""])
     rows = [[first, name.replace("_", " "), *rest] for first, name, *rest in rows]
     heading = printable(disturbance_of(entry), LONGEST)
-    return f"## {heading}\n\n{_table(['', '', '', 'unit'], rows)}"
+    return f"## {heading}\n\n{markdown_table(['', '', '', 'unit'], rows)}"
 
 
 def _unit(unit: str) -> str:
@@ -131,12 +132,13 @@ def _signal_unit(disturbance: str, name: str) -> str:
     return _SIGNAL_UNITS.get(cls.family, "") if known else ""
 
 
-def _text(value: Any) -> str:
+def in_words(value: Any) -> str:
+    """A value of `run.json` as people read it: numbers with four digits, tables in a line."""
     if isinstance(value, Mapping):
         table = cast(Mapping[str, Any], value)
-        return ", ".join(f"{name} {_text(item)}" for name, item in table.items())
+        return ", ".join(f"{name} {in_words(item)}" for name, item in table.items())
     if isinstance(value, list):
-        return "(" + ", ".join(_text(item) for item in cast(list[Any], value)) + ")"
+        return "(" + ", ".join(in_words(item) for item in cast(list[Any], value)) + ")"
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "–"}[value]
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -122,6 +122,7 @@ class RunRecording:
         disturbed: bool | None = None,
         root: str = "",
         live: bool = True,
+        following: bool = False,
     ) -> None:
         """Starts the recording of the run that is announced.
 
@@ -134,6 +135,7 @@ class RunRecording:
                 no blueprint, and the recording is not named after the run.
             live: whether it may be looked at before it is finished, so that it needs a layout from
                 the beginning; the final one knows what there is to see.
+            following: whether a viewer shows the rows as they come, and is not waited for for long.
 
         Raises:
             OctarmError: if the parameters are not those of one arm, or a disturbance is unknown.
@@ -142,7 +144,7 @@ class RunRecording:
         if parameters.batch_shape:
             raise OctarmError("the parameters must be those of one arm")
         self._stream, self._path, self._root, self._live = stream, path, root, live
-        self._description = description
+        self._description, self._following = description, following
         self._coordinates = coordinates_of(description)
         disturbances = disturbances_of(description)
         self._disturbed = bool(disturbances) if disturbed is None else disturbed
@@ -160,7 +162,8 @@ class RunRecording:
         self._late: set[str] = set()  # phases that name what is not sliding
         self._events = events_of(description)
         self._eventful = len({name for _, name, _ in self._events})
-        self._count, self._stride, self._next_picture = 0, 1, _FIRST_PICTURE
+        self._count, self._stride = 0, 1
+        self._next_picture = _FIRST_PICTURE // 10 if following else _FIRST_PICTURE
         self._start = self._end = self._planned = 0.0
         self._last: tuple[float, float] | None = None  # t and V
 
@@ -199,7 +202,11 @@ class RunRecording:
             if self._count >= self._next_picture:  # what a killed run leaves has one too
                 self._next_picture = 4 * self._count
                 self._draw_rules()
-            self._stream.flush(timeout_sec=3600.0)  # bounds the memory that waits; raises errors
+            self._flush()
+
+    def _flush(self) -> None:
+        """Bounds the memory that waits to be written or sent, and raises errors."""
+        self._stream.flush(timeout_sec=5.0 if self._following else 3600.0)
 
     def add_all(self, run: Trajectory) -> None:
         """Records a whole run block by block; raises what `add` does."""
@@ -221,6 +228,8 @@ class RunRecording:
             if ended:
                 ending = (self._end, str(description["status"]))
                 self._log_state("run", [(self._start, "running"), ending])
+            if self._following:
+                self._flush()
 
     def _begin(self, rows: Rows, layer: np.ndarray | None) -> None:
         """Logs what the first rows tell, and what stays the same."""
@@ -253,7 +262,13 @@ class RunRecording:
             lanes = has_sliding(self.channels) + (self.channels["tau"].bound is not None)
             lanes += self._eventful + (description.get("status", "ok") not in ("ok", "running"))
             layout = blueprint(
-                self.scene, self.channels, description, lanes, largest, listed=bool(self.name)
+                self.scene,
+                self.channels,
+                description,
+                lanes,
+                largest,
+                listed=bool(self.name),
+                following=self._following,
             )
             self._stream.send_blueprint(layout)
 

@@ -48,14 +48,52 @@ def open_viewer(paths: Iterable[Name]) -> None:
         OctarmError: if a file does not exist, there is no display, or the viewer fails.
     """
     files = [_existing(path) for path in paths]
-    if sys.platform == "linux" and not any(os.environ.get(name) for name in _DISPLAYS):
-        raise OctarmError(
-            "there is no display to open the viewer on; --screenshot FILE.png makes a picture "
-            "without one"
-        )
+    check_display("--screenshot FILE.png makes a picture without one")
     with _running(files) as viewer:
         if viewer.process.wait() != 0:
             raise viewer.failure()
+
+
+def check_display(otherwise: str) -> None:
+    """Raises OctarmError if there is no display for a window; it says what to do otherwise."""
+    if sys.platform == "linux" and not any(os.environ.get(name) for name in _DISPLAYS):
+        raise OctarmError(f"there is no display to open the viewer on; {otherwise}")
+
+
+@contextlib.contextmanager
+def open_for_run(address: str = "") -> Generator[str]:
+    """The URL of a viewer that shows a run while it goes on.
+
+    Args:
+        address: HOST:PORT of a viewer that is open already; if empty, a window is opened, which is
+            waited for in the end.
+
+    Raises:
+        OctarmError: if there is no display, or nothing listens at the address.
+    """
+    if address:
+        host, _, port = address.rpartition(":")
+        try:
+            socket.create_connection((host, int(port)), 5.0).close()
+        except OSError as error:
+            reason = error.strerror or error
+            raise OctarmError(f"no viewer listens at {address}: {reason}") from None
+        yield f"rerun+http://{address}/proxy"
+        return
+    check_display("--live HOST:PORT takes a viewer elsewhere")
+    with _running([]) as viewer:
+        port = urllib.parse.urlsplit(viewer.url.removeprefix("rerun+")).port or 0
+        _await(viewer, port)
+        yield viewer.url
+        viewer.process.wait()
+
+
+def _await(viewer: _Viewer, port: int) -> None:
+    """Waits until a viewer listens at a port."""
+    while True:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+            return
+        viewer.pause(PATIENCE)
 
 
 def serve(paths: Iterable[Name], ready: Callable[[str], object]) -> None:
@@ -69,10 +107,7 @@ def serve(paths: Iterable[Name], ready: Callable[[str], object]) -> None:
     """
     files, port = [_existing(path) for path in paths], _free_port()
     with _running(["--serve-web", "--web-viewer-port", str(port), *files]) as viewer:
-        while True:
-            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
-                break
-            viewer.pause(PATIENCE)
+        _await(viewer, port)
         query = urllib.parse.urlencode({"url": viewer.url, "theme": "dark"})
         data_port = urllib.parse.urlsplit(viewer.url.removeprefix("rerun+")).port or 0
         with _guarded_page(port, data_port) as page, contextlib.suppress(KeyboardInterrupt):

@@ -5,14 +5,11 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
-import jinja2
 import numpy as np
-from markupsafe import Markup
 
-from octarm.errors import printable
+from octarm.html import Cell, Table, templates
 from octarm.metrics.metric import SETTLED_AFTER
 from octarm.palette import look_of
 from octarm.reports.charts import Scale, scales_of
@@ -37,57 +34,6 @@ class Source(NamedTuple):
     spec: str
     commands: Sequence[str]
     files: Sequence[str]
-
-
-class Cell(NamedTuple):
-    """A cell of a table.
-
-    Attributes:
-        text: its content.
-        small: lines below it.
-        kind: class names of the style.
-        color: of a dot before the text.
-    """
-
-    text: str
-    small: Sequence[str] = ()
-    kind: str = ""
-    color: str = ""
-
-
-class Table(NamedTuple):
-    """A table of a page, for the macro `table` of `parts.html`.
-
-    Attributes:
-        head: the headings.
-        rows: the cells of each row.
-        group: number of rows that belong together, which a line sets off.
-    """
-
-    head: Sequence[Cell]
-    rows: Sequence[Sequence[Cell]]
-    group: int = 1
-
-
-def templates(*folders: Path) -> jinja2.Environment:
-    """Templates in folders, and `base.html` and `parts.html`, with which all pages look alike."""
-    package = jinja2.PackageLoader("octarm.reports")
-    return jinja2.Environment(
-        loader=jinja2.ChoiceLoader([*map(jinja2.FileSystemLoader, folders), package]),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        finalize=_shown,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-
-
-def _shown(value: Any) -> Any:
-    """What a page shows of a value: text of files line by line as it can be printed."""
-    if isinstance(value, str) and not isinstance(value, Markup):
-        return "\n".join(map(printable, value.split("\n")))
-    return value
 
 
 def page(

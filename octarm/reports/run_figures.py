@@ -184,9 +184,9 @@ class _Drawing:
             ax.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=3))
         for style, y, y_d in zip(panel.styles, values.T, desired.T, strict=True):
             if panel.desired:
-                ax.plot(*_thinned(self._t, scale * y_d), color=style["color"], linewidth=3.0,
+                ax.plot(*thinned(self._t, scale * y_d), color=style["color"], linewidth=3.0,
                         alpha=0.3)  # fmt: skip
-            ax.plot(*_thinned(self._t, scale * y), **{"linewidth": 1.0, **style})
+            ax.plot(*thinned(self._t, scale * y), **{"linewidth": 1.0, **style})
         if panel.desired:
             ax.plot([], [], color=GRAY, linewidth=3.0, alpha=0.5, label="desired")
         self._draw_bound(ax, panel, largest, scale, unit)
@@ -251,11 +251,11 @@ def _drawable(values: np.ndarray) -> np.ndarray:
     return np.where(np.abs(values) < _LARGEST, values, np.nan)
 
 
-def _thinned(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A curve of at most `_MOST` points that looks the same: extremes of equal stretches."""
-    if len(t) <= _MOST:
+def thinned(t: np.ndarray, y: np.ndarray, most: int = _MOST) -> tuple[np.ndarray, np.ndarray]:
+    """A curve, shapes (T,), of few points that looks the same: extremes of equal stretches."""
+    if len(t) <= most:
         return t, y
-    size = -(-2 * len(t) // _MOST)
+    size = -(-2 * len(t) // most)
     whole = len(t) // size * size
     stretches = np.nan_to_num(y[:whole]).reshape(-1, size)
     starts = size * np.arange(len(stretches))

@@ -35,11 +35,12 @@ from octarm.runs.place import new_folder
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import MUJOCO
 from octarm.simulation.environment import load, whole_periods
-from octarm.simulation.rollout import ArmRecorder, copied
+from octarm.simulation.rollout import ArmRecorder, Observer, copied
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.task import TrackingTask
 from octarm.simulation.trajectory import Ending, Trajectory, joined
 
+_LIVE = 500  # rows of a block that is to be seen while the run goes on
 _AS_THEY_ARE = {
     "seed", "spawn_key", "duration", "timestep", "control_period", "actuation", "integrator",
     "engine", "settle",
@@ -235,6 +236,7 @@ def run_into(
     progress: Callable[[], object] | None = None,
     keep: Callable[[Rows], object] | None = None,
     partial: bool = True,
+    live: Recording | None = None,
 ) -> tuple[Trajectory, dict[str, Any]]:
     """Runs an experiment that was begun and announced, of any length, into a run folder.
 
@@ -248,6 +250,7 @@ def run_into(
         keep: called with every block of rows, when it is on disk.
         partial: whether a run that is interrupted is kept up to there, unless there is an earlier
             one.
+        live: takes the same rows in smaller blocks, as they come, and the complete description.
 
     Returns:
         The trajectory, whose arrays stay on disk until they are looked at, and what `run.json`
@@ -270,7 +273,7 @@ def run_into(
                         keep(rows)
 
                 ending, description = _perform(
-                    environment, controller, announced, take_up, progress
+                    environment, controller, announced, take_up, progress, live
                 )
                 interrupted = ending.status == "interrupted"
                 if interrupted and (not partial or folder != out.resolve()):
@@ -289,6 +292,7 @@ def _perform(
     announced: Mapping[str, Any],
     keep: Callable[[Rows, np.ndarray | None], object],
     progress: Callable[[], object] | None,
+    live: Recording | None = None,
 ) -> tuple[Ending, dict[str, Any]]:
     """Runs an experiment of any length, whose rows and boundary layer are handed to `keep`."""
     disturbances, physics = environment.task.disturbances, environment.physics
@@ -314,9 +318,14 @@ def _perform(
         measured[0].update(rows)
 
     recorder = ArmRecorder(environment, take_up)
-    ending = recorder.run(controller, announced["duration"], progress)
+    observers: list[Observer] = [] if progress is None else [lambda _: progress()]
+    watcher: ArmRecorder | None = None
+    if live is not None:
+        watcher = ArmRecorder(environment, lambda rows: live.add(rows, recorder.layer), rows=_LIVE)
+        observers.append(watcher)
+    ending = recorder.run(controller, announced["duration"], *observers)
     metrics = measured[0].result(diverged=ending.status == "diverged")
-    return ending, {
+    description = {
         **announced,
         "disturbances": ledger.rows() if ledger is not None else [],
         "metrics": as_json(metrics),
@@ -324,3 +333,7 @@ def _perform(
         "message": ending.message,
         "digest": ending.digest,
     }
+    if watcher is not None and live is not None:
+        watcher.flush()
+        live.finish(description)
+    return ending, description

@@ -8,7 +8,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arrays import plain
 from octarm.errors import OctarmError
 from octarm.files import write_text
+from octarm.html import notebook_cell
 from octarm.interfaces import Controller
 from octarm.runs.archive import read_blocks
 from octarm.runs.description import Description
@@ -141,17 +142,43 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names) if len(names) <= 8 else f"{', '.join(names[-8:])} and others"
 
 
-def read_run(folder: str | Path) -> tuple[Trajectory, dict[str, Any]]:
-    """The trajectory of a run folder, in memory, and what `run.json` says of the run.
+class Run(NamedTuple):
+    """A run as its folder holds it; it can be unpacked into its two attributes.
+
+    Attributes:
+        trajectory: what happened at each control instant.
+        description: the content of `run.json`: what was run, with which versions, its metrics.
+    """
+
+    trajectory: Trajectory
+    description: dict[str, Any]
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """The metrics by name [SI]: a number, a list with one a coordinate, or None."""
+        return self.description["metrics"]
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it."""
+        run, description = self
+        acting = ", ".join(entry["name"] for entry in description.get("disturbances", []))
+        title = f"{description['controller']['name']} on {description['reference']['name']}"
+        lines = [f"{len(run)} control instants, {run.status} {run.message}".strip()]
+        lines += [f"disturbances: {acting}"] if acting else []
+        return notebook_cell(title, lines, run.table())
+
+
+def read_run(folder: str | Path) -> Run:
+    """The run of a folder, in memory.
 
     Raises OctarmError if the folder holds no run.
     """
     folder = Path(folder)
     description = read_description(folder)
-    return Trajectory.load(folder / ARRAYS), description
+    return Run(Trajectory.load(folder / ARRAYS), description)
 
 
-def map_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
+def map_run(folder: Path) -> Run:
     """The same, read from disk as far as it is looked at; what there is of a run that was killed.
 
     Raises OctarmError if the folder holds no run, or no rows of it.
@@ -166,4 +193,4 @@ def map_run(folder: Path) -> tuple[Trajectory, dict[str, Any]]:
         raise OctarmError(f"{folder} has no {ARRAYS}: it is incomplete")
     if not len(run) or not np.isfinite(run.t).all():
         raise OctarmError(f"{arrays} holds no rows")
-    return run, description
+    return Run(run, description)

@@ -9,11 +9,13 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 
 import numpy as np
 from dm_control.rl import control
 
+from octarm.bars import bar as new_bar
+from octarm.bars import visible
 from octarm.errors import OctarmError
 from octarm.interfaces import Controller, Instant, Measurement, Reference, Rows, Within
 from octarm.simulation.arguments import check_simulation, commanded
@@ -129,7 +131,8 @@ def rollout(
 ) -> Trajectory:
     """Runs the next episode of one arm, see `simulate`, and records it.
 
-    The progress is called after every control period.
+    The progress is called after every control period; when it is None, a bar says how far the run
+    is where it takes more than a second, on terminals and in notebooks.
 
     Returns:
         The trajectory; its status is `diverged` when the arm left its limits, or a force was not
@@ -141,10 +144,26 @@ def rollout(
     check_simulation(environment, controller, duration)
     blocks: list[Rows] = []
     recorder = ArmRecorder(environment, lambda rows: blocks.append(copied(rows)))
-    ending = recorder.run(controller, duration, progress)
+    with _observed(environment, duration, progress) as observers:
+        ending = recorder.run(controller, duration, *observers)
     if ending.status == "interrupted":
         raise KeyboardInterrupt
     return dataclasses.replace(joined(blocks, ending), episode=environment.task.episode)
+
+
+@contextlib.contextmanager
+def _observed(
+    environment: control.Environment, duration: float, progress: Callable[[], object] | None
+) -> Generator[list[Observer]]:
+    """The observers that call `progress`, or move a bar if it is seen."""
+    if progress is not None:
+        yield [lambda _: progress()]
+    elif not visible():
+        yield []
+    else:
+        periods = whole_periods(duration, environment.control_timestep())
+        with new_bar(total=periods, unit=" periods", delay=1.0) as bar:
+            yield [lambda _: bar.update()]
 
 
 class ArmRecorder(Recorder):
@@ -187,19 +206,15 @@ class ArmRecorder(Recorder):
             self.add_field(row, "v_measured", instant.measurement.v)
         return row
 
-    def run(
-        self, controller: Controller, duration: float, progress: Callable[[], object] | None = None
-    ) -> Ending:
+    def run(self, controller: Controller, duration: float, *observers: Observer) -> Ending:
         """Runs the next episode, as `rollout` does; to be called once.
 
-        An interrupt ends the run; it is a KeyboardInterrupt where there was no row before.
+        An interrupt ends the run; it is a KeyboardInterrupt where there was no row before. Further
+        observers are called after every control period.
         """
-        observers: list[Observer] = [self]
-        if progress is not None:
-            observers.append(lambda instant: progress())
         interrupted = False
         try:
-            message = simulate(self._environment, controller, duration, *observers)
+            message = simulate(self._environment, controller, duration, self, *observers)
         except KeyboardInterrupt:
             if not self.count:
                 raise

@@ -15,8 +15,10 @@ from typing import IO, Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.lib import format as npy
 
+from octarm.arrays import planar_coordinates
 from octarm.errors import FileError, OctarmError, quoted
 from octarm.files import whole_file
+from octarm.html import Cell, Table, notebook_cell, small_plot
 from octarm.interfaces import Rows
 
 BLOCK = 5000  # rows: fewer cost space in a recording, more cost memory and what a crash loses
@@ -127,6 +129,27 @@ class Trajectory:
     def error(self) -> np.ndarray:
         """Tracking error e = q - q_d, shape (T, 2N) [m], [rad]."""
         return self.q - self.q_d
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it."""
+        end = f"0 to {self.t[-1]:.6g} s" if len(self) else "no time"
+        title = f"Trajectory: {len(self)} control instants, {end}, {self.status}"
+        return notebook_cell(title, [self.message] if self.message else [], self.table())
+
+    @np.errstate(all="ignore")  # a diverged arm may hold anything
+    def table(self) -> Table:
+        """How each coordinate is tracked, for a page or a notebook."""
+        names, units, *_ = planar_coordinates(self.q.shape[1] // 2)
+        over_time = Cell("over time", ["wide: desired"], "left")
+        head = [Cell("", kind="left"), Cell("rms error"), Cell("largest error"), over_time]
+        rows: list[list[Cell]] = []
+        for j, (name, unit) in enumerate(zip(names, units, strict=True)):
+            error = self.error[:, j] if len(self) else np.full(1, np.nan)
+            sizes = (float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
+            numbers = [Cell(f"{1e3 * x:.3g} m{unit}") for x in sizes]
+            plot = small_plot(self.q[:, j], self.q_d[:, j])
+            rows.append([Cell(name, kind="left"), *numbers, Cell(plot, kind="left")])
+        return Table(head, rows)
 
     def arrays(self) -> Iterator[tuple[str, np.ndarray]]:
         """Name and array, shape (T, ...), of what has a row an instant, signals included."""

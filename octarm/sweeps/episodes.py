@@ -13,6 +13,7 @@ import pyarrow as pa
 from dm_control.rl import control
 
 from octarm.errors import OctarmError
+from octarm.html import Cell, Table, notebook_cell
 from octarm.interfaces import Controller, ControllerFactory
 from octarm.runs import folder as runs
 from octarm.runs.digest import CHECKPOINTS, StateDigest
@@ -33,10 +34,10 @@ class FinishedSweep:
         gains: of each controller for the first arm when the sweep was begun.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path | str) -> None:
         """Reads what was run; raises what `open_sweep` does."""
-        self.path = path
-        self.plan, self.manifest = open_sweep(path)
+        self.path = Path(path)
+        self.plan, self.manifest = open_sweep(self.path)
         self.gains: Mapping[str, Any] = self.manifest["gains"]
 
     def finished(self) -> np.ndarray:
@@ -47,6 +48,18 @@ class FinishedSweep:
             if shard["sha256"] and (self.path / shard["file"]).is_file()
         ]
         return np.concatenate([np.empty(0, dtype=np.int64), *ranges])
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it."""
+        spec, done = self.plan.spec, len(self.finished())
+        title = f"Sweep {self.path.resolve().name}"
+        words = f"{done} of {self.plan.episodes} episodes of {spec.duration:g} s are finished"
+        axes = [(axis.name, ", ".join(map(str, axis.values))) for axis in spec.axes]
+        axes += [(axis.name, "{:g} .. {:g}, drawn".format(*axis.values)) for axis in spec.random]
+        axes.append(("seeds", f"{spec.episodes} a cell"))
+        rows = [[Cell(name, kind="left"), Cell(text, kind="wide")] for name, text in axes]
+        head = [Cell("axis", kind="left"), Cell("values", kind="left")]
+        return notebook_cell(title, [f"{words}; octarm.read_sweep reads them"], Table(head, rows))
 
     def row(self, episode: int) -> pa.Table:
         """The row of an episode; raises OctarmError if there is none, or it is damaged."""

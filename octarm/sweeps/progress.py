@@ -15,8 +15,8 @@ from collections.abc import Callable, Generator
 from pathlib import Path
 
 from dm_control.rl import control
-from tqdm import tqdm
 
+from octarm.bars import bar as new_bar
 from octarm.interfaces import Instant
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spec import SweepSpec
@@ -102,10 +102,8 @@ class ProgressBar:
         """A bar for a sweep; it is drawn on terminals only."""
         self._duration, self._done, self._partial = spec.duration, 0, 0.0
         self._started = 0.0
-        self._bar = tqdm(
+        self._bar = new_bar(
             total=Plan(spec).episodes,
-            disable=None,
-            leave=False,
             unit=" episodes",
             bar_format="{percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, "
             "{rate_noinv_fmt}{postfix}]",

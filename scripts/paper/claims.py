@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from octarm.reports.page import templates
+from octarm.html import templates
 from paper import numbers
 from paper.cases import Case, Verdict, condition, matching, numbers_of, sensitivity, verdict
 from paper.numbers import Row, rounded

@@ -1,0 +1,27 @@
+"""The one kind of bar that says how far something is: on terminals and in notebooks alone."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from typing import Any
+
+from tqdm.auto import tqdm
+
+
+def bar(iterable: Iterable[Any] | None = None, **options: Any) -> tqdm[Any]:
+    """A bar of tqdm, which goes when it is closed, and is disabled where it cannot be seen.
+
+    Args:
+        iterable: what is gone through, if anything is.
+        options: of `tqdm.tqdm`.
+    """
+    return tqdm(iterable, disable=not visible(), leave=False, **options)
+
+
+def visible() -> bool:
+    """Whether bars are seen: standard error is a terminal, or a cell of Jupyter is running."""
+    ipython: Any = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    notebook = shell is not None and "IPKernelApp" in shell.config
+    return notebook or (sys.stderr is not None and sys.stderr.isatty())

@@ -1,0 +1,35 @@
+"""What `octarm compare` does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from octarm.commands.redraw import rows_of
+from octarm.errors import ExitCode, OctarmError, printable
+from octarm.files import write_files
+from octarm.recordings.comparison import check_comparable, write_comparison
+from octarm.reports.run_comparison import RunComparison
+
+PAGE, RECORDING = "comparison.html", "comparison.rrd"
+
+
+def compare(folders: Sequence[Path], out: Path) -> int:
+    """`octarm compare`: runs in one page and one recording."""
+    if len(folders) < 2:
+        raise OctarmError(f"{len(folders)} runs are given; octarm compare needs two or more")
+    if out.exists() and not out.is_dir():
+        raise OctarmError(f"{out} is not a folder; choose another --out")
+    runs = [rows_of(folder) for folder in folders]
+    check_comparable([run.trajectory for run in runs])
+    comparison = RunComparison(runs)
+    text = comparison.page([str(folder) for folder in folders])
+    write_files({out / PAGE: text.encode(errors="backslashreplace")})
+    write_comparison(out / RECORDING, *runs)
+    for name, folder, title in zip(comparison.names, folders, comparison.titles, strict=True):
+        print(f"{name}: {printable(str(folder))}, {title}")
+    for each in comparison.differences:
+        print(f"  {each.name}: {'; '.join(map(printable, each.values))}")
+    print(printable(comparison.verdict, 2000))
+    print(f"wrote {printable(str(out))}/  ({PAGE}, {RECORDING})")
+    return ExitCode.FINE

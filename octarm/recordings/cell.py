@@ -1,0 +1,65 @@
+"""The rerun viewer in a cell of a notebook, without the network."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from octarm.arm.mjcf import nominal_parameters
+from octarm.arm.parameters import ArmParameters
+from octarm.errors import FileError, OctarmError
+from octarm.recordings.recording import write_recording
+from octarm.runs.folder import RECORDING
+from octarm.simulation.trajectory import Trajectory
+
+_ASSET = "RERUN_NOTEBOOK_ASSET"  # says where rerun's widget gets its viewer from
+
+
+def show(run: Any, arm: ArmParameters | None = None, *, height: int = 620) -> Any:
+    """The rerun viewer on a run, which a cell shows that ends with it; needs the extra `notebook`.
+
+    All that the viewer is made of comes from the installed package, unless the environment variable
+    RERUN_NOTEBOOK_ASSET says otherwise before the first call.
+
+    Args:
+        run: what `octarm.rollout` or `octarm.read_run` returns, or a run folder or its recording.
+        arm: of a trajectory; the nominal one when not given.
+        height: of the viewer, which is as wide as the cell [pixel].
+
+    Raises:
+        OctarmError: if the extra is not installed, or there is no such recording.
+    """
+    content = _content(run, arm)
+    if _ASSET not in os.environ:
+        os.environ[_ASSET] = "inline"
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):  # it says that it loads what it is told
+            import rerun_notebook
+    except ModuleNotFoundError:
+        raise OctarmError(
+            "the viewer in a cell needs the extra notebook: pip install 'octarm[notebook]'"
+        ) from None
+    widget = rerun_notebook.Viewer(width="auto", height=height)
+    widget.send_rrd(content)
+    return widget
+
+
+def _content(run: Any, arm: ArmParameters | None) -> bytes:
+    """The recording of a run: that of its folder, or one made of its rows."""
+    if isinstance(run, str | Path):
+        path = Path(run)
+        path = path / RECORDING if path.is_dir() else path
+        if not path.is_file():
+            raise FileError(f"there is no recording {path}")
+        return path.read_bytes()
+    if isinstance(run, Trajectory):
+        parameters = nominal_parameters() if arm is None else arm
+        run = run, {"parameters": parameters.to_dict(), "status": run.status}
+    with tempfile.TemporaryDirectory(prefix="octarm-") as folder:
+        path = Path(folder) / RECORDING
+        write_recording(path, *run)
+        return path.read_bytes()
