@@ -150,6 +150,16 @@ def test_each_run_has_the_colour_of_its_controller_or_one_of_its_own():
     assert len({*RunComparison(runs("mine", same)).colors}) == 2
 
 
+def test_when_a_disturbance_begins_is_marked_in_its_panels():
+    payload = {"name": "payload", "asked": {"mass": 0.1, "at": 0.02}}
+    numbers = {"metrics": {}, "disturbances": [payload]}
+    comparison = RunComparison([Run(swinging(rows=50), described(**numbers))] * 2)
+    plain = RunComparison([Run(swinging(rows=50), described(metrics={}))] * 2)
+    for marked, bare in zip(comparison.pictures(), plain.pictures(), strict=True):
+        assert "when a disturbance begins" in marked.caption
+        assert marked.svg.count("stroke-dasharray") == bare.svg.count("stroke-dasharray") + 6
+
+
 def test_code_that_differs_is_named_by_its_path_and_the_start_of_its_digest():
     code = {"kind": "controller", "path": "/x/law.py:Law", "sha256": 32 * "ab", "declares": {}}
     (found,) = differences([described(), described(code={"Law": code})])

@@ -18,7 +18,7 @@ from octarm.palette import OTHERS, look_of
 from octarm.recordings.channels import coordinates_of
 from octarm.recordings.comparison import difference
 from octarm.recordings.differences import differences, labels, verdict
-from octarm.recordings.titles import title_of
+from octarm.recordings.titles import events_of, title_of
 from octarm.reports import figures
 from octarm.reports.figures import Axes, Picture
 from octarm.reports.frame import DEFAULT
@@ -52,6 +52,8 @@ class RunComparison:
         self.names = labels(len(runs))
         self.titles = [title_of(description) for description in self._descriptions]
         self.differences = differences(self._descriptions)
+        events = [event for each in self._descriptions for event in events_of(each)]
+        self._begins = sorted({at for at, _, text in events if text and at > 0.0})
         self.ranked = not any(each.of_the_task for each in self.differences)
         laws = [str(each.get("controller", {}).get("name")) for each in self._descriptions]
         colors = [look_of(law).color for law in laws]
@@ -154,10 +156,14 @@ class RunComparison:
                 color = self.colors[i]
                 ax.plot(*thinned(t, y, _POINTS), color=color, linewidth=0.9, label=label)
             ax.set_title(f"{part} {what}".strip() + f" [{unit}]")
+            for at in self._begins:
+                ax.axvline(at, color=figures.INK, linewidth=1.0, linestyle="--")
             _limit(ax, [factor * x[:, j] for i, _, x in curves if i in fine])
         for ax in panels[-figures.row_length(panels) :]:
             ax.set_xlabel("time [s]")
         figures.add_legend(figure, panels[0])
+        if self._begins:
+            caption += " Dashed: when a disturbance begins."
         if len(fine) < len(self._runs):
             caption += " Runs that diverged leave the panels."
         return figures.save_figure(name, caption, figure)
