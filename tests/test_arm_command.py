@@ -127,6 +127,7 @@ def test_arms_of_any_size_are_said_and_drawn(modules: int):
     assert "\x1b" not in text
     assert max(map(len, text.splitlines())) < 200
     assert arm_figure(summary).png.startswith(b"\x89PNG")
+    assert f"{modules} module" in arm_figure(summary).svg
 
 
 def test_a_rod_is_written_as_a_file_that_reads_as_the_same_arm():

@@ -110,7 +110,7 @@ def _print_summary(numbers: Comparisons, remarked: Sequence[Remark]) -> None:
     print(f"controller            episodes  diverged  median {measure.name} [{unit}]")
     for group in numbers.of(None):
         middle, low, high = (scale.factor * float(x[0]) for x in group.medians)
-        median = f"{middle:.3e}  ({low:.3e} .. {high:.3e})" if group.episodes else "none finished"
+        median = f"{middle:.3g}  ({low:.3g} .. {high:.3g})" if group.episodes else "none finished"
         print(f"{group.controller:<20} {group.episodes:>9} {group.failed:>9}  {median}")
     for remark in remarked:
         print(f"{'warning' if remark.warning else 'note'}: {remark.text}")
