@@ -29,16 +29,11 @@ SENSITIVE = ("gains", "joints", "SMC", "against")  # axes along which a verdict 
 
 
 class Case(NamedTuple):
-    """A place in which a claim was measured.
+    """A place in which a claim was measured."""
 
-    Attributes:
-        where: value of each axis, such as gains, joints and model.
-        rows: the numbers.
-        passes: whether the claim holds there, given the factor of the threshold.
-    """
-
-    where: Mapping[str, str]
-    rows: Sequence[Row]
+    where: Mapping[str, str]  # value of each axis, such as gains, joints and model
+    rows: Sequence[Row]  # the numbers
+    # whether the claim holds there, given the factor of the threshold
     passes: Callable[[float], bool]
 
 

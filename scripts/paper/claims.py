@@ -17,33 +17,19 @@ from paper.numbers import Row, rounded
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Claim:
-    """A claim, or a question of our own, and what came of it.
+    """A claim, or a question of our own, and what came of it."""
 
-    Attributes:
-        letter: under which it is known here.
-        title: what it is about.
-        quote: the paper's own words; of a question of our own, the question.
-        place: where they stand; empty for a question.
-        verdict: by the rule.
-        condition: what follows `holds only if`; empty otherwise.
-        rule: in words.
-        stays: in how many variations of threshold, gains and reading the verdict is the same.
-        headline: the most important numbers in a few words.
-        rows: what was measured.
-        why: one paragraph.
-    """
-
-    letter: str
-    title: str
-    quote: str
-    place: str
-    verdict: Verdict
-    condition: str
-    rule: str
-    stays: str
-    headline: str
-    rows: Sequence[Row]
-    why: str
+    letter: str  # under which it is known here
+    title: str  # what it is about
+    quote: str  # the paper's own words; of a question of our own, the question
+    place: str  # where they stand; empty for a question
+    verdict: Verdict  # by the rule
+    condition: str  # what follows `holds only if`; empty otherwise
+    rule: str  # in words
+    stays: str  # in how many variations of threshold, gains and reading the verdict is the same
+    headline: str  # the most important numbers in a few words
+    rows: Sequence[Row]  # what was measured
+    why: str  # one paragraph
 
     @property
     def outcome(self) -> str:

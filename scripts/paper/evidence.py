@@ -25,31 +25,18 @@ _METRICS = ("rms_error", "overshoot", "chattering")
 
 
 class Cell(NamedTuple):
-    """Episodes that differ in their seed alone.
+    """Episodes that differ in their seed alone."""
 
-    Attributes:
-        label: of the variant.
-        study: that they belong to.
-        reference: name.
-        mismatch: of the nominal model [1].
-        noise: its rms over the input's amplitude [1].
-        time: its correlation time [s].
-        payload: [kg].
-        delay: of actuation [s].
-        loss: of actuation [1].
-        plant: number of modules of the arm that is controlled.
-    """
-
-    label: str
-    study: str = "tracking"
-    reference: str = BENDS
-    mismatch: float = 0.0
-    noise: float = 0.0
-    time: float = TIME
-    payload: float = 0.0
-    delay: float = 0.0
-    loss: float = 0.0
-    plant: int = 3
+    label: str  # of the variant
+    study: str = "tracking"  # that they belong to
+    reference: str = BENDS  # name
+    mismatch: float = 0.0  # of the nominal model [1]
+    noise: float = 0.0  # its rms over the input's amplitude [1]
+    time: float = TIME  # its correlation time [s]
+    payload: float = 0.0  # [kg]
+    delay: float = 0.0  # of actuation [s]
+    loss: float = 0.0  # of actuation [1]
+    plant: int = 3  # number of modules of the arm that is controlled
 
     def models(self) -> list[Cell]:
         """The same with each nominal model of the paper's figures."""
@@ -68,27 +55,19 @@ class Evidence:
       weight for slides and times its width for bends: as a share of the weight [1].
 
     They are infinite for an episode that diverged.
-
-    Attributes:
-        variants: who ran, by label.
-        effort: how much was run.
-        rows: of the episodes of each cell, in the order of their seeds.
-        columns: quantities by name, and `diverged`, each with an entry an episode.
-        series: runs over time, by name.
-        outcomes: how Lyapunov functions went.
-        periods: the longest control periods by label, `predicted` and `simulated`, see
-            `paper.periods`, each with an entry a plant [s].
-        costs: of a controller's step, by name.
     """
 
-    variants: Mapping[str, Variant]
-    effort: Effort
-    rows: Mapping[Cell, np.ndarray]
+    variants: Mapping[str, Variant]  # who ran, by label
+    effort: Effort  # how much was run
+    rows: Mapping[Cell, np.ndarray]  # of the episodes of each cell, in the order of their seeds
+    # quantities by name, and `diverged`, each with an entry an episode
     columns: Mapping[str, np.ndarray]
-    series: Mapping[str, Series]
-    outcomes: Sequence[lyapunov.Outcome]
+    series: Mapping[str, Series]  # runs over time, by name
+    outcomes: Sequence[lyapunov.Outcome]  # how Lyapunov functions went
+    # the longest control periods by label, `predicted` and `simulated`, see `paper.periods`, each
+    # with an entry a plant [s]
     periods: Mapping[str, Mapping[str, np.ndarray]]
-    costs: Mapping[str, Cost]
+    costs: Mapping[str, Cost]  # of a controller's step, by name
 
     def has(self, *cells: Cell) -> bool:
         """Whether all these cells were run."""

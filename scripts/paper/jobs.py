@@ -29,14 +29,10 @@ Advance = Callable[[float], None]  # takes simulated seconds that are done
 
 
 class Job(NamedTuple):
-    """Something to be done.
+    """Something to be done."""
 
-    Attributes:
-        seconds: what it simulates [s].
-        do: does what is not there yet, on processes, and says how it goes on.
-    """
-
-    seconds: float
+    seconds: float  # what it simulates [s]
+    # does what is not there yet, on processes, and says how it goes on
     do: Callable[[Executor, Advance], None]
 
 

@@ -10,20 +10,14 @@ from octarm.reports.statistics import Interval
 
 
 class Row(NamedTuple):
-    """A number that a verdict rests on.
+    """A number that a verdict rests on."""
 
-    Attributes:
-        name: what was measured.
-        number: median over seeds with its 95 % interval; the number itself, three times, where
-            nothing is random.
-        unit: of the three; empty for ratios.
-        varies: whether it differs from run to run, as timings do.
-    """
-
-    name: str
+    name: str  # what was measured
+    # median over seeds with its 95 % interval; the number itself, three times, where nothing is
+    # random
     number: Interval
-    unit: str = ""
-    varies: bool = False
+    unit: str = ""  # of the three; empty for ratios
+    varies: bool = False  # whether it differs from run to run, as timings do
 
     def __str__(self) -> str:
         return f"{in_words(self.number)} {self.unit}".rstrip()

@@ -37,15 +37,10 @@ DURATION, COUNTED = 1.5, 0.5  # of tracking, and from when on its errors count [
 
 
 class Search(NamedTuple):
-    """The longest periods of a law.
+    """The longest periods of a law."""
 
-    Attributes:
-        variant: the law.
-        plants: numbers of modules.
-    """
-
-    variant: Variant
-    plants: tuple[int, ...]
+    variant: Variant  # the law
+    plants: tuple[int, ...]  # numbers of modules
 
     @property
     def name(self) -> str:

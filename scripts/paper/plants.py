@@ -23,19 +23,12 @@ DURATION, COUNTED = 2.0, 1.0  # of a run, and from when on errors count: half a 
 
 
 class Planted(NamedTuple):
-    """A law on a plant.
+    """A law on a plant."""
 
-    Attributes:
-        variant: the law.
-        modules: of the plant.
-        rate: of control [Hz].
-        seeds: number of seeds of the noise.
-    """
-
-    variant: Variant
-    modules: int
-    rate: float
-    seeds: int
+    variant: Variant  # the law
+    modules: int  # of the plant
+    rate: float  # of control [Hz]
+    seeds: int  # number of seeds of the noise
 
     @property
     def name(self) -> str:

@@ -36,36 +36,23 @@ Arrays = dict[str, np.ndarray]
 
 
 class Request(NamedTuple):
-    """Arms of one variant: for each model error one without noise, and one for each seed.
+    """Arms of one variant: for each model error one without noise, and one for each seed."""
 
-    Attributes:
-        name: of the file.
-        variant: what controls the arms.
-        reference: name of their desired motion.
-        duration: [s].
-        fields: that are recorded; besides those of the record there are `lost`, whether an arm has
-            left its limits, and `wanted_a`, the desired acceleration.
-        every: between two instants that are recorded; every control instant if 0 [s].
-        keep: makes the arrays that are kept from the recorded rows.
-        mismatches: model errors [1].
-        seeds: number of seeds of the noise; they are those of the sweeps.
-        quiet: whether there are arms without noise.
-        rate: of control [Hz].
-        engine: that steps the arms.
-    """
-
-    name: str
-    variant: Variant
-    reference: str
-    duration: float
+    name: str  # of the file
+    variant: Variant  # what controls the arms
+    reference: str  # name of their desired motion
+    duration: float  # [s]
+    # that are recorded; besides those of the record there are `lost`, whether an arm has left its
+    # limits, and `wanted_a`, the desired acceleration
     fields: tuple[str, ...]
-    every: float
+    every: float  # between two instants that are recorded; every control instant if 0 [s]
+    # makes the arrays that are kept from the recorded rows
     keep: Callable[[Request, Rows], Mapping[str, np.ndarray]]
-    mismatches: tuple[float, ...] = MODELS
-    seeds: int = 0
-    quiet: bool = True
-    rate: float = RATE
-    engine: str = MUJOCO
+    mismatches: tuple[float, ...] = MODELS  # model errors [1]
+    seeds: int = 0  # number of seeds of the noise; they are those of the sweeps
+    quiet: bool = True  # whether there are arms without noise
+    rate: float = RATE  # of control [Hz]
+    engine: str = MUJOCO  # that steps the arms
 
     @property
     def mismatch(self) -> np.ndarray:
@@ -194,27 +181,17 @@ class Moved:
 
 
 class Series(NamedTuple):
-    """What n arms did at T instants.
+    """What n arms did at T instants."""
 
-    Attributes:
-        t: shape (T,) [s].
-        q_d: desired coordinates, shape (T, 2N) [m], [rad].
-        q: true ones, shape (T, n, 2N); NaN from when an arm left its limits.
-        E: gain of the compensation, shape (T, n, 2N) [N], [N m]; empty where there is none.
-        mismatch: shape (n,) [1].
-        noise: shape (n,) [1].
-        diverged_at: shape (n,) [s]; NaN for arms that stayed within their limits.
-        moved: how far noise moves an arm, rms of all instants that count, shape (n, 2N).
-    """
-
-    t: np.ndarray
-    q_d: np.ndarray
-    q: np.ndarray
+    t: np.ndarray  # shape (T,) [s]
+    q_d: np.ndarray  # desired coordinates, shape (T, 2N) [m], [rad]
+    q: np.ndarray  # true ones, shape (T, n, 2N); NaN from when an arm left its limits
+    # gain of the compensation, shape (T, n, 2N) [N], [N m]; empty where there is none
     E: np.ndarray
-    mismatch: np.ndarray
-    noise: np.ndarray
-    diverged_at: np.ndarray
-    moved: np.ndarray
+    mismatch: np.ndarray  # shape (n,) [1]
+    noise: np.ndarray  # shape (n,) [1]
+    diverged_at: np.ndarray  # shape (n,) [s]; NaN for arms that stayed within their limits
+    moved: np.ndarray  # how far noise moves an arm, rms of all instants that count, shape (n, 2N)
 
     def of(self, mismatch: float, noise: float) -> np.ndarray:
         """The coordinates of some of the arms, shape (T, k, 2N)."""
@@ -252,15 +229,10 @@ def record(request: Request, model: float, folder: Path) -> None:
 
 
 class Cost(NamedTuple):
-    """What a step of a controller costs on this machine; timings differ from run to run.
+    """What a step of a controller costs on this machine; timings differ from run to run."""
 
-    Attributes:
-        many: an arm of `ARMS` side by side: the arithmetic [s].
-        alone: one arm alone: mostly what Python and NumPy take for each call [s].
-    """
-
-    many: float
-    alone: float
+    many: float  # an arm of `ARMS` side by side: the arithmetic [s]
+    alone: float  # one arm alone: mostly what Python and NumPy take for each call [s]
 
 
 def costs(variants: Mapping[str, Variant], seconds: float = 0.1) -> dict[str, Cost]:

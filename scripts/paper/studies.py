@@ -34,17 +34,11 @@ SEED = 0
 
 
 class Beyond(NamedTuple):
-    """Something that the paper does not try.
+    """Something that the paper does not try."""
 
-    Attributes:
-        values: that are tried, in the unit of `paper.evidence.Cell`.
-        unit: in which it is written.
-        factor: from SI units to that one.
-    """
-
-    values: tuple[float, ...]
-    unit: str
-    factor: float
+    values: tuple[float, ...]  # that are tried, in the unit of `paper.evidence.Cell`
+    unit: str  # in which it is written
+    factor: float  # from SI units to that one
 
 
 # By the field of `paper.evidence.Cell`.
@@ -58,35 +52,20 @@ SCALE = {"s": 0.0175, "theta": 0.3}  # A, the mean amplitude of the motions [m],
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Effort:
-    """How much is run, as `studies.toml` says it.
+    """How much is run, as `studies.toml` says it."""
 
-    Attributes:
-        name: `full` or `quick`.
-        sweeps: in the order in which cells are listed.
-        seeds: in each cell with noise.
-        duration: of the runs of figures 1 and 2 [s].
-        labels: of the variants of figures 1 and 2.
-        readings: references of figures 1 and 2.
-        long: duration of the runs that show drift; none if 0 [s].
-        rates: at which Lyapunov functions are looked at [Hz].
-        lyapunov: labels of the variants of which they are looked at.
-        plants: modules of the arms whose controllers believe in three.
-        plant_rates: of control, for them [Hz].
-        plant_labels: of the variants that are tried on them.
-    """
-
-    name: str
-    sweeps: Sequence[Mapping[str, Any]]
-    seeds: int
-    duration: float
-    labels: Sequence[str]
-    readings: Sequence[str]
-    long: float
-    rates: Sequence[float]
-    lyapunov: Sequence[str]
-    plants: Sequence[int]
-    plant_rates: Sequence[float]
-    plant_labels: Sequence[str]
+    name: str  # `full` or `quick`
+    sweeps: Sequence[Mapping[str, Any]]  # in the order in which cells are listed
+    seeds: int  # in each cell with noise
+    duration: float  # of the runs of figures 1 and 2 [s]
+    labels: Sequence[str]  # of the variants of figures 1 and 2
+    readings: Sequence[str]  # references of figures 1 and 2
+    long: float  # duration of the runs that show drift; none if 0 [s]
+    rates: Sequence[float]  # at which Lyapunov functions are looked at [Hz]
+    lyapunov: Sequence[str]  # labels of the variants of which they are looked at
+    plants: Sequence[int]  # modules of the arms whose controllers believe in three
+    plant_rates: Sequence[float]  # of control, for them [Hz]
+    plant_labels: Sequence[str]  # of the variants that are tried on them
 
 
 FULL, QUICK = (
@@ -96,19 +75,12 @@ FULL, QUICK = (
 
 
 class Sweep(NamedTuple):
-    """What is run of a study.
+    """What is run of a study."""
 
-    Attributes:
-        name: of its folder.
-        study: that its cells belong to.
-        content: of the spec.
-        labels: of the variants, by controller.
-    """
-
-    name: str
-    study: str
-    content: Mapping[str, Any]
-    labels: Mapping[str, str]
+    name: str  # of its folder
+    study: str  # that its cells belong to
+    content: Mapping[str, Any]  # of the spec
+    labels: Mapping[str, str]  # of the variants, by controller
 
     @property
     def seconds(self) -> float:

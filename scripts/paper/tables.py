@@ -49,18 +49,12 @@ Rows = Iterable[Sequence[Entry]]
 
 
 class Table(NamedTuple):
-    """Rows under headings.
+    """Rows under headings."""
 
-    Attributes:
-        name: of its file.
-        caption: what it shows, and how.
-        columns: headings, units in brackets.
-        rows: an entry a column; an interval stands for median and 95 % interval.
-    """
-
-    name: str
-    caption: str
-    columns: Sequence[str]
+    name: str  # of its file
+    caption: str  # what it shows, and how
+    columns: Sequence[str]  # headings, units in brackets
+    # an entry a column; an interval stands for median and 95 % interval
     rows: Sequence[Sequence[Entry]]
 
 

@@ -34,17 +34,12 @@ HAND_SET = "{}, hand-set"  # the label of a controller with hand-set gains
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Variant:
-    """A controller with its gains.
+    """A controller with its gains."""
 
-    Attributes:
-        label: under which it stands in tables and figures.
-        controller: name on the command line.
-        gains: all that are numbers, as numbers or lists [SI], scaled to the nominal arm; the same
-            for every model that the controller believes.
-    """
-
-    label: str
-    controller: str
+    label: str  # under which it stands in tables and figures
+    controller: str  # name on the command line
+    # all that are numbers, as numbers or lists [SI], scaled to the nominal arm; the same for every
+    # model that the controller believes
     gains: Mapping[str, Any]
 
     def changed(self, label: str, **gains: Any) -> Variant:
