@@ -93,7 +93,7 @@ def test_timings_stand_apart_and_all_else_is_the_same_again(quick: Quick):
         written = quick.out / writeup.TABLES / f"{table.name}.csv"
         assert as_csv(table) == written.read_text(encoding="utf-8")
     content = writeup.content(again, claims, tables)
-    assert writeup.as_json(content) == (quick.out / writeup.CLAIMS).read_text(encoding="utf-8")
+    assert writeup.as_json(content) == (quick.out / "claims.json").read_text(encoding="utf-8")
     assert "[us]" in (quick.out / "timings.csv").read_text(encoding="utf-8")
 
 

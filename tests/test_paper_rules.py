@@ -36,7 +36,7 @@ from octarm.reports.statistics import Interval
 
 HOLDS, ONLY_IF, FAILS = Verdict.HOLDS, Verdict.ONLY_IF, Verdict.FAILS
 
-RULES = {**rules.CLAIMS, **rules.QUESTIONS}
+RULES = {rule.__name__: rule for rule in (*rules.CLAIMS, *rules.QUESTIONS)}
 
 
 def case(value: float, limit: float = 1.0, **where: str) -> Case:

@@ -42,18 +42,18 @@ class Claim:
         Args:
             timings: whether what differs from run to run is there, too.
         """
-        rows = [
-            {"name": row.name, **{k: rounded(x) for k, x in row.number._asdict().items()},
-             "unit": row.unit}
-            for row in self.rows
-            if timings or not row.varies
-        ]  # fmt: skip
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         if not timings and any(row.varies for row in self.rows):
             fields = {key: fields[key] for key in ("letter", "title", "quote", "place", "rule")}
         else:
             fields["verdict"] = str(self.verdict)
-        return {**fields, "rows": rows}
+        shown = [row for row in self.rows if timings or not row.varies]
+        return {**fields, "rows": [_row(row) for row in shown]}
+
+
+def _row(row: Row) -> dict[str, Any]:
+    numbers = {name: rounded(x) for name, x in row.number._asdict().items()}
+    return {"name": row.name, **numbers, "unit": row.unit}
 
 
 def claim(name: str, cases: Sequence[Case]) -> Claim:
@@ -72,11 +72,13 @@ def claim(name: str, cases: Sequence[Case]) -> Claim:
         for key, text in words()["claims"][name].items()
     }
     same, total = sensitivity(cases)
-    narrowed = condition(cases, words()["phrases"]) if outcome == Verdict.ONLY_IF else ""
     return Claim(
-        **texts, verdict=outcome, condition=narrowed, stays=f"{same} of {total}",
+        **texts,
+        verdict=outcome,
+        condition=condition(cases, words()["phrases"]) if outcome == Verdict.ONLY_IF else "",
+        stays=f"{same} of {total}",
         rows=numbers_of(cases),
-    )  # fmt: skip
+    )
 
 
 @functools.cache

@@ -21,6 +21,7 @@ from paper.variants import Variant
 
 STUDIES = Path(__file__).with_name("studies.toml")
 BENDS, SLIDES = "sine", "sine-slides"  # the two readings of "first two links"
+READINGS = {BENDS: "bends", SLIDES: "slides"}
 MOVING = {BENDS: ("theta1", "theta2"), SLIDES: ("s1", "s2")}  # what each of them moves
 MODELS = (-0.3, 0.0, 0.3)  # model errors of the paper's figures [1]
 MODULES = 3  # that every controller believes in
@@ -38,12 +39,15 @@ class Beyond(NamedTuple):
 
     values: tuple[float, ...]  # that are tried, in the unit of `paper.evidence.Cell`
     unit: str  # in which it is written
-    factor: float  # from SI units to that one
+    factor: float = 1.0  # from SI units to that one
+
+    def written(self, value: float) -> str:
+        """A value in that unit."""
+        return f"{self.factor * value:g} {self.unit}"
 
 
-# By the field of `paper.evidence.Cell`.
-BEYOND = {
-    "payload": Beyond((0.0, 0.05, 0.1, 0.2), "kg", 1.0),
+BEYOND = {  # by the field of `paper.evidence.Cell`
+    "payload": Beyond((0.0, 0.05, 0.1, 0.2), "kg"),
     "delay": Beyond((0.0, 0.0005, 0.001, 0.0015, 0.002), "ms", 1e3),
     "loss": Beyond((0.0, 0.1, 0.3, 0.5), "%", 100.0),  # of the force of every column
 }
@@ -127,9 +131,9 @@ def study_of_plants(rate: float) -> str:
     return f"plants-{rate:g}"
 
 
-def rate_of_plants(study: str) -> float:
-    """The control rate of that study [Hz]."""
-    return float(study.removeprefix("plants-"))
+def period_of_plants(study: str) -> str:
+    """The control period of that study, in words."""
+    return f"{1e3 / float(study.removeprefix('plants-')):g} ms"
 
 
 def _quiet_apart(content: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:

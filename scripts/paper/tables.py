@@ -231,8 +231,7 @@ def beyond(evidence: Evidence, name: str) -> Table:
         own = [start._replace(**{name: value}) for value in sort.values]
         if evidence.has(*own):
             rows.append((label, percent(model), *map(evidence.error, own)))
-    heads = [f"{sort.factor * value:g} {sort.unit}" for value in sort.values]
-    return _table("beyond", rows, heads, name)
+    return _table("beyond", rows, [*map(sort.written, sort.values)], name)
 
 
 def drift(evidence: Evidence) -> Rows:
@@ -297,7 +296,7 @@ def _place(cell: Cell) -> tuple[str, str, str]:
 
 def _plant(cell: Cell) -> tuple[Entry, ...]:
     """Modules, control period and noise."""
-    return cell.plant, f"{1e3 / studies.rate_of_plants(cell.study):g} ms", _noise(cell.noise)
+    return cell.plant, studies.period_of_plants(cell.study), _noise(cell.noise)
 
 
 def _noise(noise: float) -> str:
