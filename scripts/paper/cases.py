@@ -5,8 +5,6 @@ model, and so on. The claim holds if it does in all cases, does not hold if it d
 else holds only if the cases are narrowed down.
 """
 
-from __future__ import annotations
-
 import enum
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -60,13 +60,10 @@ class Evidence:
     variants: Mapping[str, Variant]  # who ran, by label
     effort: Effort  # how much was run
     rows: Mapping[Cell, np.ndarray]  # of the episodes of each cell, in the order of their seeds
-    # quantities by name, and `diverged`, each with an entry an episode
-    columns: Mapping[str, np.ndarray]
+    columns: Mapping[str, np.ndarray]  # quantities, and `diverged`, with an entry an episode
     series: Mapping[str, Series]  # runs over time, by name
     outcomes: Sequence[lyapunov.Outcome]  # how Lyapunov functions went
-    # the longest control periods by label, `predicted` and `simulated`, see `paper.periods`, each
-    # with an entry a plant [s]
-    periods: Mapping[str, Mapping[str, np.ndarray]]
+    periods: Mapping[str, Mapping[str, np.ndarray]]  # by label; see `paper.plants.Search`
     costs: Mapping[str, Cost]  # of a controller's step, by name
 
     def has(self, *cells: Cell) -> bool:
@@ -78,11 +75,7 @@ class Evidence:
         return [cell for cell in cells if cell in self.rows]
 
     def values(self, cell: Cell, quantity: str) -> np.ndarray:
-        """A quantity of the episodes of a cell in the order of their seeds, shape (seeds,).
-
-        Raises:
-            KeyError: if the cell was not run.
-        """
+        """A quantity of the episodes of a cell in the order of their seeds, shape (seeds,)."""
         return self.columns[quantity][self.rows[cell]]
 
     def diverged(self, *cells: Cell) -> tuple[int, int]:

@@ -1,7 +1,5 @@
 """The figures: 1 and 2 of the paper on this arm, those of the studies, and the README's."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple

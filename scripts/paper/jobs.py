@@ -1,7 +1,5 @@
 """Running all that is missing: several sweeps and runs at a time on one set of processes."""
 
-from __future__ import annotations
-
 import io
 import itertools
 from collections.abc import Callable, Mapping

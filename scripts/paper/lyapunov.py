@@ -51,16 +51,10 @@ class Outcome(NamedTuple):
 
 def outcomes(request: Request, arrays: Mapping[str, np.ndarray]) -> list[Outcome]:
     """What `counts` gave, arm by arm."""
-    columns = {name: arrays[name].tolist() for name in Outcome._fields if name in arrays}
-    arms = [
-        dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)
-    ]
-    known = {
-        "label": request.variant.label,
-        "reference": request.reference,
-        "rate": request.rate,
-    }
-    return [Outcome(**known, **arm) for arm in arms]
+    names = [name for name in Outcome._fields if name in arrays]
+    arms = zip(*(arrays[name].tolist() for name in names), strict=True)
+    place = request.variant.label, request.reference, request.rate
+    return [Outcome(*place, **dict(zip(names, values, strict=True))) for values in arms]
 
 
 def counts(request: Request, rows: Rows) -> dict[str, np.ndarray]:

@@ -11,8 +11,6 @@ slope, hence no prediction, and is restless at every period: it is asked to trac
 error of at most `TRACKED` instead.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping

@@ -5,8 +5,6 @@ same joints, the same nominal model and the same noise. SMC is read in both ways
 has: with sgn(s) and with a boundary layer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product

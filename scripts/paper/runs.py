@@ -175,8 +175,7 @@ class Series(NamedTuple):
     t: np.ndarray  # shape (T,) [s]
     q_d: np.ndarray  # desired coordinates, shape (T, 2N) [m], [rad]
     q: np.ndarray  # true ones, shape (T, n, 2N); NaN from when an arm left its limits
-    # gain of the compensation, shape (T, n, 2N) [N], [N m]; empty where there is none
-    E: np.ndarray
+    E: np.ndarray  # gain of the compensation, shape (T, n, 2N) [N], [N m]; empty if none
     mismatch: np.ndarray  # shape (n,) [1]
     noise: np.ndarray  # shape (n,) [1]
     diverged_at: np.ndarray  # shape (n,) [s]; NaN for arms that stayed within their limits

@@ -4,8 +4,6 @@ Each becomes specs that `octarm sweep` runs as they stand: with the controllers 
 name, and all their gains. Cells without noise get one seed: nothing in them is random.
 """
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import math
@@ -19,7 +17,6 @@ import tomlkit
 from octarm.simulation.engines import usual_engine
 from paper.variants import Variant
 
-STUDIES = Path(__file__).with_name("studies.toml")
 BENDS, SLIDES = "sine", "sine-slides"  # the two readings of "first two links"
 READINGS = {BENDS: "bends", SLIDES: "slides"}
 MOVING = {BENDS: ("theta1", "theta2"), SLIDES: ("s1", "s2")}  # what each of them moves
@@ -35,22 +32,17 @@ SEED = 0
 
 
 class Beyond(NamedTuple):
-    """Something that the paper does not try."""
+    """Something that the paper does not try: a field of `paper.evidence.Cell`."""
 
-    values: tuple[float, ...]  # that are tried, in the unit of `paper.evidence.Cell`
+    values: Sequence[float]  # that are tried [SI]
     unit: str  # in which it is written
-    factor: float = 1.0  # from SI units to that one
+    factor: float  # from SI units to that one
 
     def written(self, value: float) -> str:
         """A value in that unit."""
         return f"{self.factor * value:g} {self.unit}"
 
 
-BEYOND = {  # by the field of `paper.evidence.Cell`
-    "payload": Beyond((0.0, 0.05, 0.1, 0.2), "kg"),
-    "delay": Beyond((0.0, 0.0005, 0.001, 0.0015, 0.002), "ms", 1e3),
-    "loss": Beyond((0.0, 0.1, 0.3, 0.5), "%", 100.0),  # of the force of every column
-}
 SCALE = {"s": 0.0175, "theta": 0.3}  # A, the mean amplitude of the motions [m], [rad]
 
 
@@ -72,10 +64,9 @@ class Effort:
     plant_labels: Sequence[str]  # of the variants that are tried on them
 
 
-FULL, QUICK = (
-    Effort(name=name, **tomllib.loads(STUDIES.read_text("utf-8"))[name])
-    for name in ("full", "quick")
-)
+_STUDIES = tomllib.loads(Path(__file__).with_name("studies.toml").read_text("utf-8"))
+FULL, QUICK = (Effort(name=name, **_STUDIES[name]) for name in ("full", "quick"))
+BEYOND = {name: Beyond(**own) for name, own in _STUDIES["beyond"].items()}
 
 
 class Sweep(NamedTuple):

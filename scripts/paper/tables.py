@@ -1,7 +1,5 @@
 """The tables: numbers in rows under the headings of `words.toml`, and their CSV files."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -1,7 +1,5 @@
 """What is written: tables, claims, figures, the write-up in Markdown and as a page, the README."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
