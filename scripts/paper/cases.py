@@ -31,8 +31,7 @@ class Case(NamedTuple):
 
     where: Mapping[str, str]  # value of each axis, such as gains, joints and model
     rows: Sequence[Row]  # the numbers
-    # whether the claim holds there, given the factor of the threshold
-    passes: Callable[[float], bool]
+    passes: Callable[[float], bool]  # whether it holds there, by the factor of the threshold
 
 
 def verdict(cases: Sequence[Case], factor: float = 1.0) -> Verdict:

@@ -36,8 +36,8 @@ class Outcome(NamedTuple):
     reference: str  # name
     rate: float  # of control [Hz]
     mismatch: float  # of the nominal model [1]
-    # whether the switching gain covers the model error, K_j >= |F_j|, at all times; of the adaptive
-    # law whether E_max covers eps
+    # Whether the switching gain covers the model error, K_j >= |F_j|, at all times; for the
+    # adaptive law, whether E_max covers eps.
     covered: bool
     outside: int  # periods that begin outside the boundary layer: |s_j| > phi_j for a j
     grown_outside: int  # of them, those over which V grew

@@ -43,11 +43,11 @@ class Request(NamedTuple):
     variant: Variant  # what controls the arms
     reference: str  # name of their desired motion
     duration: float  # [s]
-    # that are recorded; besides those of the record there are `lost`, whether an arm has left its
-    # limits, and `wanted_a`, the desired acceleration
+    # What is recorded: fields of the record, `lost`, whether an arm has left its limits, and
+    # `wanted_a`, the desired acceleration.
     fields: tuple[str, ...]
     every: float  # between two instants that are recorded; every control instant if 0 [s]
-    # makes the arrays that are kept from the recorded rows
+    # It makes the arrays that are kept from the recorded rows.
     keep: Callable[[Request, Rows], Mapping[str, np.ndarray]]
     mismatches: tuple[float, ...] = MODELS  # model errors [1]
     seeds: int = 0  # number of seeds of the noise; they are those of the sweeps

@@ -39,8 +39,8 @@ class Variant:
 
     label: str  # under which it stands in tables and figures
     controller: str  # name on the command line
-    # all that are numbers, as numbers or lists [SI], scaled to the nominal arm; the same for every
-    # model that the controller believes
+    # All that are numbers, as numbers or lists [SI], scaled to the nominal arm; they are the same
+    # for every model that the controller believes.
     gains: Mapping[str, Any]
 
     def changed(self, label: str, **gains: Any) -> Variant:
