@@ -42,11 +42,11 @@ def test_bash_offers_what_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str
     (tmp_path / "gains.toml").touch()
     lines = {
         "": set(commands(APP)),
-        "comp": {"completion"},
+        "comp": {"compare", "completion"},
         "run --contr": {"--controller", "--control-period"},
         "run --controller afsmc": {"afsmc", "afsmc-consequent"},
         "run --duration ": set(),
-        "run --duration 3 --se": {"--seed"},
+        "run --duration 3 --see": {"--seed"},
         "run --out r": {"runs"},
         "run --gains ": {"tuned", "recommended", "gains.toml"},
         "replay runs/": {"runs/mine"},

@@ -25,7 +25,7 @@ from octarm import units
 from octarm.commands import checks, kinds, many_runs, one_arm, one_run, own
 from octarm.commands.kinds import SHELLS, Work
 from octarm.commands.pages import arguments_of, commands, is_operand, overview, page, spelling
-from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
+from octarm.errors import ExitCode, FileError, OctarmError, closest, printable, quoted
 
 APP = App(
     name="octarm",
@@ -84,6 +84,8 @@ _AFTER = {"zsh": "autoload -U +X compinit && compinit\ncompdef _cyclopts_octarm 
 def parse(words: Sequence[str]) -> Work:
     """What a command line asks for, with the modules that it needs imported.
 
+    Names and files that there are not are refused by the work, and nothing more is imported then.
+
     Raises:
         OctarmError: for a word that is not understood.
     """
@@ -94,13 +96,19 @@ def parse(words: Sequence[str]) -> Work:
     try:
         command, bound, _ = APP.parse_args(_joined(words), print_error=False, exit_on_error=False)
     except CycloptsError as error:
-        raise OctarmError(_sentence(error, words[0])) from None
+        sentence = OctarmError(_sentence(error, words[0]))
+        if isinstance(error.__cause__, FileError):
+            return functools.partial(_refuse, sentence)
+        raise sentence from None
     if command == APP.help_print:
         name = next(iter(bound.arguments["tokens"]), None)
         return functools.partial(_show, overview(APP) if name is None else page(APP, name))
     if command.__module__.startswith("octarm."):
         _check_address_space(words[0])
-        return command(*bound.args, **bound.kwargs)
+        try:
+            return command(*bound.args, **bound.kwargs)
+        except OctarmError as error:
+            return functools.partial(_refuse, error)
     return functools.partial(command, *bound.args, **bound.kwargs)  # the version, words for a shell
 
 
@@ -129,6 +137,10 @@ def _check_address_space(command: str) -> None:
             f"the memory of this process is limited to {1e-9 * limit:.3g} GB of addresses (ulimit "
             f"-v); octarm {command} needs {needed:.3g} GB on this machine"
         )
+
+
+def _refuse(error: OctarmError) -> int:
+    raise error
 
 
 def _show(text: str) -> int:
