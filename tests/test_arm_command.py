@@ -170,7 +170,17 @@ def test_what_cannot_be_meant_is_refused_in_a_sentence(words: list[str], sentenc
 
 
 def test_it_says_whether_loops_are_stable():
-    text = said("arm", "--controller", "pd,smc", "--controller", "afsmc", "--gains", "recommended")
+    text = said(
+        "arm",
+        "--controller",
+        "pd",
+        "--controller",
+        "smc",
+        "--controller",
+        "afsmc",
+        "--gains",
+        "recommended",
+    )
     assert re.search(r"^pd +[\d.]+ ms +[\d.]+ +\w+\d, alternates at [\d.]+ Hz; mode", text, re.M)
     assert re.search(r"^smc +no derivative by measurements at rest", text, re.M)
     assert re.search(r"^  its state held +[\d.]+ ms", text, re.M)  # of afsmc, while it learns

@@ -56,6 +56,9 @@ def test_motions_of_several_tones_and_steps():
     step = {"name": "step", "start": [0.12, 0.0], "goal": [0.13, 0.35]}
     assert motion_of(step) == "step (by 0.35 rad and 10 mm)"
     assert motion_of({"name": "spiral", "turns": 3}) == "spiral"
+    own = {"amplitude": 0.1}, {"tones": 3}, {"amplitude": "big"}, {"start": 1.0, "goal": "up"}
+    for fields in own:  # of a user's own motion, where these names may mean something else
+        assert motion_of({"name": "Swing", **fields, "frequency": 0.5}) == "Swing"
     many = {"name": "s", "amplitude": [0.0] * 4 + [0.1, 0.2, 0.3, 0.4], "frequency": 1.0}
     assert motion_of(many) == "s (up to 0.4 rad at 1 Hz)"
 

@@ -113,17 +113,27 @@ def units_of(entry: Mapping[str, Any]) -> dict[str, str]:
 
 def motion_of(reference: Mapping[str, Any]) -> str:
     """A desired motion in words, such as `sine (0.35, 0.25 rad at 0.5 Hz)`."""
-    numbers = dict(reference)
+    name = str(reference["name"])
+    try:
+        sizes = _motion_sizes(dict(reference))
+    except (KeyError, TypeError, ValueError):  # a user's fields of these names may hold anything
+        sizes = []
+    return f"{name} ({' '.join(sizes)})" if any(sizes) else name
+
+
+def _motion_sizes(numbers: dict[str, Any]) -> list[str]:
     if tones := numbers.get("tones"):
         largest = np.max([np.abs(tone["amplitude"]) for tone in tones], axis=0).tolist()
         numbers |= {"amplitude": largest, "frequency": [tone["frequency"] for tone in tones]}
-    sizes = [_sizes(numbers["amplitude"])] if "amplitude" in numbers else []
+    amplitude = numbers.get(
+        "amplitude"
+    )  # a number of a reference that is not built in may be alone
+    sizes = [_sizes(amplitude)] if isinstance(amplitude, list) else []
     if "frequency" in numbers:
         sizes.append(f"at {amount(numbers['frequency'], 'Hz')}")
     if "goal" in numbers and "start" in numbers:
         sizes = [f"by {_sizes(np.subtract(numbers['goal'], numbers['start']).tolist())}"]
-    name = str(reference["name"])
-    return f"{name} ({' '.join(sizes)})" if any(sizes) else name
+    return sizes
 
 
 def _sizes(values: Sequence[float]) -> str:
