@@ -42,19 +42,22 @@ MOTION = '''
 """All bends swing in phase."""
 
 import dataclasses
+from typing import Annotated
 
 import numpy as np
 
+from octarm.fields import Quantity
 from octarm.interfaces import Reference
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Swing:
     rest: np.ndarray
+    amplitude: Annotated[float, Quantity("rad", at_least=0.0)] = 0.1
 
     def __call__(self, t):
         size = np.zeros_like(self.rest)
-        size[..., self.rest.shape[-1] // 2 :] = 0.1
+        size[..., self.rest.shape[-1] // 2 :] = self.amplitude
         w = 2.0 * np.pi * 0.5
         sine = size * np.sin(w * t)
         return Reference(self.rest + sine, size * w * np.cos(w * t), -w * w * sine)
@@ -127,7 +130,7 @@ metric = "./reach.py:Reach"
 
 [grid]
 controller = ["./damper.py:Damper", "pd"]
-reference = ["./swing.py:Swing", "sine"]
+reference = ["./swing.py:Swing:amplitude=4deg", "sine"]
 
 [grid.disturbance]
 "./gust.py:Gust" = [0.0, 3.0]

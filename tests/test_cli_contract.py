@@ -44,6 +44,7 @@ SHARED = {
     },
     "gains": {"--gains": "GAINS", "--gain": "NAME:VALUES .."},
 }
+SHARED_MODEL = SHARED["the arm, and the model that the controller believes"]
 OPTIONS: dict[str, dict[str, dict[str, str]]] = {
     "arm": {
         "another source of the arm": {
@@ -138,6 +139,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--metric": "METRIC ..",
         },
         **SHARED,
+        "the arm, and the model that the controller believes": {**SHARED_MODEL, "--arm": "ARM .."},
         "the runs, as in octarm run": {
             "--reference": "REFERENCE sine",
             "--duration": "S 6",

@@ -424,12 +424,31 @@ def test_the_table_is_honest_about_what_is_not_known(tmp_path, capsys, monkeypat
     ):
         assert words in notes
     assert (tmp_path / "m.csv").read_text().splitlines()[1:] == [
-        "pd,-inf,,-inf,-inf,-inf,-inf,0",
-        "smc,0.5,,1.0,0.5,0.5,1.0,1",
-        "afsmc,inf,,,inf,inf,inf,0",
+        "pd,-inf,,-inf,-inf,-inf,-inf,0,",
+        "smc,0.5,,1.0,0.5,0.5,1.0,1,",
+        "afsmc,inf,,,inf,inf,inf,0,",
     ]
     last = json.loads((tmp_path / "m.json").read_text())["controllers"][-1]
     assert (last["margin"], last["interval_low"], last["met"]) == ("inf", None, [2.0, 2.0])
+
+
+def test_several_arms_stand_in_one_table(tmp_path, capsys):
+    arms = ("octarm", "fabric")
+    words = ["margin", "pd", "smc-boundary", *GOOD, "--seeds", "1", "--duration", "2.1"]
+    files = ["--csv", str(tmp_path / "m.csv"), "--json", str(tmp_path / "m.json")]
+    assert main([*words, *(f"--arm={arm}" for arm in arms), *files]) == 0
+    out = capsys.readouterr().out
+    assert "the arms octarm, fabric" in out
+    report = json.loads((tmp_path / "m.json").read_text())
+    assert report["settings"]["arm"] == ["octarm", "fabric"]
+    rows = [(row["arm"], row["controller"]) for row in report["controllers"]]
+    assert rows == [(arm, name) for arm in arms for name in ("pd", "smc-boundary")]
+    with open(tmp_path / "m.csv", newline="") as file:
+        assert [(row["arm"], row["controller"]) for row in csv.DictReader(file)] == rows
+    (tmp_path / "m.json").unlink()
+    assert main([*words, "--arm=fabric", *files[2:]]) == 0  # as it is alone
+    alone = json.loads((tmp_path / "m.json").read_text())["controllers"]
+    assert alone == report["controllers"][2:]
 
 
 def test_an_interrupt_ends_it_in_a_sentence(capsys, monkeypatch):

@@ -41,6 +41,9 @@ def test_a_title_has_the_sizes_of_all_that_acts():
         "smc on sine (0.35, 0.25 rad and 20 mm at 0.5 Hz), noise 40 %, payload 100 g at 3 s, "
         "model -30 %"
     )
+    assert title_of(about("noise:0", "payload:0")) == "smc on sine, noise 0 %, payload 0 kg"
+    assert title_of(about("noise:rms=0.2")) == "smc on sine, noise 0.2 N or N m"
+    assert title_of(about("mismatch:mass=1.2")) == "smc on sine, mismatch 120 %"
     right = about("actuation-delay:60ms", nominal=arm(3).to_dict())
     assert title_of(right) == "smc on sine, actuation-delay 60 ms"
     odd = arm(3).scaled(mass=0.5).to_dict()
@@ -53,6 +56,9 @@ def test_motions_of_several_tones_and_steps():
     step = {"name": "step", "start": [0.12, 0.0], "goal": [0.13, 0.35]}
     assert motion_of(step) == "step (by 0.35 rad and 10 mm)"
     assert motion_of({"name": "spiral", "turns": 3}) == "spiral"
+    own = {"amplitude": 0.1}, {"tones": 3}, {"amplitude": "big"}, {"start": 1.0, "goal": "up"}
+    for fields in own:  # of a user's own motion, where these names may mean something else
+        assert motion_of({"name": "Swing", **fields, "frequency": 0.5}) == "Swing"
     many = {"name": "s", "amplitude": [0.0] * 4 + [0.1, 0.2, 0.3, 0.4], "frequency": 1.0}
     assert motion_of(many) == "s (up to 0.4 rad at 1 Hz)"
 

@@ -118,7 +118,7 @@ def check(metavar: str, word: str, *more: str) -> None:
         table: Declared[Any] = pkgutil.resolve_name(_WORDS[metavar])
         name = table.split(word).word
         if name not in table and name not in more:
-            table.check(name if table.kind == "disturbance" else word, *more)
+            table.check(word if table.kind in ("controller", "metric") else name, *more)
 
 
 def _declared(metavar: str, *more: str, known: bool = True) -> Parameter:

@@ -8,7 +8,14 @@ from typing import Annotated
 
 from octarm.commands import kinds
 from octarm.commands.kinds import Work
-from octarm.commands.options import NOMINAL_ARM, USUAL_GAINS, ArmOptions, GainOptions
+from octarm.commands.options import (
+    ANY_MODEL,
+    NOMINAL_ARM,
+    USUAL_GAINS,
+    ArmOptions,
+    GainOptions,
+    ModelOptions,
+)
 from octarm.commands.terminal import surviving_output
 from octarm.errors import OctarmError
 
@@ -121,7 +128,8 @@ def margin(
     seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 16,
     share: Annotated[float, kinds.X, kinds.SOUGHT] = 0.9,
     metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.SOUGHT] = (),
-    model: ArmOptions = NOMINAL_ARM,
+    arm: Annotated[tuple[str, ...], kinds.ARM, kinds.MODEL] = (),
+    model: ModelOptions = ANY_MODEL,
     gain_options: GainOptions = USUAL_GAINS,
     reference: Annotated[str, kinds.REFERENCE, kinds.RUNS] = "sine",
     duration: Annotated[float, kinds.DURATION, kinds.RUNS] = 6.0,
@@ -151,6 +159,8 @@ def margin(
         seeds: number of seeds
         share: share of the seeds that have to meet the bounds; 1 for all of them
         metric: what is measured as well, FILE.py:NAME or MODULE:NAME; for a bound of your own
+        arm: the true arms and the controllers' models of them, as in octarm run; the nominal arm
+            when not given
         model: see `octarm.commands.options`
         gain_options: likewise
         reference: the desired motion, NAME[:KEY=VALUE..], as in octarm run
@@ -170,12 +180,16 @@ def margin(
         --disturbance noise:0.4 --bound tip_rms_error:0.01
       octarm margin pd afsmc --disturbance nominal-mismatch \
         --bound rms_error_theta1:0.02
+      octarm margin smc-boundary afsmc --arm octarm --arm eth \
+        --disturbance payload --bound tip_rms_error:0.01
     """
     kinds.check_free(force, csv, json)
     for word in controllers:
         kinds.check("CONTROLLER", word)
     gain_options.values()  # raises
-    model.both()
+    models = [model.of(name) for name in arm or (None,)]
+    for each in models:
+        each.both()  # raises
     from octarm.commands import margin as work
     from octarm.simulation.engines import usual_engine
 
@@ -185,7 +199,7 @@ def margin(
         seeds=seeds,
         share=share,
         metric=metric,
-        model=model,
+        model=models[0],
         gain_options=gain_options,
         reference=reference,
         duration=duration,
@@ -195,7 +209,7 @@ def margin(
         seed=seed,
         engine=usual_engine() if engine is None else engine,
     )
-    job = partial(work.margin, controllers, settings, low, high, csv, json)
+    job = partial(work.margin, controllers, settings, models, low, high, csv, json)
     return job if csv is None and json is None else surviving_output(job)
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import functools
+import io
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -129,34 +132,40 @@ class Settings:
 def margin(
     controllers: Sequence[str],
     settings: Settings,
+    models: Sequence[ArmOptions],
     low: str | None,
     high: str | None,
     csv_file: Path | None,
     json_file: Path | None,
 ) -> int:
-    """`octarm margin`: how much each controller bears, as a table."""
+    """`octarm margin`: how much each controller bears on each arm, as a table."""
     if not controllers:
         raise OctarmError("no controller is given; octarm run --help names them")
     settings.check()
     varied = settings.varied(low, high)
     short, code = settings.named(controllers)
-    runs = {short[word]: settings.runs(word, varied) for word in controllers}
-    _, believed = settings.model.both()
-    for word in controllers:
-        gains, step = settings.gain_options.gains, settings.timestep
-        print_unsuited(short_name(word), gains, believed, step, settings.control_period)
-    runs = {name: run.rehearse(settings.seeds) for name, run in runs.items()}
+    of_arms = [dataclasses.replace(settings, model=model) for model in models]
+    pairs = list(itertools.product(of_arms, dict.fromkeys(controllers)))
+    for each, word in pairs:
+        gains, step = each.gain_options.gains, each.timestep
+        print_unsuited(short_name(word), gains, each.model.both()[1], step, each.control_period)
+    runs = [
+        (short[word], each, each.runs(word, varied).rehearse(each.seeds)) for each, word in pairs
+    ]
     rows: list[Mapping[str, Any]] = []
-    for name, run in runs.items():
-        rows.append(_row(name, _search(name, run, settings.seeds), settings.share, varied))
+    for name, each, run in runs:
+        found = _row(name, _search(name, run, each.seeds), each.share, varied)
+        rows.append({**found, "arm": each.model.arm or ""})
         if len(rows) == 1:  # not before it is known that there is something to say
-            print("\n".join(_heading(settings, varied, short[settings.reference])))
+            print("\n".join(_heading(settings, models, varied, short[settings.reference])))
+        if len(models) > 1 and [row["arm"] for row in rows].count(each.model.arm) == 1:
+            print(f"{each.model.arm}:")
         print(_line(rows[-1], varied), flush=True)
     _print_notes(rows, varied, settings)
     if csv_file is not None:
         write_text(csv_file, _csv(rows))
     if json_file is not None:
-        write_text(json_file, to_json(_report(settings, varied, rows, code)))
+        write_text(json_file, to_json(_report(settings, models, varied, rows, code)))
     return ExitCode.FINE
 
 
@@ -196,7 +205,9 @@ def _row(name: str, brackets: Brackets, share: float, varied: Varied) -> dict[st
     }
 
 
-def _heading(settings: Settings, varied: Varied, reference: str) -> list[str]:
+def _heading(
+    settings: Settings, models: Sequence[ArmOptions], varied: Varied, reference: str
+) -> list[str]:
     """What the table is of."""
     unit = "" if varied.unit == "1" else f" [{varied.unit}]"
     bounds = " and ".join(settings.bound).replace(":", " <= ")
@@ -204,7 +215,8 @@ def _heading(settings: Settings, varied: Varied, reference: str) -> list[str]:
     model = settings.model
     around += [f"nominal model wrong by {model.mismatch:g}"] if model.mismatch else []
     around += [f"of the nominal model {factor}" for factor in model.nominal]
-    around += [f"the arm {model.arm}"] if model.arm is not None else []
+    arms = [each.arm for each in models if each.arm is not None]
+    around += [f"the arm{'s' * (len(arms) > 1)} {', '.join(arms)}"] if arms else []
     around += [*model.parameter]
     if model.plant_modules is not None:
         around += [f"a plant of {model.plant_modules} modules, {model.layout}"]
@@ -274,15 +286,18 @@ def _print_missing_ends(share: float, seeds: int) -> None:
 
 def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
     """The table; inf and -inf as above, nothing where there is no interval."""
-    lines = [["controller", *_NUMBERS, "met_again"]]
+    file = io.StringIO()
+    table = csv.writer(file, lineterminator="\n")
+    table.writerow(["controller", *_NUMBERS, "met_again", "arm"])
     for row in rows:
         numbers = ["" if math.isnan(row[key]) else repr(row[key]) for key in _NUMBERS]
-        lines.append([row["controller"], *numbers, str(row["met_again"])])
-    return "".join(",".join(line) + "\n" for line in lines)
+        table.writerow([row["controller"], *numbers, row["met_again"], row["arm"]])
+    return file.getvalue()
 
 
 def _report(
     settings: Settings,
+    models: Sequence[ArmOptions],
     varied: Varied,
     rows: Sequence[Mapping[str, Any]],
     code: Mapping[str, Code],
@@ -290,7 +305,7 @@ def _report(
     """Everything, for a JSON file."""
     limits = {key: getattr(varied, key) for key in ("name", "low", "high", "unit")}
     given = dataclasses.asdict(settings)
-    given |= given.pop("model") | given.pop("gain_options")
+    given |= given.pop("model") | given.pop("gain_options") | {"arm": [m.arm for m in models]}
     return {
         "varied": limits,
         "settings": given,

@@ -19,12 +19,10 @@ if TYPE_CHECKING:
 
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ArmOptions:
-    """The arm, and what the controller believes of it.
+class ModelOptions:
+    """What is changed of an arm, and what the controller believes of it.
 
     Attributes:
-        arm: the true arm and the controller's model of it: a file NAME.toml, or an arm that comes
-            with octarm, see octarm arm --help; the nominal arm when not given
         mismatch: error of the controller's model: mass, inertia and damping times 1 + X,
             stiffness times 1 + X/2
         nominal: a further factor on a parameter of the controller's model, e.g. mass:0.7
@@ -35,24 +33,46 @@ class ArmOptions:
         layout: of such a chain: paper, or centred with hinges in the middle of elements
     """
 
-    arm: Annotated[str | None, kinds.ARM, kinds.MODEL] = None
     mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0
     nominal: Annotated[tuple[str, ...], kinds.text("NAME:FACTOR"), kinds.MODEL] = ()
     parameter: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.MODEL] = ()
     plant_modules: Annotated[int | None, kinds.COUNT, kinds.MODEL] = None
     layout: Annotated[str, kinds.LAYOUT, kinds.MODEL] = "paper"
 
-    def true_arm(self) -> ArmParameters:
-        """The arm; raises OctarmError if there is no such one, or no such parameter."""
-        from octarm.commands import words
-
-        return words.true_arm(self.parameter, self.arm)
+    def of(self, arm: str | None) -> ArmOptions:
+        """The same options of an arm."""
+        return ArmOptions(arm=arm, **vars(self))
 
     def factors(self) -> Mapping[str, Any]:
         """The further factors of the controller's model, by parameter; raises OctarmError."""
         from octarm.commands import words
 
         return words.parameter_values("--nominal", self.nominal)
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OneArm:
+    """An arm, before what is changed of it.
+
+    Attributes:
+        arm: the true arm and the controller's model of it: a file NAME.toml, or an arm that comes
+            with octarm, see octarm arm --help; the nominal arm when not given
+    """
+
+    arm: Annotated[str | None, kinds.ARM, kinds.MODEL] = None
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ArmOptions(ModelOptions, OneArm):
+    """The arm, and what the controller believes of it; `arm` is the first of the options."""
+
+    def true_arm(self) -> ArmParameters:
+        """The arm; raises OctarmError if there is no such one, or no such parameter."""
+        from octarm.commands import words
+
+        return words.true_arm(self.parameter, self.arm)
 
     def both(self) -> tuple[ArmParameters, ArmParameters]:
         """The arm, and the controller's model of it; raises OctarmError if one cannot be."""
@@ -90,7 +110,7 @@ class GainOptions:
         return _spelt(self)
 
 
-NOMINAL_ARM, USUAL_GAINS = ArmOptions(), GainOptions()
+ANY_MODEL, NOMINAL_ARM, USUAL_GAINS = ModelOptions(), ArmOptions(), GainOptions()
 
 
 def _spelt(options: ArmOptions | GainOptions) -> list[str]:

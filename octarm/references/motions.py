@@ -253,10 +253,12 @@ class Spline(Fields):
 
     @functools.cached_property
     def _motion(self) -> list[Callable[[float], np.ndarray]]:
-        """The coordinates as a function of time, and its first two derivatives."""
+        """The way from the first point as a function of time, and its first two derivatives."""
         from scipy.interpolate import make_interp_spline  # which takes half a second
 
-        path: Any = make_interp_spline(self.times, self.points, k=int(self.degree))
+        # From the first point on, so that coordinates that do not move rest without rounding.
+        way = self.points - self.points[0]
+        path: Any = make_interp_spline(self.times, way, k=int(self.degree))
         return [path.derivative(order) if order else path for order in range(3)]
 
     def __call__(self, t: float) -> Reference:
@@ -264,4 +266,5 @@ class Spline(Fields):
         moving = self.times[0] <= t <= self.times[-1]
         now = min(max(t, float(self.times[0])), float(self.times[-1]))
         q, v, a = (part(now) for part in self._motion)
+        q = self.points[0] + q
         return Reference(q, v if moving else 0.0 * v, a if moving else 0.0 * a)

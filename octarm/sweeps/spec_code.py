@@ -40,7 +40,7 @@ def with_names(document: Document) -> Document:
     words: dict[tuple[str, str], tuple[Declared[Any], str]] = {}
     for table, word, keys in _words(document.content):
         path = absolute(word, folder)
-        if word in known or (table is _CONTROLLERS and ":" not in word):
+        if table.named_by(word).word in known or (table is _CONTROLLERS and ":" not in word):
             continue
         try:
             table.code(path)
