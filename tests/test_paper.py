@@ -148,10 +148,12 @@ def test_a_sweep_of_the_study_twice_gives_the_same_cells(tmp_path: Path):
     for name in ("first", "second"):
         octarm.sweep(spec, make_controller, tmp_path / name / part.name)
         results.append(measured([part], tmp_path / name))
-    (rows, first), (_, second) = results
-    assert len(rows) == 12
-    for quantity in ("error", "chattering", "overshoot_theta1"):
-        assert np.array_equal(first[quantity], second[quantity], equal_nan=True)
+    first, second = results
+    assert len(first) == 12 and list(first) == list(second)
+    for cell, quantities in first.items():
+        for quantity in ("error", "chattering", "overshoot_theta1"):
+            own, again = quantities[quantity], second[cell][quantity]
+            assert np.array_equal(own, again, equal_nan=True)
 
 
 def test_what_figure_1_shows_is_what_is_recorded(tmp_path: Path):

@@ -127,17 +127,17 @@ def evidence(change: Any = None, **more: Any) -> Evidence:
         for rate, noise, modules in itertools.product(FULL.plant_rates, (0.0, NOISE), FULL.plants)
     ]
     names = ["error", "chattering", *(f"overshoot_{j}" for j in ("theta1", "theta2", "s1", "s2"))]
-    columns = {
-        name: np.repeat([1.0 if change is None else change(c, name) for c in cells], 2)
-        for name in names
+    measured = {
+        cell: {n: np.repeat(1.0 if change is None else change(cell, n), 2) for n in names}
+        for cell in cells
     }
-    columns["diverged"] = np.isinf(columns["error"])
-    rows = {cell: np.array([2 * i, 2 * i + 1]) for i, cell in enumerate(cells)}
+    for own in measured.values():
+        own["diverged"] = np.isinf(own["error"])
     fields: dict[str, Any] = {
         "variants": {}, "effort": FULL, "series": {}, "outcomes": [], "periods": {},
         "costs": {PROPOSED: Cost(1e-6, 9e-5), SMC: Cost(5e-7, 4e-5)}, **more,
     }  # fmt: skip
-    return Evidence(rows=rows, columns=columns, **fields)
+    return Evidence(cells=measured, **fields)
 
 
 def judged(name: str, own: Evidence) -> Verdict:
@@ -297,7 +297,7 @@ def test_a_rank_counts_those_that_are_better_and_its_interval_those_that_may_be(
     names = [PROPOSED, SIGN, SMC]
     assert own.rank(cell, names) == Interval(1.0, 1.0, 1.0)
     sign = cell._replace(label=SIGN)
-    own.columns["error"][own.rows[sign]] = [1.01, 0.98]
+    own.cells[sign]["error"][:] = [1.01, 0.98]
     assert own.rank(sign, names) == Interval(1.0, 1.0, 2.0)
     assert own.rank(cell, names) == Interval(2.0, 1.0, 2.0)
     assert own.rank(cell._replace(label=SMC), names) == Interval(3.0, 3.0, 3.0)

@@ -59,8 +59,8 @@ class Evidence:
 
     variants: Mapping[str, Variant]  # who ran, by label
     effort: Effort  # how much was run
-    rows: Mapping[Cell, np.ndarray]  # of the episodes of each cell, in the order of their seeds
-    columns: Mapping[str, np.ndarray]  # quantities, and `diverged`, with an entry an episode
+    # Quantities, and `diverged`, by cell and name, each in the order of its seeds, shape (seeds,).
+    cells: Mapping[Cell, Mapping[str, np.ndarray]]
     series: Mapping[str, Series]  # runs over time, by name
     outcomes: Sequence[lyapunov.Outcome]  # how Lyapunov functions went
     periods: Mapping[str, Mapping[str, np.ndarray]]  # by label; see `paper.plants.Search`
@@ -68,15 +68,15 @@ class Evidence:
 
     def has(self, *cells: Cell) -> bool:
         """Whether all these cells were run."""
-        return all(cell in self.rows for cell in cells)
+        return all(cell in self.cells for cell in cells)
 
     def known(self, cells: Sequence[Cell]) -> list[Cell]:
         """Those of the cells that were run."""
-        return [cell for cell in cells if cell in self.rows]
+        return [cell for cell in cells if cell in self.cells]
 
     def values(self, cell: Cell, quantity: str) -> np.ndarray:
         """A quantity of the episodes of a cell in the order of their seeds, shape (seeds,)."""
-        return self.columns[quantity][self.rows[cell]]
+        return self.cells[cell][quantity]
 
     def diverged(self, *cells: Cell) -> tuple[int, int]:
         """How many episodes of cells diverged, and how many there are."""
@@ -138,11 +138,11 @@ class Evidence:
 
     def models(self, label: str) -> list[float]:
         """The model errors with which a variant was run on theta1 and theta2 without noise [1]."""
-        return sorted(c.mismatch for c in self.rows if c == Cell(label, mismatch=c.mismatch))
+        return sorted(c.mismatch for c in self.cells if c == Cell(label, mismatch=c.mismatch))
 
     def noises(self) -> list[float]:
         """The strengths of the noise in the study of degradation, rising [1]."""
-        return sorted({cell.noise for cell in self.rows if cell.study == "degradation"})
+        return sorted({cell.noise for cell in self.cells if cell.study == "degradation"})
 
     def ranked(self, names: Sequence[str], noise: float) -> list[str]:
         """Those that were run with this noise, the one with the least error first."""
@@ -174,16 +174,15 @@ def gather(
         OSError: if another file is.
     """
     tasks = {task: jobs.read_arrays(out, task) for task in jobs.all_tasks(variants, effort)}
-    plants = {task: kept for task, kept in tasks.items() if isinstance(task, Planted)}
     requests = {task: kept for task, kept in tasks.items() if isinstance(task, Request)}
-    rows, columns = with_plants(
-        *measured(list(sweeps(variants, effort)), out / jobs.SWEEPS), plants
-    )
+    cells = measured(list(sweeps(variants, effort)), out / jobs.SWEEPS)
+    for task, kept in tasks.items():
+        if isinstance(task, Planted):
+            cells |= _planted(task, kept)
     return Evidence(
         variants=variants,
         effort=effort,
-        rows=rows,
-        columns=columns,
+        cells=cells,
         series={one.name: Series(**kept) for one, kept in requests.items() if "q" in kept},
         outcomes=[
             outcome
@@ -196,44 +195,33 @@ def gather(
     )
 
 
-Columns = dict[str, np.ndarray]
-
-
-def measured(parts: Sequence[Sweep], folder: Path) -> tuple[dict[Cell, np.ndarray], Columns]:
-    """The rows of all cells, and the columns, of sweeps; see `Evidence`.
+def measured(parts: Sequence[Sweep], folder: Path) -> dict[Cell, dict[str, np.ndarray]]:
+    """The quantities of all cells of sweeps; see `Evidence`.
 
     Raises:
-        OctarmError: if one is not there.
+        OctarmError: if a sweep is not there.
     """
-    tables = [octarm.read_sweep(folder / part.name) for part in parts]
-    keys = [key for part, table in zip(parts, tables, strict=True) for key in _cells(part, table)]
-    seeds = np.concatenate([table["seed"].to_numpy() for table in tables])
-    rows: dict[Cell, list[int]] = {}
-    for row, key in enumerate(keys):
-        rows.setdefault(key, []).append(row)
-    ordered = {key: np.array(sorted(own, key=lambda row: seeds[row])) for key, own in rows.items()}
-    return ordered, _columns(tables)
+    cells: dict[Cell, dict[str, np.ndarray]] = {}
+    for part in parts:
+        table = octarm.read_sweep(folder / part.name)
+        columns, seeds = _quantities(table), table["seed"].to_numpy()
+        rows: dict[Cell, list[int]] = {}
+        for row, cell in enumerate(_cells(part, table)):
+            rows.setdefault(cell, []).append(row)
+        for cell, own in rows.items():
+            ordered = sorted(own, key=seeds.__getitem__)
+            cells[cell] = {name: column[ordered] for name, column in columns.items()}
+    return cells
 
 
-def with_plants(
-    rows: dict[Cell, np.ndarray],
-    columns: Columns,
-    plants: Mapping[Planted, Mapping[str, np.ndarray]],
-) -> tuple[dict[Cell, np.ndarray], Columns]:
-    """The same with the runs on plants of more modules, of which errors alone are known."""
-    count = len(columns["error"])
-    for one in plants:
-        cell = Cell(one.variant.label, study_of_plants(one.rate), plant=one.modules)
-        rows[cell] = np.array([count])
-        rows[cell._replace(noise=NOISE)] = count + 1 + np.arange(one.seeds)
-        count += 1 + one.seeds
-    own = {
-        name: np.concatenate([np.empty(0), *(kept[key] for kept in plants.values())])
-        for name, key in (("error", "error"), ("diverged", "lost"))
-    }
-    nothing = np.full(len(own["error"]), np.nan)
-    return rows, {
-        name: np.concatenate([column, own.get(name, nothing)]) for name, column in columns.items()
+def _planted(one: Planted, kept: Mapping[str, np.ndarray]) -> dict[Cell, dict[str, np.ndarray]]:
+    """The cells without and with noise on a plant, of which errors alone are known."""
+    cell = Cell(one.variant.label, study_of_plants(one.rate), plant=one.modules)
+    known = {"error": kept["error"], "diverged": kept["lost"]}
+    known["chattering"] = np.full(len(kept["error"]), np.nan)
+    return {
+        cell._replace(noise=noise): {name: column[arms] for name, column in known.items()}
+        for noise, arms in ((0.0, slice(1)), (NOISE, slice(1, None)))
     }
 
 
@@ -248,14 +236,12 @@ def _cells(part: Sweep, table: pa.Table) -> list[Cell]:
     ]
 
 
-def _columns(tables: Sequence[pa.Table]) -> dict[str, np.ndarray]:
-    def column(name: str) -> np.ndarray:
-        return np.concatenate([table[name].to_numpy() for table in tables])
-
-    lost = column("status") == "diverged"
+def _quantities(table: pa.Table) -> dict[str, np.ndarray]:
+    """Those of all episodes of a sweep."""
+    lost = table["status"].to_numpy() == "diverged"
     names = coordinates()
     columns = {
-        f"{metric}_{name}": np.where(lost, np.inf, column(f"{metric}_{name}"))
+        f"{metric}_{name}": np.where(lost, np.inf, table[f"{metric}_{name}"].to_numpy())
         for metric in _METRICS
         for name in names
     }

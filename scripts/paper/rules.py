@@ -87,10 +87,11 @@ def _moved(
     series = evidence.series.get(name_of(label, reference))
     if series is None:
         return {}
-    shares = 100.0 * series.moved / (0.5 * np.ptp(series.q_d, axis=0))
+    names, amplitudes = coordinates(), 0.5 * np.ptp(series.q_d, axis=0)
     return {
-        (joint, model): shares[arms, coordinates().index(joint)]
+        (joint, model): 100.0 * series.moved[arms, place] / amplitudes[place]
         for joint, model in product(MOVING[reference], MODELS)
+        for place in [names.index(joint)]
         for arms in [(series.mismatch == model) & (series.noise == NOISE)]
     }
 

@@ -202,7 +202,7 @@ def rates(evidence: Evidence) -> Rows:
 
 def correlation(evidence: Evidence) -> Rows:
     """Other correlation times of the noise."""
-    times = {cell.time for cell in evidence.rows if cell.study == "correlation"} | {TIME}
+    times = {cell.time for cell in evidence.cells if cell.study == "correlation"} | {TIME}
     for time, label in product(sorted(times), _labels(evidence, "correlation")):
         study = "tracking" if time == TIME else "correlation"
         cell = Cell(label, study, mismatch=WRONG, noise=NOISE, time=time)
@@ -259,7 +259,7 @@ def stability(evidence: Evidence) -> Rows:
 
 def cells(evidence: Evidence) -> Rows:
     """Everything: every cell of every study."""
-    for cell in evidence.rows:
+    for cell in evidence.cells:
         lost, count = evidence.diverged(cell)
         numbers = evidence.error(cell), evidence.chattering(cell)
         yield cell.study, cell.label, *cell[2:], count, lost, *numbers
@@ -327,7 +327,7 @@ def _lost(evidence: Evidence, *cells: Cell) -> str:
 
 def _labels(evidence: Evidence, *studies: str) -> list[str]:
     """The tuned controllers that studies have."""
-    labels = {cell.label for cell in evidence.rows if cell.study in studies}
+    labels = {cell.label for cell in evidence.cells if cell.study in studies}
     return [name for name in CONTROLLERS if name in labels]
 
 
