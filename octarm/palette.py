@@ -37,7 +37,7 @@ LOOKS = {
     for name, color, marker in zip(_CONTROLLERS, COLORS, MARKERS, strict=True)
 }
 OTHERS = ("#4f9da6", "#a5673f", "#5c73a8", "#9a5fc0", "#b86b7b", "#5f8f4e")
-_OTHER_MARKERS = "hd*H8"
+_OTHER_MARKERS = "d*1"
 
 # Of the modules from the base to the tip, on white and on dark ground.
 MODULES = (

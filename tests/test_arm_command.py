@@ -127,6 +127,7 @@ def test_arms_of_any_size_are_said_and_drawn(modules: int):
     assert "\x1b" not in text
     assert max(map(len, text.splitlines())) < 200
     assert arm_figure(summary).png.startswith(b"\x89PNG")
+    assert f"{modules} module" in arm_figure(summary).svg
 
 
 def test_a_rod_is_written_as_a_file_that_reads_as_the_same_arm():
@@ -169,7 +170,17 @@ def test_what_cannot_be_meant_is_refused_in_a_sentence(words: list[str], sentenc
 
 
 def test_it_says_whether_loops_are_stable():
-    text = said("arm", "--controller", "pd,smc", "--controller", "afsmc", "--gains", "recommended")
+    text = said(
+        "arm",
+        "--controller",
+        "pd",
+        "--controller",
+        "smc",
+        "--controller",
+        "afsmc",
+        "--gains",
+        "recommended",
+    )
     assert re.search(r"^pd +[\d.]+ ms +[\d.]+ +\w+\d, alternates at [\d.]+ Hz; mode", text, re.M)
     assert re.search(r"^smc +no derivative by measurements at rest", text, re.M)
     assert re.search(r"^  its state held +[\d.]+ ms", text, re.M)  # of afsmc, while it learns

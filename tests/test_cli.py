@@ -148,7 +148,7 @@ BAD = [
     (["run", "--states", "1"], "octarm run has no option --states; it belongs to octarm validate"),
     (["run", "twice"], "octarm run has no use for 'twice'"),
     (["plot", "a", "b"], "octarm plot has no use for 'b'"),
-    (["ran"], "unknown command 'ran', did you mean 'run'.* the nearest of 15 are run, "),
+    (["ran"], "unknown command 'ran', did you mean 'run'.* the nearest of 17 are run, "),
     ([], "no command is given; octarm --help lists them"),
     (["record"], "octarm record needs RUN, run folder"),
     (["completion", "csh"], "unknown shell 'csh'.* known are bash, zsh, fish"),

@@ -10,8 +10,11 @@ import rerun as rr
 from recordings import described, entities, fields, swinging, write_run
 
 from octarm.commands.cli import main
+from octarm.palette import look_of
 from octarm.recordings.comparison import difference, write_comparison
 from octarm.recordings.differences import differences, labels, verdict
+from octarm.reports.run_comparison import RunComparison
+from octarm.runs.folder import Run
 
 
 def test_it_holds_both_runs_and_the_difference_of_their_errors(tmp_path):
@@ -107,10 +110,15 @@ def run_folders(count, **changes):
 def test_the_command_writes_one_page_and_one_recording(tmp_path, monkeypatch, capsys, changes):
     monkeypatch.chdir(tmp_path)
     if "disturbances" in changes:
-        monkeypatch.setattr("octarm.recordings.recording.disturbances_of", lambda d: {})
-        monkeypatch.setattr("octarm.recordings.channels.disturbances_of", lambda d: {})
+        entry = changes["disturbances"][0]
+        entry["drawn"] = {"tilt": 0.0}
     assert main(["compare", *run_folders(3, **changes), "--out", "c"]) == 0
-    assert {path.name for path in Path("c").iterdir()} == {"comparison.html", "comparison.rrd"}
+    assert {path.name for path in Path("c").iterdir()} == {
+        "comparison.html", "comparison.rrd", "figures",
+    }  # fmt: skip
+    assert {path.name for path in Path("c/figures").iterdir()} == {
+        f"{name}.{end}" for name in ("errors", "differences", "inputs") for end in ("png", "svg")
+    }
     text = Path("c/comparison.html").read_text()
     ranked = "disturbances" not in changes
     assert text.index("What differs") < text.index("Numbers") < text.index("Figures")
@@ -125,6 +133,29 @@ def test_the_command_writes_one_page_and_one_recording(tmp_path, monkeypatch, ca
     assert main(["compare", "r0", "r1", "--out", "c"]) == 2
     assert "--force replaces it" in capsys.readouterr().err
     assert main(["compare", "r0", "r1", "--out", "c", "--force"]) == 0
+
+
+def test_each_run_has_the_colour_of_its_controller_or_one_of_its_own():
+    def runs(*names):
+        """Runs of these controllers."""
+        return [
+            Run(swinging(rows=50), described(controller={"name": name, "gains": {}}, metrics={}))
+            for name in names
+        ]
+
+    names = ("afsmc", "smc-boundary", "pd")
+    assert RunComparison(runs(*names)).colors == [look_of(name).color for name in names]
+    assert len({*RunComparison(runs("pd", "pd", "afsmc")).colors}) == 3
+    same = next(f"law{i}" for i in range(99) if look_of(f"law{i}").color == look_of("mine").color)
+    assert len({*RunComparison(runs("mine", same)).colors}) == 2
+
+
+def test_code_that_differs_is_named_by_its_path_and_the_start_of_its_digest():
+    code = {"kind": "controller", "path": "/x/law.py:Law", "sha256": 32 * "ab", "declares": {}}
+    (found,) = differences([described(), described(code={"Law": code})])
+    assert found == ("code of Law", ["–", "/x/law.py:Law, SHA-256 abababababab"], False)
+    code["kind"] = "reference"
+    assert differences([described(), described(code={"Law": code})])[0].of_the_task
 
 
 def test_what_cannot_be_compared_is_refused(tmp_path, monkeypatch, capsys):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from paper import lyapunov, periods, plants, runs, writeup
+from paper import lyapunov, plants, runs, writeup
 from paper.cases import Verdict
 from paper.claims import Claim
 from paper.evidence import Cell, Evidence, coordinates, gather, measured
@@ -93,7 +93,7 @@ def test_timings_stand_apart_and_all_else_is_the_same_again(quick: Quick):
         written = quick.out / writeup.TABLES / f"{table.name}.csv"
         assert as_csv(table) == written.read_text(encoding="utf-8")
     content = writeup.content(again, claims, tables)
-    assert writeup.as_json(content) == (quick.out / writeup.CLAIMS).read_text(encoding="utf-8")
+    assert writeup.as_json(content) == (quick.out / "claims.json").read_text(encoding="utf-8")
     assert "[us]" in (quick.out / "timings.csv").read_text(encoding="utf-8")
 
 
@@ -157,7 +157,7 @@ def test_a_sweep_of_the_study_twice_gives_the_same_cells(tmp_path: Path):
 def test_what_figure_1_shows_is_what_is_recorded(tmp_path: Path):
     request = next(r for r in runs.requests(VARIANTS, QUICK) if r.name == "sine-smc-boundary")
     request = request._replace(duration=0.2, seeds=1)
-    series = runs.Series(**runs.perform(request))
+    series = runs.Series(**request.perform())
     runs.record(request, -0.3, tmp_path / "run")
     trajectory, description = octarm.read_run(tmp_path / "run")
     assert description["controller"]["name"] == SMC
@@ -172,7 +172,7 @@ def test_oscillations_are_those_of_all_control_instants():
         "run", VARIANTS[SMC], BENDS, 2.2, ("q",), 0.0, lambda _, rows: {"q": rows["q"]},
         mismatches=(0.0, 0.3), seeds=2,
     )  # fmt: skip
-    arrays = runs.perform(request)
+    arrays = request.perform()
     steady = arrays["q"][4000:]  # from 2 s on, at 2 kHz
     moved = steady - steady[:, [0, 0, 0, 3, 3, 3]]  # the arms without noise
     expected = np.sqrt(np.mean(np.square(moved), axis=0))
@@ -202,21 +202,21 @@ def test_the_error_on_a_plant_is_that_of_all_physics_steps_and_arms_are_those_of
 @pytest.mark.parametrize("modules", [3, 9])
 def test_the_longest_period_about_rest_is_the_one_that_is_predicted(modules: int):
     """With hand-set gains, which stay what they are."""
-    predicted, simulated = periods.longest_two(VARIANTS[by_hand(SMC)], modules)
+    predicted, simulated = plants.longest_two(VARIANTS[by_hand(SMC)], modules)
     assert simulated == pytest.approx(predicted, rel=0.08)
 
 
 def test_a_law_without_a_slope_is_asked_to_track():
     rattling = VARIANTS[by_hand(SIGN)].changed("rattling", K=100.0)
-    assert not periods.tracks(rattling, 3, 0.005)
-    assert periods.tracks(VARIANTS[by_hand(SIGN)], 3, 0.001)
+    assert not plants.tracks(rattling, 3, 0.005)
+    assert plants.tracks(VARIANTS[by_hand(SIGN)], 3, 0.001)
 
 
 def outcomes(variant, rate: float, duration: float) -> list[lyapunov.Outcome]:
     request = runs.Request(
         "run", variant, BENDS, duration, lyapunov.FIELDS, 0.0, lyapunov.counts, rate=rate
     )
-    return lyapunov.outcomes(request, runs.perform(request))
+    return lyapunov.outcomes(request, request.perform())
 
 
 def test_the_lyapunov_function_of_the_printed_law_falls_when_control_is_fast():

@@ -12,7 +12,7 @@ from paper.cases import Case, Verdict, condition, matching, numbers_of, sensitiv
 from paper.evidence import Cell, Evidence, interval
 from paper.lyapunov import Outcome
 from paper.numbers import Row, number, span
-from paper.periods import longest
+from paper.plants import longest
 from paper.runs import Cost, Series
 from paper.studies import BENDS, FULL, MODELS, NOISE, SLIDES, study_of_plants
 from paper.tables import Table, as_csv, best, plants, plants_ranking
@@ -36,7 +36,7 @@ from octarm.reports.statistics import Interval
 
 HOLDS, ONLY_IF, FAILS = Verdict.HOLDS, Verdict.ONLY_IF, Verdict.FAILS
 
-RULES = {**rules.CLAIMS, **rules.QUESTIONS}
+RULES = {rule.__name__: rule for rule in (*rules.CLAIMS, *rules.QUESTIONS)}
 
 
 def case(value: float, limit: float = 1.0, **where: str) -> Case:

@@ -249,4 +249,4 @@ def test_a_gain_file_says_for_which_plant_its_gains_are(capsys):
     assert main(["tune", "pd", *options]) == 0
     text = Path("g.toml").read_text()
     assert "plant_modules = 6" in text and 'layout = "centred"' in text
-    assert "--plant-modules 6 --layout centred" in text
+    assert "--plant-modules=6 --layout=centred" in text

@@ -16,6 +16,7 @@ import octarm
 from octarm.commands import cli
 from octarm.commands import replay as replay_commands
 from octarm.recordings import viewer
+from octarm.recordings.recording import write_recording
 from octarm.runs import folder as runs
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals as on POSIX")
@@ -98,6 +99,17 @@ def test_a_sweep_shows_its_recorded_episodes(opened, capsys):
     assert cli.main(["replay", "sweep"]) == 0
     assert [name for name, _ in opened] == ["0-3-median.rrd", "1-7-worst.rrd"]
     assert all("/world/tube" in entities for _, entities in opened)
+
+
+def test_each_episode_has_a_layout_of_its_own_and_a_name_that_the_viewer_takes(tmp_path):
+    names = ("worst: pd, noise 40 %", "worst: smc, noise 40 %", "")
+    applications: list[str] = []
+    for name in names:
+        path = tmp_path / "run.rrd"
+        write_recording(path, swinging(rows=20), described(), name=name)
+        (store,) = rr.chunk.RrdReader(path).recordings()
+        applications.append(store.application_id)
+    assert applications == ["worst: pd noise 40", "worst: smc noise 40", "octarm"]
 
 
 def test_what_cannot_be_shown_is_refused(capsys):

@@ -94,9 +94,10 @@ def test_a_wrapped_environment_runs_and_the_inputs_it_received_are_recorded():
 @pytest.mark.parametrize("gain", ["K", "K_v", "lambda"])
 def test_a_gain_a_thousand_times_too_large_ends_the_run_at_once(gain: str):
     p = UNLIMITED
-    recommended = make_controller("smc-boundary", p)
+    recommended = make_controller("smc-boundary", p, gain_set="recommended")
     value = getattr(recommended, "lambda_" if gain == "lambda" else gain)
-    controller = make_controller("smc-boundary", p, {gain: 1000.0 * value})
+    gains = {gain: 1000.0 * value}
+    controller = make_controller("smc-boundary", p, gains, gain_set="recommended")
     run = rollout(load(parameters=p), controller, 1.0)
     assert run.status == "diverged"
     assert re.match(r"diverged at t = 0\.00\d+ s: (s|theta)\d (is|moves at) ", run.message)

@@ -9,7 +9,7 @@ from recordings import described, swinging
 
 from octarm.disturbances.ledger import asked
 from octarm.disturbances.spelling import parse_disturbance
-from octarm.reports.run_figures import _MOST, _thinned, write_figures
+from octarm.reports.run_figures import _MOST, thinned, write_figures
 
 
 def test_every_kind_of_run_gets_its_figures_as_png_and_svg(tmp_path):
@@ -60,7 +60,7 @@ def test_a_long_curve_keeps_its_extremes():
     t = np.arange(100_003) * 1e-3
     y = np.sin(t)
     y[54_321] = 9.0
-    few_t, few = _thinned(t, y)
+    few_t, few = thinned(t, y)
     assert len(few) <= 1.1 * _MOST
     assert few.max() == 9.0
     assert few_t[np.argmax(few)] == t[54_321]

@@ -41,6 +41,9 @@ def test_a_title_has_the_sizes_of_all_that_acts():
         "smc on sine (0.35, 0.25 rad and 20 mm at 0.5 Hz), noise 40 %, payload 100 g at 3 s, "
         "model -30 %"
     )
+    assert title_of(about("noise:0", "payload:0")) == "smc on sine, noise 0 %, payload 0 kg"
+    assert title_of(about("noise:rms=0.2")) == "smc on sine, noise 0.2 N or N m"
+    assert title_of(about("mismatch:mass=1.2")) == "smc on sine, mismatch 120 %"
     right = about("actuation-delay:60ms", nominal=arm(3).to_dict())
     assert title_of(right) == "smc on sine, actuation-delay 60 ms"
     odd = arm(3).scaled(mass=0.5).to_dict()

@@ -34,13 +34,12 @@ class LoopOptions:
 
     def of(self, p: ArmParameters) -> Stability | None:
         """The loops of an arm; None if no controller is given."""
-        names = [name for word in self.controllers for name in word.split(",")]
-        if not names:
+        if not self.controllers:
             return None
         period = physics_step() if self.period is None else self.period
         check_period(period)
-        short, _ = named((CONTROLLERS, word) for word in names)
-        laws = [make_controller(word, p, gain_set=self.gains) for word in names]
+        short, _ = named((CONTROLLERS, word) for word in self.controllers)
+        laws = [make_controller(word, p, gain_set=self.gains) for word in self.controllers]
         made = dict(zip(short, laws, strict=True))
         return Stability(p, made, period)
 

@@ -11,7 +11,7 @@ from octarm.files import write_files
 from octarm.recordings.comparison import check_comparable, write_comparison
 from octarm.reports.run_comparison import RunComparison
 
-PAGE, RECORDING = "comparison.html", "comparison.rrd"
+PAGE, RECORDING, FIGURES = "comparison.html", "comparison.rrd", "figures"
 
 
 def compare(folders: Sequence[Path], out: Path) -> int:
@@ -23,13 +23,18 @@ def compare(folders: Sequence[Path], out: Path) -> int:
     runs = [rows_of(folder) for folder in folders]
     check_comparable([run.trajectory for run in runs])
     comparison = RunComparison(runs)
-    text = comparison.page([str(folder) for folder in folders])
-    write_files({out / PAGE: text.encode(errors="backslashreplace")})
+    pictures = list(comparison.pictures())
+    text = comparison.page([str(folder) for folder in folders], pictures)
+    contents = {out / PAGE: text.encode(errors="backslashreplace")}
+    for picture in pictures:
+        contents[out / FIGURES / f"{picture.name}.svg"] = picture.svg.encode()
+        contents[out / FIGURES / f"{picture.name}.png"] = picture.png
+    write_files(contents)
     write_comparison(out / RECORDING, *runs)
     for name, folder, title in zip(comparison.names, folders, comparison.titles, strict=True):
         print(f"{name}: {printable(str(folder))}, {title}")
     for each in comparison.differences:
         print(f"  {each.name}: {'; '.join(map(printable, each.values))}")
     print(printable(comparison.verdict, 2000))
-    print(f"wrote {printable(str(out))}/  ({PAGE}, {RECORDING})")
+    print(f"wrote {printable(str(out))}/  ({PAGE}, {RECORDING}, {FIGURES}/)")
     return ExitCode.FINE

@@ -111,8 +111,8 @@ def _print_summary(numbers: Comparisons, remarked: Sequence[Remark]) -> None:
     print(f"controller            episodes  diverged  median {measure.name} [{unit}]")
     for group in numbers.of(None):
         middle, low, high = (scale.factor * float(x[0]) for x in group.medians)
-        ends = "" if math.isnan(low) else f"  ({low:.3e} .. {high:.3e})"  # NaN of one seed a cell
-        median = f"{middle:.3e}{ends}" if group.episodes else "none finished"
+        ends = "" if math.isnan(low) else f"  ({low:.3g} .. {high:.3g})"  # NaN of one seed a cell
+        median = f"{middle:.3g}{ends}" if group.episodes else "none finished"
         print(f"{group.controller:<20} {group.episodes:>9} {group.failed:>9}  {median}")
     for remark in remarked:
         print(f"{'warning' if remark.warning else 'note'}: {remark.text}")

@@ -23,7 +23,6 @@ from octarm.commands.summary import Swing, summary
 from octarm.declared import short_name, word_of
 from octarm.disturbances.episode import Disturbance
 from octarm.errors import ExitCode, OctarmError, printable
-from octarm.metrics.metric import unsettled
 from octarm.recordings import viewer
 from octarm.recordings.live import LiveRecording
 from octarm.recordings.recording import run_recording
@@ -59,11 +58,7 @@ def _run(
     label = short_name(word_of(experiment.controller, experiment.code))
     far = print_unsuited(label, gain_set, experiment.nominal, None, period)
     periods = whole_periods(experiment.duration, period)
-    early = unsettled(experiment.duration, experiment.settle)
-    for sentence in (
-        *late_events(experiment.disturbances, experiment.duration),
-        *([early] if early else []),
-    ):
+    for sentence in late_events(experiment.disturbances, experiment.duration):
         print(f"octarm: {sentence}", file=sys.stderr)
     out = out or _dated_folder(experiment.controller)
     started, swing = time.perf_counter(), Swing()

@@ -11,7 +11,7 @@ from octarm.declared import BUILT_IN, Code
 from octarm.disturbances.ledger import in_words
 from octarm.interfaces import Rows
 from octarm.metrics.declared import declared_metrics
-from octarm.metrics.metric import SETTLED_AFTER
+from octarm.metrics.metric import SETTLED_AFTER, unsettled
 from octarm.metrics.table import METRICS
 
 _HEADINGS = ("rms", "peak", "rms/amplitude", "overshoot", "chattering", "reached s=0")
@@ -62,9 +62,11 @@ def summary(
     if description["disturbances"]:
         lines += ["disturbances, as delivered", *in_words(description["disturbances"], code)]
     metrics = description["metrics"]
+    settle = description.get("settle", SETTLED_AFTER)
     if None not in metrics["rms_error"]:
-        settle = description.get("settle", SETTLED_AFTER)
         lines += _table(amplitude, description["coordinates"], metrics, settle)
+    elif early := unsettled(description["duration"], settle):
+        lines += [f"note: {early}"]
     return "\n".join([*lines, *_others(code, metrics)])
 
 

@@ -126,7 +126,7 @@ def _checked_spec(options: Options) -> SweepSpec:
                 label = short_name(word_of(name, spec.code))
                 print_unsuited(label, gains, arm, spec.timestep, period)
     if early := unsettled(spec.duration, spec.settle, "settle ="):
-        print(f"octarm: {early}", file=sys.stderr)
+        print(f"note: {early}")
     plan = Plan(spec)
     for episode in spec.record:
         if isinstance(episode, int):

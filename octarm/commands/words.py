@@ -65,7 +65,11 @@ def true_arm(changes: Sequence[str], arm: str | None = None) -> ArmParameters:
 
 
 def parameter_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLike]:
-    """Values by parameter of an arm, see `named_values`; raises OctarmError for an unknown one."""
+    """Values by parameter of an arm, of the shapes of `named_values`.
+
+    Raises:
+        OctarmError: for an unknown parameter.
+    """
     values = named_values(option, items)
     known = [field.name for field in dataclasses.fields(ArmParameters)]
     for name in values:

@@ -93,7 +93,9 @@ def _aspects(description: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         for name, value in description.get(table, {}).items():
             yield f"{whose} {name}", value
     for name, each in description.get("code", {}).items():
-        kind = "code" if each["kind"] in ("controller", "metric") else each["kind"]
-        yield f"{kind} {name} from", {key: x for key, x in each.items() if key != "declares"}
+        kind = "" if each["kind"] in ("controller", "metric") else f"{each['kind']} "
+        distribution = each.get("distribution")
+        parts = [each["path"], f"SHA-256 {each['sha256'][:12]}"]
+        yield f"{kind}code of {name}", ", ".join(parts + ([distribution] if distribution else []))
     for name, value in description.get("versions", {}).items():
         yield f"version of {name}", value

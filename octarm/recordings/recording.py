@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 from collections.abc import Generator, Mapping, Sequence
 from typing import Any
 
@@ -87,7 +88,9 @@ def write_recording(
     end = float(trajectory.t[-1])
     short = end < 0.9 * float(description.get("duration", end))
     announced = {**description, "duration": end} if short else description
-    with rrd_file(path) as stream:
+    # One of several has a layout of its own; the viewer takes no other signs in such a name.
+    application = re.sub(r"[^\w .:-]", "", name, flags=re.ASCII).strip()[:60] or "octarm"
+    with rrd_file(path, application) as stream:
         recording = RunRecording(stream, path, announced, disturbed=disturbed, live=False)
         recording.name = name
         recording.add_all(trajectory)

@@ -19,11 +19,11 @@ Path = str | os.PathLike[str]
 
 
 @contextlib.contextmanager
-def rrd_file(path: Path) -> Generator[rr.RecordingStream]:
+def rrd_file(path: Path, application: str = "octarm") -> Generator[rr.RecordingStream]:
     """A stream to a `.rrd` file, which appears whole or not at all.
 
     It is `PATH.part` until the block ends well; if the process is killed it stays, readable up to
-    the last flush.
+    the last flush. Recordings of one application share a layout in the viewer, with its titles.
 
     Raises:
         OSError: if the file cannot be written.
@@ -37,7 +37,7 @@ def rrd_file(path: Path) -> Generator[rr.RecordingStream]:
         file.callback(rr.set_strict_mode, rr.strict_mode())
         rr.set_strict_mode(True)
         with rerun_errors(path):
-            stream = rr.RecordingStream("octarm", send_properties=False)
+            stream = rr.RecordingStream(application, send_properties=False)
             # rerun itself would hang for ever on a full disk
             stream.save(file.enter_context(piped(part)))
             file.enter_context(stream)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -64,9 +65,9 @@ def conditions_of(description: Mapping[str, Any]) -> list[str]:
 
 def disturbance_of(entry: Mapping[str, Any]) -> str:
     """An entry of `run.json` in words, such as `payload 100 g at 3 s`."""
-    asked = entry["asked"]
-    sizes = (amount(asked[x], unit) for x, unit in units_of(entry).items() if asked.get(x))
-    size = next(sizes, "")
+    asked, usual = entry["asked"], _defaults(entry)
+    given = [x for x in units_of(entry) if asked.get(x) not in (None, [], usual.get(x))]
+    size = amount(asked[given[0]], units_of(entry)[given[0]]) if given else ""
     at = f"at {amount(asked['at'], 's')}" if asked.get("at") else ""
     return " ".join(filter(None, (str(entry["name"]), size, at)))
 
@@ -86,12 +87,23 @@ def events_of(description: Mapping[str, Any]) -> list[tuple[float, str, str]]:
     return sorted(events)
 
 
+def _defaults(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """What the numbers of a disturbance that is built in are if they are not given, by name."""
+    cls = _class_of(entry)
+    return {field.name: field.default for field in dataclasses.fields(cls)} if cls else {}
+
+
+def _class_of(entry: Mapping[str, Any]) -> Any:
+    """The class of a disturbance that is built in; None of another one."""
+    return DISTURBANCES.get(re.sub(r"-\d+$", "", str(entry["name"])))
+
+
 def units_of(entry: Mapping[str, Any]) -> dict[str, str]:
     """The units of the numbers that a disturbance was asked for, by name; its size comes first.
 
     They are unknown of a disturbance that is not built in, whose code is not imported.
     """
-    cls = DISTURBANCES.get(re.sub(r"-\d+$", "", str(entry["name"])))
+    cls = _class_of(entry)
     if cls is None:
         sizes = entry["asked"].items()
         return {name: "" for name, x in sizes if isinstance(x, int | float | list)}
@@ -113,7 +125,10 @@ def _motion_sizes(numbers: dict[str, Any]) -> list[str]:
     if tones := numbers.get("tones"):
         largest = np.max([np.abs(tone["amplitude"]) for tone in tones], axis=0).tolist()
         numbers |= {"amplitude": largest, "frequency": [tone["frequency"] for tone in tones]}
-    sizes = [_sizes(numbers["amplitude"])] if "amplitude" in numbers else []
+    amplitude = numbers.get(
+        "amplitude"
+    )  # a number of a reference that is not built in may be alone
+    sizes = [_sizes(amplitude)] if isinstance(amplitude, list) else []
     if "frequency" in numbers:
         sizes.append(f"at {amount(numbers['frequency'], 'Hz')}")
     if "goal" in numbers and "start" in numbers:

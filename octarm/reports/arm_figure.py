@@ -11,6 +11,7 @@ from octarm.arm.modes import Mode
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.reach import hold
 from octarm.arm.summary import ArmSummary
+from octarm.errors import printable
 from octarm.reports.figures import (
     COLORS,
     INK,
@@ -37,6 +38,8 @@ def arm_figure(summary: ArmSummary) -> Picture:
         _draw_rest(panels[0], summary)
         _draw_modes(panels[1], summary)
         _draw_rates(panels[2], summary)
+        title = printable(next(iter(summary.lines())), 90)
+        figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
         return save_figure("arm", f"{name}: rest, reach, modes", figure)
 
 
@@ -48,8 +51,8 @@ def _draw_rest(ax: Axes, summary: ArmSummary) -> None:
     for side, most in zip((-1.0, 1.0), np.abs(summary.reach.alike), strict=True):
         bend = min(_BEND / n, most)
         _, pose = hold(p, np.full(n, side * bend))
-        of = f" of {most * n:.2g}" if most < 2.0 * np.pi else ""
-        label = None if side < 0.0 else f"held, bent by {bend * n:.2g}{of} rad"
+        of = f" (at most {most * n:.2g})" if bend < most < 2.0 * np.pi else ""
+        label = None if side < 0.0 else f"held, bent by {bend * n:.2g} rad{of}"
         _draw_arm(ax, p, pose, COLORS[0], label, plates=False)
     _draw_arm(ax, p, summary.rest, INK, "hanging", plates=True)
     ax.set_title("at rest, and bent alike")

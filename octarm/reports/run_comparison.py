@@ -41,6 +41,7 @@ class RunComparison:
         titles: of the runs.
         differences: in what they differ.
         ranked: whether they had the same to do, so that one can be better than another.
+        colors: of the runs: those of their controllers, if these tell them apart.
     """
 
     def __init__(self, runs: Sequence[Run]) -> None:
@@ -52,19 +53,18 @@ class RunComparison:
         self.titles = [title_of(description) for description in self._descriptions]
         self.differences = differences(self._descriptions)
         self.ranked = not any(each.of_the_task for each in self.differences)
-        laws = [str(description["controller"]) for description in self._descriptions]
-        apart = len({*laws}) == len(laws)  # then each has the colour of its controller
-        self._colors = [
-            look_of(law).color if apart else OTHERS[i % len(OTHERS)] for i, law in enumerate(laws)
-        ]
+        laws = [str(each.get("controller", {}).get("name")) for each in self._descriptions]
+        colors = [look_of(law).color for law in laws]
+        apart = len({*colors}) == len(colors)  # then each has the colour of its controller
+        self.colors = colors if apart else [OTHERS[i % len(OTHERS)] for i in range(len(runs))]
 
     @property
     def verdict(self) -> str:
         """One sentence on whether the runs can be ranked."""
         return verdict(self.differences)
 
-    def page(self, folders: Sequence[str]) -> str:
-        """The page as text, given the names of the runs' folders."""
+    def page(self, folders: Sequence[str], pictures: Sequence[Picture]) -> str:
+        """The page as text, given the names of the runs' folders and its figures."""
         numbers = dict(self._numbers())
         main = [row for name in DEFAULT if name in numbers for row in numbers[name]]
         others = [row for name, rows in numbers.items() if name not in DEFAULT for row in rows]
@@ -74,7 +74,7 @@ class RunComparison:
             differing=self._differing(folders),
             numbers=Table(self._head("metric", "of"), main),
             others=Table(self._head("metric", "of"), others),
-            pictures=list(self.pictures()),
+            pictures=pictures,
         )
 
     def _head(self, *words: str) -> list[Cell]:
@@ -84,7 +84,7 @@ class RunComparison:
         """A row for each difference, below the titles of the runs."""
         head = [Cell("", kind="left")]
         for i, name in enumerate(self.names):
-            head.append(Cell(name, [self.titles[i]], "left", self._colors[i]))
+            head.append(Cell(name, [self.titles[i]], "left", self.colors[i]))
         rows = [[Cell("folder", kind="left"), *(Cell(name, kind="wide") for name in folders)]]
         for each in self.differences:
             kind = "left task" if each.of_the_task else "left"
@@ -151,7 +151,7 @@ class RunComparison:
             for i, t, values in curves:
                 y = factor * np.where(np.abs(values[:, j]) < _LARGEST, values[:, j], np.nan)
                 label = f"{self.names[i]}: {self.titles[i]}"
-                color = self._colors[i]
+                color = self.colors[i]
                 ax.plot(*thinned(t, y, _POINTS), color=color, linewidth=0.9, label=label)
             ax.set_title(f"{part} {what}".strip() + f" [{unit}]")
             _limit(ax, [factor * x[:, j] for i, _, x in curves if i in fine])

@@ -20,6 +20,7 @@ from octarm.recordings.titles import events_of, title_of, wrapped
 from octarm.reports.figures import (
     FAILED,
     GRAY,
+    GROUND,
     INK,
     Axes,
     Figure,
@@ -211,10 +212,11 @@ class _Drawing:
             ax.plot([], [], color=GRAY, linewidth=0.8, linestyle=":", label=word)
         far = sorted({abs(y) for y in lines} - {abs(y) for y in near})
         if far:
-            sizes = " to ".join(dict.fromkeys(f"{scale * y:.3g}" for y in (far[0], far[-1])))
+            sizes = " to ".join(dict.fromkeys(f"{scale * y:.4g}" for y in (far[0], far[-1])))
             ax.text(
                 0.995, 0.03, f"{word} = {sizes} {unit}, off the axis", transform=ax.transAxes,
-                ha="right", va="bottom", fontsize=7, color=GRAY,
+                ha="right", va="bottom", fontsize=7, color=GRAY, zorder=3,
+                bbox={"facecolor": GROUND, "edgecolor": "none", "alpha": 0.85, "pad": 1.0},
             )  # fmt: skip
 
     def _draw_rules(self, figure: Figure, ax: Axes, channel: Channel) -> None:

@@ -275,7 +275,7 @@ class MarginRuns:
         bounds: metrics, and what their absolute values may be at most, all of them.
         disturbances: what acts in addition.
         mismatch: of the controller's nominal model [1].
-        nominal: further factors on parameters of that model, by name [1].
+        nominal: further factors on parameters of that model, by name, each likewise [1].
         duration: of a run [s].
         settle: when metrics of the steady regime begin [s].
         parameters: the true arm, and the controller's model of it but for its errors.

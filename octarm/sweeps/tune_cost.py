@@ -113,7 +113,7 @@ class Rig:
         reference: that all scenarios have; their own when None.
         disturbances: that act as well.
         mismatch: a further error of the controller's model, see `ArmParameters.mismatched` [1].
-        nominal: further factors on parameters of that model, by name [1].
+        nominal: further factors on parameters of that model, by name, each likewise [1].
     """
 
     engine: str = dataclasses.field(default_factory=usual_engine)

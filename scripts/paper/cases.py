@@ -5,8 +5,6 @@ model, and so on. The claim holds if it does in all cases, does not hold if it d
 else holds only if the cases are narrowed down.
 """
 
-from __future__ import annotations
-
 import enum
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -29,17 +27,11 @@ SENSITIVE = ("gains", "joints", "SMC", "against")  # axes along which a verdict 
 
 
 class Case(NamedTuple):
-    """A place in which a claim was measured.
+    """A place in which a claim was measured."""
 
-    Attributes:
-        where: value of each axis, such as gains, joints and model.
-        rows: the numbers.
-        passes: whether the claim holds there, given the factor of the threshold.
-    """
-
-    where: Mapping[str, str]
-    rows: Sequence[Row]
-    passes: Callable[[float], bool]
+    where: Mapping[str, str]  # value of each axis, such as gains, joints and model
+    rows: Sequence[Row]  # the numbers
+    passes: Callable[[float], bool]  # whether it holds there, by the factor of the threshold
 
 
 def verdict(cases: Sequence[Case], factor: float = 1.0) -> Verdict:
@@ -69,12 +61,8 @@ def condition(cases: Sequence[Case], phrases: Mapping[str, str]) -> str:
         phrases: a text for each axis, with {} for its value.
     """
     count = sum(case.passes(1.0) for case in cases)
-    names = [phrases[axis].format(value) for axis, value in _sufficient(cases)]
-    if not names:
-        names = [
-            f"{phrases[a].format(x)} and {phrases[b].format(y)}"
-            for (a, x), (b, y) in _sufficient_pairs(cases)
-        ]
+    one, two = (list(_sufficient(cases, axes)) for axes in (1, 2))
+    names = [" and ".join(phrases[x].format(value) for x, value in own) for own in one or two]
     words = " or ".join(names[:2]) if names else "the cases are picked"
     return f"{words} ({count} of {len(cases)} cases)"
 
@@ -90,36 +78,17 @@ def numbers_of(cases: Sequence[Case]) -> list[Row]:
 
 def matching(cases: Sequence[Case], where: Mapping[str, str]) -> list[Case]:
     """The cases at these values of axes."""
-    return [case for case in cases if all(_at(case, pair) for pair in where.items())]
+    return [case for case in cases if where.items() <= case.where.items()]
 
 
-def _values(cases: Sequence[Case]) -> list[tuple[str, str]]:
-    """All axes with all their values, those that divide the cases."""
+def _sufficient(cases: Sequence[Case], axes: int) -> Iterator[tuple[tuple[str, str], ...]]:
+    """The values of one axis, or of two, for which the claim holds in all cases."""
     pairs = dict.fromkeys(pair for case in cases for pair in case.where.items())
-    return [pair for pair in pairs if not all(_at(case, pair) for case in cases)]
-
-
-def _at(case: Case, pair: tuple[str, str]) -> bool:
-    return case.where.get(pair[0]) == pair[1]
-
-
-def _sufficient(cases: Sequence[Case]) -> list[tuple[str, str]]:
-    """The values for which the claim holds in all cases."""
-    return [
-        pair
-        for pair in _values(cases)
-        if verdict([case for case in cases if _at(case, pair)]) == Verdict.HOLDS
-    ]
-
-
-def _sufficient_pairs(
-    cases: Sequence[Case],
-) -> Iterator[tuple[tuple[str, str], tuple[str, str]]]:
-    """Likewise for two axes at a time."""
-    for one, other in itertools.combinations(_values(cases), 2):
-        both = [case for case in cases if _at(case, one) and _at(case, other)]
-        if one[0] != other[0] and verdict(both) == Verdict.HOLDS:
-            yield one, other
+    dividing = [pair for pair in pairs if len(matching(cases, dict([pair]))) < len(cases)]
+    for own in itertools.combinations(dividing, axes):
+        where = dict(own)
+        if len(where) == axes and verdict(matching(cases, where)) == Verdict.HOLDS:
+            yield own
 
 
 def _parts(cases: Sequence[Case]) -> Iterator[list[Case]]:

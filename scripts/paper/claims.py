@@ -1,49 +1,32 @@
 """What a claim of the paper is here: its words, what was measured, and a verdict by a rule."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from octarm.html import templates
-from paper import numbers
 from paper.cases import Case, Verdict, condition, matching, numbers_of, sensitivity, verdict
-from paper.numbers import Row, rounded
+from paper.numbers import Row, in_words, rounded, span
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Claim:
-    """A claim, or a question of our own, and what came of it.
+    """A claim, or a question of our own, and what came of it."""
 
-    Attributes:
-        letter: under which it is known here.
-        title: what it is about.
-        quote: the paper's own words; of a question of our own, the question.
-        place: where they stand; empty for a question.
-        verdict: by the rule.
-        condition: what follows `holds only if`; empty otherwise.
-        rule: in words.
-        stays: in how many variations of threshold, gains and reading the verdict is the same.
-        headline: the most important numbers in a few words.
-        rows: what was measured.
-        why: one paragraph.
-    """
-
-    letter: str
-    title: str
-    quote: str
-    place: str
-    verdict: Verdict
-    condition: str
-    rule: str
-    stays: str
-    headline: str
-    rows: Sequence[Row]
-    why: str
+    letter: str  # under which it is known here
+    title: str  # what it is about
+    quote: str  # the paper's own words; of a question of our own, the question
+    place: str  # where they stand; empty for a question
+    verdict: Verdict  # by the rule
+    condition: str  # what follows `holds only if`; empty otherwise
+    rule: str  # in words
+    stays: str  # in how many variations of threshold, gains and reading the verdict is the same
+    headline: str  # the most important numbers in a few words
+    rows: Sequence[Row]  # what was measured
+    why: str  # one paragraph
 
     @property
     def outcome(self) -> str:
@@ -51,22 +34,18 @@ class Claim:
         return f"{self.verdict} {self.condition}".strip()
 
     def to_dict(self, *, timings: bool = False) -> dict[str, Any]:
-        """For JSON; what is not finite becomes a word.
-
-        Args:
-            timings: whether what differs from run to run is there, too.
-        """
+        """For JSON, with or without what differs from run to run; infinity becomes a word."""
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        if not timings and any(row.varies for row in self.rows):
+            fields = {key: fields[key] for key in ("letter", "title", "quote", "place", "rule")}
+        else:
+            fields["verdict"] = str(self.verdict)
         rows = [
             {"name": row.name, **{k: rounded(x) for k, x in row.number._asdict().items()},
              "unit": row.unit}
             for row in self.rows
             if timings or not row.varies
         ]  # fmt: skip
-        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        if not timings and any(row.varies for row in self.rows):
-            fields = {key: fields[key] for key in ("letter", "title", "quote", "place", "rule")}
-        else:
-            fields["verdict"] = str(self.verdict)
         return {**fields, "rows": rows}
 
 
@@ -81,16 +60,15 @@ def claim(name: str, cases: Sequence[Case]) -> Claim:
         own = matching(cases, where)
         return f"{sum(case.passes(1.0) for case in own)} of {len(own)}"
 
-    texts = {
-        key: worded(text, of=of, count=count, verdict=outcome)
-        for key, text in words()["claims"][name].items()
-    }
+    texts: dict[str, str] = words()["claims"][name]
     same, total = sensitivity(cases)
-    narrowed = condition(cases, words()["phrases"]) if outcome == Verdict.ONLY_IF else ""
     return Claim(
-        **texts, verdict=outcome, condition=narrowed, stays=f"{same} of {total}",
+        **{key: worded(text, of=of, count=count) for key, text in texts.items()},
+        verdict=outcome,
+        condition=condition(cases, words()["phrases"]) if outcome == Verdict.ONLY_IF else "",
+        stays=f"{same} of {total}",
         rows=numbers_of(cases),
-    )  # fmt: skip
+    )
 
 
 @functools.cache
@@ -105,11 +83,6 @@ def worded(text: str, **values: Any) -> str:
     return " ".join(TEXTS.from_string(text).render(**values).split())
 
 
-_FILTERS: tuple[Callable[..., str], ...] = (
-    numbers.number, numbers.in_words, numbers.median, numbers.spread, numbers.percent,
-    numbers.span, numbers.listed,
-)  # fmt: skip
 PAGES = templates(Path(__file__).with_name("templates"))
-PAGES.filters |= {each.__name__: each for each in _FILTERS}
-PAGES.filters["g"] = lambda x: f"{x:g}"
+PAGES.filters |= {"in_words": in_words, "span": span}
 TEXTS = PAGES.overlay(autoescape=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -12,10 +13,9 @@ import pyarrow as pa
 
 import octarm
 from octarm.reports.statistics import Interval, medians
-from paper import jobs, lyapunov, runs
-from paper.periods import searches
-from paper.plants import Planted, planted
-from paper.runs import Cost, Series
+from paper import jobs, lyapunov
+from paper.plants import Planted, Search
+from paper.runs import Cost, Request, Series
 from paper.studies import BENDS, MODELS, NOISE, SCALE, TIME, Effort, Sweep, study_of_plants, sweeps
 from paper.variants import Variant
 
@@ -25,31 +25,18 @@ _METRICS = ("rms_error", "overshoot", "chattering")
 
 
 class Cell(NamedTuple):
-    """Episodes that differ in their seed alone.
+    """Episodes that differ in their seed alone."""
 
-    Attributes:
-        label: of the variant.
-        study: that they belong to.
-        reference: name.
-        mismatch: of the nominal model [1].
-        noise: its rms over the input's amplitude [1].
-        time: its correlation time [s].
-        payload: [kg].
-        delay: of actuation [s].
-        loss: of actuation [1].
-        plant: number of modules of the arm that is controlled.
-    """
-
-    label: str
-    study: str = "tracking"
-    reference: str = BENDS
-    mismatch: float = 0.0
-    noise: float = 0.0
-    time: float = TIME
-    payload: float = 0.0
-    delay: float = 0.0
-    loss: float = 0.0
-    plant: int = 3
+    label: str  # of the variant
+    study: str = "tracking"  # that they belong to
+    reference: str = BENDS  # name
+    mismatch: float = 0.0  # of the nominal model [1]
+    noise: float = 0.0  # its rms over the input's amplitude [1]
+    time: float = TIME  # its correlation time [s]
+    payload: float = 0.0  # [kg]
+    delay: float = 0.0  # of actuation [s]
+    loss: float = 0.0  # of actuation [1]
+    plant: int = 3  # number of modules of the arm that is controlled
 
     def models(self) -> list[Cell]:
         """The same with each nominal model of the paper's figures."""
@@ -68,27 +55,16 @@ class Evidence:
       weight for slides and times its width for bends: as a share of the weight [1].
 
     They are infinite for an episode that diverged.
-
-    Attributes:
-        variants: who ran, by label.
-        effort: how much was run.
-        rows: of the episodes of each cell, in the order of their seeds.
-        columns: quantities by name, and `diverged`, each with an entry an episode.
-        series: runs over time, by name.
-        outcomes: how Lyapunov functions went.
-        periods: the longest control periods by label, `predicted` and `simulated`, see
-            `paper.periods`, each with an entry a plant [s].
-        costs: of a controller's step, by name.
     """
 
-    variants: Mapping[str, Variant]
-    effort: Effort
-    rows: Mapping[Cell, np.ndarray]
-    columns: Mapping[str, np.ndarray]
-    series: Mapping[str, Series]
-    outcomes: Sequence[lyapunov.Outcome]
-    periods: Mapping[str, Mapping[str, np.ndarray]]
-    costs: Mapping[str, Cost]
+    variants: Mapping[str, Variant]  # who ran, by label
+    effort: Effort  # how much was run
+    rows: Mapping[Cell, np.ndarray]  # of the episodes of each cell, in the order of their seeds
+    columns: Mapping[str, np.ndarray]  # quantities, and `diverged`, with an entry an episode
+    series: Mapping[str, Series]  # runs over time, by name
+    outcomes: Sequence[lyapunov.Outcome]  # how Lyapunov functions went
+    periods: Mapping[str, Mapping[str, np.ndarray]]  # by label; see `paper.plants.Search`
+    costs: Mapping[str, Cost]  # of a controller's step, by name
 
     def has(self, *cells: Cell) -> bool:
         """Whether all these cells were run."""
@@ -99,11 +75,7 @@ class Evidence:
         return [cell for cell in cells if cell in self.rows]
 
     def values(self, cell: Cell, quantity: str) -> np.ndarray:
-        """A quantity of the episodes of a cell in the order of their seeds, shape (seeds,).
-
-        Raises:
-            KeyError: if the cell was not run.
-        """
+        """A quantity of the episodes of a cell in the order of their seeds, shape (seeds,)."""
         return self.columns[quantity][self.rows[cell]]
 
     def diverged(self, *cells: Cell) -> tuple[int, int]:
@@ -147,21 +119,22 @@ class Evidence:
         pair by pair, seed by seed.
         """
         own = self.error(cell).value
+        if not np.isfinite(own):
+            return Interval(np.nan, np.nan, np.nan)
         others = [name for name in names if name != cell.label]
         ratios = [self.ratio(cell, name) for name in others]
         better = sum(self.error(cell._replace(label=name)).value < own for name in others)
         low, high = sum(r.low > 1.0 for r in ratios), sum(not r.high < 1.0 for r in ratios)
-        return Interval(*(1.0 + x if np.isfinite(own) else np.nan for x in (better, low, high)))
+        return Interval(1.0 + better, 1.0 + low, 1.0 + high)
 
     def plants(self) -> Iterator[list[Cell]]:
         """The cells of all laws in each place of the study of plants: plant, period, noise."""
-        for rate in self.effort.plant_rates:
-            for noise in (0.0, NOISE):
-                for modules in self.effort.plants:
-                    start = Cell("", study_of_plants(rate), noise=noise, plant=modules)
-                    cells = [start._replace(label=name) for name in self.effort.plant_labels]
-                    if known := self.known(cells):
-                        yield known
+        places = itertools.product(self.effort.plant_rates, (0.0, NOISE), self.effort.plants)
+        for rate, noise, modules in places:
+            start = Cell("", study_of_plants(rate), noise=noise, plant=modules)
+            cells = [start._replace(label=name) for name in self.effort.plant_labels]
+            if known := self.known(cells):
+                yield known
 
     def models(self, label: str) -> list[float]:
         """The model errors with which a variant was run on theta1 and theta2 without noise [1]."""
@@ -200,37 +173,33 @@ def gather(
         OctarmError: if a sweep is missing.
         OSError: if another file is.
     """
-    requests = list(runs.requests(variants, effort))
-    arrays = jobs.read_arrays(out, requests)
-    plants = list(planted(variants, effort))
+    tasks = {task: jobs.read_arrays(out, task) for task in jobs.all_tasks(variants, effort)}
+    plants = {task: kept for task, kept in tasks.items() if isinstance(task, Planted)}
+    requests = {task: kept for task, kept in tasks.items() if isinstance(task, Request)}
     rows, columns = with_plants(
-        *measured(list(sweeps(variants, effort)), out / jobs.SWEEPS),
-        plants,
-        jobs.read_arrays(out, plants),
+        *measured(list(sweeps(variants, effort)), out / jobs.SWEEPS), plants
     )
     return Evidence(
         variants=variants,
         effort=effort,
         rows=rows,
         columns=columns,
-        series={name: Series(**x) for name, x in arrays.items() if "q" in x},
+        series={one.name: Series(**kept) for one, kept in requests.items() if "q" in kept},
         outcomes=[
             outcome
-            for request in requests
-            if request.keep is lyapunov.counts
-            for outcome in lyapunov.outcomes(request, arrays[request.name])
+            for one, kept in requests.items()
+            if one.keep is lyapunov.counts
+            for outcome in lyapunov.outcomes(one, kept)
         ],
-        periods={
-            one.variant.label: jobs.read_arrays(out, [one])[one.name]
-            for one in searches(variants, effort)
-        },
+        periods={t.variant.label: kept for t, kept in tasks.items() if isinstance(t, Search)},
         costs=costs,
     )
 
 
-def measured(
-    parts: Sequence[Sweep], folder: Path
-) -> tuple[dict[Cell, np.ndarray], dict[str, np.ndarray]]:
+Columns = dict[str, np.ndarray]
+
+
+def measured(parts: Sequence[Sweep], folder: Path) -> tuple[dict[Cell, np.ndarray], Columns]:
     """The rows of all cells, and the columns, of sweeps; see `Evidence`.
 
     Raises:
@@ -248,10 +217,9 @@ def measured(
 
 def with_plants(
     rows: dict[Cell, np.ndarray],
-    columns: dict[str, np.ndarray],
-    plants: Sequence[Planted],
-    arrays: Mapping[str, Mapping[str, np.ndarray]],
-) -> tuple[dict[Cell, np.ndarray], dict[str, np.ndarray]]:
+    columns: Columns,
+    plants: Mapping[Planted, Mapping[str, np.ndarray]],
+) -> tuple[dict[Cell, np.ndarray], Columns]:
     """The same with the runs on plants of more modules, of which errors alone are known."""
     count = len(columns["error"])
     for one in plants:
@@ -260,7 +228,7 @@ def with_plants(
         rows[cell._replace(noise=NOISE)] = count + 1 + np.arange(one.seeds)
         count += 1 + one.seeds
     own = {
-        name: np.concatenate([np.empty(0), *(arrays[one.name][key] for one in plants)])
+        name: np.concatenate([np.empty(0), *(kept[key] for kept in plants.values())])
         for name, key in (("error", "error"), ("diverged", "lost"))
     }
     nothing = np.full(len(own["error"]), np.nan)
@@ -293,18 +261,14 @@ def _columns(tables: Sequence[pa.Table]) -> dict[str, np.ndarray]:
     }
     true = octarm.nominal_parameters()
     weight = float(sum(true.mass.tolist())) * float(true.gravity)  # of the arm [N]
-    heavy = {"s": weight, "theta": weight * float(true.width[0])}
-
-    def mean_square(metric: str, scale: Mapping[str, float]) -> np.ndarray:
-        shares = [columns[f"{metric}_{name}"] / scale[name.rstrip("123")] for name in names]
-        return np.sqrt(sum(share * share for share in shares) / len(names))
-
-    return {
-        **columns,
-        "error": mean_square("rms_error", SCALE),
-        "chattering": mean_square("chattering", heavy),
-        "diverged": lost,
+    scales = {
+        "error": ("rms_error", SCALE),
+        "chattering": ("chattering", {"s": weight, "theta": weight * float(true.width[0])}),
     }
+    for quantity, (metric, scale) in scales.items():
+        shares = [columns[f"{metric}_{name}"] / scale[name.rstrip("123")] for name in names]
+        columns[quantity] = np.sqrt(sum(share * share for share in shares) / len(names))
+    return {**columns, "diverged": lost}
 
 
 def coordinates() -> list[str]:

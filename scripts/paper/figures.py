@@ -1,44 +1,23 @@
 """The figures: 1 and 2 of the paper on this arm, those of the studies, and the README's."""
 
-from __future__ import annotations
-
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure as NewFigure
 
 from octarm.palette import look_of
-from octarm.reports.figures import (
-    INK,
-    Axes,
-    Figure,
-    Picture,
-    figure_style,
-    logarithmic_ticks,
-    save_figure,
-)
+from octarm.reports import figures as style
+from octarm.reports.figures import INK, Axes, Figure, Picture
 from octarm.reports.statistics import Interval
-from paper import variants
+from paper import studies, variants
 from paper.claims import worded, words
 from paper.evidence import Cell, Evidence, coordinates
 from paper.numbers import percent
 from paper.runs import LONG, Series, name_of
-from paper.studies import (
-    BENDS,
-    BEYOND,
-    MODELS,
-    MODULES,
-    MOVING,
-    NOISE,
-    RATES,
-    SLIDES,
-    WRONG,
-    study_of_plants,
-    study_of_rate,
-)
-from paper.variants import CONSEQUENT, CONTROLLERS, INTEGRAL, PROPOSED, SIGN, SMC, TWISTING, by_hand
+from paper.studies import BENDS, BEYOND, MODELS, MODULES, MOVING, NOISE, RATES, SLIDES, WRONG
+from paper.variants import CONSEQUENT, CONTROLLERS, INTEGRAL, PROPOSED, SIGN, SMC, by_hand
 
 GRAY = "#5f6b77"
 NAMES = {PROPOSED: "AFSMC (proposed)", SMC: "SMC, boundary layer", SIGN: "SMC, sgn"}
@@ -78,75 +57,57 @@ def title_of(label: str) -> str:
 
 def pictures(evidence: Evidence) -> Iterator[Picture]:
     """All figures that there are numbers for, the README's first."""
-    effort = evidence.effort
-    yield draw("paper", lambda: _readme(evidence))
-    for reference in effort.readings:
-        ending, joints = {BENDS: "bends", SLIDES: "slides"}[reference], MOVING[reference]
-        for number, noise in (("1", 0.0), ("2", NOISE)):
-            yield draw(
-                f"figure-{number}-{ending}",
-                lambda r=reference, n=noise: _tracking(evidence, r, n),
-                words()["figures"][f"figure-{number}"],
-                joints=" and ".join(joints),
-                seeds=effort.seeds,
-            )
-    if any(evidence.plants()):
-        yield draw("plants", lambda: _plants(evidence), seeds=effort.seeds)
-    yield draw("overshoot", lambda: _overshoot(evidence))
-    yield draw("ranking", lambda: _ranking(evidence))
-    yield draw("ablations", lambda: _ablations(evidence))
-    if effort.long:
-        yield draw("degradation", lambda: _degradation(evidence))
-        yield draw("beyond", lambda: _beyond(evidence))
-        yield draw("rates", lambda: _rates(evidence))
-        yield draw("drift", lambda: _drift(evidence))
+    effort, texts = evidence.effort, words()["figures"]
 
+    def drawn(name: str, figure: Figure, caption: str = "", **numbers: Any) -> Picture:
+        text = worded(caption or texts[name], seeds=effort.seeds, **numbers)
+        return style.save_figure(name, text, figure)
 
-def draw(name: str, make: Callable[[], Figure], caption: str = "", **numbers: Any) -> Picture:
-    """A figure in the style of all, without anything that differs from run to run.
-
-    Args:
-        name: of its files.
-        make: draws it.
-        caption: a text as in `words.toml`; the one of this name when empty.
-        numbers: that the text asks for.
-    """
-    with figure_style():
-        return save_figure(name, worded(caption or words()["figures"][name], **numbers), make())
+    with style.figure_style():
+        yield drawn("paper", _readme(evidence))
+        for reference in effort.readings:
+            ending, joints = studies.READINGS[reference], " and ".join(MOVING[reference])
+            for figure, noise in (("figure-1", 0.0), ("figure-2", NOISE)):
+                shape = _tracking(evidence, reference, noise)
+                yield drawn(f"{figure}-{ending}", shape, texts[figure], joints=joints)
+        kinds = {"overshoot": _overshoot, "ranking": _ranking, "ablations": _ablations}
+        if any(evidence.plants()):
+            kinds = {"plants": _plants, **kinds}
+        if effort.long:
+            kinds |= {"degradation": _degradation, "beyond": _beyond, "rates": _rates}
+            kinds["drift"] = _drift
+        for name, draw in kinds.items():
+            yield drawn(name, draw(evidence))
 
 
 def _tracking(evidence: Evidence, reference: str, noise: float) -> Figure:
     """Motion and error of both joints over time, a column a nominal model."""
     unit = {BENDS: "rad", SLIDES: "m"}[reference]
     joints, labels = MOVING[reference], evidence.effort.labels
-    runs = {label: evidence.series[name_of(label, reference)] for label in labels}
     figure, grid = _panels(2 * len(joints), len(MODELS), 3.1, 1.45, sharex=True, sharey="row")
-    for column, model in enumerate(MODELS):
-        for row, joint in enumerate(joints):
-            motion, error = grid[2 * row : 2 * row + 2, column]
-            place, series = coordinates().index(joint), runs[labels[0]]
-            motion.plot(series.t, series.q_d[:, place], color=INK, linewidth=3.2, alpha=0.25,
-                        label="desired")  # fmt: skip
-            for label, series in runs.items():
-                _median(motion, label, series.t, series.of(model, noise)[:, :, place])
-                _median(error, label, series.t, _errors(series, model, noise, place))
-            _zero_line(error)
-            if column == 0:
-                motion.set_ylabel(f"{joint} [{unit}]")
-                error.set_ylabel(f"error [m{unit}]")
-        _time_axis(grid[:, column], model, evidence.effort.duration)
     for row, joint in enumerate(joints):
+        motions, errors = grid[2 * row : 2 * row + 2]
+        place = coordinates().index(joint)
+        for ax, model in zip(motions, MODELS, strict=True):
+            series = evidence.series[name_of(labels[0], reference)]
+            desired = series.q_d[:, place]
+            ax.plot(series.t, desired, color=INK, linewidth=3.2, alpha=0.25, label="desired")
+            for label in labels:
+                series = evidence.series[name_of(label, reference)]
+                _median(ax, label, series.t, series.of(model, noise)[:, :, place])
+        motions[0].set_ylabel(f"{joint} [{unit}]")
+        errors[0].set_ylabel(f"error [m{unit}]")
+        _draw_errors(errors, evidence, labels, reference, joint, noise)
         # The errors of the two controllers of the paper stay in view.
-        largest = max(
-            float(
-                np.nanpercentile(np.abs(_errors(runs[n], m, noise, place)[runs[n].t > 0.5]), 99.9)
-            )
-            for n in (SMC, PROPOSED)
-            for m in MODELS
-            for place in [coordinates().index(joint)]
-        )
-        grid[2 * row + 1, 0].set_ylim(-1.5 * largest, 1.5 * largest)
-    _legend(figure, grid[0, 0])
+        runs = [evidence.series[name_of(name, reference)] for name in (SMC, PROPOSED)]
+        sizes = [
+            np.abs(_errors(series, model, noise, place)[series.t > 0.5])
+            for series in runs
+            for model in MODELS
+        ]
+        largest = max(float(np.nanpercentile(size, 99.9)) for size in sizes)
+        errors[0].set_ylim(-1.5 * largest, 1.5 * largest)
+    _finish_times(figure, grid, evidence.effort.duration)
     figure.align_ylabels(grid[:, 0])
     return figure
 
@@ -154,18 +115,24 @@ def _tracking(evidence: Evidence, reference: str, noise: float) -> Figure:
 def _readme(evidence: Evidence) -> Figure:
     """Errors of theta1 over time without and with noise, a column a nominal model."""
     figure, grid = _panels(2, len(MODELS), 3.3, 1.75, sharex=True, sharey="row")
-    place = coordinates().index("theta1")
-    for row, noise in enumerate((0.0, NOISE)):
-        for ax, model in zip(grid[row], MODELS, strict=True):
-            for label in (SMC, PROPOSED):
-                series = evidence.series[name_of(label, BENDS)]
-                _median(ax, label, series.t, _errors(series, model, noise, place))
-            _zero_line(ax)
-        grid[row, 0].set_ylabel(f"error of theta1 [mrad]\n{'40 % noise' if noise else 'no noise'}")
-    for column, model in enumerate(MODELS):
-        _time_axis(grid[:, column], model, evidence.effort.duration)
-    _legend(figure, grid[0, 0])
+    for row, noise, name in zip(grid, (0.0, NOISE), ("no noise", "40 % noise"), strict=True):
+        _draw_errors(row, evidence, (SMC, PROPOSED), BENDS, "theta1", noise)
+        row[0].set_ylabel(f"error of theta1 [mrad]\n{name}")
+    _finish_times(figure, grid, evidence.effort.duration)
     return figure
+
+
+def _draw_errors(
+    row: Sequence[Axes], evidence: Evidence, labels: Sequence[str], reference: str, joint: str,
+    noise: float,
+) -> None:  # fmt: skip
+    """Errors of a joint over time, a panel a nominal model."""
+    for ax, model in zip(row, MODELS, strict=True):
+        for label in labels:
+            series = evidence.series[name_of(label, reference)]
+            own = _errors(series, model, noise, coordinates().index(joint))
+            _median(ax, label, series.t, own)
+        _zero_line(ax)
 
 
 def _errors(series: Series, model: float, noise: float, place: int) -> np.ndarray:
@@ -173,22 +140,23 @@ def _errors(series: Series, model: float, noise: float, place: int) -> np.ndarra
     return 1e3 * (series.of(model, noise)[:, :, place] - series.q_d[:, place, None])
 
 
-def _time_axis(column: np.ndarray, model: float, duration: float) -> None:
-    """Title and time axis of a column of panels that share it."""
-    column[0].set_title(f"nominal model {percent(model)}")
-    column[-1].set(xlabel="time [s]", xlim=(0.0, duration), xticks=np.arange(duration))
+def _finish_times(figure: Figure, grid: np.ndarray, duration: float) -> None:
+    """Titles, time axes and legend of panels with a column a nominal model."""
+    for column, model in zip(grid.T, MODELS, strict=True):
+        column[0].set_title(f"nominal model {percent(model)}")
+        column[-1].set(xlabel="time [s]", xlim=(0.0, duration), xticks=np.arange(duration))
+    _legend(figure, grid[0, 0])
 
 
 def _overshoot(evidence: Evidence) -> Figure:
-    readings = [(r, j) for r in (BENDS, SLIDES) for j in MOVING[r]]
+    readings = [(r, j) for r in MOVING for j in MOVING[r]]
     figure, grid = _panels(1, len(readings), 2.6, 2.5)
-    models = np.array(evidence.models(by_hand(SMC)))
+    models, labels = evidence.models(by_hand(SMC)), (SMC, by_hand(SMC), PROPOSED, by_hand(PROPOSED))
     for ax, (reference, joint) in zip(grid[0], readings, strict=True):
-        for label in (SMC, by_hand(SMC), PROPOSED, by_hand(PROPOSED)):
-            cells = [Cell(label, reference=reference, mismatch=m) for m in models.tolist()]
-            if evidence.has(*cells):
-                own = [evidence.median(cell, f"overshoot_{joint}") for cell in cells]
-                _band(ax, label, 100.0 * models, own, marker=False)
+        for label in labels:
+            cells = [Cell(label, reference=reference, mismatch=m) for m in models]
+            percents = 100.0 * np.array(models)
+            _curve(evidence, ax, percents, cells, f"overshoot_{joint}", marker=False)
         _zero_line(ax)
         ax.axhline(3.0, color=GRAY, linewidth=0.9, linestyle=":")
         ax.set(title=f"overshoot of {joint} [%]", xlabel="error of the nominal model [%]")
@@ -203,29 +171,30 @@ def _plants(evidence: Evidence) -> Figure:
         (cells[0].plant, cells[0].study, cells[0].noise): {cell.label: cell for cell in cells}
         for cells in evidence.plants()
     }
-    start = places[effort.plants[0], study_of_plants(effort.plant_rates[0]), NOISE]
+    start = places[effort.plants[0], studies.study_of_plants(effort.plant_rates[0]), NOISE]
     order = sorted(start, key=lambda name: evidence.error(start[name]).value)
     shape = len(effort.plant_rates), len(effort.plants)
     figure, grid = _panels(*shape, 2.3, 0.21 * len(order) + 0.55, sharex=True, sharey=True)
-    for row, rate in enumerate(effort.plant_rates):
-        for ax, modules in zip(grid[row], effort.plants, strict=True):
+    for row, rate in zip(grid, effort.plant_rates, strict=True):
+        for ax, modules in zip(row, effort.plants, strict=True):
             for noise in (NOISE, 0.0):
-                cells = places[modules, study_of_plants(rate), noise]
+                cells = places[modules, studies.study_of_plants(rate), noise]
                 for place, name in enumerate(order):
                     _plant_mark(ax, name, evidence.error(cells[name]), place, noise)
             ax.set_title(f"{modules} modules" + (", the model" if modules == MODULES else ""))
             _named_rows(ax, [title_of(name) for name in order])
-        grid[row, 0].set_ylabel(f"control period {1e3 / rate:g} ms")
+        row[0].set_ylabel(f"control period {1e3 / rate:g} ms")
     for ax in grid[-1]:
         ax.set_xlabel("error [% of the motion]")
-    _logarithmic(grid[0, 0], "x")
-    low, high = grid[0, 0].get_xlim()
-    grid[0, 0].set_xlim(low, high * (high / low) ** 0.12)  # room for the crosses
-    grid[0, 0].invert_yaxis()
+    first = grid[0, 0]
+    _logarithmic(first, "x")
+    low, high = first.get_xlim()
+    first.set_xlim(low, high * (high / low) ** 0.12)  # room for the crosses
+    first.invert_yaxis()
     marks = (("o", "full", "40 % noise"), ("o", "none", "no noise"), ("x", "full", "lost"))
     for marker, fill, label in marks:
-        grid[0, 0].plot([], [], marker, color=GRAY, fillstyle=fill, label=label)
-    _legend(figure, grid[0, 0])
+        first.plot([], [], marker, color=GRAY, fillstyle=fill, label=label)
+    _legend(figure, first)
     return figure
 
 
@@ -235,10 +204,8 @@ def _plant_mark(ax: Axes, name: str, error: Interval, place: int, noise: float) 
         y, size = place + (0.0 if noise else 0.2), 5 if noise else 3
         ax.plot(0.96, y, "x", color=look(name).color, markersize=size, markeredgewidth=1.4,
                 transform=ax.get_yaxis_transform())  # fmt: skip
-    elif noise:
-        _dot(ax, name, error, place)
     else:
-        ax.plot(error.value, place, "o", color=look(name).color, fillstyle="none")
+        _dot(ax, name, error, place, hollow=not noise)
 
 
 def _ranking(evidence: Evidence) -> Figure:
@@ -246,9 +213,9 @@ def _ranking(evidence: Evidence) -> Figure:
     figure, grid = _panels(1, len(MODELS), 3.1, 0.25 * len(order) + 0.6, sharey=True, sharex=True)
     for ax, model in zip(grid[0], MODELS, strict=True):
         for place, name in enumerate(order):
-            noisy, quiet = (evidence.error(Cell(name, mismatch=model, noise=x)) for x in (NOISE, 0))
-            _dot(ax, name, noisy, place)
-            ax.plot(quiet.value, place, "o", color=look(name).color, fillstyle="none")
+            for noise in (NOISE, 0.0):
+                error = evidence.error(Cell(name, mismatch=model, noise=noise))
+                _dot(ax, name, error, place, hollow=not noise)
         _logarithmic(ax, "x")
         ax.set(title=f"nominal model {percent(model)}", xlabel="error [% of the motion]")
         _named_rows(ax, order)
@@ -262,8 +229,8 @@ def _ablations(evidence: Evidence) -> Figure:
         if evidence.has(Cell(name, noise=NOISE))
     ]  # fmt: skip
     readings = [
-        r for r in (BENDS, SLIDES)
-        if any(evidence.has(Cell(name, reference=r, noise=NOISE)) for name in labels)
+        reference for reference in MOVING
+        if evidence.known([Cell(name, reference=reference, noise=NOISE) for name in labels])
     ]  # fmt: skip
     figure, grid = _panels(1, len(readings), 4.6, 0.42 * len(labels) + 0.7, sharey=True)
     shades = dict(zip(MODELS, (("o", -0.2), ("s", 0.0), ("^", 0.2)), strict=True))
@@ -277,9 +244,7 @@ def _ablations(evidence: Evidence) -> Figure:
         _named_rows(ax, [title_of(label) for label in labels])
         low, high = ax.get_xlim()  # of few decades: numbers without powers
         marks = (0.2, 0.3, 0.5, 0.7, 0.8, 1, 1.2, 1.5, 2, 3, 5, 10, 20)
-        ticks = [mark for mark in marks if low <= mark <= high]
-        ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-        ax.set_xticks([], minor=True)
+        _ticks(ax, [mark for mark in marks if low <= mark <= high])
     for model, (marker, _) in shades.items():
         grid[0, 0].plot([], [], marker, color=GRAY, label=f"nominal model {percent(model)}")
     grid[0, 0].invert_yaxis()
@@ -295,9 +260,7 @@ def _degradation(evidence: Evidence) -> Figure:
     for ax, (quantity, title, factor) in zip(grid[0], quantities, strict=True):
         for label in CONTROLLERS:
             cells = [Cell(label, "degradation", BENDS, WRONG, noise) for noise in noises]
-            if evidence.has(*cells):
-                own = [evidence.median(cell, quantity, factor) for cell in cells]
-                _band(ax, label, 100.0 * np.array(noises), own)
+            _curve(evidence, ax, 100.0 * np.array(noises), cells, quantity, factor)
         ax.axvline(100.0 * NOISE, color=GRAY, linewidth=0.9, linestyle=":")
         ax.set(title=title, xlabel="rms of the noise [% of the input's amplitude]")
         ax.set_ylim(0.0, None)
@@ -311,9 +274,7 @@ def _beyond(evidence: Evidence) -> Figure:
         for label in CONTROLLERS:
             start = Cell(label, "beyond", mismatch=WRONG)
             cells = [start._replace(**{name: x}) for x in sort.values]
-            if evidence.has(*cells):
-                own = [evidence.error(cell) for cell in cells]
-                _band(ax, label, sort.factor * np.array(sort.values), own)
+            _curve(evidence, ax, sort.factor * np.array(sort.values), cells, "error", 100.0)
         _logarithmic(ax, "y")
         quantity = "loss of force" if name == "loss" else name
         ax.set(xlabel=f"{quantity} [{sort.unit}]", title="error [% of the motion]")
@@ -324,19 +285,18 @@ def _beyond(evidence: Evidence) -> Figure:
 
 def _rates(evidence: Evidence) -> Figure:
     figure, grid = _panels(1, 3, 3.2, 2.6)
-    panels = ((evidence.error, NOISE, "error, 40 % noise [% of the motion]"),
-              (evidence.chattering, NOISE, "chattering, 40 % noise [% of weight]"),
-              (evidence.chattering, 0.0, "chattering, no noise [% of weight]"))  # fmt: skip
+    panels = (("error", NOISE, "error, 40 % noise [% of the motion]"),
+              ("chattering", NOISE, "chattering, 40 % noise [% of weight]"),
+              ("chattering", 0.0, "chattering, no noise [% of weight]"))  # fmt: skip
     start = Cell(PROPOSED, mismatch=WRONG, noise=NOISE)
-    rates = [r for r in RATES if evidence.has(start._replace(study=study_of_rate(r)))]
-    for ax, (measure, noise, title) in zip(grid[0], panels, strict=True):
-        for label in (PROPOSED, SMC, TWISTING, SIGN):
-            cells = [Cell(label, study_of_rate(r), BENDS, WRONG, noise) for r in rates]
-            _band(ax, label, np.array(rates), [measure(cell) for cell in cells])
+    rates = [r for r in RATES if evidence.has(start._replace(study=studies.study_of_rate(r)))]
+    for ax, (quantity, noise, title) in zip(grid[0], panels, strict=True):
+        for label in (PROPOSED, SMC, variants.TWISTING, SIGN):
+            cells = [Cell(label, studies.study_of_rate(r), BENDS, WRONG, noise) for r in rates]
+            _curve(evidence, ax, np.array(rates), cells, quantity, 100.0)
         ax.set_xscale("log")
         _logarithmic(ax, "y")
-        ax.set_xticks(rates, [f"{rate:g}" for rate in rates], minor=False)
-        ax.set_xticks([], minor=True)
+        _ticks(ax, rates)
         ax.set(xlabel="control rate [Hz]", title=title)
     _legend(figure, grid[0, 0])
     return figure
@@ -367,13 +327,13 @@ def _panels(
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
-def _legend(figure: Figure, ax: Axes, columns: int = 5) -> None:
+def _legend(figure: Figure, ax: Axes) -> None:
     """One legend for all panels, above them."""
     handles, labels = ax.get_legend_handles_labels()
     unique = dict(zip(labels, handles, strict=True))
     figure.legend(
         list(unique.values()), list(unique), loc="outside upper center", handlelength=2.2,
-        ncols=min(len(unique), columns), columnspacing=1.8,
+        ncols=min(len(unique), 5), columnspacing=1.8,
     )  # fmt: skip
 
 
@@ -384,7 +344,13 @@ def _zero_line(ax: Axes) -> None:
 def _logarithmic(ax: Axes, which: str) -> None:
     """Makes an axis logarithmic, with plain numbers at its ticks."""
     getattr(ax, f"set_{which}scale")("log")
-    logarithmic_ticks(getattr(ax, f"{which}axis"), *getattr(ax, f"get_{which}lim")())
+    style.logarithmic_ticks(getattr(ax, f"{which}axis"), *getattr(ax, f"get_{which}lim")())
+
+
+def _ticks(ax: Axes, ticks: Sequence[float]) -> None:
+    """Plain numbers at these places of the x axis alone."""
+    ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    ax.set_xticks([], minor=True)
 
 
 def _named_rows(ax: Axes, names: Sequence[str]) -> None:
@@ -402,24 +368,31 @@ def _median(
         ax.fill_between(t, low, high, color=look(label).color, alpha=0.22, linewidth=0.0)
 
 
-def _band(
-    ax: Axes, label: str, x: np.ndarray, own: Sequence[Interval], *, marker: bool = True
-) -> None:
-    """Medians with a band of intervals, where they are finite."""
-    numbers = np.array(own, dtype=float)
+def _curve(
+    evidence: Evidence, ax: Axes, x: np.ndarray, cells: Sequence[Cell], quantity: str,
+    factor: float = 1.0, *, marker: bool = True,
+) -> None:  # fmt: skip
+    """Medians of a variant's cells with a band of intervals, where finite; none if not all ran."""
+    if not evidence.has(*cells):
+        return
+    numbers = np.array([evidence.median(cell, quantity, factor) for cell in cells], dtype=float)
     value, low, high = np.where(np.isfinite(numbers), numbers, np.nan).T
-    style = look(label)
+    color, line, mark = look(cells[0].label)
     ax.plot(
-        x, value, color=style.color, linestyle=style.line, marker=style.marker if marker else "",
-        label=title_of(label), markeredgewidth=0.0,
+        x, value, color=color, linestyle=line, marker=mark if marker else "",
+        label=title_of(cells[0].label), markeredgewidth=0.0,
     )  # fmt: skip
     if np.any(low < high):
-        ax.fill_between(x, low, high, color=style.color, alpha=0.18, linewidth=0.0)
+        ax.fill_between(x, low, high, color=color, alpha=0.18, linewidth=0.0)
 
 
-def _dot(ax: Axes, label: str, own: Interval, y: float, marker: str = "o") -> None:
-    """A median with its interval, sideways."""
+def _dot(
+    ax: Axes, label: str, own: Interval, y: float, marker: str = "o", *, hollow: bool = False
+) -> None:
+    """A median with its interval, sideways; without the latter, hollow, where nothing is random."""
     color = look(label).color
-    if np.isfinite(own.value):
+    if hollow:
+        ax.plot(own.value, y, marker, color=color, fillstyle="none")
+    elif np.isfinite(own.value):
         ax.plot([own.low, own.high], [y, y], color=color, linewidth=1.2)
         ax.plot(own.value, y, marker, color=color, markersize=5)

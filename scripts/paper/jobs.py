@@ -1,11 +1,10 @@
 """Running all that is missing: several sweeps and runs at a time on one set of processes."""
 
-from __future__ import annotations
-
 import io
-import threading
-from collections.abc import Callable, Iterable, Mapping
+import itertools
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,28 +15,21 @@ import octarm
 from controllers import make_controller
 from octarm.files import write_files
 from octarm.sweeps.workers import WorkerProcesses, cores
-from paper import runs
-from paper.periods import Search, searches
-from paper.plants import Planted, planted
+from paper import plants, runs
 from paper.runs import Request
 from paper.studies import MODELS, Effort, Sweep, sweeps
 from paper.variants import CONTROLLERS, Variant
 
 SPECS, SWEEPS, SERIES, RUNS = "specs", "sweeps", "series", "runs"  # folders
-Task = Request | Planted | Search  # whose arrays are kept in a file of its name
-Advance = Callable[[float], None]  # takes simulated seconds that are done
+Task = Request | plants.Planted | plants.Search  # whose arrays are kept in a file of its name
+Advance = Callable[[float], object]  # takes simulated seconds that are done
 
 
 class Job(NamedTuple):
-    """Something to be done.
+    """Something to be done."""
 
-    Attributes:
-        seconds: what it simulates [s].
-        do: does what is not there yet, on processes, and says how it goes on.
-    """
-
-    seconds: float
-    do: Callable[[Executor, Advance], None]
+    seconds: float  # what it simulates [s]
+    do: Callable[[Executor, Advance], None]  # does what is not there yet, on processes
 
 
 def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers: int = 0) -> None:
@@ -58,98 +50,69 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
     """
     for folder in (SPECS, SWEEPS, SERIES, RUNS):
         (out / folder).mkdir(parents=True, exist_ok=True)
-    requests = list(runs.requests(variants, effort))
-    figure_1 = [
-        r
-        for r in requests
-        if r.seeds and r.quiet and effort.long and r.variant.label in CONTROLLERS
-    ]
-    jobs = [
-        *(_sweep_job(sweep, out) for sweep in sweeps(variants, effort)),
-        *(_run_job(request, out) for request in requests),
-        *(_run_job(one, out) for one in planted(variants, effort)),
-        *(_run_job(one, out) for one in searches(variants, effort)),
-        *(_recording_job(r, model, out) for r in figure_1 for model in MODELS),
+    own = all_tasks(variants, effort)
+    jobs = [Job(sweep.seconds, partial(_sweep, sweep, out)) for sweep in sweeps(variants, effort)]
+    jobs += [Job(task.seconds, partial(_keep, task, out)) for task in own]
+    jobs += [
+        Job(8.0 * one.duration, partial(_record, one, model, out))  # what an arm by itself costs
+        for one in own
+        if isinstance(one, Request) and one.seeds and one.quiet and effort.long
+        if one.variant.label in CONTROLLERS
+        for model in MODELS
     ]
     jobs.sort(key=lambda job: -job.seconds)
-    lock = threading.Lock()
+    total, count = sum(job.seconds for job in jobs), workers or cores()
     with (
-        tqdm(
-            total=sum(job.seconds for job in jobs), unit=" simulated s", unit_scale=True,
-            disable=None, leave=False,
-        ) as bar,
-        WorkerProcesses(workers or cores()) as processes,
-    ):  # fmt: skip
-
-        def advance(seconds: float) -> None:
-            with lock:
-                bar.update(seconds)
-
-        with ThreadPoolExecutor((workers or cores()) + 1) as threads:
-            futures = [threads.submit(job.do, processes, advance) for job in jobs]
-            try:
-                for future in as_completed(futures):
-                    future.result()
-            except BaseException:  # an interrupt, too
-                threads.shutdown(wait=False, cancel_futures=True)
-                processes.kill()
-                raise
+        tqdm(total=total, unit=" simulated s", unit_scale=True, disable=None, leave=False) as bar,
+        WorkerProcesses(count) as processes,
+        ThreadPoolExecutor(count + 1) as threads,
+    ):
+        futures = [threads.submit(job.do, processes, bar.update) for job in jobs]
+        try:
+            for future in as_completed(futures):
+                future.result()
+        except BaseException:  # an interrupt, too
+            threads.shutdown(wait=False, cancel_futures=True)
+            processes.kill()
+            raise
 
 
-def _sweep_job(sweep: Sweep, out: Path) -> Job:
-    def do(pool: Executor, advance: Advance) -> None:
-        file = out / SPECS / f"{sweep.name}.toml"
-        write_files({file: sweep.text().encode()})
-        duration = sweep.content["duration"]
-        octarm.sweep(
-            octarm.read_spec(file),
-            make_controller,
-            out / SWEEPS / sweep.name,
-            executor=pool,
-            in_flight=2,
-            resume=True,
-            progress=lambda episodes: advance(episodes * duration),
-        )
-
-    return Job(sweep.seconds, do)
+def all_tasks(variants: Mapping[str, Variant], effort: Effort) -> list[Task]:
+    """All that is run besides sweeps."""
+    kinds = (runs.requests, plants.planted, plants.searches)
+    return list(itertools.chain.from_iterable(kind(variants, effort) for kind in kinds))
 
 
-def _run_job(request: Task, out: Path) -> Job:
-    def do(pool: Executor, advance: Advance) -> None:
-        if not series_file(out, request).is_file():
-            content = io.BytesIO()
-            np.savez(content, allow_pickle=False, **pool.submit(request.perform).result())
-            write_files({series_file(out, request): content.getvalue()})
-        advance(request.seconds)
+def _sweep(sweep: Sweep, out: Path, pool: Executor, advance: Advance) -> None:
+    file, duration = out / SPECS / f"{sweep.name}.toml", sweep.content["duration"]
+    write_files({file: sweep.text().encode()})
+    octarm.sweep(
+        octarm.read_spec(file), make_controller, out / SWEEPS / sweep.name,
+        executor=pool, in_flight=2, resume=True,
+        progress=lambda episodes: advance(episodes * duration),
+    )  # fmt: skip
 
-    return Job(request.seconds, do)
+
+def _keep(task: Task, out: Path, pool: Executor, advance: Advance) -> None:
+    file, content = _file(out, task), io.BytesIO()
+    if not file.is_file():
+        np.savez(content, allow_pickle=False, **pool.submit(task.perform).result())
+        write_files({file: content.getvalue()})
+    advance(task.seconds)
 
 
-def _recording_job(request: Request, model: float, out: Path) -> Job:
+def _record(request: Request, model: float, out: Path, pool: Executor, advance: Advance) -> None:
     folder = out / RUNS / f"{request.name}-{100 * model:+.0f}"
-    seconds = 8.0 * request.duration  # weighed by what an arm costs by itself
-
-    def do(pool: Executor, advance: Advance) -> None:
-        if not (folder / "run.rrd").is_file() or not (folder / "run.npz").is_file():
-            pool.submit(runs.record, request, model, folder).result()
-        advance(seconds)
-
-    return Job(seconds, do)
+    if not (folder / "run.rrd").is_file() or not (folder / "run.npz").is_file():
+        pool.submit(runs.record, request, model, folder).result()
+    advance(8.0 * request.duration)
 
 
-def series_file(out: Path, request: Task) -> Path:
-    """Where what was kept of a run stands."""
-    return out / SERIES / f"{request.name}.npz"
+def _file(out: Path, task: Task) -> Path:
+    return out / SERIES / f"{task.name}.npz"
 
 
-def read_arrays(out: Path, requests: Iterable[Task]) -> dict[str, dict[str, np.ndarray]]:
-    """What was kept of runs, by their names.
-
-    Raises:
-        OSError: if one is missing.
-    """
-    arrays: dict[str, dict[str, np.ndarray]] = {}
-    for request in requests:
-        with np.load(series_file(out, request), allow_pickle=False) as file:
-            arrays[request.name] = dict(file)
-    return arrays
+def read_arrays(out: Path, task: Task) -> dict[str, np.ndarray]:
+    """What was kept of a run; raises OSError if it is missing."""
+    with np.load(_file(out, task), allow_pickle=False) as file:
+        return dict(file)

@@ -30,52 +30,31 @@ FIELDS = ("q", "v", "v_d", "wanted_a", "s", "E", "theta", "alpha", "sigma", "los
 
 
 class Outcome(NamedTuple):
-    """How V went on one arm.
+    """How V went on one arm."""
 
-    Attributes:
-        label: of the variant.
-        reference: name.
-        rate: of control [Hz].
-        mismatch: of the nominal model [1].
-        covered: whether the switching gain covers the model error, K_j >= |F_j|, at all times; of
-            the adaptive law whether E_max covers eps.
-        outside: periods that begin outside the boundary layer: |s_j| > phi_j for a j.
-        grown_outside: of them, those over which V grew.
-        late: those outside that begin in the steady regime, where start-up is over.
-        inside: periods that begin within it.
-        grown_inside: of them, those over which V grew.
-        start: V at the start [J].
-        bound: largest 1/2 s^T D s in the steady regime [J].
-        diverged: whether the arm left its limits.
-    """
-
-    label: str
-    reference: str
-    rate: float
-    mismatch: float
+    label: str  # of the variant
+    reference: str  # name
+    rate: float  # of control [Hz]
+    mismatch: float  # of the nominal model [1]
+    # Whether the switching gain covers the model error, K_j >= |F_j|, at all times; for the
+    # adaptive law, whether E_max covers eps.
     covered: bool
-    outside: int
-    grown_outside: int
-    late: int
-    inside: int
-    grown_inside: int
-    start: float
-    bound: float
-    diverged: bool
+    outside: int  # periods that begin outside the boundary layer: |s_j| > phi_j for a j
+    grown_outside: int  # of them, those over which V grew
+    late: int  # those outside that begin in the steady regime, where start-up is over
+    inside: int  # periods that begin within it
+    grown_inside: int  # of them, those over which V grew
+    start: float  # V at the start [J]
+    bound: float  # largest 1/2 s^T D s in the steady regime [J]
+    diverged: bool  # whether the arm left its limits
 
 
 def outcomes(request: Request, arrays: Mapping[str, np.ndarray]) -> list[Outcome]:
     """What `counts` gave, arm by arm."""
-    columns = {name: arrays[name].tolist() for name in Outcome._fields if name in arrays}
-    arms = [
-        dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)
-    ]
-    known = {
-        "label": request.variant.label,
-        "reference": request.reference,
-        "rate": request.rate,
-    }
-    return [Outcome(**known, **arm) for arm in arms]
+    names = [name for name in Outcome._fields if name in arrays]
+    arms = zip(*(arrays[name].tolist() for name in names), strict=True)
+    place = request.variant.label, request.reference, request.rate
+    return [Outcome(*place, **dict(zip(names, values, strict=True))) for values in arms]
 
 
 def counts(request: Request, rows: Rows) -> dict[str, np.ndarray]:

@@ -1,7 +1,5 @@
 """Numbers with their intervals, and how they are written."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,20 +8,12 @@ from octarm.reports.statistics import Interval
 
 
 class Row(NamedTuple):
-    """A number that a verdict rests on.
+    """A number that a verdict rests on."""
 
-    Attributes:
-        name: what was measured.
-        number: median over seeds with its 95 % interval; the number itself, three times, where
-            nothing is random.
-        unit: of the three; empty for ratios.
-        varies: whether it differs from run to run, as timings do.
-    """
-
-    name: str
-    number: Interval
-    unit: str = ""
-    varies: bool = False
+    name: str  # what was measured
+    number: Interval  # median over seeds with its 95 % interval; without width if not random
+    unit: str = ""  # of the three; empty for ratios
+    varies: bool = False  # whether it differs from run to run, as timings do
 
     def __str__(self) -> str:
         return f"{in_words(self.number)} {self.unit}".rstrip()
@@ -80,16 +70,10 @@ def percent(share: float) -> str:
 
 def span(values: Sequence[float | Interval | Row], unit: str = "") -> str:
     """The smallest to the largest of some numbers or medians, those that are finite, in words."""
-    numbers = [x.number.value if isinstance(x, Row) else x for x in values]
+    numbers = [x.number if isinstance(x, Row) else x for x in values]
     plain = [float(x.value if isinstance(x, Interval) else x) for x in numbers]
     finite = [x for x in plain if math.isfinite(x)]
     if not finite:
         return "unknown"
     low, high = number(min(finite)), number(max(finite))
     return f"{low if low == high else f'{low} to {high}'} {unit}".rstrip()
-
-
-def listed(names: Sequence[str]) -> str:
-    """a, b and c."""
-    *first, last = names or ("none",)
-    return f"{', '.join(first)} and {last}" if first else last

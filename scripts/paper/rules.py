@@ -5,43 +5,21 @@ same joints, the same nominal model and the same noise. SMC is read in both ways
 has: with sgn(s) and with a boundary layer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import product
 
 import numpy as np
 
 from octarm.reports.statistics import Interval
+from paper import studies, variants
 from paper.cases import Case
 from paper.evidence import Cell, Evidence, coordinates, interval
 from paper.lyapunov import Outcome
 from paper.numbers import Row, exact, percent
-from paper.runs import ARMS, Series, name_of
-from paper.studies import (
-    BENDS,
-    BEYOND,
-    MODELS,
-    MODULES,
-    MOVING,
-    NOISE,
-    RATE,
-    SLIDES,
-    rate_of_plants,
-)
-from paper.variants import (
-    AS_PRINTED,
-    BY_HAND,
-    CONSEQUENT,
-    FIXED_PREMISES,
-    FIXED_RULES,
-    PROPOSED,
-    SIGN,
-    SMC,
-    TUNED,
-    by_hand,
-    with_gains,
-)
+from paper.runs import ARMS, name_of
+from paper.studies import BEYOND, MODELS, MOVING, NOISE, RATE, READINGS
+from paper.variants import BY_HAND, FIXED_RULES, PROPOSED, SIGN, SMC, TUNED, by_hand, with_gains
 
 OVERSHOOT = 3.0  # of SMC, by the paper [%]
 # The threshold of each claim; verdicts are also given with half and with twice as much.
@@ -54,7 +32,6 @@ NEVER = 1e-3  # (e): share of periods that counts as none [1]
 BETTER = 0.05  # (f), plants: by how much an error must be smaller [1]
 MODERATE = 0.1  # (g): share of the control period [1]
 
-READINGS = {BENDS: "bends", SLIDES: "slides"}
 LAWS = {SIGN: "sgn(s)", SMC: "a boundary layer"}  # what "SMC" may be
 
 
@@ -76,56 +53,51 @@ def _overshoot_is_said(ours: float, theirs: float, factor: float) -> bool:
 
 def oscillations(evidence: Evidence) -> Iterator[Case]:
     """(b): slight oscillations of SMC under noise, and none of the proposed controller."""
-    for gains in (TUNED, BY_HAND):
-        for reference in evidence.effort.readings:
-            ours = _moved(evidence, PROPOSED, gains, reference)
-            for law, reading in LAWS.items():
-                theirs = _moved(evidence, law, gains, reference)
-                for (joint, model), own in ours.items() if theirs else ():
-                    place = {
-                        "gains": gains, "joints": READINGS[reference], "joint": joint,
-                        "model": percent(model), "noise": _noise(NOISE), "SMC": reading,
-                    }  # fmt: skip
-                    smc = theirs[joint, model]
-                    moved = Row("SMC, rms", interval(smc), "% of the amplitude")
-                    with np.errstate(all="ignore"):
-                        ratio = interval(own / smc)
-                    yield Case(
-                        {**place, "of": "SMC"}, [moved],
-                        lambda factor, x=moved.number.value: VISIBLE <= x <= factor * SLIGHT,
-                    )  # fmt: skip
-                    yield Case(
-                        {**place, "of": "AFSMC"},
-                        [Row("AFSMC, rms", interval(own), "% of the amplitude"),
-                         Row("AFSMC over SMC", ratio)],
-                        lambda factor, x=ratio.value: x <= factor * ABSENT,
-                    )  # fmt: skip
+    of_amplitude = "% of the amplitude"
+    for gains, reference in product((TUNED, BY_HAND), evidence.effort.readings):
+        ours = _moved(evidence, with_gains(PROPOSED, gains), reference)
+        for law, reading in LAWS.items():
+            theirs = _moved(evidence, with_gains(law, gains), reference)
+            for joint, model in ours if theirs else ():
+                own, smc = ours[joint, model], theirs[joint, model]
+                where = {
+                    "gains": gains, "joints": READINGS[reference], "joint": joint,
+                    "model": percent(model), "noise": _noise(NOISE), "SMC": reading,
+                }  # fmt: skip
+                with np.errstate(all="ignore"):
+                    size, ratio = interval(smc), interval(own / smc)
+                yield Case(
+                    {**where, "of": "SMC"}, [Row("SMC, rms", size, of_amplitude)],
+                    lambda factor, x=size.value: VISIBLE <= x <= factor * SLIGHT,
+                )  # fmt: skip
+                rows = [
+                    Row("AFSMC, rms", interval(own), of_amplitude),
+                    Row("AFSMC over SMC", ratio),
+                ]
+                yield Case(
+                    {**where, "of": "AFSMC"}, rows,
+                    lambda factor, x=ratio.value: x <= factor * ABSENT,
+                )  # fmt: skip
 
 
 def _moved(
-    evidence: Evidence, law: str, gains: str, reference: str
+    evidence: Evidence, label: str, reference: str
 ) -> Mapping[tuple[str, float], np.ndarray]:
     """How far noise moves a joint with each model, an entry a seed [% of its amplitude]."""
-    series = evidence.series.get(name_of(with_gains(law, gains), reference))
+    series = evidence.series.get(name_of(label, reference))
     if series is None:
         return {}
-    names, amplitudes = coordinates(), 0.5 * np.ptp(series.q_d, axis=0)
+    shares = 100.0 * series.moved / (0.5 * np.ptp(series.q_d, axis=0))
     return {
-        (joint, model): 100.0 * series.moved[_arms(series, model)][:, place] / amplitudes[place]
-        for joint in MOVING[reference]
-        for place in [names.index(joint)]
-        for model in MODELS
+        (joint, model): shares[arms, coordinates().index(joint)]
+        for joint, model in product(MOVING[reference], MODELS)
+        for arms in [(series.mismatch == model) & (series.noise == NOISE)]
     }
-
-
-def _arms(series: Series, model: float) -> np.ndarray:
-    """Which arms have noise and this nominal model."""
-    return (series.mismatch == model) & (series.noise == NOISE)
 
 
 def chattering(evidence: Evidence) -> Iterator[Case]:
     """(c): chattering is eliminated."""
-    for law, name in ((PROPOSED, "sat(s / phi)"), (AS_PRINTED, "sgn(s)")):
+    for law, name in ((PROPOSED, "sat(s / phi)"), (variants.AS_PRINTED, "sgn(s)")):
         for where, cell in _places(evidence, law, noises=[0.0]):
             size = evidence.chattering(cell)
             smc = [
@@ -142,13 +114,17 @@ def chattering(evidence: Evidence) -> Iterator[Case]:
 
 def rules(evidence: Evidence) -> Iterator[Case]:
     """(d): adapting the weights of the rules improves tracking."""
+    rivals = {FIXED_RULES: "fixed weights"}
     for where, cell in _places(evidence):
-        yield from _against(evidence, cell, where, {FIXED_RULES: "fixed weights"}, HELPS)
+        yield from _against(evidence, cell, where, rivals, HELPS)
 
 
 def premises(evidence: Evidence) -> Iterator[Case]:
     """Whether adapting the premises as well improves it further."""
-    rivals = {FIXED_PREMISES: "fixed premises", CONSEQUENT: "the law without premises"}
+    rivals = {
+        variants.FIXED_PREMISES: "fixed premises",
+        variants.CONSEQUENT: "the law without premises",
+    }
     for where, cell in _places(evidence):
         yield from _against(evidence, cell, where, rivals, HELPS)
 
@@ -156,21 +132,19 @@ def premises(evidence: Evidence) -> Iterator[Case]:
 def stability(evidence: Evidence) -> Iterator[Case]:
     """(e): V falls over every control period, at the default rate."""
     for o in evidence.outcomes:
-        gains = BY_HAND if o.label.endswith(by_hand("")) else TUNED
         law = o.label.removesuffix(by_hand(""))
         parts = (("outside", o.grown_outside, o.outside), ("inside", o.grown_inside, o.inside))
         for side, grown, periods in parts if o.rate == RATE else ():
             if periods:
-                place = {
-                    "gains": gains, "joints": READINGS[o.reference], "model": percent(o.mismatch),
-                    "law": law, "side": "everywhere, without a layer" if law == SIGN else side,
+                where = {
+                    "gains": TUNED if law == o.label else BY_HAND,
+                    "joints": READINGS[o.reference], "model": percent(o.mismatch), "law": law,
+                    "side": "everywhere, without a layer" if law == SIGN else side,
                 }  # fmt: skip
-                share = exact(f"V grew, of {periods} periods", 100.0 * grown / periods, "%")
-                yield Case(place, [share, *_late(o, side)], partial(_falls, o, grown / periods))
-
-
-def _late(o: Outcome, side: str) -> list[Row]:
-    return [exact("of them after start-up", o.late)] if side == "outside" and o.inside else []
+                rows = [exact(f"V grew, of {periods} periods", 100.0 * grown / periods, "%")]
+                if side == "outside" and o.inside:
+                    rows.append(exact("of them after start-up", o.late))
+                yield Case(where, rows, partial(_falls, o, grown / periods))
 
 
 def _falls(outcome: Outcome, share: float, factor: float) -> bool:
@@ -186,13 +160,9 @@ def uncertainty(evidence: Evidence) -> Iterator[Case]:
             kind = "noise" if cell.noise else "a wrong model"
             yield from _against(evidence, cell, {**where, "kind": kind}, rivals, BETTER)
     for where, cell in _places(evidence, study="beyond", noises=[0.0]):
-        for name, sort in BEYOND.items():
-            for value in sort.values[1:]:
-                size = f"{name} {sort.factor * value:g} {sort.unit}"
-                yield from _against(
-                    evidence, cell._replace(**{name: value}),
-                    {**where, "kind": name, "size": size}, rivals, BETTER,
-                )  # fmt: skip
+        for name, value in ((n, x) for n, sort in BEYOND.items() for x in sort.values[1:]):
+            place = {**where, "kind": name, "size": f"{name} {BEYOND[name].written(value)}"}
+            yield from _against(evidence, cell._replace(**{name: value}), place, rivals, BETTER)
 
 
 def load(evidence: Evidence) -> Iterator[Case]:
@@ -217,9 +187,9 @@ def plants(evidence: Evidence) -> Iterator[Case]:
         cell = cells[0]._replace(label=PROPOSED)
         where = {
             "gains": TUNED, "plant": f"{cell.plant} modules",
-            "period": f"{1e3 / rate_of_plants(cell.study):g} ms", "noise": _noise(cell.noise),
+            "period": studies.period_of_plants(cell.study), "noise": _noise(cell.noise),
         }  # fmt: skip
-        if cell.plant > MODULES:
+        if cell.plant > studies.MODULES:
             yield from _against(evidence, cell, where, rivals, BETTER)
 
 
@@ -231,15 +201,13 @@ def _places(
     noises: Sequence[float] = (0.0, NOISE),
 ) -> Iterator[tuple[dict[str, str], Cell]]:
     """The cells of a law with both gain sets, both readings and all models, and where they are."""
-    for gains in (TUNED, BY_HAND):
-        for reference, joints in READINGS.items():
-            for noise in noises:
-                cell = Cell(with_gains(law, gains), study, reference, noise=noise)
-                for own in evidence.known(cell.models()):
-                    yield {
-                        "gains": gains, "joints": joints, "model": percent(own.mismatch),
-                        "noise": _noise(noise),
-                    }, own  # fmt: skip
+    for gains, reference, noise in product((TUNED, BY_HAND), READINGS, noises):
+        cell = Cell(with_gains(law, gains), study, reference, noise=noise)
+        for own in evidence.known(cell.models()):
+            yield {
+                "gains": gains, "joints": READINGS[reference], "model": percent(own.mismatch),
+                "noise": _noise(noise),
+            }, own  # fmt: skip
 
 
 def _with(cell: Cell, law: str, where: Mapping[str, str]) -> Cell:
@@ -271,16 +239,8 @@ def _noise(noise: float) -> str:
     return f"{100 * noise:g} % noise" if noise else "no noise"
 
 
-CLAIMS: Mapping[str, Callable[[Evidence], Iterator[Case]]] = {
-    "overshoot": overshoot,
-    "oscillations": oscillations,
-    "chattering": chattering,
-    "rules": rules,
-    "stability": stability,
-    "uncertainty": uncertainty,
-    "load": load,
-}
-QUESTIONS: Mapping[str, Callable[[Evidence], Iterator[Case]]] = {
-    "premises": premises,
-    "plants": plants,
-}
+Rule = Callable[[Evidence], Iterator[Case]]
+CLAIMS: tuple[Rule, ...] = (
+    overshoot, oscillations, chattering, rules, stability, uncertainty, load,
+)  # fmt: skip
+QUESTIONS: tuple[Rule, ...] = (premises, plants)

@@ -7,9 +7,10 @@ the fields that are wanted; what is kept of the rows is for the request to say.
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,36 +37,23 @@ Arrays = dict[str, np.ndarray]
 
 
 class Request(NamedTuple):
-    """Arms of one variant: for each model error one without noise, and one for each seed.
+    """Arms of one variant: for each model error one without noise, and one for each seed."""
 
-    Attributes:
-        name: of the file.
-        variant: what controls the arms.
-        reference: name of their desired motion.
-        duration: [s].
-        fields: that are recorded; besides those of the record there are `lost`, whether an arm has
-            left its limits, and `wanted_a`, the desired acceleration.
-        every: between two instants that are recorded; every control instant if 0 [s].
-        keep: makes the arrays that are kept from the recorded rows.
-        mismatches: model errors [1].
-        seeds: number of seeds of the noise; they are those of the sweeps.
-        quiet: whether there are arms without noise.
-        rate: of control [Hz].
-        engine: that steps the arms.
-    """
-
-    name: str
-    variant: Variant
-    reference: str
-    duration: float
+    name: str  # of the file
+    variant: Variant  # what controls the arms
+    reference: str  # name of their desired motion
+    duration: float  # [s]
+    # What is recorded: fields of the record, `lost`, whether an arm has left its limits, and
+    # `wanted_a`, the desired acceleration.
     fields: tuple[str, ...]
-    every: float
+    every: float  # between two instants that are recorded; every control instant if 0 [s]
+    # It makes the arrays that are kept from the recorded rows.
     keep: Callable[[Request, Rows], Mapping[str, np.ndarray]]
-    mismatches: tuple[float, ...] = MODELS
-    seeds: int = 0
-    quiet: bool = True
-    rate: float = RATE
-    engine: str = MUJOCO
+    mismatches: tuple[float, ...] = MODELS  # model errors [1]
+    seeds: int = 0  # number of seeds of the noise; they are those of the sweeps
+    quiet: bool = True  # whether there are arms without noise
+    rate: float = RATE  # of control [Hz]
+    engine: str = MUJOCO  # that steps the arms
 
     @property
     def mismatch(self) -> np.ndarray:
@@ -89,80 +77,68 @@ class Request(NamedTuple):
 
     def perform(self) -> Arrays:
         """Runs the arms; what is kept of them."""
-        return perform(self)
+        period = 1.0 / self.rate
+        seeds = [*[0] * self.quiet, *range(self.seeds)] * len(self.mismatches)
+        environment = octarm.load(
+            self.reference, control_period=period, timestep=min(period, 1.0 / RATE),
+            engine=self.engine, **noisy_arms(self.noise, seeds),
+        )  # fmt: skip
+        blocks: list[Arrays] = []
+        recorder = Recorder(
+            lambda rows: blocks.append({name: x.copy() for name, x in rows.items()}),
+            fields=self.fields, stride=max(1, round(self.every / period)),
+        )  # fmt: skip
+        moved = Moved(self, period)
+
+        def observe(instant: Instant) -> None:
+            moved.add(instant)
+            lost = ~environment.physics.intact()
+            more = {"lost": lost, "wanted_a": np.atleast_2d(instant.reference.a)}
+            command = instant.command._replace(signals={**instant.command.signals, **more})
+            recorder(instant._replace(command=command))
+
+        simulate(environment, self.variant.controls(self.nominal), self.duration, observe)
+        recorder.flush()
+        rows = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+        more = {"diverged_at": environment.physics.diverged_at(), "moved": moved.rms()}
+        with np.errstate(all="ignore"):  # a diverged arm may hold anything
+            return {**self.keep(self, rows), **more}
+
+
+def noisy_arms(noise: np.ndarray, seeds: Sequence[int]) -> dict[str, Any]:
+    """What `octarm.load` takes for arms under noise of some strengths, shape (n,), and seeds."""
+    band = BandLimitedNoise(ratio=noise[:, None], correlation_time=TIME)
+    return {
+        "batch": len(noise),
+        "disturbances": [band] if noise.any() else [],
+        "seed": [np.random.SeedSequence(SEED, spawn_key=(i,)) for i in seeds],
+    }
 
 
 def requests(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Request]:
     """Those of figures 1 and 2 in both readings, the long ones, those of the Lyapunov functions."""
-    fields = ("q", "q_d", "lost", "E")
-    for label in effort.labels:
+    shown: dict[str, Any] = {"fields": ("q", "q_d", "lost", "E"), "every": EVERY, "keep": kept}
+    for label, reference in itertools.product(effort.labels, effort.readings):
         seeds = effort.seeds if label in CONTROLLERS else min(effort.seeds, FEWER)
-        for reference in effort.readings:
-            yield Request(
-                name_of(label, reference), variants[label], reference, effort.duration, fields,
-                EVERY, kept, seeds=seeds,
-            )  # fmt: skip
+        name, who = name_of(label, reference), variants[label]
+        yield Request(name, who, reference, effort.duration, **shown, seeds=seeds)
     for label, name in LONG.items() if effort.long else ():
         yield Request(
-            name, variants[label], BENDS, effort.long, fields, EVERY, kept, (WRONG,), effort.seeds,
-            quiet=False, engine=usual_engine(),
+            name, variants[label], BENDS, effort.long, **shown, mismatches=(WRONG,),
+            seeds=effort.seeds, quiet=False, engine=usual_engine(),
         )  # fmt: skip
     places = [(BENDS, rate) for rate in effort.rates]
     places += [(reference, RATE) for reference in effort.readings if reference != BENDS]
-    for label in effort.lyapunov:
-        for reference, rate in places:
-            name = f"lyapunov-{name_of(label, reference)}-{rate:g}-Hz"
-            yield Request(
-                name, variants[label], reference, effort.duration, lyapunov.FIELDS, 0.0,
-                lyapunov.counts, rate=rate,
-            )  # fmt: skip
+    for label, (reference, rate) in itertools.product(effort.lyapunov, places):
+        yield Request(
+            f"lyapunov-{name_of(label, reference)}-{rate:g}-Hz", variants[label], reference,
+            effort.duration, lyapunov.FIELDS, 0.0, lyapunov.counts, rate=rate,
+        )  # fmt: skip
 
 
 def name_of(label: str, reference: str) -> str:
     """The name of the runs of figures 1 and 2."""
     return f"{reference}-{label.replace(', ', '-')}"
-
-
-def perform(request: Request) -> Arrays:
-    """Runs the arms; what is kept of them."""
-    noise, seeds = request.noise, [*[0] * request.quiet, *range(request.seeds)]
-    period = 1.0 / request.rate
-    environment = octarm.load(
-        request.reference,
-        disturbances=[BandLimitedNoise(ratio=noise[:, None], correlation_time=TIME)]
-        if noise.any()
-        else [],
-        batch=len(noise),
-        control_period=period,
-        timestep=min(period, 1.0 / RATE),
-        seed=[np.random.SeedSequence(SEED, spawn_key=(i,)) for i in seeds]
-        * len(request.mismatches),
-        engine=request.engine,
-    )
-    blocks: list[Arrays] = []
-    moved = Moved(request, period)
-
-    def hand_on(rows: Rows) -> None:
-        blocks.append({name: column.copy() for name, column in rows.items()})
-
-    stride = max(1, round(request.every / period))
-    recorder = Recorder(hand_on, fields=request.fields, stride=stride)
-
-    def observe(instant: Instant) -> None:
-        moved.add(instant)
-        lost = ~environment.physics.intact()
-        more = {"lost": lost, "wanted_a": np.atleast_2d(instant.reference.a)}
-        command = instant.command._replace(signals={**instant.command.signals, **more})
-        recorder(instant._replace(command=command))
-
-    controller = request.variant.controls(request.nominal)
-    simulate(environment, controller, request.duration, observe)
-    recorder.flush()
-    rows = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
-    diverged_at = environment.physics.diverged_at()
-    with np.errstate(all="ignore"):  # a diverged arm may hold anything
-        kept_arrays = request.keep(request, rows)
-        return {**kept_arrays, "diverged_at": diverged_at, "moved": moved.rms()}
 
 
 class Moved:
@@ -194,27 +170,16 @@ class Moved:
 
 
 class Series(NamedTuple):
-    """What n arms did at T instants.
+    """What n arms did at T instants."""
 
-    Attributes:
-        t: shape (T,) [s].
-        q_d: desired coordinates, shape (T, 2N) [m], [rad].
-        q: true ones, shape (T, n, 2N); NaN from when an arm left its limits.
-        E: gain of the compensation, shape (T, n, 2N) [N], [N m]; empty where there is none.
-        mismatch: shape (n,) [1].
-        noise: shape (n,) [1].
-        diverged_at: shape (n,) [s]; NaN for arms that stayed within their limits.
-        moved: how far noise moves an arm, rms of all instants that count, shape (n, 2N).
-    """
-
-    t: np.ndarray
-    q_d: np.ndarray
-    q: np.ndarray
-    E: np.ndarray
-    mismatch: np.ndarray
-    noise: np.ndarray
-    diverged_at: np.ndarray
-    moved: np.ndarray
+    t: np.ndarray  # shape (T,) [s]
+    q_d: np.ndarray  # desired coordinates, shape (T, 2N) [m], [rad]
+    q: np.ndarray  # true ones, shape (T, n, 2N); NaN from when an arm left its limits
+    E: np.ndarray  # gain of the compensation, shape (T, n, 2N) [N], [N m]; empty if none
+    mismatch: np.ndarray  # shape (n,) [1]
+    noise: np.ndarray  # shape (n,) [1]
+    diverged_at: np.ndarray  # shape (n,) [s]; NaN for arms that stayed within their limits
+    moved: np.ndarray  # how far noise moves an arm, rms of all instants that count, shape (n, 2N)
 
     def of(self, mismatch: float, noise: float) -> np.ndarray:
         """The coordinates of some of the arms, shape (T, k, 2N)."""
@@ -252,26 +217,16 @@ def record(request: Request, model: float, folder: Path) -> None:
 
 
 class Cost(NamedTuple):
-    """What a step of a controller costs on this machine; timings differ from run to run.
+    """What a step of a controller costs on this machine; timings differ from run to run."""
 
-    Attributes:
-        many: an arm of `ARMS` side by side: the arithmetic [s].
-        alone: one arm alone: mostly what Python and NumPy take for each call [s].
-    """
-
-    many: float
-    alone: float
+    many: float  # an arm of `ARMS` side by side: the arithmetic [s]
+    alone: float  # one arm alone: mostly what Python and NumPy take for each call [s]
 
 
 def costs(variants: Mapping[str, Variant], seconds: float = 0.1) -> dict[str, Cost]:
     """The shortest of many steps of each tuned controller, each measured for so long [s]."""
-    times = fastest(
-        [
-            controller_call(name, batch, variants[name].gains)
-            for name in CONTROLLERS
-            for batch in ((ARMS,), ())
-        ],
-        seconds,
-    )
+    batches = ((ARMS,), ())
+    calls = [controller_call(n, b, variants[n].gains) for n in CONTROLLERS for b in batches]
+    times = fastest(calls, seconds)
     pairs = zip(CONTROLLERS, times[::2], times[1::2], strict=True)
     return {name: Cost(many / ARMS, alone) for name, many, alone in pairs}

@@ -4,8 +4,6 @@ Each becomes specs that `octarm sweep` runs as they stand: with the controllers 
 name, and all their gains. Cells without noise get one seed: nothing in them is random.
 """
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import math
@@ -19,8 +17,8 @@ import tomlkit
 from octarm.simulation.engines import usual_engine
 from paper.variants import Variant
 
-STUDIES = Path(__file__).with_name("studies.toml")
 BENDS, SLIDES = "sine", "sine-slides"  # the two readings of "first two links"
+READINGS = {BENDS: "bends", SLIDES: "slides"}
 MOVING = {BENDS: ("theta1", "theta2"), SLIDES: ("s1", "s2")}  # what each of them moves
 MODELS = (-0.3, 0.0, 0.3)  # model errors of the paper's figures [1]
 MODULES = 3  # that every controller believes in
@@ -34,81 +32,50 @@ SEED = 0
 
 
 class Beyond(NamedTuple):
-    """Something that the paper does not try.
+    """Something that the paper does not try: a field of `paper.evidence.Cell`."""
 
-    Attributes:
-        values: that are tried, in the unit of `paper.evidence.Cell`.
-        unit: in which it is written.
-        factor: from SI units to that one.
-    """
+    values: Sequence[float]  # that are tried [SI]
+    unit: str  # in which it is written
+    factor: float  # from SI units to that one
 
-    values: tuple[float, ...]
-    unit: str
-    factor: float
+    def written(self, value: float) -> str:
+        """A value in that unit."""
+        return f"{self.factor * value:g} {self.unit}"
 
 
-# By the field of `paper.evidence.Cell`.
-BEYOND = {
-    "payload": Beyond((0.0, 0.05, 0.1, 0.2), "kg", 1.0),
-    "delay": Beyond((0.0, 0.0005, 0.001, 0.0015, 0.002), "ms", 1e3),
-    "loss": Beyond((0.0, 0.1, 0.3, 0.5), "%", 100.0),  # of the force of every column
-}
 SCALE = {"s": 0.0175, "theta": 0.3}  # A, the mean amplitude of the motions [m], [rad]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Effort:
-    """How much is run, as `studies.toml` says it.
+    """How much is run, as `studies.toml` says it."""
 
-    Attributes:
-        name: `full` or `quick`.
-        sweeps: in the order in which cells are listed.
-        seeds: in each cell with noise.
-        duration: of the runs of figures 1 and 2 [s].
-        labels: of the variants of figures 1 and 2.
-        readings: references of figures 1 and 2.
-        long: duration of the runs that show drift; none if 0 [s].
-        rates: at which Lyapunov functions are looked at [Hz].
-        lyapunov: labels of the variants of which they are looked at.
-        plants: modules of the arms whose controllers believe in three.
-        plant_rates: of control, for them [Hz].
-        plant_labels: of the variants that are tried on them.
-    """
-
-    name: str
-    sweeps: Sequence[Mapping[str, Any]]
-    seeds: int
-    duration: float
-    labels: Sequence[str]
-    readings: Sequence[str]
-    long: float
-    rates: Sequence[float]
-    lyapunov: Sequence[str]
-    plants: Sequence[int]
-    plant_rates: Sequence[float]
-    plant_labels: Sequence[str]
+    name: str  # `full` or `quick`
+    sweeps: Sequence[Mapping[str, Any]]  # in the order in which cells are listed
+    seeds: int  # in each cell with noise
+    duration: float  # of the runs of figures 1 and 2 [s]
+    labels: Sequence[str]  # of the variants of figures 1 and 2
+    readings: Sequence[str]  # references of figures 1 and 2
+    long: float  # duration of the runs that show drift; none if 0 [s]
+    rates: Sequence[float]  # at which Lyapunov functions are looked at [Hz]
+    lyapunov: Sequence[str]  # labels of the variants of which they are looked at
+    plants: Sequence[int]  # modules of the arms whose controllers believe in three
+    plant_rates: Sequence[float]  # of control, for them [Hz]
+    plant_labels: Sequence[str]  # of the variants that are tried on them
 
 
-FULL, QUICK = (
-    Effort(name=name, **tomllib.loads(STUDIES.read_text("utf-8"))[name])
-    for name in ("full", "quick")
-)
+_STUDIES = tomllib.loads(Path(__file__).with_name("studies.toml").read_text("utf-8"))
+FULL, QUICK = (Effort(name=name, **_STUDIES[name]) for name in ("full", "quick"))
+BEYOND = {name: Beyond(**own) for name, own in _STUDIES["beyond"].items()}
 
 
 class Sweep(NamedTuple):
-    """What is run of a study.
+    """What is run of a study."""
 
-    Attributes:
-        name: of its folder.
-        study: that its cells belong to.
-        content: of the spec.
-        labels: of the variants, by controller.
-    """
-
-    name: str
-    study: str
-    content: Mapping[str, Any]
-    labels: Mapping[str, str]
+    name: str  # of its folder
+    study: str  # that its cells belong to
+    content: Mapping[str, Any]  # of the spec
+    labels: Mapping[str, str]  # of the variants, by controller
 
     @property
     def seconds(self) -> float:
@@ -155,9 +122,9 @@ def study_of_plants(rate: float) -> str:
     return f"plants-{rate:g}"
 
 
-def rate_of_plants(study: str) -> float:
-    """The control rate of that study [Hz]."""
-    return float(study.removeprefix("plants-"))
+def period_of_plants(study: str) -> str:
+    """The control period of that study, in words."""
+    return f"{1e3 / float(study.removeprefix('plants-')):g} ms"
 
 
 def _quiet_apart(content: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -1,67 +1,38 @@
 """The tables: numbers in rows under the headings of `words.toml`, and their CSV files."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math
 import tomllib
 import warnings
 from collections.abc import Iterable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from octarm.reports.statistics import Interval, binomial
+from paper import studies, variants
 from paper.claims import Claim, worded, words
 from paper.evidence import Cell, Evidence, interval
 from paper.numbers import percent
-from paper.periods import LONGEST, SHORTEST, SHORTEST_TRACKED
+from paper.plants import LONGEST, SHORTEST, SHORTEST_TRACKED
 from paper.runs import EVERY, LONG
-from paper.studies import (
-    BENDS,
-    BEYOND,
-    MODELS,
-    MOVING,
-    NOISE,
-    RATE,
-    RATES,
-    SLIDES,
-    TIME,
-    WRONG,
-    rate_of_plants,
-    study_of_rate,
-)
-from paper.variants import (
-    ABLATIONS,
-    CONSEQUENT,
-    CONTROLLERS,
-    INTEGRAL,
-    PROPOSED,
-    SIGN,
-    SMC,
-    by_hand,
-)
+from paper.studies import BENDS, BEYOND, MODELS, MOVING, NOISE, RATE, RATES, TIME, WRONG
+from paper.variants import CONSEQUENT, CONTROLLERS, INTEGRAL, PROPOSED, SIGN, SMC, by_hand
 
 Entry = str | int | float | Interval
 Rows = Iterable[Sequence[Entry]]
 
 
 class Table(NamedTuple):
-    """Rows under headings.
+    """Rows under headings."""
 
-    Attributes:
-        name: of its file.
-        caption: what it shows, and how.
-        columns: headings, units in brackets.
-        rows: an entry a column; an interval stands for median and 95 % interval.
-    """
-
-    name: str
-    caption: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[Entry]]
+    name: str  # of its file
+    caption: str  # what it shows, and how
+    columns: Sequence[str]  # headings, units in brackets
+    rows: Sequence[Sequence[Entry]]  # an interval is a median and its 95 % interval
 
 
 def all_tables(evidence: Evidence, claims: Sequence[Claim], gains: Path) -> dict[str, Table]:
@@ -96,21 +67,16 @@ def all_tables(evidence: Evidence, claims: Sequence[Claim], gains: Path) -> dict
 
 def as_csv(table: Table) -> str:
     """The text of a CSV file; an interval takes three columns."""
-    wide = [
-        any(isinstance(entry, Interval) for entry in own) for own in zip(*table.rows, strict=True)
-    ]
+    wide = [any(isinstance(x, Interval) for x in own) for own in zip(*table.rows, strict=True)]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    heads = zip(table.columns, wide, strict=True)
-    writer.writerow(
-        [name + end for name, three in heads for end in (("", " low", " high") if three else ("",))]
-    )
+    ends = [("", " low", " high") if three else ("",) for three in wide]
+    heads = zip(table.columns, ends, strict=True)
+    writer.writerow([name + end for name, own in heads for end in own])
     for row in table.rows:
-        triples = [
-            (entry if isinstance(entry, Interval) else [entry] * 3) if three else [entry]
-            for entry, three in zip(row, wide, strict=True)
-        ]
-        writer.writerow([_plain(entry) for triple in triples for entry in triple])
+        triples = [x if isinstance(x, Interval) else [x] * 3 for x in row]
+        entries = zip(triples, wide, strict=True)
+        writer.writerow([_plain(x) for own, three in entries for x in own[: 3 if three else 1]])
     return text.getvalue()
 
 
@@ -121,25 +87,19 @@ def ranking(evidence: Evidence) -> Rows:
         for noise in (NOISE, 0.0):
             errors.append(evidence.mean_error(name, noise))
             errors += map(evidence.error, Cell(name, noise=noise).models())
-        restless = [
-            evidence.chattering(Cell(name, mismatch=WRONG, noise=noise)) for noise in (NOISE, 0.0)
-        ]
+        restless = [evidence.chattering(Cell(name, mismatch=WRONG, noise=x)) for x in (NOISE, 0.0)]
         yield name, *errors, *restless, evidence.over(name, SMC, NOISE)
 
 
 def best(evidence: Evidence) -> Rows:
     """The law with the least error in each place of the main study, whatever it is."""
-    for reference in (BENDS, SLIDES):
-        for noise in (NOISE, 0.0):
-            for start in Cell(PROPOSED, reference=reference, noise=noise).models():
-                cells = evidence.known([start._replace(label=name) for name in CONTROLLERS])
-                if start in cells:
-                    first = _least(evidence, cells)
-                    yield (
-                        ", ".join(MOVING[reference]), _noise(noise), percent(start.mismatch),
-                        first.label, evidence.error(first), evidence.ratio(start, first.label),
-                        evidence.ratio(start, first.label, "chattering"),
-                    )  # fmt: skip
+    for reference, noise, model in product(MOVING, (NOISE, 0.0), MODELS):
+        start = Cell(PROPOSED, "tracking", reference, model, noise)
+        cells = evidence.known([start._replace(label=name) for name in CONTROLLERS])
+        if start in cells:
+            first = _least(evidence, cells)
+            ratios = [evidence.ratio(start, first.label, x) for x in ("error", "chattering")]
+            yield *_place(start), first.label, evidence.error(first), *ratios
 
 
 def plants(evidence: Evidence) -> Table:
@@ -162,23 +122,13 @@ def plants(evidence: Evidence) -> Table:
 def plants_ranking(evidence: Evidence) -> Rows:
     """All laws on all plants, the best first."""
     for cells in evidence.plants():
-        own = {cell.label: cell for cell in cells}
+        names = [cell.label for cell in cells]
         for cell in sorted(cells, key=lambda cell: evidence.error(cell).value):
             lost, count = evidence.diverged(cell)
             share = binomial(lost, count) if cell.noise else Interval(*(float(lost),) * 3)
             percent_lost = Interval(*(100.0 * x for x in share))
-            rank = _rank(evidence, cell, list(own))
+            rank = _rank(evidence, cell, names)
             yield *_plant(cell), rank, cell.label, evidence.error(cell), percent_lost
-
-
-def _plant(cell: Cell) -> tuple[Entry, ...]:
-    """Modules, control period and noise."""
-    return cell.plant, f"{1e3 / rate_of_plants(cell.study):g} ms", _noise(cell.noise)
-
-
-def _rank(evidence: Evidence, cell: Cell, names: Sequence[str]) -> Entry:
-    rank = evidence.rank(cell, names)
-    return "lost" if np.isnan(rank.value) else rank
 
 
 def periods(evidence: Evidence) -> Table:
@@ -188,62 +138,40 @@ def periods(evidence: Evidence) -> Table:
         sorts = [SHORTEST_TRACKED if math.isnan(x) else SHORTEST for x in own["predicted"]]
         pairs = zip(own["predicted"], own["simulated"], sorts, strict=True)
         rows.append((name, *(_period(x, shortest) for *pair, shortest in pairs for x in pair)))
-    heads = [
-        f"{modules} modules, {kind} [ms]"
-        for modules in evidence.effort.plants
-        for kind in ("predicted", "simulated")
-    ]
-    return _table("periods", rows, heads)
-
-
-def _period(seconds: float, shortest: float) -> Entry:
-    """In milliseconds, or beyond which one it is [s]."""
-    if math.isnan(seconds):
-        return "no slope"
-    if seconds > LONGEST:
-        return f"above {1e3 * LONGEST:g}"
-    return f"below {1e3 * shortest:g}" if seconds < shortest else 1e3 * float(seconds)
-
-
-def _least(evidence: Evidence, cells: Sequence[Cell]) -> Cell:
-    return min(cells, key=lambda cell: evidence.error(cell).value)
+    kinds = product(evidence.effort.plants, ("predicted", "simulated"))
+    return _table("periods", rows, [f"{modules} modules, {kind} [ms]" for modules, kind in kinds])
 
 
 def joints(evidence: Evidence) -> Rows:
     """The numbers of figures 1 and 2."""
-    for reference in (BENDS, SLIDES):
-        for noise in (0.0, NOISE):
-            for model in MODELS:
-                cells = [Cell(n, "tracking", reference, model, noise) for n in evidence.variants]
-                for cell in evidence.known(cells):
-                    where = ", ".join(MOVING[reference]), _noise(noise), percent(model), cell.label
-                    errors, overshoots = (
-                        [evidence.median(cell, f"{metric}_{j}", x) for j in MOVING[reference]]
-                        for metric, x in (("rms_error", 1e3), ("overshoot", 1.0))
-                    )
-                    yield *where, *errors, *overshoots, _lost(evidence, cell)
+    for reference, noise, model in product(MOVING, (0.0, NOISE), MODELS):
+        cells = [Cell(name, "tracking", reference, model, noise) for name in evidence.variants]
+        for cell in evidence.known(cells):
+            numbers = [
+                evidence.median(cell, f"{metric}_{joint}", factor)
+                for metric, factor in (("rms_error", 1e3), ("overshoot", 1.0))
+                for joint in MOVING[reference]
+            ]
+            yield *_place(cell), cell.label, *numbers, _lost(evidence, cell)
 
 
 def ablations(evidence: Evidence) -> Rows:
     """What is left of `afsmc` without one of its parts, and what others reach."""
-    for label in (CONSEQUENT, SMC, INTEGRAL, *ABLATIONS):
-        for reference in (BENDS, SLIDES):
-            for noise in (NOISE, 0.0):
-                cells = Cell(label, reference=reference, noise=noise).models()
-                if evidence.has(*cells):
-                    ratios = [evidence.ratio(cell, PROPOSED) for cell in cells]
-                    restless = evidence.ratio(cells[0], PROPOSED, "chattering")
-                    yield label, ", ".join(MOVING[reference]), _noise(noise), *ratios, restless
+    labels = (CONSEQUENT, SMC, INTEGRAL, *variants.ABLATIONS)
+    for label, reference, noise in product(labels, MOVING, (NOISE, 0.0)):
+        cells = Cell(label, reference=reference, noise=noise).models()
+        if evidence.has(*cells):
+            ratios = [evidence.ratio(cell, PROPOSED) for cell in cells]
+            restless = evidence.ratio(cells[0], PROPOSED, "chattering")
+            yield label, *_place(cells[0])[:2], *ratios, restless
 
 
 def gain_sets(evidence: Evidence) -> Rows:
     """Tuned gains against hand-set ones."""
-    for name in CONTROLLERS:
-        for noise in (NOISE, 0.0):
-            cells = Cell(name, noise=noise).models()
-            if evidence.has(*cells, *Cell(by_hand(name), noise=noise).models()):
-                ratios = [evidence.ratio(cell, by_hand(name)) for cell in cells]
-                yield name, _noise(noise), *ratios
+    for name, noise in product(CONTROLLERS, (NOISE, 0.0)):
+        cells = Cell(name, noise=noise).models()
+        if evidence.has(*cells, *Cell(by_hand(name), noise=noise).models()):
+            yield name, _noise(noise), *(evidence.ratio(cell, by_hand(name)) for cell in cells)
 
 
 def tuning(evidence: Evidence, gains: Path) -> Rows:
@@ -254,8 +182,8 @@ def tuning(evidence: Evidence, gains: Path) -> Rows:
             continue
         origin = tomllib.loads(file.read_text(encoding="utf-8"))
         if {"tuning", "search", "long_trial"} <= set(origin):
-            trials = (origin["search"], origin["long_trial"])
-            costs = [float(trial[key]) for trial in trials for key in ("cost", "recommended")]
+            trials = product(("search", "long_trial"), ("cost", "recommended"))
+            costs = [float(origin[trial][key]) for trial, key in trials]
             better = "yes" if costs[2] < costs[3] else "no"
             at_bounds = ", ".join(origin["tuning"]["at_bounds"]) or "none"
             yield name, *costs, costs[3] / costs[2], better, at_bounds
@@ -263,25 +191,23 @@ def tuning(evidence: Evidence, gains: Path) -> Rows:
 
 def rates(evidence: Evidence) -> Rows:
     """Other control rates."""
-    studies = [study_of_rate(rate) for rate in RATES if rate != RATE]
-    for rate in RATES:
-        for label in _labels(evidence, *studies):
-            noisy = Cell(label, study_of_rate(rate), mismatch=WRONG, noise=NOISE)
-            both = (noisy, noisy._replace(noise=0.0))
-            if evidence.has(*both):
-                numbers = [f(cell) for f in (evidence.error, evidence.chattering) for cell in both]
-                yield f"{rate:g} Hz", label, *numbers, _lost(evidence, *both)
+    labels = _labels(evidence, *(studies.study_of_rate(rate) for rate in RATES if rate != RATE))
+    for rate, label in product(RATES, labels):
+        noisy = Cell(label, studies.study_of_rate(rate), mismatch=WRONG, noise=NOISE)
+        both = (noisy, noisy._replace(noise=0.0))
+        if evidence.has(*both):
+            numbers = [f(cell) for f in (evidence.error, evidence.chattering) for cell in both]
+            yield f"{rate:g} Hz", label, *numbers, _lost(evidence, *both)
 
 
 def correlation(evidence: Evidence) -> Rows:
     """Other correlation times of the noise."""
-    others = {cell.time for cell in evidence.rows if cell.study == "correlation"}
-    for time in sorted({*others, TIME}):
-        for label in _labels(evidence, "correlation"):
-            study = "tracking" if time == TIME else "correlation"
-            cell = Cell(label, study, mismatch=WRONG, noise=NOISE, time=time)
-            numbers = evidence.error(cell), evidence.chattering(cell)
-            yield f"{1e3 * time:g} ms", label, *numbers, _lost(evidence, cell)
+    times = {cell.time for cell in evidence.rows if cell.study == "correlation"} | {TIME}
+    for time, label in product(sorted(times), _labels(evidence, "correlation")):
+        study = "tracking" if time == TIME else "correlation"
+        cell = Cell(label, study, mismatch=WRONG, noise=NOISE, time=time)
+        numbers = evidence.error(cell), evidence.chattering(cell)
+        yield f"{1e3 * time:g} ms", label, *numbers, _lost(evidence, cell)
 
 
 def degradation(evidence: Evidence) -> Table:
@@ -298,20 +224,17 @@ def beyond(evidence: Evidence, name: str) -> Table:
     """Payload, delay or loss, in the sweeps that vary nothing else."""
     sort = BEYOND[name]
     rows: list[Sequence[Entry]] = []
-    for label in CONTROLLERS:
-        for start in Cell(label, "beyond").models():
-            own = [start._replace(**{name: value}) for value in sort.values]
-            if evidence.has(*own):
-                rows.append((label, percent(start.mismatch), *map(evidence.error, own)))
-    heads = [f"{sort.factor * value:g} {sort.unit}" for value in sort.values]
-    return _table("beyond", rows, heads, name)
+    for label, model in product(CONTROLLERS, MODELS):
+        start = Cell(label, "beyond", mismatch=model)
+        own = [start._replace(**{name: value}) for value in sort.values]
+        if evidence.has(*own):
+            rows.append((label, percent(model), *map(evidence.error, own)))
+    return _table("beyond", rows, [*map(sort.written, sort.values)], name)
 
 
 def drift(evidence: Evidence) -> Rows:
     """What grows in long runs with and without safeguards."""
-    for label, name in LONG.items():
-        if name not in evidence.series:
-            continue
+    for label, name in LONG.items() if evidence.effort.long else ():
         series = evidence.series[name]
         bounds = np.asarray(evidence.variants[label].gains["E_max"])
         largest = np.max(series.E / bounds, axis=2)  # of all coordinates, in bounds
@@ -345,9 +268,8 @@ def cells(evidence: Evidence) -> Rows:
 def numbers_of(claims: Sequence[Claim]) -> Rows:
     """All numbers of all claims but timings."""
     for c in claims:
-        for row in c.rows:
-            if not row.varies:
-                yield c.letter, str(c.verdict), c.condition, row.name, *row.number, row.unit
+        own = c.letter, str(c.verdict), c.condition
+        yield from ((*own, row.name, *row.number, row.unit) for row in c.rows if not row.varies)
 
 
 def timings(evidence: Evidence) -> Table:
@@ -365,8 +287,36 @@ def _table(key: str, rows: Rows, columns: Sequence[str] = (), name: str = "") ->
     return Table(name or key, caption, [*wording["columns"], *columns], list(rows))
 
 
+def _place(cell: Cell) -> tuple[str, str, str]:
+    """Joints, noise and model."""
+    return ", ".join(MOVING[cell.reference]), _noise(cell.noise), percent(cell.mismatch)
+
+
+def _plant(cell: Cell) -> tuple[Entry, ...]:
+    """Modules, control period and noise."""
+    return cell.plant, studies.period_of_plants(cell.study), _noise(cell.noise)
+
+
 def _noise(noise: float) -> str:
     return percent(noise).lstrip("+") if noise else "none"
+
+
+def _least(evidence: Evidence, cells: Sequence[Cell]) -> Cell:
+    return min(cells, key=lambda cell: evidence.error(cell).value)
+
+
+def _rank(evidence: Evidence, cell: Cell, names: Sequence[str]) -> Entry:
+    rank = evidence.rank(cell, names)
+    return "lost" if np.isnan(rank.value) else rank
+
+
+def _period(seconds: float, shortest: float) -> Entry:
+    """In milliseconds, or beyond which one it is [s]."""
+    if math.isnan(seconds):
+        return "no slope"
+    if seconds > LONGEST:
+        return f"above {1e3 * LONGEST:g}"
+    return f"below {1e3 * shortest:g}" if seconds < shortest else 1e3 * float(seconds)
 
 
 def _lost(evidence: Evidence, *cells: Cell) -> str:

@@ -7,6 +7,7 @@ stands in can be run by `octarm sweep` and `octarm verify` alone.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -29,22 +30,17 @@ AS_PRINTED = "afsmc, sgn as printed"
 UNGUARDED = "afsmc, no safeguards"
 MATCHED = "smc-boundary, matched slope"
 ABLATIONS = (FIXED_RULES, FIXED_PREMISES, AS_PRINTED, UNGUARDED, MATCHED)
-HAND_SET = "{}, hand-set"  # the label of a controller with hand-set gains
+TUNED, BY_HAND = "tuned", "hand-set"  # the two gain sets of every controller
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Variant:
-    """A controller with its gains.
+    """A controller with its gains."""
 
-    Attributes:
-        label: under which it stands in tables and figures.
-        controller: name on the command line.
-        gains: all that are numbers, as numbers or lists [SI], scaled to the nominal arm; the same
-            for every model that the controller believes.
-    """
-
-    label: str
-    controller: str
+    label: str  # under which it stands in tables and figures
+    controller: str  # name on the command line
+    # All that are numbers, as numbers or lists [SI], scaled to the nominal arm; they are the same
+    # for every model that the controller believes.
     gains: Mapping[str, Any]
 
     def changed(self, label: str, **gains: Any) -> Variant:
@@ -56,9 +52,6 @@ class Variant:
         return make_controller(self.controller, nominal, self.gains)
 
 
-TUNED, BY_HAND = "tuned", "hand-set"  # the two gain sets of every controller
-
-
 def with_gains(name: str, gains: str) -> str:
     """The label of a controller, or of an ablation, with one of the two gain sets."""
     return name if gains == TUNED else by_hand(name)
@@ -66,7 +59,7 @@ def with_gains(name: str, gains: str) -> str:
 
 def by_hand(name: str) -> str:
     """The label of a controller with hand-set gains."""
-    return HAND_SET.format(name)
+    return f"{name}, {BY_HAND}"
 
 
 def all_variants(folder: Path | None = None) -> dict[str, Variant]:
@@ -79,31 +72,29 @@ def all_variants(folder: Path | None = None) -> dict[str, Variant]:
     Raises:
         OctarmError: if a gain set cannot be read.
     """
-    nominal = octarm.nominal_parameters()
-
-    def variant(label: str, name: str, gain_set: str) -> Variant:
-        gains = _gains_of(make_controller(name, nominal, gain_set=gain_set or None))
-        return Variant(label=label, controller=name, gains=gains)
-
-    def tuned_set(name: str) -> str:
-        if folder is None:
-            return ""
-        file = folder / f"{name}.toml"
-        return str(file) if file.is_file() else "recommended"
-
-    variants = [variant(name, name, tuned_set(name)) for name in CONTROLLERS]
-    variants += [variant(by_hand(name), name, "recommended") for name in CONTROLLERS]
-    known = {one.label: one for one in variants}
+    known: dict[str, Variant] = {}
+    for gains, name in itertools.product((TUNED, BY_HAND), CONTROLLERS):
+        file = folder / f"{name}.toml" if folder else None
+        gain_set = None if file is None else str(file) if file.is_file() else "recommended"
+        controller = make_controller(
+            name,
+            octarm.nominal_parameters(),
+            gain_set=gain_set if gains == TUNED else "recommended",
+        )
+        label = with_gains(name, gains)
+        known[label] = Variant(label=label, controller=name, gains=_gains_of(controller))
     for gains in (TUNED, BY_HAND):
         proposed, smc = (known[with_gains(name, gains)] for name in (PROPOSED, SMC))
-        ablations = [
-            proposed.changed(with_gains(FIXED_RULES, gains), eta2=0.0),
-            proposed.changed(with_gains(FIXED_PREMISES, gains), eta3=0.0, eta4=0.0),
-            proposed.changed(with_gains(AS_PRINTED, gains), phi=0.0),
-            proposed.changed(with_gains(UNGUARDED, gains), safeguards=0.0),
-            smc.changed(with_gains(MATCHED, gains), **matched_slope(proposed.gains)),
-        ]
-        known |= {one.label: one for one in ablations}
+        ablations = {
+            FIXED_RULES: {"eta2": 0.0},
+            FIXED_PREMISES: {"eta3": 0.0, "eta4": 0.0},
+            AS_PRINTED: {"phi": 0.0},
+            UNGUARDED: {"safeguards": 0.0},
+            MATCHED: matched_slope(proposed.gains),
+        }
+        for name, changes in ablations.items():
+            label = with_gains(name, gains)
+            known[label] = (smc if name == MATCHED else proposed).changed(label, **changes)
     return known
 
 
@@ -130,12 +121,8 @@ def matched_slope(gains: Mapping[str, Any]) -> dict[str, Any]:
     z = np.linspace(0.0, 3.0, 3001)[:, None]
     f = np.sum(np.sign(alpha) * np.exp(-np.square(sigma * (z - alpha))), axis=-1, keepdims=True)
     K = np.max(E_max * np.minimum(z * scale / phi, 1.0) + theta_max * f, axis=0)
-    return {
-        "lambda": gains["lambda"],
-        "K_v": gains["K_v"],
-        "K": _number_or_list(K),
-        "phi": _number_or_list(K / slope),
-    }
+    same = {name: gains[name] for name in ("lambda", "K_v")}
+    return {**same, "K": _number_or_list(K), "phi": _number_or_list(K / slope)}
 
 
 def _gains_of(controller: Any) -> dict[str, Any]:

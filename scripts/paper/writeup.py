@@ -1,7 +1,5 @@
 """What is written: tables, claims, figures, the write-up in Markdown and as a page, the README."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
@@ -16,20 +14,18 @@ from paper import figures, tables
 from paper.claims import PAGES, TEXTS, Claim, claim, worded, words
 from paper.evidence import Evidence
 from paper.numbers import in_words, median, rounded, spread
-from paper.rules import CLAIMS as RULES
-from paper.rules import QUESTIONS
+from paper.rules import CLAIMS, QUESTIONS
 from paper.tables import Table, all_tables, as_csv, timings
 
-PAGE, CLAIMS, TABLES, FIGURES = "report.html", "claims.json", "tables", "figures"
+PAGE, TABLES, FIGURES = "report.html", "tables", "figures"
 START, END = "<!-- claims -->", "<!-- /claims -->"
 _PACKAGES = ("octarm", "numpy", "mujoco", "dm-control")
 
 
 def all_claims(evidence: Evidence) -> list[Claim]:
     """(a) to (g), and then our own questions of which something was run."""
-    claims = [claim(name, list(cases(evidence))) for name, cases in RULES.items()]
-    questions = ((name, list(cases(evidence))) for name, cases in QUESTIONS.items())
-    return claims + [claim(name, cases) for name, cases in questions if cases]
+    cases = [(rule, list(rule(evidence))) for rule in (*CLAIMS, *QUESTIONS)]
+    return [claim(rule.__name__, own) for rule, own in cases if own or rule in CLAIMS]
 
 
 def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = None) -> list[Claim]:
@@ -55,11 +51,10 @@ def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = No
     claims = all_claims(evidence)
     written = all_tables(evidence, claims, gains)
     drawn = list(figures.pictures(evidence))
-    numbers = content(evidence, claims, written, timings=True)
     texts = {
         **{f"{TABLES}/{name}.csv": as_csv(table) for name, table in written.items()},
         "timings.csv": as_csv(timings(evidence)),
-        CLAIMS: as_json(content(evidence, claims, written)),
+        "claims.json": as_json(content(evidence, claims, written)),
         "paper.md": markdown(evidence, claims, written, f"{FIGURES}/paper.png"),
         PAGE: page(evidence, claims, drawn[1:], written),
         **{f"{FIGURES}/{one.name}.svg": one.svg for one in drawn},
@@ -67,15 +62,13 @@ def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = No
     files = {out / name: text.encode() for name, text in texts.items()}
     files |= {out / FIGURES / f"{one.name}.png": one.png for one in drawn}
     if root is not None:
-        readme = root / "README.md"
+        readme, folder = root / "README.md", root / ".readme"
+        numbers = content(evidence, claims, written, timings=True)
         files |= {
-            root / ".readme" / "paper.json": as_json(numbers).encode(),
-            root / ".readme" / "paper.md": markdown(
-                evidence, claims, written, "paper.png"
-            ).encode(),
-            root / ".readme" / "paper.png": drawn[0].png,
-            **{root / ".readme" / f"{x.name}.png": x.png for x in drawn if x.name == "plants"},
             readme: with_claims(readme.read_text(encoding="utf-8"), numbers).encode(),
+            folder / "paper.json": as_json(numbers).encode(),
+            folder / "paper.md": markdown(evidence, claims, written, "paper.png").encode(),
+            **{folder / f"{x.name}.png": x.png for x in drawn if x.name in ("paper", "plants")},
         }
     write_files(files)
     return claims
@@ -130,12 +123,9 @@ def markdown(
 ) -> str:
     """The write-up."""
     return _rendered(
-        "paper.md",
-        picture_file=picture,
-        seeds=evidence.effort.seeds,
-        claims=claims,
+        "paper.md", picture_file=picture, seeds=evidence.effort.seeds, claims=claims,
         tables=written,
-    )
+    )  # fmt: skip
 
 
 def page(
@@ -160,23 +150,16 @@ def page(
 
 def _layout(table: Table) -> report_page.Table:
     """A table as pages have it; words stand to the left."""
-    kinds = [
-        "left" if any(isinstance(x, str) for x in own) else ""
-        for own in zip(*table.rows, strict=True)
-    ]
-    return report_page.Table(
-        [
-            report_page.Cell(name, kind=kind)
-            for name, kind in zip(table.columns, kinds, strict=True)
-        ],
-        [
-            [
-                report_page.Cell(median(x), [spread(x)] if spread(x) else [], kind)
-                for x, kind in zip(row, kinds, strict=True)
-            ]
-            for row in table.rows
-        ],
-    )
+    columns = zip(*table.rows, strict=True)
+    kinds = ["left" if any(isinstance(x, str) for x in own) else "" for own in columns]
+
+    def cells(row: Sequence[tables.Entry]) -> list[report_page.Cell]:
+        entries = zip(row, kinds, strict=True)
+        return [
+            report_page.Cell(median(x), [spread(x)] if spread(x) else [], k) for x, k in entries
+        ]
+
+    return report_page.Table(cells(table.columns), [cells(row) for row in table.rows])
 
 
 def _rendered(template: str, **values: Any) -> str:
