@@ -125,10 +125,7 @@ def _motion_sizes(numbers: dict[str, Any]) -> list[str]:
     if tones := numbers.get("tones"):
         largest = np.max([np.abs(tone["amplitude"]) for tone in tones], axis=0).tolist()
         numbers |= {"amplitude": largest, "frequency": [tone["frequency"] for tone in tones]}
-    amplitude = numbers.get(
-        "amplitude"
-    )  # a number of a reference that is not built in may be alone
-    sizes = [_sizes(amplitude)] if isinstance(amplitude, list) else []
+    sizes = [_sizes(numbers["amplitude"])] if "amplitude" in numbers else []
     if "frequency" in numbers:
         sizes.append(f"at {amount(numbers['frequency'], 'Hz')}")
     if "goal" in numbers and "start" in numbers:
