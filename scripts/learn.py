@@ -72,7 +72,8 @@ def search(env: Any, iterations: int, seed: int) -> np.ndarray:
     arms, inputs = env.action_space.shape
     directions = arms // 2
     random, weights = np.random.default_rng(seed), np.zeros((inputs, 1 + 4 * inputs))
-    gains = make_controller(BASE, octarm.nominal_parameters()).K_p[inputs // 2 :]
+    base: Any = make_controller(BASE, octarm.nominal_parameters())
+    gains = base.K_p[inputs // 2 :]
     eager = np.repeat(gains / np.max(gains), 2)[:, None]  # little where a bend gives way easily
     best, best_return = weights, -np.inf
     _, size = play(env, np.zeros((arms, *weights.shape)))

@@ -166,7 +166,7 @@ PICTURES: dict[str, Callable[[Studio, str], None]] = {
 
 def main() -> None:
     """Makes all pictures, or those that are named."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
     parser.add_argument("--only", nargs="+", choices=list(PICTURES), default=list(PICTURES))
     parser.add_argument("--out", type=Path, default=ROOT / ".readme", help="folder")
     arguments = parser.parse_args()

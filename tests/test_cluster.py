@@ -68,7 +68,8 @@ def test_the_command_ends_at_the_first_interrupt_when_nothing_runs(tmp_path, emp
     time.sleep(5.0)  # it imports, or waits
     process.send_signal(signal.SIGINT)
     out, error = process.communicate(timeout=1800)
-    assert (process.returncode, out, error) == (ExitCode.INTERRUPTED, "", "octarm: interrupted\n")
+    assert (process.returncode, error) == (ExitCode.INTERRUPTED, "octarm: interrupted\n")
+    assert out.startswith("note: ") and out.count("\n") == 1
     assert not (tmp_path / "s").exists()
 
 
@@ -181,7 +182,7 @@ def test_the_command_says_one_sentence_of_a_scheduler_that_is_killed(tmp_path):
             time.sleep(0.02)
         scheduler.kill()
         out, error = process.communicate(timeout=1800)
-    assert (process.returncode, out) == (ExitCode.BAD_INPUT, "")
+    assert process.returncode == ExitCode.BAD_INPUT and out.count("\n") == 1  # on short runs
     assert "does not answer any more; shards left to do:" in error and error.count("\n") == 1
 
 

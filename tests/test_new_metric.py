@@ -79,5 +79,5 @@ def test_a_sweep_and_its_report_have_it(declared, tmp_path):
     assert main(["report", str(folder), *metrics]) == 0
     page = ET.fromstring((folder / "report" / "report.html").read_text(encoding="utf-8"))
     rows = [["".join(cell.itertext()) for cell in row.iter("td")] for row in page.iter("tr")]
-    assert ["largest_distance_theta2", "largest |q| of the run", "rad", "more"] in rows
+    assert ["largest_distance_theta2", "largest |q| of the run", "mrad", "more"] in rows
     assert ["last_s", "mean of s at the end", "m/s", "neither"] in rows

@@ -40,7 +40,9 @@ def with_names(document: Document) -> Document:
     words: dict[tuple[str, str], tuple[Declared[Any], str]] = {}
     for table, word, keys in _words(document.content):
         path = absolute(word, folder)
-        if table.named_by(word).word in known or (table is _CONTROLLERS and ":" not in word):
+        if {word, table.named_by(word).word} & known.keys():
+            continue
+        if table is _CONTROLLERS and ":" not in word:
             continue
         try:
             table.code(path)
