@@ -72,7 +72,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from octarm.disturbances.episode import Force
-from octarm.disturbances.fields import Amount, Quantity
+from octarm.fields import Amount, Quantity
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

@@ -174,8 +174,8 @@ def test_what_cannot_be_compared_is_refused(tmp_path, monkeypatch, capsys):
     Path("two").mkdir()
     write_run(Path("two"), swinging(2, rows=50), described(2, metrics={}))
     for words, sentence in (
-        ([], "0 runs are given; octarm compare needs two or more"),
-        (["r0"], "1 runs are given"),
+        ([], "octarm compare needs two runs or more; 0 given"),
+        (["r0"], "octarm compare needs two runs or more; 1 given"),
         (["r0", "two"], "the arms have 3 and 2 modules; they cannot be compared"),
         (["r0", "nothing"], "nothing is not a run folder"),
     ):

@@ -15,7 +15,6 @@ from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import nominal_parameters
 from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Disturbance, Episode
-from octarm.disturbances.fields import field_kinds
 from octarm.disturbances.forces import BandLimitedNoise, SineForce, StepForce
 from octarm.disturbances.ledger import asked
 from octarm.disturbances.plant import Payload, RandomMismatch
@@ -29,6 +28,7 @@ from octarm.disturbances.spelling import (
     to_dict,
 )
 from octarm.disturbances.streams import stream
+from octarm.fields import field_kinds
 from octarm.references import named_reference
 
 P = nominal_parameters()

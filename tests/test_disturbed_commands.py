@@ -11,8 +11,8 @@ from test_disturbances import SPELLINGS
 
 from octarm.commands import cli
 from octarm.disturbances.episode import Disturbance
-from octarm.disturbances.fields import field_defaults, field_keys, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES, help_text, parse_disturbance, spelling
+from octarm.fields import field_defaults, field_keys, field_kinds
 from octarm.runs import folder as runs
 
 _NAMES = "|".join(sorted(DISTURBANCES, key=len, reverse=True))

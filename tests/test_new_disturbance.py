@@ -36,7 +36,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from octarm.disturbances.episode import Episode, Force
-from octarm.disturbances.fields import Amount, Quantity
+from octarm.fields import Amount, Quantity
 from octarm.disturbances.streams import first_step
 
 

@@ -9,10 +9,10 @@ import pytest
 from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
 from octarm.disturbances.episode import Force
-from octarm.disturbances.fields import Amount, Quantity
 from octarm.disturbances.forces import BandLimitedNoise, PulseForce
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError
+from octarm.fields import Amount, Quantity
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spec_file import parse_spec, read_spec
 

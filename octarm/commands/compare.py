@@ -17,7 +17,7 @@ PAGE, RECORDING, FIGURES = "comparison.html", "comparison.rrd", "figures"
 def compare(folders: Sequence[Path], out: Path) -> int:
     """`octarm compare`: runs in one page and one recording."""
     if len(folders) < 2:
-        raise OctarmError(f"{len(folders)} runs are given; octarm compare needs two or more")
+        raise OctarmError(f"octarm compare needs two runs or more; {len(folders)} given")
     if out.exists() and not out.is_dir():
         raise OctarmError(f"{out} is not a folder; choose another --out")
     runs = [rows_of(folder) for folder in folders]

@@ -16,8 +16,8 @@ import numpy as np
 
 from octarm.disturbances.delivered import Measured
 from octarm.disturbances.episode import ActuatorFault, ActuatorProcess, Disturbance, Episode, Event
-from octarm.disturbances.fields import Amount, Quantity
 from octarm.disturbances.streams import DelayLine, first_step
+from octarm.fields import Amount, Quantity
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

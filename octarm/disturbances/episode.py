@@ -26,9 +26,9 @@ from octarm.arm.groups import Groups
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.delivered import Measured
-from octarm.disturbances.fields import Amount, Quantity, field_defaults, field_kinds
 from octarm.disturbances.streams import HeldNoise, episode_seed, stream
 from octarm.errors import OctarmError, closest, quoted
+from octarm.fields import Amount, Quantity, field_defaults, field_kinds
 from octarm.interfaces import Motion
 from octarm.references import wanted
 

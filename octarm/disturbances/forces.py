@@ -13,9 +13,9 @@ from octarm.arm.kinematics import tip_force
 from octarm.arrays import entry
 from octarm.disturbances.delivered import Measured
 from octarm.disturbances.episode import Episode, Event, Force, ForceProcess
-from octarm.disturbances.fields import PHASE, Amount, Quantity, Words
 from octarm.disturbances.streams import NEVER, HeldNoise, in_steps
 from octarm.errors import OctarmError
+from octarm.fields import PHASE, Amount, Quantity, Words
 
 _TIP = {"tip-x": (1.0, 0.0), "tip-y": (0.0, 1.0)}  # directions in the base frame
 

@@ -19,8 +19,8 @@ from octarm.declared import BUILT_IN, Code
 from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.delivered import Measured, Record
 from octarm.disturbances.episode import Disturbance, Event, Plant, numbered, occurrences
-from octarm.disturbances.fields import Amount
 from octarm.disturbances.spelling import DISTURBANCES, from_entry, spelling, to_dict
+from octarm.fields import Amount
 from octarm.formats import Array, Model
 
 Number = Annotated[float, Strict(False)]  # infinity is a word in JSON

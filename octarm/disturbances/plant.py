@@ -15,8 +15,8 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from octarm.disturbances.episode import Episode, Event, Plant, PlantChange, PlantProcess
-from octarm.disturbances.fields import PHASE, Amount, Quantity, Words
 from octarm.disturbances.streams import NEVER, first_step, periods_begun
+from octarm.fields import PHASE, Amount, Quantity, Words
 
 # The parameters that have factors, and how many axes each has after the batch axes.
 SCALABLE = {"mass": 1, "inertia": 1, "stiffness": 2, "damping": 2, "rest_length": 1}

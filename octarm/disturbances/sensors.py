@@ -17,8 +17,8 @@ from octarm.arrays import Entry
 from octarm.disturbances.actuators import Delay
 from octarm.disturbances.delivered import Measured
 from octarm.disturbances.episode import Episode, SensorFault, SensorProcess
-from octarm.disturbances.fields import Amount, Quantity
 from octarm.disturbances.streams import DelayLine, HeldNoise
+from octarm.fields import Amount, Quantity
 
 Rate = Annotated[Amount, Quantity("1/s", at_least=0.0)]
 

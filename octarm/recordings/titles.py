@@ -10,9 +10,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from octarm.disturbances.fields import Quantity, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import printable
+from octarm.fields import Quantity, field_kinds
 from octarm.recordings.channels import disturbances_of
 
 LONGEST = 200  # characters of a title, a message or a cell

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from octarm.declared import Code
-from octarm.disturbances.fields import field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError, printable
+from octarm.fields import field_kinds
 from octarm.sweeps.spec import which
 
 LONGEST = 60  # characters of a name in tables and figures

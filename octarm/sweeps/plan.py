@@ -17,9 +17,9 @@ import numpy.typing as npt
 
 from octarm.arm.groups import PAPER, groups_of
 from octarm.disturbances.episode import Disturbance, PlantChange
-from octarm.disturbances.fields import Amount, Quantity, field_kinds
 from octarm.disturbances.streams import stream
 from octarm.errors import OctarmError
+from octarm.fields import Amount, Quantity, field_kinds
 from octarm.memory import check_memory
 from octarm.simulation.steps import AUTO, StepError, check_arms, fitting_step, steps_of
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec

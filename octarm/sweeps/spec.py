@@ -14,8 +14,8 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arrays import plain
 from octarm.declared import Code, word_of
 from octarm.disturbances.episode import Disturbance
-from octarm.disturbances.fields import field_keys
 from octarm.disturbances.spelling import DISTURBANCES
+from octarm.fields import field_keys
 from octarm.formats import to_toml
 from octarm.interfaces import Controller, ControllerFactory
 from octarm.metrics.declared import declared_metrics, measured

@@ -17,9 +17,9 @@ from octarm.arm.groups import PAPER, groups_of
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.declared import Code, short_name, word_of
-from octarm.disturbances.fields import Words, field_defaults, field_keys, field_kinds
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError, OctarmError, closest, quoted
+from octarm.fields import Words, field_defaults, field_keys, field_kinds
 from octarm.formats import Array, Document, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SETTINGS, Axis, SweepSpec, keys_of, which
