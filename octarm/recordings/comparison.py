@@ -12,11 +12,11 @@ import rerun.blueprint as rrb
 
 from octarm.errors import OctarmError
 from octarm.recordings.blueprints import Layout, Plots
-from octarm.recordings.differences import differences, labels, verdict
 from octarm.recordings.notes import markdown_table
 from octarm.recordings.recording import RunRecording
 from octarm.recordings.rrd import Path, rerun_errors, rrd_file, structures, times
 from octarm.recordings.titles import title_of
+from octarm.recordings.what_differs import differences, labels, verdict
 from octarm.simulation.trajectory import Trajectory
 
 # The arrays of a run of one arm, and what `run.json` holds.

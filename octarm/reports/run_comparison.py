@@ -17,8 +17,8 @@ from octarm.metrics.metric import Metric
 from octarm.palette import OTHERS, look_of
 from octarm.recordings.channels import coordinates_of
 from octarm.recordings.comparison import difference
-from octarm.recordings.differences import differences, labels, verdict
 from octarm.recordings.titles import events_of, title_of
+from octarm.recordings.what_differs import differences, labels, verdict
 from octarm.reports import figures
 from octarm.reports.figures import Axes, Picture
 from octarm.reports.frame import DEFAULT
