@@ -14,7 +14,7 @@ import numpy as np
 from octarm.disturbances.actuators import ActuationDelay, DeadZone, Lag
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.forces import BandLimitedNoise, StepForce
-from octarm.disturbances.plant import Payload
+from octarm.disturbances.plant import Mismatch, Payload
 from octarm.disturbances.sensors import MeasurementNoise
 
 
@@ -23,6 +23,7 @@ class Scenario:
     """What a controller is tried on; the true arm is the nominal one.
 
     Attributes:
+        damping: factor on the damping of the arm, which its nominal model has, too [1].
         mismatch: of its nominal model, see `ArmParameters.mismatched` [1].
         noise: rms of the force on each joint over the amplitude of its input signal [1].
         correlation_time: of this noise [s].
@@ -38,6 +39,7 @@ class Scenario:
     """
 
     reference: str
+    damping: float = 1.0
     mismatch: float = 0.0
     noise: float = 0.0
     correlation_time: float = 0.01
@@ -74,7 +76,9 @@ SCENARIOS = (
     # The arm carries something.
     Scenario(reference="sine", payload=0.2),
     # The arm is not its model: three modules to each one of the controller's.
-    Scenario(reference="sine", mismatch=-0.3, plant_modules=9, period=0.0002),
+    Scenario(reference="sine", mismatch=-0.3, plant_modules=9),
+    # The arm does not damp itself: a law that adapts has to, as on the published arms.
+    Scenario(reference="sine", noise=0.4, damping=0.02, period=0.002),
 )
 
 EVALUATION = (
@@ -95,6 +99,7 @@ def disturbances(scenarios: Sequence[Scenario]) -> list[Disturbance]:
 
     time = each("correlation_time")
     parts: dict[str, Disturbance] = {
+        "damping": Mismatch(damping=each("damping")),
         "noise": BandLimitedNoise(ratio=each("noise")[:, None], correlation_time=time),
         "readings": MeasurementNoise(rms=each("readings")[:, None]),
         "delay": ActuationDelay(delay=each("delay")),
@@ -103,4 +108,4 @@ def disturbances(scenarios: Sequence[Scenario]) -> list[Disturbance]:
         "payload": Payload(mass=each("payload")),
         "push": StepForce(amplitude=each("push"), at=1.5, on="tip-y"),
     }
-    return [part for name, part in parts.items() if np.any(each(name))]
+    return [part for name, part in parts.items() if np.any(each(name) != getattr(Scenario, name))]

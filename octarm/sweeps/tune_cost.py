@@ -217,8 +217,9 @@ def _costs(
         plant_modules=rig.plant_modules,
         layout=rig.layout,
     )
+    damping = each([scenario.damping for scenario in scenarios])[:, None, None]
     nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
-    nominal = nominal.mismatched(rig.mismatch).scaled(**rig.nominal)
+    nominal = nominal.scaled(damping=damping).mismatched(rig.mismatch).scaled(**rig.nominal)
     gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}
     observer = _Observer(examination, environment.control_timestep(), environment.physics)
     with arm_seconds(environment, examination.duration, progress) as seconds:
