@@ -273,10 +273,7 @@ class PlantFields:
         """Writes the parameters, of all arms or with the batch's axis (n,).
 
         The angle by which gravity turns from the hanging arm towards +y of the base frame has shape
-        () or shape (n,) [rad].
-
-        Returns:
-            Whether inertias changed, so that the caller must make MuJoCo's constants follow.
+        () or shape (n,) [rad]. True if inertias changed: MuJoCo's constants must then follow.
         """
         mass, inertia = self._field("body_mass"), self._field("body_inertia")
         changed = np.any(mass[..., self._bodies] != p.mass) or np.any(

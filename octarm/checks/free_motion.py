@@ -68,17 +68,11 @@ def simulate(
 ForceOf = Callable[[int, float, np.ndarray], np.ndarray]
 
 
-def no_force(sample: int, t: float, q: np.ndarray) -> np.ndarray:
-    """The force on an arm let go, shape (..., 2N) [N], [N m]: zero."""
-    del sample, t
-    return np.zeros_like(q)
-
-
 def reference_motion(
     p: ArmParameters,
     q: np.ndarray,
     v: np.ndarray,
-    force: ForceOf = no_force,
+    force: ForceOf = lambda sample, t, q: np.zeros_like(q),
     times: np.ndarray | None = None,
 ) -> np.ndarray:
     """Coordinates of analytic arms from q, v on, shape (samples + 1, ..., 2N) [m], [rad].
@@ -192,15 +186,14 @@ def mujoco_linearisation(model: mujoco.MjModel, q: np.ndarray) -> np.ndarray:
         differences = [acceleration(rest + d) - acceleration(rest - d) for d in steps]
         return np.stack(differences, axis=1) / (2.0 * h)
 
-    return _state_matrix((4.0 * slopes(1e-4) - slopes(2e-4)) / 3.0)  # Richardson, fourth order
+    richardson = (4.0 * slopes(1e-4) - slopes(2e-4)) / 3.0  # of fourth order
+    return np.vstack([np.eye(*richardson.shape, k=q.size), richardson])
 
 
 def undamped_modes(p: ArmParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Modes of the analytic arm about its equilibrium, by ascending frequency.
+    """Frequencies about the equilibrium, ascending, and modes as columns, orthonormal by D.
 
-    Returns:
-        Frequencies, shape (2N,) [rad/s], NaN for an unstable mode; and the modes as columns, shape
-        (2N, 2N), orthonormal with respect to D.
+    They have shapes (2N,) [rad/s], NaN for an unstable mode, and (2N, 2N).
     """
     q = lagrange.equilibrium(p)
     squares, modes = eigh(lagrange.potential_hessian(p, q), lagrange.mass_matrix(p, q))
@@ -279,8 +272,3 @@ def energy_imbalance(
     dissipated = simpson(power, dx=model.opt.timestep)
     change = float(np.diff(kinetic + potential)[0])
     return float(abs(change - work + dissipated) / np.max(lagrange.kinetic_energy(p, q_t, v_t)))
-
-
-def _state_matrix(slopes: np.ndarray) -> np.ndarray:
-    n = slopes.shape[0]
-    return np.vstack([np.eye(n, 2 * n, n), slopes])
