@@ -99,7 +99,8 @@ def test_a_function_names_the_shapes_of_its_arrays(docs: list[str]):
 METHODS = [
     pytest.param(docs, id=f"{module.__name__}.{name}")
     for module in modules()
-    for name, docs, _ in methods(module)
+    for name, docs, function in methods(module)
+    if function.__name__ != "<lambda>"  # the default of a field
 ]
 
 

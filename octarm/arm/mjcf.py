@@ -295,15 +295,8 @@ class PlantFields:
             self._field("wrap_prm")[..., bends] = lever
             self._field("actuator_gear")[..., reactions, 5] = lever[..., 1:]
         self._plain &= p.entries.plain
-        if not self._plain:
-            self._write_backbone(p)
+        for row, free in () if self._plain else enumerate((p.rest_length, p.rest_angle)):
+            self._field("jnt_stiffness")[..., self._dof[row]] = p.backbone_stiffness[..., row, :]
+            self._field("dof_damping")[..., self._dof[row]] = p.backbone_damping[..., row, :]
+            self._field("qpos_spring")[..., self._qpos[row]] = free
         return bool(changed)
-
-    def _write_backbone(self, p: ArmParameters) -> None:
-        stiffness, damping, relaxed = map(
-            self._field, ("jnt_stiffness", "dof_damping", "qpos_spring")
-        )
-        for row, free in enumerate((p.rest_length, p.rest_angle)):
-            stiffness[..., self._dof[row]] = p.backbone_stiffness[..., row, :]
-            damping[..., self._dof[row]] = p.backbone_damping[..., row, :]
-            relaxed[..., self._qpos[row]] = free

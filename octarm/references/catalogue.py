@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from dataclasses import is_dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -135,8 +136,7 @@ def _suits_an_arm(thing: Any) -> bool:
 
 
 def _kinds(thing: Any) -> dict[str, Any]:
-    dataclass = isinstance(thing, type) and hasattr(thing, "__dataclass_fields__")
-    return field_kinds(thing) if dataclass else {}
+    return field_kinds(thing) if isinstance(thing, type) and is_dataclass(thing) else {}
 
 
 def _usage(name: str, thing: Any) -> str:
