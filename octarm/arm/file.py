@@ -42,14 +42,9 @@ SHIPPED = Path(__file__).resolve().parent.parent / "arms"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Arm:
-    """An arm with what its file says of it.
+    """An arm, and what its file says of its numbers to people.
 
-    Attributes:
-        parameters: its numbers.
-        name: for people.
-        source: where the numbers come from, a sentence each.
-        converted: what was computed from what the source gives, likewise.
-        assumed: what no source gives, likewise.
+    In sentences: their source, what was converted from what that gives, and what was assumed.
     """
 
     parameters: ArmParameters

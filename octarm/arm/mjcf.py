@@ -30,7 +30,6 @@ from octarm.errors import FileError, OctarmError
 
 _COLUMN_SIDES = ((1, 1.0), (2, -1.0))  # column 1 lengthens with +theta
 _FARTHEST = 1e9  # [m], [rad]; of springs so soft, MuJoCo's forces are nothing but rounding
-_SECTIONS = ("tendon", "actuator", "sensor")
 _NUMBER = re.compile(r"(?<=_)\d+(?=(_[a-z]+)?$)")  # of its module, in the name of a part
 
 
@@ -163,10 +162,11 @@ def _xml(modules: int) -> str:
     last, tip = len(bodies) - 1, bodies[-1][-1]
     bodies[-1].remove(tip)
     on_parent = copy.deepcopy([part for part in bodies[-2] if _module_of(part) == last])
-    for part in [*bodies, *(part for part in root if part.tag in _SECTIONS)]:
-        part[:] = [inner for inner in part if _module_of(inner) <= modules]
-        if part.tag in _SECTIONS:
-            part[:] = [*_extended(part, last, modules)]
+    for body in bodies:
+        body[:] = [part for part in body if _module_of(part) <= modules]
+    for section in root:
+        if section.tag in ("tendon", "actuator", "sensor"):
+            section[:] = [*_for_all_modules(section, last, modules)]
     for key in root.iter("key"):
         key.set("qpos", " 0" * (2 * modules))
     for i in range(last + 1, modules + 1):
@@ -177,13 +177,13 @@ def _xml(modules: int) -> str:
     return ElementTree.tostring(root, "unicode")
 
 
-def _extended(
+def _for_all_modules(
     section: ElementTree.Element, last: int, modules: int
 ) -> Iterator[ElementTree.Element]:
-    """Its parts, and behind those of the template's last module the ones of further modules."""
+    """Its parts for N modules, those of further ones behind those of the template's last one."""
     for number, group in itertools.groupby(section, _module_of):
         parts = list(group)
-        yield from parts
+        yield from parts if number <= modules else ()
         for i in range(last + 1, modules + 1) if number == last else ():
             yield from (_renumbered(part, last, i) for part in parts)
 

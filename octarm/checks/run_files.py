@@ -33,12 +33,9 @@ _ENDING = Ending._fields  # arrays that have no row for each instant
 
 
 class Deviation(NamedTuple):
-    """Where an array of `run.npz` and that of the re-run first have other bits.
+    """Where an array of `run.npz` and that of the re-run first have other bits, at time t [s].
 
-    Attributes:
-        row: number of the control instant, at time t [s].
-        place: which number of the row.
-        largest: largest difference of all their numbers.
+    The row is a control instant, the place a number of it; `largest` is the largest difference.
     """
 
     array: str

@@ -181,13 +181,8 @@ def _unexplained(
 class EpisodeCheck(Comparison):
     """A row of a sweep's table compared with that of the episode run alone.
 
-    Differences are those of the columns, the checkpoints aside.
-
-    Attributes:
-        label: what the episode is, in words.
-        between: the instants between which the motion parts [s]; None if it does not.
-        gains: of the controller for the nominal arm, where they are not what they were.
-        recorded: run folder of the episode, if there is one.
+    Differences are those of the columns, the checkpoints aside, and of the controller's gains for
+    the nominal arm. The motion parts between two instants [s], if it does.
     """
 
     episode: int
