@@ -286,8 +286,8 @@ def table(curves: Sequence[Curve]) -> str:
     rows = [head, *map(_row, curves)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     pads = [str.ljust] * 2 + [str.rjust] * (len(head) - 2)
-    cells = ([pad(*cell) for pad, *cell in zip(pads, row, widths, strict=True)] for row in rows)
-    return "\n".join(map("  ".join, cells))
+    cells = [zip(pads, row, widths, strict=True) for row in rows]
+    return "\n".join("  ".join(pad(x, width) for pad, x, width in row) for row in cells)
 
 
 def _row(curve: Curve) -> tuple[str, ...]:
