@@ -132,9 +132,8 @@ class _Words(Model):
     rod: _Cut | None = None
 
 
-ArmFile = create_model(
-    "ArmFile", __base__=_Words, rod=(RodTable | None, None), **_quantities(KINDS)
-)
+_FIELDS: dict[str, Any] = {"rod": (RodTable | None, None)} | _quantities(KINDS)
+ArmFile = create_model("ArmFile", __base__=_Words, **_FIELDS)
 
 
 def parameters_of(content: _Words) -> ArmParameters:
