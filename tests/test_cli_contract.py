@@ -161,6 +161,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--resume": "",
             "--force": "",
             "--engine": "ENGINE",
+            "--workers": "N",
         },
     },
     "validate": {
