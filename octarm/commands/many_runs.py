@@ -125,7 +125,7 @@ def margin(
     bound: Annotated[tuple[str, ...], kinds.text("METRIC:VALUE"), kinds.SOUGHT] = (),
     low: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None,
     high: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None,
-    seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 16,
+    seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 36,
     share: Annotated[float, kinds.X, kinds.SOUGHT] = 0.9,
     metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.SOUGHT] = (),
     arm: Annotated[tuple[str, ...], kinds.ARM, kinds.MODEL] = (),
