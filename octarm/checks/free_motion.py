@@ -7,7 +7,6 @@ Time is a count of steps, so that every run ends at the same instant whatever it
 from __future__ import annotations
 
 import copy
-import functools
 import itertools
 from collections.abc import Callable
 from typing import NamedTuple
@@ -95,12 +94,7 @@ def reference_motion(
 
     for k, span in enumerate(itertools.pairwise(times)):
         solution = solve_ivp(
-            functools.partial(slope, sample=k),
-            span,
-            out[k].ravel(),
-            method="DOP853",
-            rtol=1e-12,
-            atol=1e-13,
+            slope, span, out[k].ravel(), method="DOP853", args=(k,), rtol=1e-12, atol=1e-13
         )
         if not solution.success:
             break
