@@ -15,7 +15,7 @@ from octarm.recordings.blueprints import Layout, Plots
 from octarm.recordings.notes import markdown_table
 from octarm.recordings.recording import RunRecording
 from octarm.recordings.rrd import Path, rerun_errors, rrd_file, structures, times
-from octarm.recordings.what_differs import Compared
+from octarm.recordings.what_differs import Compared, labels
 from octarm.simulation.trajectory import Trajectory
 
 # The arrays of a run of one arm, and what `run.json` holds.
@@ -35,31 +35,24 @@ def write_comparison(path: Path, *runs: Run) -> None:
         OSError: if the file cannot be written.
     """
     check_comparable([trajectory for trajectory, _ in runs])
-    compared = Compared([description for _, description in runs])
+    names = labels(len(runs))
     with rrd_file(path) as stream, rerun_errors(path):
         recordings: list[RunRecording] = []
-        for name, (run, description) in zip(compared.names, runs, strict=True):
+        for name, (run, description) in zip(names, runs, strict=True):
             recording = RunRecording(stream, path, description, root=f"{name}/")
             recording.add_all(run)
             recording.finish(description)
             recordings.append(recording)
-        layout = _Layout(recordings, [run for run, _ in runs], compared)
+        parts = recordings[0].channels["error"].parts
+        layout = _Layout(recordings, runs)
         for entity, (run, _) in zip(layout.entities, runs[1:], strict=True):
             t, larger = difference(runs[0][0], run)
-            lists = {name: larger[:, part] for name, part in layout.parts.items()}
+            lists = {name: larger[:, part] for name, part in parts.items()}
             stream.send_columns(entity, times(t), structures(lists, "difference"))
-        page = rr.TextDocument(_page(compared), media_type=rr.MediaType.MARKDOWN)
+        page = rr.TextDocument(layout.page(), media_type=rr.MediaType.MARKDOWN)
         stream.log("differences", page, static=True)
-        stream.send_recording_name(" against ".join(compared.titles))
+        stream.send_recording_name(" against ".join(layout.titles))
         stream.send_blueprint(layout.blueprint())
-
-
-def _page(compared: Compared) -> str:
-    """In what the runs differ, as Markdown."""
-    rows = [[each.name, *each.values] for each in compared.differences]
-    runs = map("- {}: {}".format, compared.names, compared.titles)
-    heading = f"# What differs\n\n{compared.verdict}"
-    return "\n\n".join([heading, "\n".join(runs), markdown_table(["", *compared.names], rows)])
 
 
 def check_comparable(runs: Sequence[Trajectory]) -> None:
@@ -88,56 +81,62 @@ def difference(first: Trajectory, second: Trajectory) -> tuple[np.ndarray, np.nd
 class _Layout:
     """How the viewer lays out several runs: arms, errors, inputs, notes."""
 
-    def __init__(
-        self, recordings: Sequence[RunRecording], runs: Sequence[Trajectory], compared: Compared
-    ) -> None:
-        self._scenes, self._runs, self._compared = [x.scene for x in recordings], runs, compared
-        end = max(float(run.t[-1]) for run in runs)
-        names = compared.names
-        self._plots = [
-            Plots(recording.channels, end, f"{name}/")
-            for name, recording in zip(names, recordings, strict=True)
-        ]
-        self._error = recordings[0].channels["error"]
-        self.parts = self._error.parts
+    def __init__(self, recordings: Sequence[RunRecording], runs: Sequence[Run]) -> None:
+        self._recordings, self._runs = recordings, [run for run, _ in runs]
+        self._compared = Compared([description for _, description in runs])
+        self._names, self._ranked = self._compared.names, self._compared.ranked
+        self.titles = self._compared.titles
+        self._end = max(float(run.t[-1]) for run in self._runs)
         # Where the difference of the first run from each other one stands.
-        self.entities = [f"difference/{x}" if len(runs) > 2 else "difference" for x in names[1:]]
-        self._differences = Plots(recordings[0].channels, end)
+        many = len(runs) > 2
+        self.entities = [f"difference/{name}" if many else "difference" for name in self._names[1:]]
+
+    def page(self) -> str:
+        """In what the runs differ, as Markdown."""
+        rows = [[each.name, *each.values] for each in self._compared.differences]
+        runs = map("- {}: {}".format, self._names, self.titles)
+        heading = f"# What differs\n\n{self._compared.verdict}"
+        return "\n\n".join([heading, "\n".join(runs), markdown_table(["", *self._names], rows)])
 
     def blueprint(self) -> rrb.Blueprint:
         """The layout; all plots of a part have the same range."""
-        names, titles = self._compared.names, self._compared.titles
-        arms = [
-            scene.view(f"{name}: {title}   pale sheath: desired", f"{name}/")
-            for name, title, scene in zip(names, titles, self._scenes, strict=True)
-        ]
-        inputs = [
-            plots.view(
-                f"input forces of {name}{plots.channels['tau'].units['']}", plots.curves("tau"),
-                legend=True,
-            )
-            for name, plots in zip(names, self._plots, strict=True)
-        ]  # fmt: skip
-        pages = [rrb.TextDocumentView(origin=f"{x}/notes", name=x) for x in names]
+        arms: list[Any] = []
+        inputs: list[Any] = []
+        for name, recording, title in zip(self._names, self._recordings, self.titles, strict=True):
+            arms.append(recording.scene.view(f"{name}: {title}   pale sheath: desired", f"{name}/"))
+            plots, channel = self._plots(name, recording), recording.channels["tau"]
+            forces = f"input forces of {name}{channel.units['']}"
+            inputs.append(plots.view(forces, plots.curves("tau"), legend=True))
+        pages = [rrb.TextDocumentView(origin=f"{x}/notes", name=x) for x in self._names]
         differing = rrb.TextDocumentView(origin="differences", name="what differs")
-        errors = {part: list(self._errors(part)) for part in self.parts}
-        larger = {part: list(self._larger(part)) for part in self.parts}
+        parts = self._recordings[0].channels["error"].parts
+        errors = {part: list(self._errors(part)) for part in parts}
+        larger = {part: list(self._larger(part)) for part in parts}
         if len(arms) == 2:  # one row has room for all
-            errors, larger = {part: errors[part] + larger[part] for part in self.parts}, {}
-        tabs = [differing, _rows("errors", errors), _rows("inputs", {"inputs": inputs})]
-        tabs += [_rows("differences of errors", larger)] if larger else []
+            errors, larger = {part: errors[part] + larger[part] for part in parts}, {}
+        tabs = [differing, self._rows("errors", errors), self._rows("inputs", {"inputs": inputs})]
+        tabs += [self._rows("differences of errors", larger)] if larger else []
         tabs += [rrb.Horizontal(*pages, name="notes")]
         columns = math.ceil(math.sqrt(len(arms))) if len(arms) > 3 else len(arms)
         row = rrb.Grid(*arms, grid_columns=columns)
         return Layout(rrb.Vertical(row, rrb.Tabs(*tabs, active_tab=1), row_shares=[1.15, 1]))
 
+    @staticmethod
+    def _rows(name: str, rows: Mapping[str, Sequence[Any]]) -> Any:
+        return rrb.Vertical(*(rrb.Horizontal(*row, name=x) for x, row in rows.items()), name=name)
+
+    def _plots(self, name: str, recording: RunRecording) -> Plots:
+        return Plots(recording.channels, self._end, f"{name}/")
+
     def _errors(self, part: str) -> Iterator[Any]:
         """A plot for each run."""
-        where = self.parts[part]
-        largest = max(float(np.nan_to_num(np.abs(x.error[:, where])).max()) for x in self._runs)
-        for name, plots in zip(self._compared.names, self._plots, strict=True):
+        error = self._recordings[0].channels["error"]
+        sizes = [np.nan_to_num(np.abs(run.error[:, error.parts[part]])).max() for run in self._runs]
+        largest = float(max(sizes))
+        for name, recording in zip(self._names, self._recordings, strict=True):
+            plots = self._plots(name, recording)
             yield plots.view(
-                f"error of {part} in {name}{self._error.units[part]}",
+                f"error of {part} in {name}{error.units[part]}",
                 plots.curves("error", part),
                 legend=name == "A",
                 largest=1.05 * largest if largest < 1e3 else None,
@@ -145,13 +144,10 @@ class _Layout:
 
     def _larger(self, part: str) -> Iterator[Any]:
         """A plot of the difference from each other run, which ranks those alone that it may."""
-        ranked, plots = self._compared.ranked, self._differences
-        for name, entity in zip(self._compared.names[1:], self.entities, strict=True):
-            end = f"above 0: {name} is nearer" if ranked else "not ranked, see what differs"
-            text = f"|error| of A less that of {name}, {part}{self._error.units[part]}   {end}"
+        channels = self._recordings[0].channels
+        plots, error = Plots(channels, self._end), channels["error"]
+        for name, entity in zip(self._names[1:], self.entities, strict=True):
+            end = f"above 0: {name} is nearer" if self._ranked else "not ranked, see what differs"
+            text = f"|error| of A less that of {name}, {part}{error.units[part]}   {end}"
             curves = plots.curves("error", part)._replace(entity=entity, path=f".{part}[]")
             yield plots.view(text, curves)
-
-
-def _rows(name: str, rows: Mapping[str, Sequence[Any]]) -> Any:
-    return rrb.Vertical(*(rrb.Horizontal(*row, name=x) for x, row in rows.items()), name=name)

@@ -91,9 +91,8 @@ def write_recording(
     # One of several has a layout of its own; the viewer takes no other signs in such a name.
     application = re.sub(r"[^\w .:-]", "", name, flags=re.ASCII).strip()[:60] or "octarm"
     with rrd_file(path, application) as stream:
-        recording = RunRecording(
-            stream, path, announced, disturbed=disturbed, live=False, name=name
-        )
+        recording = RunRecording(stream, path, announced, disturbed=disturbed, live=False)
+        recording.name = name
         recording.add_all(trajectory)
         recording.finish(description)
 
@@ -112,6 +111,7 @@ class RunRecording:
         scene: the arm.
         channels: what the run holds; empty before the first rows.
         largest: the largest size of each number of a channel so far, by the name of the channel.
+        name: of one of several recordings; empty if it is alone.
     """
 
     def __init__(
@@ -124,7 +124,6 @@ class RunRecording:
         root: str = "",
         live: bool = True,
         following: bool = False,
-        name: str = "",
     ) -> None:
         """Starts the recording of the run that is announced.
 
@@ -138,7 +137,6 @@ class RunRecording:
             live: whether it may be looked at before it is finished, so that it needs a layout from
                 the beginning; the final one knows what there is to see.
             following: whether a viewer shows the rows as they come, and is not waited for for long.
-            name: of one of several recordings; empty if it is alone.
 
         Raises:
             OctarmError: if the parameters are not those of one arm, or a disturbance is unknown.
@@ -147,7 +145,7 @@ class RunRecording:
         if parameters.batch_shape:
             raise OctarmError("the parameters must be those of one arm")
         self._stream, self._path, self._root, self._live = stream, path, root, live
-        self._description, self._following, self._name = description, following, name
+        self._description, self._following = description, following
         self._coordinates = coordinates_of(description)
         disturbances = disturbances_of(description)
         self._disturbed = bool(disturbances) if disturbed is None else disturbed
@@ -159,6 +157,7 @@ class RunRecording:
         )
         self.channels: dict[str, Channel] = {}
         self.largest: dict[str, np.ndarray] = {}
+        self.name = ""
         self._heat_maps: dict[str, HeatMap] = {}
         self._lanes: set[str] = set()
         self._late: set[str] = set()  # phases that name what is not sliding
@@ -268,7 +267,7 @@ class RunRecording:
                 description,
                 lanes,
                 largest,
-                listed=bool(self._name),
+                listed=bool(self.name),
                 following=self._following,
             )
             self._stream.send_blueprint(layout)
@@ -343,7 +342,7 @@ class RunRecording:
     def _describe(self, description: Mapping[str, Any]) -> None:
         """The run's title, its properties, and its pages of text."""
         if not self._root:
-            self._stream.send_recording_name(self._name or title_of(description))
+            self._stream.send_recording_name(self.name or title_of(description))
             known = {name: description[name] for name in _PROPERTIES if name in description}
             for name in _TABLES:
                 if name in description:
