@@ -7,8 +7,8 @@ import string
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from octarm.recordings import titles
 from octarm.recordings.notes import in_words
-from octarm.recordings.titles import title_of
 
 # What is not part of a run's task: two laws may differ in it and still be ranked.
 _OF_THE_LAW = ("controller", "gain ", "model's ", "version ", "timestep", "control_period", "code ")
@@ -47,7 +47,7 @@ class Compared:
 
     def __init__(self, descriptions: Sequence[Mapping[str, Any]]) -> None:
         self.names = labels(len(descriptions))
-        self.titles = [title_of(description) for description in descriptions]
+        self.titles = [titles.title_of(description) for description in descriptions]
         self.differences = differences(descriptions)
         self.ranked = not any(each.of_the_task for each in self.differences)
         self.verdict = verdict(self.differences)
