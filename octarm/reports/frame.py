@@ -115,11 +115,14 @@ class Episodes:
         finished = "" if len(self.seed) == self.planned else "finished "
         return f"{finished}episode{' that did not diverge' if self.diverged.any() else ''}"
 
-    def cell(self) -> np.ndarray:
-        """A number for each place of the grid, shape (n,); what was drawn goes with the seed."""
+    def cell(self, but: Factor | None = None) -> np.ndarray:
+        """A number for each place of the grid, whatever the level of a factor, shape (n,).
+
+        What was drawn goes with the seed.
+        """
         number = np.zeros_like(self.seed)
         for factor in self.factors:
-            if not factor.drawn:
+            if not factor.drawn and factor is not but:
                 number = number * len(factor.labels) + factor.code
         return number
 

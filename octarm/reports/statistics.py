@@ -14,6 +14,7 @@ balances are taken to be symmetric. It needs 6 seeds: fewer are too often all on
 
 from __future__ import annotations
 
+import bisect
 import functools
 import itertools
 import math
@@ -200,12 +201,12 @@ def _middle(values: np.ndarray) -> float:
 def _place(owner: np.ndarray) -> int:
     """The first of values that rise which is not refuted as their median, given their seeds."""
     half = 0.5 * np.bincount(owner)
-    refuted, kept = -1, len(owner) // 2  # half of the values or more are up to the latter
-    while kept - refuted > 1:
-        place = (refuted + kept) // 2
-        balance = np.bincount(owner[: place + 1], minlength=len(half)) - half
-        refuted, kept = (place, kept) if _below(balance) else (refuted, place)
-    return kept
+
+    def kept(place: int) -> bool:
+        return not _below(np.bincount(owner[: place + 1], minlength=len(half)) - half)
+
+    # Half of the values or more are up to the middle one, which is kept.
+    return bisect.bisect_left(range(len(owner) // 2), True, key=kept)
 
 
 def _below(balance: np.ndarray) -> bool:
