@@ -80,8 +80,7 @@ def events_of(description: Mapping[str, Any]) -> list[tuple[float, str, str]]:
     events: list[tuple[float, str, str]] = []
     disturbances = disturbances_of(description)
     for entry in description.get("disturbances", []):
-        asked = {name: x for name, x in entry["asked"].items() if name != "at"}
-        text = disturbance_of({**entry, "asked": {**asked, "at": None}})
+        text = disturbance_of({**entry, "asked": {**entry["asked"], "at": None}})
         for event in disturbances[entry["name"]].events():
             events.append((event.at, entry["name"], text if event.text else ""))
     return sorted(events)
