@@ -221,8 +221,8 @@ def _medians(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
 def _failures(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
     for group in comparisons.groups:
         counts = {"episodes": group.episodes, "diverged": group.failed}
-        share = dict(zip(("share", "low", "high"), group.failures, strict=True))
-        yield _where(group) | counts | share
+        numbers = dict(zip(("share", "low", "high"), group.failures, strict=True))
+        yield _where(group) | counts | numbers
 
 
 def _differences(comparisons: Comparisons) -> Iterator[dict[str, Any]]:

@@ -83,10 +83,9 @@ class RunComparison(Compared):
 
     def _numbers(self) -> Iterator[tuple[str, list[list[Cell]]]]:
         """The rows of each metric that a run has."""
-        code: dict[str, Any] = {}
+        known: dict[str, Metric] = {}
         for description in self._descriptions:
-            code |= description.get("code", {})
-        known = declared_metrics(code_of({"code": code}))
+            known |= declared_metrics(code_of(description))
         names = dict.fromkeys(name for each in self._descriptions for name in each["metrics"])
         for name in names:
             if name in known:
