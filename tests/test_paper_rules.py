@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from paper import rules, writeup
 from paper.cases import Case, Verdict, condition, matching, numbers_of, sensitivity, verdict
-from paper.evidence import Cell, Evidence, interval
+from paper.evidence import Evidence, interval
 from paper.lyapunov import Outcome
 from paper.numbers import Row, number, span
 from paper.plants import longest
 from paper.runs import Cost, Series
-from paper.studies import BENDS, FULL, MODELS, NOISE, SLIDES, study_of_plants
+from paper.studies import BENDS, FULL, MODELS, NOISE, SLIDES, Cell
 from paper.tables import Table, as_csv, best, plants, plants_ranking
 from paper.variants import (
     AS_PRINTED,
@@ -122,7 +122,7 @@ def evidence(change: Any = None, **more: Any) -> Evidence:
         for value in sort.values[1:]
     ]
     cells += [
-        Cell(label, study_of_plants(rate), noise=noise, plant=modules)
+        Cell(label, "plants", noise=noise, plant=modules, rate=rate)
         for label in (PROPOSED, SIGN, SMC)
         for rate, noise, modules in itertools.product(FULL.plant_rates, (0.0, NOISE), FULL.plants)
     ]
@@ -210,8 +210,8 @@ def test_uncertainty_is_held_against_the_law_without_its_estimator_and_both_read
 
 
 def test_chattering():
-    assert judged("chattering", evidence(lambda c, _: 0.001)) == HOLDS
-    printed = evidence(lambda c, _: 0.03 if of(c, AS_PRINTED) else 0.001)
+    assert judged("chattering", evidence(lambda c, _: 0.1)) == HOLDS
+    printed = evidence(lambda c, _: 3.0 if of(c, AS_PRINTED) else 0.1)
     assert judged("chattering", printed) == ONLY_IF
     assert judged("chattering", evidence(lambda c, _: math.inf)) == FAILS
 
@@ -293,7 +293,7 @@ def test_plants_have_a_row_for_each_number_of_modules_period_and_noise():
 def test_a_rank_counts_those_that_are_better_and_its_interval_those_that_may_be():
     """Three laws: the second is 1 % behind the first in one seed and ahead in the other."""
     own = evidence(lambda c, _: {PROPOSED: 1.0, SIGN: 1.01, SMC: 2.0}.get(c.label, 9.0))
-    cell = Cell(PROPOSED, study_of_plants(2000.0), noise=NOISE, plant=9)
+    cell = Cell(PROPOSED, "plants", noise=NOISE, plant=9)
     names = [PROPOSED, SIGN, SMC]
     assert own.rank(cell, names) == Interval(1.0, 1.0, 1.0)
     sign = cell._replace(label=SIGN)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -14,22 +13,17 @@ from tqdm import tqdm
 import octarm
 from controllers import make_controller
 from octarm.files import write_files
+from octarm.simulation.engines import LAGRANGE, usual_engine
 from octarm.sweeps.workers import WorkerProcesses, cores
-from paper import plants, runs
+from paper import runs
+from paper.plants import Planted, Search
 from paper.runs import Request
 from paper.studies import MODELS, Effort, Sweep, sweeps
 from paper.variants import CONTROLLERS, Variant
 
 SPECS, SWEEPS, SERIES, RUNS = "specs", "sweeps", "series", "runs"  # folders
-Task = Request | plants.Planted | plants.Search  # whose arrays are kept in a file of its name
+Task = Request | Planted | Search  # whose arrays are kept in a file of its name
 Advance = Callable[[float], object]  # takes simulated seconds that are done
-
-
-class Job(NamedTuple):
-    """Something to be done."""
-
-    seconds: float  # what it simulates [s]
-    do: Callable[[Executor, Advance], None]  # does what is not there yet, on processes
 
 
 def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers: int = 0) -> None:
@@ -50,24 +44,24 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
     """
     for folder in (SPECS, SWEEPS, SERIES, RUNS):
         (out / folder).mkdir(parents=True, exist_ok=True)
-    own = all_tasks(variants, effort)
-    jobs = [Job(sweep.seconds, partial(_sweep, sweep, out)) for sweep in sweeps(variants, effort)]
-    jobs += [Job(task.seconds, partial(_keep, task, out)) for task in own]
+    tasks = all_tasks(variants, effort)
+    jobs = [(sweep.seconds, partial(_sweep, sweep, out)) for sweep in sweeps(variants, effort)]
+    jobs += [(task.seconds, partial(_keep, task, out)) for task in tasks]
     jobs += [
-        Job(8.0 * one.duration, partial(_record, one, model, out))  # what an arm by itself costs
-        for one in own
-        if isinstance(one, Request) and one.seeds and one.quiet and effort.long
-        if one.variant.label in CONTROLLERS
+        (8.0 * task.duration, partial(_record, task, model, out))  # what an arm alone costs
+        for task in tasks
+        if isinstance(task, Request) and task.seeds and task.quiet and effort.long
+        if task.variant.label in CONTROLLERS
         for model in MODELS
     ]
-    jobs.sort(key=lambda job: -job.seconds)
-    total, count = sum(job.seconds for job in jobs), workers or cores()
+    jobs.sort(key=lambda job: -job[0])
+    total, count = sum(seconds for seconds, _ in jobs), workers or cores()
     with (
         tqdm(total=total, unit=" simulated s", unit_scale=True, disable=None, leave=False) as bar,
         WorkerProcesses(count) as processes,
         ThreadPoolExecutor(count + 1) as threads,
     ):
-        futures = [threads.submit(job.do, processes, bar.update) for job in jobs]
+        futures = [threads.submit(do, processes, bar.update) for _, do in jobs]
         try:
             for future in as_completed(futures):
                 future.result()
@@ -78,9 +72,17 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
 
 
 def all_tasks(variants: Mapping[str, Variant], effort: Effort) -> list[Task]:
-    """All that is run besides sweeps."""
-    kinds = (runs.requests, plants.planted, plants.searches)
-    return list(itertools.chain.from_iterable(kind(variants, effort) for kind in kinds))
+    """All that is run besides sweeps; plants where the engine `lagrange` is installed."""
+    requests = list(runs.requests(variants, effort))
+    if usual_engine() != LAGRANGE:
+        return requests
+    laws = [variants[label] for label in effort.plant_labels]
+    places = itertools.product(effort.plant_rates, effort.plants, laws)
+    return [
+        *requests,
+        *(Planted(law, modules, rate, effort.seeds) for rate, modules, law in places),
+        *(Search(law, tuple(effort.plants)) for law in laws),
+    ]
 
 
 def _sweep(sweep: Sweep, out: Path, pool: Executor, advance: Advance) -> None:
