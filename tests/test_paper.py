@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from paper import lyapunov, plants, runs, writeup
-from paper.cases import Verdict
-from paper.claims import Claim
+from paper.claims import Claim, Verdict
 from paper.evidence import Evidence, gather, measured
 from paper.jobs import run_all
 from paper.studies import (
@@ -210,7 +209,7 @@ def test_the_error_on_a_plant_is_that_of_all_physics_steps_and_arms_are_those_of
     arms = runs.noisy_arms([0.0, NOISE, NOISE], [0, 0, 1])
     kept = plants.tracking(variant, 3, 0.002, 2.2, 2.0, **arms)
     np.testing.assert_allclose(kept["error"], expected, rtol=1e-9)
-    planted = plants.Planted(variant, 3, 500.0, 2).perform()
+    planted = plants.planted(variant, 3, 500.0, 2)
     assert planted["error"].shape == (3,) and not planted["lost"].any()
     assert len(set(planted["error"].tolist())) == 3
 

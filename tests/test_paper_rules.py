@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from paper import rules, writeup
-from paper.cases import Case, Verdict, condition, matching, numbers_of, sensitivity, verdict
+from paper.claims import (
+    Case,
+    Verdict,
+    condition,
+    matching,
+    numbers_of,
+    sensitivity,
+    verdict,
+)  # fmt: skip
 from paper.evidence import Evidence, interval
 from paper.lyapunov import Outcome
 from paper.numbers import Row, number, span
@@ -118,8 +126,8 @@ def evidence(change: Any = None, **more: Any) -> Evidence:
         cell._replace(**{name: value})
         for cell in cells
         if cell.study == "beyond"
-        for name, sort in rules.BEYOND.items()
-        for value in sort.values[1:]
+        for name, sizes in rules.BEYOND.items()
+        for value in sizes.values()
     ]
     cells += [
         Cell(label, "plants", noise=noise, plant=modules, rate=rate)

@@ -23,14 +23,15 @@ from benchmarks.figures import (
     LeftOut,
     Row,
     Settings,
-    clocks,
+    duration_of,
     fastest,
+    ratios,
 )  # fmt: skip
 from controllers import make_controller
 from octarm.arm.mjcf import build_slim_model
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
-from octarm.simulation.engines import ENGINES, LAGRANGE, usual_engine
+from octarm.simulation.engines import ENGINES, LAGRANGE, MUJOCO, usual_engine
 from octarm.sweeps.tune import Budget, Space
 from octarm.sweeps.tune_cost import Examination, Rig, costs
 from octarm.sweeps.workers import WorkerProcesses
@@ -54,12 +55,8 @@ def engines(settings: Settings) -> list[Row]:
     with WorkerProcesses(PROCESSES) as pool:
         for law in TARGETS:
             measured = [compare(pool, law, settings, open_loop, engine) for engine in ENGINES]
-            walls, computed = zip(*(turns.ratios() for turns in measured), strict=True)
-            times = walls[1] / walls[0]
-            rows += [
-                Row(f"{law}, lagrange over mujoco (stretch: 20)", times, "1", at_least=6.0),
-                Row(f"{law}, by processor time", computed[1] / computed[0], "1", at_least=6.0),
-            ]
+            times = np.divide(*(turns.ratios() for turns in reversed(measured)))
+            rows += ratios(law, "lagrange over mujoco (stretch: 20)", times.tolist(), 6.0)
             for engine, turns in zip(ENGINES, measured, strict=True):
                 cost = turns.costs()[0]
                 rows.append(Row(f"{law}, {engine}, a step of an arm", 1e6 * cost, "us"))
@@ -107,13 +104,6 @@ def against_operations(name: str, cost: float, operations: int, c_program: float
     ]
 
 
-def duration_of(call: Callable[[], object]) -> np.ndarray:
-    """How long it takes, by `clocks` [s]."""
-    begun = clocks()
-    call()
-    return clocks() - begun
-
-
 def tuning(settings: Settings) -> list[Row]:
     """A generation of `octarm tune`, on one core: its budget consists of such batches."""
     check_installed()
@@ -129,12 +119,11 @@ def tuning(settings: Settings) -> list[Row]:
 
     compiling = Examination(begin=1e-3, duration=2e-3)
     costs(compiling, factory, candidates, rig=Rig(LAGRANGE))
-    wall, computed = np.min(
-        [[duration_of(evaluation(engine)) for engine in ENGINES] for _ in range(_TIMES)], axis=0
-    ).T
+    times = [[duration_of(evaluation(engine)) for engine in ENGINES] for _ in range(_TIMES)]
+    mujoco, lagrange = np.min(times, axis=0)
+    length = f"a generation of {examination.duration:g} s"
     return [
-        Row(f"{TUNED}, a generation, lagrange over mujoco", wall[0] / wall[1], "1", at_least=5.0),
-        Row(f"{TUNED}, by processor time", computed[0] / computed[1], "1", at_least=5.0),
-        *(Row(f"{TUNED}, {engine}, a generation of {examination.duration:g} s", x, "s")
-          for engine, x in zip(ENGINES, wall, strict=True)),
-    ]  # fmt: skip
+        *ratios(TUNED, "a generation, lagrange over mujoco", (mujoco / lagrange).tolist(), 5.0),
+        Row(f"{TUNED}, {MUJOCO}, {length}", mujoco[0], "s"),
+        Row(f"{TUNED}, {LAGRANGE}, {length}", lagrange[0], "s"),
+    ]

@@ -14,15 +14,13 @@ import octarm
 from octarm.reports.statistics import Interval, medians
 from octarm.sweeps.tune_cost import root_mean_square, weight
 from paper import jobs, lyapunov
-from paper.plants import Planted, Search
-from paper.runs import Cost, Request, Series
-from paper.studies import BENDS, COORDINATES, MODULES, NOISE, SCALE, TIME, Cell, Effort, Sweep
-from paper.studies import sweeps as all_sweeps
-from paper.variants import Variant
+from paper.runs import Cost, Series
+from paper.studies import COORDINATES, MODULES, NOISE, SCALE, Cell, Effort, Sweep, sweeps
+from paper.variants import ARM, Variant
 
-# What an episode has where its sweep does not say it, in the order of the fields of `Cell`.
-NEUTRAL = {"reference": BENDS, "mismatch": 0.0, "noise": 0.0, "noise.time": TIME, "payload": 0.0,
-           "actuation-delay": 0.0, "loss": 0.0}  # fmt: skip
+# The fields of a cell that differ within a sweep, by the columns of its table.
+FIELDS = {"reference": "reference", "mismatch": "mismatch", "noise": "noise", "noise.time": "time",
+          "payload": "payload", "actuation-delay": "delay", "loss": "loss"}  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,7 +44,7 @@ class Evidence:
     cells: Mapping[Cell, Mapping[str, np.ndarray]]
     series: Mapping[str, Series]  # runs over time, by name
     outcomes: Sequence[lyapunov.Outcome]  # how Lyapunov functions went
-    periods: Mapping[str, Mapping[str, np.ndarray]]  # by label; see `paper.plants.Search`
+    periods: Mapping[str, Mapping[str, np.ndarray]]  # by label; see `paper.plants.searched`
     costs: Mapping[str, Cost]  # of a controller's step, by name
 
     def has(self, *cells: Cell) -> bool:
@@ -136,25 +134,23 @@ def gather(
 ) -> Evidence:
     """Reads what `paper.jobs.run_all` left in a folder.
 
-    Raises:
-        OctarmError: if a sweep is missing.
-        OSError: if another file is.
+    Raises OctarmError if a sweep is missing, and OSError if another file is.
     """
-    cells = measured(list(all_sweeps(variants, effort)), out / jobs.SWEEPS)
+    cells = measured(list(sweeps(variants, effort)), out / jobs.SWEEPS)
     series: dict[str, Series] = {}
     outcomes: list[lyapunov.Outcome] = []
     periods: dict[str, Mapping[str, np.ndarray]] = {}
     for task in jobs.all_tasks(variants, effort):
         kept = jobs.read_arrays(out, task)
-        match task:
-            case Planted():
-                cells |= _planted(task, kept)
-            case Search():
-                periods[task.variant.label] = kept
-            case Request() if "q" in kept:
-                series[task.name] = Series(**kept)
-            case Request():
-                outcomes += lyapunov.outcomes(task, kept)
+        if isinstance(task.of, Cell):
+            if "predicted" in kept:
+                periods[task.of.label] = kept
+            else:
+                cells |= _planted(task.of, kept)
+        elif "q" in kept:
+            series[task.name] = Series(**kept)
+        else:
+            outcomes += lyapunov.outcomes(task.of, kept)
     return Evidence(
         variants=variants, effort=effort, cells=cells, series=series, outcomes=outcomes,
         periods=periods, costs=costs,
@@ -162,11 +158,7 @@ def gather(
 
 
 def measured(parts: Sequence[Sweep], folder: Path) -> dict[Cell, dict[str, np.ndarray]]:
-    """The quantities of all cells of sweeps; see `Evidence`.
-
-    Raises:
-        OctarmError: if a sweep is not there.
-    """
+    """The quantities of all cells of sweeps, see `Evidence`; OctarmError if one is not there."""
     cells: dict[Cell, dict[str, np.ndarray]] = {}
     for part in parts:
         table = octarm.read_sweep(folder / part.name)
@@ -180,11 +172,10 @@ def measured(parts: Sequence[Sweep], folder: Path) -> dict[Cell, dict[str, np.nd
     return cells
 
 
-def _planted(task: Planted, kept: Mapping[str, np.ndarray]) -> dict[Cell, dict[str, np.ndarray]]:
+def _planted(cell: Cell, kept: Mapping[str, np.ndarray]) -> dict[Cell, dict[str, np.ndarray]]:
     """The cells without and with noise on a plant, of which errors alone are known."""
     error = 100.0 * kept["error"]
     known = {"error": error, "diverged": kept["lost"], "chattering": np.full_like(error, np.nan)}
-    cell = Cell(task.variant.label, "plants", plant=task.modules, rate=task.rate)
     return {
         cell._replace(noise=noise): {name: values[arms] for name, values in known.items()}
         for noise, arms in ((0.0, slice(1)), (NOISE, slice(1, None)))
@@ -193,15 +184,15 @@ def _planted(task: Planted, kept: Mapping[str, np.ndarray]) -> dict[Cell, dict[s
 
 def _cells(part: Sweep, table: pa.Table) -> Iterator[Cell]:
     """The cell of each episode."""
-    there = table.select([name for name in NEUTRAL if name in table.column_names]).to_pylist()
-    for name, values in zip(table["controller"].to_pylist(), there, strict=True):
-        values = {**NEUTRAL, **values}.values()
-        yield Cell(part.labels[name], part.study, *values, MODULES, part.rate)
+    names = [name for name in FIELDS if name in table.column_names]
+    for row in table.select(["controller", *names]).to_pylist():
+        label, fields = part.labels[row["controller"]], {FIELDS[name]: row[name] for name in names}
+        yield Cell(label, part.study, rate=part.rate, **fields)
 
 
 def _quantities(table: pa.Table) -> dict[str, np.ndarray]:
     """Those of all episodes of a sweep, and whether they diverged."""
-    lost, arm = table["status"].to_numpy() == "diverged", octarm.nominal_parameters()
+    lost = table["status"].to_numpy() == "diverged"
 
     def columns(metric: str) -> np.ndarray:
         """Of all coordinates, shape (episodes, 2N)."""
@@ -210,7 +201,7 @@ def _quantities(table: pa.Table) -> dict[str, np.ndarray]:
 
     errors = columns("rms_error")
     each = {"rms_error": 1e3 * errors, "overshoot": columns("overshoot")}
-    heavy = weight(arm) * np.repeat([1.0, float(arm.width[0])], MODULES)
+    heavy = weight(ARM) * np.repeat([1.0, float(ARM.width[0])], MODULES)
     return {
         **{f"{metric}_{name}": column for metric, values in each.items()
            for name, column in zip(COORDINATES, values.T, strict=True)},

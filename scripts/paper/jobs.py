@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -15,32 +16,30 @@ from controllers import make_controller
 from octarm.files import write_files
 from octarm.simulation.engines import LAGRANGE, usual_engine
 from octarm.sweeps.workers import WorkerProcesses, cores
-from paper import runs
-from paper.plants import Planted, Search
+from paper import plants, runs
 from paper.runs import Request
-from paper.studies import MODELS, Effort, Sweep, sweeps
+from paper.studies import MODELS, Cell, Effort, Sweep, sweeps
 from paper.variants import CONTROLLERS, Variant
 
 SPECS, SWEEPS, SERIES, RUNS = "specs", "sweeps", "series", "runs"  # folders
-Task = Request | Planted | Search  # whose arrays are kept in a file of its name
 Advance = Callable[[float], object]  # takes simulated seconds that are done
 
 
+class Task(NamedTuple):
+    """Something that is run, of which a file of arrays is kept."""
+
+    name: str  # of the file
+    seconds: float  # what it simulates, or weighs among other tasks [s]
+    perform: Callable[[], Mapping[str, np.ndarray]]
+    of: Request | Cell  # what the arrays are measured of
+
+
 def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers: int = 0) -> None:
-    """Runs what is not there yet.
+    """Runs what is not there yet, on one process a core if the number of workers is 0.
 
-    What is there does not depend on the number of processes, or on how often it was interrupted.
-
-    Args:
-        variants: by label.
-        effort: how much.
-        out: folder.
-        workers: number of processes; one a core when 0.
-
-    Raises:
-        OctarmError: if the folder holds results of other studies.
-        OSError: if it cannot be written.
-        KeyboardInterrupt: if interrupted; what was finished is kept.
+    What is there does not depend on that number, or on how often it was interrupted: what was
+    finished is kept. Raises OctarmError if the folder holds results of other studies, and OSError
+    if it cannot be written.
     """
     for folder in (SPECS, SWEEPS, SERIES, RUNS):
         (out / folder).mkdir(parents=True, exist_ok=True)
@@ -48,10 +47,10 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
     jobs = [(sweep.seconds, partial(_sweep, sweep, out)) for sweep in sweeps(variants, effort)]
     jobs += [(task.seconds, partial(_keep, task, out)) for task in tasks]
     jobs += [
-        (8.0 * task.duration, partial(_record, task, model, out))  # what an arm alone costs
-        for task in tasks
-        if isinstance(task, Request) and task.seeds and task.quiet and effort.long
-        if task.variant.label in CONTROLLERS
+        (8.0 * one.duration, partial(_record, one, model, out))  # what an arm alone costs
+        for one in (task.of for task in tasks)
+        if isinstance(one, Request) and one.seeds and one.quiet and effort.long
+        if one.variant.label in CONTROLLERS
         for model in MODELS
     ]
     jobs.sort(key=lambda job: -job[0])
@@ -73,16 +72,20 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
 
 def all_tasks(variants: Mapping[str, Variant], effort: Effort) -> list[Task]:
     """All that is run besides sweeps; plants where the engine `lagrange` is installed."""
-    requests = list(runs.requests(variants, effort))
+    tasks = [Task(x.name, x.seconds, x.perform, x) for x in runs.requests(variants, effort)]
     if usual_engine() != LAGRANGE:
-        return requests
-    laws = [variants[label] for label in effort.plant_labels]
-    places = itertools.product(effort.plant_rates, effort.plants, laws)
-    return [
-        *requests,
-        *(Planted(law, modules, rate, effort.seeds) for rate, modules, law in places),
-        *(Search(law, tuple(effort.plants)) for law in laws),
-    ]
+        return tasks
+    places = itertools.product(effort.plant_rates, effort.plants, effort.plant_labels)
+    for rate, modules, label in places:
+        name = f"plant-{modules}-{rate:g}-Hz-{label}"
+        seconds = rate / 100.0 * (1.0 + modules / 10.0)  # what a control period of all arms costs
+        perform = partial(plants.planted, variants[label], modules, rate, effort.seeds)
+        cell = Cell(label, "plants", plant=modules, rate=rate)
+        tasks.append(Task(name, seconds, perform, cell))
+    for label in effort.plant_labels:
+        perform = partial(plants.searched, variants[label], effort.plants)
+        tasks.append(Task(f"periods-{label}", 100.0 * len(effort.plants), perform, Cell(label)))
+    return tasks
 
 
 def _sweep(sweep: Sweep, out: Path, pool: Executor, advance: Advance) -> None:
@@ -96,7 +99,7 @@ def _sweep(sweep: Sweep, out: Path, pool: Executor, advance: Advance) -> None:
 
 
 def _keep(task: Task, out: Path, pool: Executor, advance: Advance) -> None:
-    file, content = _file(out, task), io.BytesIO()
+    file, content = out / SERIES / f"{task.name}.npz", io.BytesIO()
     if not file.is_file():
         np.savez(content, allow_pickle=False, **pool.submit(task.perform).result())
         write_files({file: content.getvalue()})
@@ -110,11 +113,7 @@ def _record(request: Request, model: float, out: Path, pool: Executor, advance: 
     advance(8.0 * request.duration)
 
 
-def _file(out: Path, task: Task) -> Path:
-    return out / SERIES / f"{task.name}.npz"
-
-
 def read_arrays(out: Path, task: Task) -> dict[str, np.ndarray]:
     """What was kept of a run; raises OSError if it is missing."""
-    with np.load(_file(out, task), allow_pickle=False) as file:
+    with np.load(out / SERIES / f"{task.name}.npz", allow_pickle=False) as file:
         return dict(file)

@@ -12,9 +12,9 @@ error of at most `TRACKED` instead.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -42,51 +42,19 @@ TRACKED = 0.1  # error of tracking, as a share of the motion [1]
 TRACKING = 1.5, 0.5  # length of a run that is to track, and from when on its errors count [s]
 
 
-class Planted(NamedTuple):
-    """A law on a plant."""
-
-    variant: Variant
-    modules: int  # of the plant
-    rate: float  # of control [Hz]
-    seeds: int  # number of seeds of the noise
-
-    @property
-    def name(self) -> str:
-        """Of the file."""
-        return f"plant-{self.modules}-{self.rate:g}-Hz-{self.variant.label}"
-
-    @property
-    def seconds(self) -> float:
-        """What is simulated, weighed by what a period costs for all arms [s]."""
-        return DURATION * self.rate / 200.0 * (1.0 + self.modules / 10.0)
-
-    def perform(self) -> dict[str, np.ndarray]:
-        """`error`, as a share of the motion, infinite if lost, and `lost`, shapes (1 + seeds,)."""
-        arms = noisy_arms([0.0] + [NOISE] * self.seeds, [0, *range(self.seeds)])
-        times = (1.0 / self.rate, DURATION, COUNTED)
-        return tracking(self.variant, self.modules, *times, **arms)
+def planted(variant: Variant, modules: int, rate: float, seeds: int) -> dict[str, np.ndarray]:
+    """`tracking` of arms without noise and with so many seeds of it at a rate [Hz]."""
+    arms = noisy_arms([0.0] + [NOISE] * seeds, [0, *range(seeds)])
+    return tracking(variant, modules, 1.0 / rate, DURATION, COUNTED, **arms)
 
 
-class Search(NamedTuple):
-    """The longest control periods of a law."""
+def searched(variant: Variant, plants: Sequence[int]) -> dict[str, np.ndarray]:
+    """The longest periods `predicted`, NaN without a slope, and `simulated`, shapes (plants,) [s].
 
-    variant: Variant
-    plants: tuple[int, ...]  # numbers of modules
-
-    @property
-    def name(self) -> str:
-        """Of the file."""
-        return f"periods-{self.variant.label}"
-
-    @property
-    def seconds(self) -> float:
-        """What it weighs among other jobs, in seconds that an arm is simulated [s]."""
-        return 100.0 * len(self.plants)
-
-    def perform(self) -> dict[str, np.ndarray]:
-        """`predicted`, NaN without a slope, and `simulated`, shapes (plants,) [s]."""
-        pairs = [longest_two(self.variant, modules) for modules in self.plants]
-        return dict(zip(("predicted", "simulated"), np.array(pairs).T, strict=True))
+    The plants are numbers of modules.
+    """
+    pairs = [longest_two(variant, modules) for modules in plants]
+    return dict(zip(("predicted", "simulated"), np.array(pairs).T, strict=True))
 
 
 def longest(bears: Callable[[float], bool], start: float, shortest: float = SHORTEST) -> float:
@@ -140,7 +108,11 @@ def tracks(variant: Variant, modules: int, period: float) -> bool:
 def tracking(
     variant: Variant, modules: int, period: float, duration: float, counted: float, **arms: Any
 ) -> dict[str, np.ndarray]:
-    """`error` and `lost` of arms under the sine, over all physics steps from an instant on [s]."""
+    """`error`, a share of the motion over all physics steps from an instant on [s], and `lost`.
+
+    The arms are under the sine, n of them or one, shapes (n,) or (); the error of a lost one is
+    infinite.
+    """
     environment = _load(BENDS, modules, period, **arms)
     size = Size(environment.physics.q())
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from octarm.reports.statistics import Interval
 from paper import studies, variants
-from paper.cases import Case
+from paper.claims import Case
 from paper.evidence import Evidence, interval
 from paper.lyapunov import Outcome
 from paper.numbers import Row, exact, percent
@@ -57,15 +57,18 @@ def overshoot(evidence: Evidence) -> Iterator[Case]:
 def oscillations(evidence: Evidence) -> Iterator[Case]:
     """(b): slight oscillations of SMC under noise, and none of the proposed controller."""
     for gains, reference in product((TUNED, BY_HAND), evidence.effort.readings):
-        names = [name_of(with_gains(law, gains), reference) for law in (PROPOSED, *LAWS)]
-        ours, *others = (evidence.series.get(name) for name in names)
-        pairs = [pair for pair in zip(LAWS.values(), others, strict=True) if ours and pair[1]]
-        for (reading, series), joint, model in product(pairs, MOVING[reference], MODELS):
+        series = {
+            law: evidence.series.get(name_of(with_gains(law, gains), reference))
+            for law in (PROPOSED, *LAWS)
+        }
+        for (law, reading), joint, model in product(LAWS.items(), MOVING[reference], MODELS):
+            if not (ours := series[PROPOSED]) or not (theirs := series[law]):
+                continue
             where = {
                 "gains": gains, "joints": READINGS[reference], "joint": joint,
                 "model": percent(model), "noise": _noise(NOISE), "SMC": reading,
             }  # fmt: skip
-            own, smc = (_moved(x, joint, model) for x in (ours, series))
+            own, smc = (_moved(x, joint, model) for x in (ours, theirs))
             with np.errstate(all="ignore"):
                 size, ratio = interval(smc), interval(own / smc)
             rows = [Row("AFSMC, rms", interval(own), OF_AMPLITUDE), Row("AFSMC over SMC", ratio)]
@@ -77,10 +80,8 @@ def oscillations(evidence: Evidence) -> Iterator[Case]:
 
 def _moved(series: Series, joint: str, model: float) -> np.ndarray:
     """How far noise moves a joint with this model, an entry a seed [% of its amplitude]."""
-    place, arms = (
-        studies.COORDINATES.index(joint),
-        (series.mismatch == model) & (series.noise == NOISE),
-    )
+    place = studies.COORDINATES.index(joint)
+    arms = (series.mismatch == model) & (series.noise == NOISE)
     return 100.0 * series.moved[arms, place] / (0.5 * np.ptp(series.q_d[:, place]))
 
 
@@ -148,8 +149,8 @@ def uncertainty(evidence: Evidence) -> Iterator[Case]:
         for where, cell in _places(evidence) if cell.mismatch or cell.noise
     ]  # fmt: skip
     for where, cell in _places(evidence, study="beyond", noises=[0.0]):
-        for name, value in ((n, x) for n, sort in BEYOND.items() for x in sort.values[1:]):
-            place = {**where, "kind": name, "size": f"{name} {BEYOND[name].written(value)}"}
+        for name, words, value in ((n, *x) for n, sizes in BEYOND.items() for x in sizes.items()):
+            place = {**where, "kind": name, "size": f"{name} {words}"}
             places.append((place, cell._replace(**{name: value})))
     rivals = {FIXED_RULES: "the same law without its estimator", **RIVALS}
     return _against(evidence, places, rivals, BETTER)

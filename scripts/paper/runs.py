@@ -28,7 +28,7 @@ from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
 from paper import lyapunov
 from paper.studies import BENDS, MODELS, NOISE, RATE, SEED, SETTLED, TIME, WRONG, Effort
-from paper.variants import CONTROLLERS, PROPOSED, UNGUARDED, Variant
+from paper.variants import ARM, CONTROLLERS, PROPOSED, UNGUARDED, Variant
 
 EVERY = 0.01  # between two instants that figures show [s]
 STRIDE = round(EVERY * RATE)  # the same in control instants
@@ -70,7 +70,7 @@ class Request(NamedTuple):
     @property
     def nominal(self) -> octarm.ArmParameters:
         """What the controllers believe, with batch axis (n,)."""
-        return octarm.nominal_parameters().mismatched(self.mismatch)
+        return ARM.mismatched(self.mismatch)
 
     @property
     def seconds(self) -> float:
@@ -180,18 +180,13 @@ def moved(request: Request, q: np.ndarray) -> np.ndarray:
     10 ms apart would all see it at the same age.
     """
     steady = q[round(SETTLED * request.rate) :]
-    shape = len(steady), len(request.mismatches), 1 + request.seeds, q.shape[-1]
-    groups = steady.reshape(shape)
+    groups = steady.reshape(len(steady), len(request.mismatches), 1 + request.seeds, q.shape[-1])
     squares = np.square(groups - groups[:, :, :1])
     return np.sqrt(np.sum(squares, axis=0) / max(len(steady), 1)).reshape(q.shape[1:])
 
 
 def record(request: Request, model: float, folder: Path) -> None:
-    """Has `octarm run` write the folder of one arm without noise, with a recording.
-
-    Raises:
-        OctarmError: if it does not.
-    """
+    """Has `octarm run` write the folder of one arm without noise; OctarmError if it does not."""
     variant = request.variant
     command = [sys.executable, "-m", "octarm", "run", "--out", str(folder),
                "--controller", variant.controller, "--reference", request.reference,

@@ -68,18 +68,6 @@ class Cell(NamedTuple):
         return [self._replace(label=label) for label in labels]
 
 
-class Beyond(NamedTuple):
-    """Something that the paper does not try: a field of `Cell`."""
-
-    values: Sequence[float]  # that are tried [SI]
-    unit: str  # in which it is written
-    factor: float  # from SI units to that one
-
-    def written(self, value: float) -> str:
-        """A value in that unit."""
-        return f"{self.factor * value:g} {self.unit}"
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Effort:
     """How much is run, as `studies.toml` says it."""
@@ -100,7 +88,7 @@ class Effort:
 
 _STUDIES = tomllib.loads(Path(__file__).with_name("studies.toml").read_text("utf-8"))
 FULL, QUICK = (Effort(name=name, **_STUDIES[name]) for name in ("full", "quick"))
-BEYOND = {name: Beyond(**own) for name, own in _STUDIES["beyond"].items()}
+BEYOND: Mapping[str, Mapping[str, float]] = _STUDIES["beyond"]  # by field of a cell and in words
 
 
 class Sweep(NamedTuple):

@@ -15,13 +15,12 @@ import numpy as np
 from octarm.reports.statistics import Interval, binomial
 from paper.claims import Claim, worded, words
 from paper.evidence import Evidence, interval
-from paper.numbers import percent
+from paper.numbers import Entry, percent
 from paper.plants import LONGEST, SHORTEST, SHORTEST_TRACKED
 from paper.runs import EVERY, LONG
 from paper.studies import BEYOND, MODELS, MOVING, NOISE, RATE, WRONG, Cell
 from paper.variants import CONTROLLERS, INSTEAD, PROPOSED, SIGN, SMC, by_hand
 
-Entry = str | int | float | Interval
 Rows = Iterable[Sequence[Entry]]
 # How tables say what a cell has.
 WORDS: dict[str, Callable[[Any], Entry]] = {
@@ -46,10 +45,7 @@ class Table(NamedTuple):
 def all_tables(evidence: Evidence, claims: Sequence[Claim], gains: Path) -> dict[str, Table]:
     """All tables that are the same in every run, by name, those that have rows.
 
-    Args:
-        evidence: what was run.
-        claims: all of them.
-        gains: folder of the tuned gain sets.
+    The folder `gains` has the tuned gain sets.
     """
     tables = [
         _table("ranking", ranking(evidence)),
@@ -187,23 +183,24 @@ def _rank(evidence: Evidence, cell: Cell, names: Sequence[str]) -> Entry:
 
 def periods(evidence: Evidence) -> Table:
     """The longest control periods of each law, predicted and simulated [ms]."""
-
-    def written(seconds: float, shortest: float) -> Entry:
-        """Or beyond which one it is."""
-        if math.isnan(seconds):
-            return "no slope"
-        if seconds > LONGEST:
-            return f"above {1e3 * LONGEST:g}"
-        return f"below {1e3 * shortest:g}" if seconds < shortest else 1e3 * float(seconds)
-
     rows: list[Sequence[Entry]] = []
-    for name, kinds in evidence.periods.items():
-        pairs = list(zip(kinds["predicted"], kinds["simulated"], strict=True))
-        shortest = [SHORTEST_TRACKED if math.isnan(pair[0]) else SHORTEST for pair in pairs]
-        ends = zip(pairs, shortest, strict=True)
-        rows.append((name, *(written(x, least) for pair, least in ends for x in pair)))
+    for name, both in evidence.periods.items():
+        row: list[Entry] = [name]
+        for pair in zip(both["predicted"].tolist(), both["simulated"].tolist(), strict=True):
+            shortest = SHORTEST_TRACKED if math.isnan(pair[0]) else SHORTEST
+            row += [_period(seconds, shortest) for seconds in pair]
+        rows.append(row)
     kinds = product(evidence.effort.plants, ("predicted", "simulated"))
     return _table("periods", rows, [f"{modules} modules, {kind} [ms]" for modules, kind in kinds])
+
+
+def _period(seconds: float, shortest: float) -> Entry:
+    """In milliseconds, or beyond which one it is [s]."""
+    if math.isnan(seconds):
+        return "no slope"
+    if seconds > LONGEST:
+        return f"above {1e3 * LONGEST:g}"
+    return f"below {1e3 * shortest:g}" if seconds < shortest else 1e3 * seconds
 
 
 def tuning(evidence: Evidence, gains: Path) -> Rows:

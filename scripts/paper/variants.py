@@ -74,12 +74,8 @@ def by_hand(name: str) -> str:
 def all_variants(folder: Path | None = None) -> dict[str, Variant]:
     """All variants by label: tuned ones, hand-set ones, ablations of `afsmc` with both gain sets.
 
-    Args:
-        folder: of gain sets NAME.toml to take instead of those shipped; a controller without one
-            has its hand-set gains.
-
-    Raises:
-        OctarmError: if a gain set cannot be read.
+    A folder has gain sets NAME.toml to take instead of those shipped; a controller without one has
+    its hand-set gains. Raises OctarmError if a gain set cannot be read.
     """
     known: dict[str, Variant] = {}
     for gains, name in itertools.product((TUNED, BY_HAND), CONTROLLERS):
