@@ -19,11 +19,11 @@ from paper.claims import (
 )  # fmt: skip
 from paper.evidence import Evidence, interval
 from paper.lyapunov import Outcome
-from paper.numbers import Row, number, span
+from paper.numbers import Row, exact, number, span
 from paper.plants import longest
 from paper.runs import Cost, Series
 from paper.studies import BENDS, FULL, MODELS, NOISE, SLIDES, Cell
-from paper.tables import Table, as_csv, best, plants, plants_ranking
+from paper.tables import Table, as_csv, best, grid, plants, plants_ranking
 from paper.variants import (
     AS_PRINTED,
     FIXED_PREMISES,
@@ -278,6 +278,34 @@ def test_the_best_law_is_named_whatever_it_is():
     assert all(row[5] == Interval(2.0, 2.0, 2.0) for row in rows)
 
 
+def test_a_grid_has_a_row_for_each_place_in_which_all_was_run():
+    """Its values are ratios to a law in the same place, here twice and half of `afsmc`."""
+    factors = {FIXED_RULES: 2.0, SMC: 0.5}
+    rows = list(grid(evidence(lambda c, _: factors.get(c.label, 1.0)), "ablations"))
+    places = [row[:3] for row in rows]
+    assert places[:4] == [
+        (SMC, joints, noise)
+        for joints in ("theta1, theta2", "s1, s2")
+        for noise in ("40 %", "none")
+    ]
+    assert len(rows) == 4 * 4  # of the laws in that table, four were run
+    values = {row[0]: {x.value for x in row[3:]} for row in rows}
+    assert values[SMC] == {0.5} and values[FIXED_RULES] == {2.0} and values[AS_PRINTED] == {1.0}
+    own = evidence(lambda c, _: 3.0 if c.label == by_hand(SMC) else 1.0)
+    assert {row[0]: row[2].value for row in grid(own, "gain-sets")} == {
+        SIGN: 1.0, SMC: pytest.approx(1.0 / 3.0), PROPOSED: 1.0,
+    }  # fmt: skip
+
+
+def test_a_cell_names_its_study_and_evidence_what_was_varied():
+    cells = (Cell(SMC), Cell(SMC, rate=500.0), Cell(SMC, time=0.1), Cell(SMC, "plants", rate=1e4))
+    assert [c.title for c in cells] == ["tracking", "rate-500", "correlation", "plants-10000"]
+    own = evidence()
+    assert own.varied(Cell(""), "mismatch") == [-0.3, 0.0, 0.3]
+    assert own.varied(Cell("", "beyond", mismatch=-0.3), "loss") == [0.0, 0.1, 0.3, 0.5]
+    assert own.varied(Cell("", mismatch=0.2), "noise") == []
+
+
 def test_plants_have_a_row_for_each_number_of_modules_period_and_noise():
     def change(cell: Cell, _: str) -> float:
         lost = cell.label != PROPOSED and cell.plant > 9
@@ -334,7 +362,8 @@ def test_numbers_in_words():
         "0", "5", "123", "0.0123", "1.00e-07",
     ]  # fmt: skip
     assert number(math.inf) == "∞"
-    assert span([math.nan, 0.5, 0.25, math.inf], "%") == "0.250 to 0.500 %"
+    rows = [exact("", x) for x in (math.nan, 0.5, 0.25, math.inf)]
+    assert span(rows, "%") == "0.250 to 0.500 %" and span(rows[:1]) == "unknown"
     assert str(Row("", Interval(50.0, 25.0, 75.0), "%")) == "50 (25 .. 75) %"
 
 
