@@ -55,8 +55,8 @@ def engines(settings: Settings) -> list[Row]:
     with WorkerProcesses(PROCESSES) as pool:
         for law in TARGETS:
             measured = [compare(pool, law, settings, open_loop, engine) for engine in ENGINES]
-            times = np.divide(*(turns.ratios() for turns in reversed(measured)))
-            rows += ratios(law, "lagrange over mujoco (stretch: 20)", times.tolist(), 6.0)
+            mujoco, lagrange = (np.array(turns.ratios()) for turns in measured)
+            rows += ratios(law, "lagrange over mujoco (stretch: 20)", (lagrange / mujoco).tolist(), 6.0)
             for engine, turns in zip(ENGINES, measured, strict=True):
                 cost = turns.costs()[0]
                 rows.append(Row(f"{law}, {engine}, a step of an arm", 1e6 * cost, "us"))
