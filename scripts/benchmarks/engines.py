@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from concurrent.futures import Executor
 
 import numpy as np
 
@@ -31,10 +32,10 @@ from controllers import make_controller
 from octarm.arm.mjcf import build_slim_model
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
-from octarm.simulation.engines import ENGINES, LAGRANGE, MUJOCO, usual_engine
+from octarm.simulation.engines import ENGINES, LAGRANGE, usual_engine
 from octarm.sweeps.tune import Budget, Space
 from octarm.sweeps.tune_cost import Examination, Rig, costs
-from octarm.sweeps.workers import WorkerProcesses
+from octarm.sweeps.workers import WorkerProcesses, cores
 
 MODULES = {3: None, 10: None, 15: 10.0, 30: None}  # and how much faster the engine shall be
 STEP = 5e-5  # physics step of all these plants [s]; that of 30 modules may be 88 us
@@ -56,7 +57,8 @@ def engines(settings: Settings) -> list[Row]:
         for law in TARGETS:
             measured = [compare(pool, law, settings, open_loop, engine) for engine in ENGINES]
             mujoco, lagrange = (np.array(turns.ratios()) for turns in measured)
-            rows += ratios(law, "lagrange over mujoco (stretch: 20)", (lagrange / mujoco).tolist(), 6.0)
+            times = (lagrange / mujoco).tolist()
+            rows += ratios(law, "lagrange over mujoco (stretch: 20)", times, 6.0)
             for engine, turns in zip(ENGINES, measured, strict=True):
                 cost = turns.costs()[0]
                 rows.append(Row(f"{law}, {engine}, a step of an arm", 1e6 * cost, "us"))
@@ -105,7 +107,7 @@ def against_operations(name: str, cost: float, operations: int, c_program: float
 
 
 def tuning(settings: Settings) -> list[Row]:
-    """A generation of `octarm tune`, on one core: its budget consists of such batches."""
+    """A generation of `octarm tune`, of which its budget is made, by one process and by all."""
     check_installed()
     factory = functools.partial(make_controller, TUNED, gain_set="recommended")
     budget, nominal = Budget(generations=1), octarm.nominal_parameters()
@@ -114,16 +116,21 @@ def tuning(settings: Settings) -> list[Row]:
     whole = min(1.0, settings.seconds)
     examination = Examination(begin=whole, duration=3.0 * whole)
 
-    def evaluation(engine: str) -> Callable[[], object]:
-        return lambda: costs(examination, factory, candidates, rig=Rig(engine))
+    def evaluation(engine: str, workers: Executor | None = None) -> Callable[[], object]:
+        return lambda: costs(examination, factory, candidates, rig=Rig(engine), workers=workers)
 
     compiling = Examination(begin=1e-3, duration=2e-3)
     costs(compiling, factory, candidates, rig=Rig(LAGRANGE))
-    times = [[duration_of(evaluation(engine)) for engine in ENGINES] for _ in range(_TIMES)]
-    mujoco, lagrange = np.min(times, axis=0)
-    length = f"a generation of {examination.duration:g} s"
+    with WorkerProcesses(cores()) as workers:
+        costs(compiling, factory, candidates, rig=Rig(LAGRANGE), workers=workers)
+        ways = [*map(evaluation, ENGINES), evaluation(LAGRANGE, workers)]
+        times = [[duration_of(way) for way in ways] for _ in range(_TIMES)]
+    (*wall, by_all), computed = np.min(times, axis=0).T
     return [
-        *ratios(TUNED, "a generation, lagrange over mujoco", (mujoco / lagrange).tolist(), 5.0),
-        Row(f"{TUNED}, {MUJOCO}, {length}", mujoco[0], "s"),
-        Row(f"{TUNED}, {LAGRANGE}, {length}", lagrange[0], "s"),
-    ]
+        Row(f"{TUNED}, a generation, lagrange by a process a core over mujoco by one",
+            wall[0] / by_all, "1", at_least=5.0),
+        Row(f"{TUNED}, lagrange over mujoco, each by one process", wall[0] / wall[1], "1"),
+        Row(f"{TUNED}, likewise by processor time", computed[0] / computed[1], "1"),
+        *(Row(f"{TUNED}, {engine}, a generation of {examination.duration:g} s", x, "s")
+          for engine, x in zip(ENGINES, wall, strict=True)),
+    ]  # fmt: skip

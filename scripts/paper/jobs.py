@@ -78,7 +78,8 @@ def all_tasks(variants: Mapping[str, Variant], effort: Effort) -> list[Task]:
     places = itertools.product(effort.plant_rates, effort.plants, effort.plant_labels)
     for rate, modules, label in places:
         name = f"plant-{modules}-{rate:g}-Hz-{label}"
-        seconds = rate / 100.0 * (1.0 + modules / 10.0)  # what a control period of all arms costs
+        # Weighed by what a control period costs for all arms.
+        seconds = plants.DURATION * rate / 200.0 * (1.0 + modules / 10.0)
         perform = partial(plants.planted, variants[label], modules, rate, effort.seeds)
         cell = Cell(label, "plants", plant=modules, rate=rate)
         tasks.append(Task(name, seconds, perform, cell))
