@@ -111,9 +111,11 @@ def _spec(name: str, places: Any) -> Any:
     return None
 
 
-def distribution_of(module: str) -> str:
-    """The installed package that a module belongs to; empty if it is not known."""
-    top = module.partition(".")[0]
+def distribution_of(source: str) -> str:
+    """The installed package that a module belongs to; empty if it is not known, or for a file."""
+    if source.endswith(".py"):
+        return ""
+    top = source.partition(".")[0]
     return next(iter(importlib.metadata.packages_distributions().get(top, ())), "")
 
 

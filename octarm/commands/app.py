@@ -6,6 +6,7 @@ import functools
 import importlib.metadata
 import os
 import re
+import resource
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -22,7 +23,7 @@ from cyclopts.exceptions import (
 )
 
 from octarm import units
-from octarm.commands import checks, kinds, many_runs, one_arm, one_run, own
+from octarm.commands import checks, kinds, many_runs, one_run, yours
 from octarm.commands.kinds import SHELLS, Work
 from octarm.commands.pages import arguments_of, commands, is_operand, overview, page, spelling
 from octarm.errors import ExitCode, FileError, OctarmError, closest, printable, quoted
@@ -65,8 +66,8 @@ for title, functions in {
         *(one_run.plot, one_run.video, one_run.compare),
     ),
     "many runs": (many_runs.sweep, many_runs.report, many_runs.margin, many_runs.tune),
-    "an arm": (one_arm.arm,),
-    "your own": (own.new,),
+    "an arm": (yours.arm,),
+    "your own": (yours.new,),
     "checks": (checks.validate, checks.verify),
     "this machine": (checks.doctor, completion),
 }.items():
@@ -126,10 +127,6 @@ def _joined(words: Sequence[str]) -> list[str]:
 
 def _check_address_space(command: str) -> None:
     """Raises OctarmError if the libraries that a command loads would abort for lack of memory."""
-    try:
-        import resource
-    except ImportError:  # not on POSIX
-        return
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     needed = _ADDRESS_SPACE.get(command, 1.5) + 0.11 * (os.cpu_count() or 1)  # threads have stacks
     if limit != resource.RLIM_INFINITY and limit < 1e9 * needed:

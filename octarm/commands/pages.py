@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import pkgutil
 import textwrap
 from collections.abc import Iterator
 from typing import Any, get_origin
@@ -14,6 +15,12 @@ from octarm.commands.kinds import known_words
 _WIDTH = 80  # also where a page is piped
 _COLUMN = 24  # where the text on an option begins
 _LISTED = ("CONTROLLER", "REFERENCE", "SHELL", "KIND")  # whose words stand in the text
+# Where the texts are made that stand below the examples.
+_TEXTS = {
+    "{limits}": "controllers:limits_text",
+    "{references}": "octarm.references.catalogue:help_text",
+    "{disturbances}": "octarm.disturbances.spelling:help_text",
+}
 _OVERVIEW = """\
 usage: octarm COMMAND [OPTIONS]
 
@@ -59,18 +66,9 @@ def page(app: App, name: str) -> str:
     for title in dict.fromkeys(title for a in arguments for title in _titles(a.parameter)):
         lines += ["", f"{title}:"]
         lines += [line for a in arguments if title in _titles(a.parameter) for line in _entry(a)]
-    if "{disturbances}" in examples:
-        from octarm.disturbances.spelling import help_text
-
-        examples = examples.replace("{disturbances}", help_text())
-    if "{references}" in examples:
-        from octarm.references.catalogue import help_text as references_text
-
-        examples = examples.replace("{references}", references_text())
-    if "{limits}" in examples:
-        from controllers import limits_text
-
-        examples = examples.replace("{limits}", limits_text() or "  none")
+    for mark, place in _TEXTS.items():
+        if mark in examples:
+            examples = examples.replace(mark, pkgutil.resolve_name(place)() or "  none")
     return "\n".join([*lines, "", "examples:", examples.rstrip()])
 
 

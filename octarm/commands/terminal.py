@@ -8,9 +8,10 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import resource
 import sys
 from collections.abc import Callable, Generator
-from typing import TextIO
+from typing import Any, TextIO
 
 from octarm.errors import OctarmError
 
@@ -47,10 +48,6 @@ def _is_open(number: int) -> bool:
 
 def check_open_files() -> None:
     """Raises OctarmError if the system lets this process open too few files to do anything."""
-    try:
-        import resource
-    except ImportError:  # not on POSIX
-        return
     limit, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     needed = _open_files() + _FILES
     if not 0 <= limit < needed:  # a negative number stands for no limit
@@ -69,8 +66,10 @@ def _open_files() -> int:
         return 3
 
 
-def surviving_output(work: Callable[[], int]) -> Callable[[], int]:
-    """Work whose results are in files, so that it goes on although standard output fails.
+def surviving_output(
+    work: Callable[..., int], *arguments: Any, **options: Any
+) -> Callable[[], int]:
+    """Work with its arguments whose results are in files: it goes on although output fails.
 
     What a standard output that is full does not take goes to standard error; whoever has closed a
     pipe has seen enough.
@@ -78,7 +77,7 @@ def surviving_output(work: Callable[[], int]) -> Callable[[], int]:
 
     def survivor() -> int:
         with contextlib.redirect_stdout(_Stream(sys.stdout, sys.stderr)):
-            return work()
+            return work(*arguments, **options)
 
     return survivor
 

@@ -16,7 +16,7 @@ from controllers.gain_sets import GainSet, shortest
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
 from octarm.bars import bar as new_bar
-from octarm.commands.options import NOMINAL_ARM, USUAL_GAINS, ArmOptions, GainOptions
+from octarm.commands.options import USUAL_GAINS, GainOptions, TuneOptions
 from octarm.declared import Code, lacking, short_name
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import ExitCode, OctarmError, printable
@@ -29,102 +29,87 @@ from octarm.sweeps.tune import tune as tune_gains
 from octarm.sweeps.tune_cost import FORMULA, LARGEST, Examination, Rig
 
 
-@dataclasses.dataclass(frozen=True)
-class Options:
-    """What `octarm tune` is given besides the controller, as the command line has it."""
-
-    out: Path
-    seconds: float
-    seed: int
-    resume: bool
-    force: bool
-    engine: str | None
-    model: ArmOptions = NOMINAL_ARM
-    gains: GainOptions = USUAL_GAINS
-    reference: str | None = None
-    disturbances: tuple[str, ...] = ()
-
-    @property
-    def rig(self) -> Rig:
-        """What gains are tried on."""
-        engine, model = usual_engine() if self.engine is None else self.engine, self.model
-        given = model.arm is not None or model.parameter
-        return Rig(
-            engine,
-            model.plant_modules,
-            model.layout,
-            model.true_arm() if given else None,
-            self.reference,
-            tuple(map(parse_disturbance, self.disturbances)),
-            model.mismatch,
-            model.factors(),
-        )
-
-    @property
-    def start(self) -> str:
-        """What the gains are called that the search begins around."""
-        return "recommended" if self.gains == USUAL_GAINS else "start"
-
-    def factory(self, controller: str) -> Callable[..., Tunable]:
-        """What makes a controller from its nominal model and gains, those not given as at first."""
-        begun = self.gains.values()
-
-        def make(nominal: Any, gains: Mapping[str, Any]) -> Tunable:
-            gain_set = self.gains.gains or "recommended"
-            return make_controller(controller, nominal, {**begun, **gains}, gain_set=gain_set)
-
-        return make
-
-    def command(self, controller: str) -> str:
-        """The command line that finds the same gains."""
-        words = ["octarm", "tune", controller, "--budget", f"{self.seconds:g}"]
-        words += ["--seed", str(self.seed)]
-        words += ["--engine", self.engine] if self.engine is not None else []
-        words += ["--reference", self.reference] if self.reference is not None else []
-        words += [f"--disturbance={each}" for each in self.disturbances]
-        return shlex.join([*words, *self.model.command(), *self.gains.command()])
-
-
-def tune(controller: str, options: Options) -> int:
+def tune(controller: str, options: TuneOptions) -> int:
     """`octarm tune`: gains for one controller, as a TOML file."""
-    out, budget, rig = options.out, Budget.within(options.seconds), options.rig
+    assert options.out is not None
+    out, budget, rig = options.out, Budget.within(options.budget), _rig(options)
     rig.check()
     _check_knobs(controller)
     if options.force and not options.resume:
         state_file(out).unlink(missing_ok=True)
-    tuned = _search(controller, budget, options)
+    tuned = _search(controller, out, budget, rig, options)
     origin = {
-        "command": options.command(controller),
+        "command": _command(controller, options),
         "date": datetime.date.today(),
         "seed": options.seed,
-        "budget": options.seconds,
+        "budget": options.budget,
         **rig.settings(),
     }
-    name, code = short_name(controller), CONTROLLERS.code(controller)
-    write_text(out, gain_set(name, rig.arm(), origin, budget, tuned, code, options.start).to_toml())
+    name, code, start = short_name(controller), CONTROLLERS.code(controller), _start(options)
+    write_text(out, gain_set(name, rig.arm(), origin, budget, tuned, code, start).to_toml())
     state_file(out).unlink(missing_ok=True)
-    _print_summary(name, budget, tuned, options.start)
+    _print_summary(name, budget, tuned, start)
     print(f"wrote {printable(str(out))}")
     gains, word = (printable(shlex.quote(str(each))) for each in (out, controller))
     print(f"try it: octarm run --controller {word} --gains {gains}")
     return ExitCode.FINE
 
 
-def _search(controller: str, budget: Budget, options: Options) -> Tuned:
+def _rig(options: TuneOptions) -> Rig:
+    """What gains are tried on."""
+    model = options.model
+    given = model.arm is not None or model.parameter
+    return Rig(
+        options.engine or usual_engine(),
+        model.plant_modules,
+        model.layout,
+        model.true_arm() if given else None,
+        options.reference,
+        tuple(map(parse_disturbance, options.disturbance)),
+        model.mismatch,
+        model.factors(),
+    )
+
+
+def _start(options: TuneOptions) -> str:
+    """What the gains are called that the search begins around."""
+    return "recommended" if options.gain_options == USUAL_GAINS else "start"
+
+
+def _factory(controller: str, gains: GainOptions) -> Callable[..., Tunable]:
+    """What makes a controller from its nominal model and gains, those not given as at first."""
+    begun, gain_set = gains.values(), gains.gains or "recommended"
+
+    def make(nominal: Any, gains: Mapping[str, Any]) -> Tunable:
+        return make_controller(controller, nominal, {**begun, **gains}, gain_set=gain_set)
+
+    return make
+
+
+def _command(controller: str, options: TuneOptions) -> str:
+    """The command line that finds the same gains."""
+    words = ["octarm", "tune", controller, "--budget", f"{options.budget:g}"]
+    words += ["--seed", str(options.seed)]
+    words += ["--engine", options.engine] if options.engine is not None else []
+    words += ["--reference", options.reference] if options.reference is not None else []
+    words += [f"--disturbance={each}" for each in options.disturbance]
+    return shlex.join([*words, *options.model.command(), *options.gain_options.command()])
+
+
+def _search(controller: str, out: Path, budget: Budget, rig: Rig, options: TuneOptions) -> Tuned:
     """The search, with a bar on its progress and its state on disk."""
-    out, resume = options.out, options.resume
-    factory, nominal = options.factory(controller), options.rig.arm()
+    factory, nominal = _factory(controller, options.gain_options), rig.arm()
     space = Space(factory(nominal, {}), nominal.modules)
-    depends_on = settings(controller, space, budget, options.seed, options.rig)
+    depends_on = settings(controller, space, budget, options.seed, rig)
     code = CONTROLLERS.code(controller)
     depends_on |= {} if code is None else {"code": code.sha256}
     file = StateFile(state_file(out), depends_on)
-    if file.path.exists() and not resume:
+    if file.path.exists() and not options.resume:
         raise OctarmError(
             f"{file.path} keeps a search that was interrupted; go on with it by --resume, or "
             "begin it anew by --force"
         )
-    state = file.read() if resume else None
+    state = file.read() if options.resume else None
     bar = new_bar(total=budget.seconds, unit=" simulated s", unit_scale=True)
 
     def keep(state: SearchState) -> None:
@@ -140,13 +125,13 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
                 state=state,
                 keep=keep,
                 progress=bar.update,
-                rig=options.rig,
+                rig=rig,
             )
     except KeyboardInterrupt:
         if not file.path.exists():
             raise KeyboardInterrupt("nothing was written") from None
         more = shlex.join(["--out", str(out), "--resume"])
-        raise KeyboardInterrupt(f"go on by: {options.command(controller)} {more}") from None
+        raise KeyboardInterrupt(f"go on by: {_command(controller, options)} {more}") from None
 
 
 def _check_knobs(controller: str) -> None:
