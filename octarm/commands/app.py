@@ -7,7 +7,7 @@ import importlib.metadata
 import os
 import re
 import resource
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 from cyclopts import App, Argument, Group, Parameter
@@ -50,14 +50,10 @@ def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
       octarm completion zsh >> ~/.zshrc
       octarm completion fish > ~/.config/fish/completions/octarm.fish
     """
-
-    def work() -> int:
-        for known in SHELLS:
-            if shell == known:
-                return _show(APP.generate_completion(shell=known) + _AFTER.get(shell, ""))
+    if shell not in SHELLS:
         raise OctarmError(f"unknown shell {quoted(shell)}{closest(shell, SHELLS)}")
-
-    return work
+    script = APP.generate_completion(shell=shell)
+    return functools.partial(print, script + _AFTER.get(shell, ""))
 
 
 for title, functions in {
@@ -82,8 +78,8 @@ _ADDRESS_SPACE = {"run": 3.5, "record": 3.5, "replay": 3.5, "compare": 3.5}
 _AFTER = {"zsh": "autoload -U +X compinit && compinit\ncompdef _cyclopts_octarm octarm"}
 
 
-def parse(words: Sequence[str]) -> Work:
-    """What a command line asks for, with the modules that it needs imported.
+def parse(words: Sequence[str]) -> Callable[[], int]:
+    """What a command line asks for, with the modules that it needs imported; gives the exit code.
 
     Names and files that there are not are refused by the work, and nothing more is imported then.
 
@@ -103,14 +99,16 @@ def parse(words: Sequence[str]) -> Work:
         raise sentence from None
     if command == APP.help_print:
         name = next(iter(bound.arguments["tokens"]), None)
-        return functools.partial(_show, overview(APP) if name is None else page(APP, name))
-    if command.__module__.startswith("octarm."):
+        work: Work = functools.partial(print, overview(APP) if name is None else page(APP, name))
+    elif command.__module__.startswith("octarm."):
         _check_address_space(words[0])
         try:
-            return command(*bound.args, **bound.kwargs)
+            work = command(*bound.args, **bound.kwargs)
         except OctarmError as error:
-            return functools.partial(_refuse, error)
-    return functools.partial(command, *bound.args, **bound.kwargs)  # the version, words for a shell
+            work = functools.partial(_refuse, error)
+    else:  # the version, words for a shell
+        work = functools.partial(command, *bound.args, **bound.kwargs)
+    return lambda: work() or ExitCode.FINE
 
 
 def _joined(words: Sequence[str]) -> list[str]:
@@ -138,11 +136,6 @@ def _check_address_space(command: str) -> None:
 
 def _refuse(error: OctarmError) -> int:
     raise error
-
-
-def _show(text: str) -> int:
-    print(text)
-    return ExitCode.FINE
 
 
 def _sentence(error: CycloptsError, command: str) -> str:

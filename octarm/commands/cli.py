@@ -46,7 +46,7 @@ def _code(arguments: Sequence[str] | None, begin: Callable[[], None] | None) -> 
             begin()
         code = work()
         sys.stdout.flush()
-        return code or ExitCode.FINE
+        return code
     except BrokenPipeError:  # whoever read the output has seen enough
         silence(sys.stdout)
         return ExitCode.FINE

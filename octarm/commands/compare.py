@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from octarm.commands.redraw import rows_of
-from octarm.errors import ExitCode, OctarmError, printable
+from octarm.errors import OctarmError, printable
 from octarm.files import write_files
 from octarm.recordings.comparison import check_comparable, write_comparison
 from octarm.reports.run_comparison import RunComparison
@@ -14,7 +14,7 @@ from octarm.reports.run_comparison import RunComparison
 PAGE, RECORDING, FIGURES = "comparison.html", "comparison.rrd", "figures"
 
 
-def compare(folders: Sequence[Path], out: Path) -> int:
+def compare(folders: Sequence[Path], out: Path) -> None:
     """`octarm compare`: runs in one page and one recording."""
     if len(folders) < 2:
         raise OctarmError(f"octarm compare needs two runs or more; {len(folders)} given")
@@ -27,8 +27,7 @@ def compare(folders: Sequence[Path], out: Path) -> int:
     text = comparison.page([str(folder) for folder in folders], pictures)
     contents = {out / PAGE: text.encode(errors="backslashreplace")}
     for picture in pictures:
-        contents[out / FIGURES / f"{picture.name}.svg"] = picture.svg.encode()
-        contents[out / FIGURES / f"{picture.name}.png"] = picture.png
+        contents |= picture.files(out / FIGURES)
     write_files(contents)
     write_comparison(out / RECORDING, *runs)
     for name, folder, title in zip(comparison.names, folders, comparison.titles, strict=True):
@@ -37,4 +36,3 @@ def compare(folders: Sequence[Path], out: Path) -> int:
         print(f"  {each.name}: {'; '.join(map(printable, each.values))}")
     print(printable(comparison.verdict, 2000))
     print(f"wrote {printable(str(out))}/  ({PAGE}, {RECORDING}, {FIGURES}/)")
-    return ExitCode.FINE

@@ -19,7 +19,7 @@ from cyclopts import Group, Parameter, Token
 from octarm.errors import OctarmError, closest, quoted
 from octarm.units import ANY, number
 
-Work = Callable[[], int]  # what a command does, once it begins; returns the exit code
+Work = Callable[[], int | None]  # what a command does; returns the exit code, if all is not fine
 Convert = Callable[[str, str], Any]  # from an option and its word to its value
 
 Shell = Literal["bash", "zsh", "fish"]

@@ -19,7 +19,7 @@ from octarm.commands.options import ArmOptions, MarginOptions
 from octarm.declared import Code, named, short_name
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance, spelling
-from octarm.errors import ExitCode, OctarmError
+from octarm.errors import OctarmError
 from octarm.files import write_text
 from octarm.formats import to_json
 from octarm.metrics.declared import ACCUMULATORS
@@ -45,7 +45,7 @@ from octarm.sweeps.workers import cores
 _NUMBERS = ("margin", "interval_low", "interval_high", "least", "median", "most")
 
 
-def margin(controllers: Sequence[str], options: MarginOptions) -> int:
+def margin(controllers: Sequence[str], options: MarginOptions) -> None:
     """`octarm margin`: how much each controller bears on each arm, as a table."""
     if not controllers:
         raise OctarmError("no controller is given; octarm run --help names them")
@@ -76,7 +76,6 @@ def margin(controllers: Sequence[str], options: MarginOptions) -> int:
         write_text(options.csv, _csv(rows))
     if options.json is not None:
         write_text(options.json, to_json(_report(options, varied, rows, code)))
-    return ExitCode.FINE
 
 
 def _checked(options: MarginOptions) -> tuple[Varied, Catalogue]:

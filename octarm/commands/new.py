@@ -9,7 +9,7 @@ from jinja2 import Template
 
 from octarm.commands.kinds import STARTS
 from octarm.disturbances.spelling import DISTURBANCES
-from octarm.errors import ExitCode, FileError, OctarmError, closest, printable, quoted
+from octarm.errors import FileError, OctarmError, closest, printable, quoted
 
 _FILES = Path(__file__).resolve().parent / "starts"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*([_-][A-Za-z0-9]+)*")
@@ -23,7 +23,7 @@ _NEXT = {
 }
 
 
-def new(kind: str, name: str) -> int:
+def new(kind: str, name: str) -> None:
     """`octarm new`: writes a file into the working folder."""
     if kind not in STARTS:
         raise OctarmError(f"unknown kind {quoted(kind)}{closest(kind, STARTS)}")
@@ -50,7 +50,6 @@ def new(kind: str, name: str) -> int:
     word = f"./{named['file']}:{named['Name']}"
     print(f"wrote {printable(named['file'])}")
     print(f"try it: {_NEXT[kind].format(word=word, **named)}")
-    return ExitCode.FINE
 
 
 def _write(file: Path, text: str) -> None:

@@ -160,7 +160,7 @@ def view(
     """
     from octarm.recordings.viewer import check_display
 
-    def job() -> int:
+    def job() -> None:
         check_display("octarm run and octarm video need none")
         os.environ["MUJOCO_GL"] = "glfw"  # before anything imports MuJoCo
         from octarm.commands import view as work
@@ -178,7 +178,7 @@ def view(
             duration=1.0,  # of a run; the window stays open
             control_period=control_period,
         )
-        return work.view(what, gains)
+        work.view(what, gains)
 
     return job
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from octarm.errors import ExitCode, printable
+from octarm.errors import printable
 from octarm.runs import folder as runs
 
 
-def record(run: Path, out: Path | None) -> int:
+def record(run: Path, out: Path | None) -> None:
     """`octarm record`: the recording of a run again, from its arrays and its description."""
     from octarm.recordings.recording import write_recording
 
@@ -19,27 +19,24 @@ def record(run: Path, out: Path | None) -> int:
     if target.resolve() == (run / runs.RECORDING).resolve():
         runs.note_recording(run)
     print(f"wrote {printable(str(target))}")
-    return ExitCode.FINE
 
 
-def plot(run: Path, out: Path) -> int:
+def plot(run: Path, out: Path) -> None:
     """`octarm plot`: the standard figures of a run."""
     from octarm.reports.run_figures import write_figures
 
     trajectory, description = rows_of(run)
     for path in write_figures(out, trajectory, description):
         print(f"wrote {printable(str(path))}")
-    return ExitCode.FINE
 
 
-def video(run: Path, out: Path, *, size: tuple[int, int], rate: float, speed: float) -> int:
+def video(run: Path, out: Path, *, size: tuple[int, int], rate: float, speed: float) -> None:
     """`octarm video`: MuJoCo's picture of a run as a film, `size` its width and height [pixel]."""
     from octarm.recordings.video import write_video
 
     trajectory, description = rows_of(run)
     write_video(out, trajectory, description, size=size, rate=rate, speed=speed)
     print(f"wrote {printable(str(out))}")
-    return ExitCode.FINE
 
 
 def rows_of(folder: Path) -> runs.Run:

@@ -58,7 +58,7 @@ def sweep(file: Path, options: SweepOptions) -> int:
     return ExitCode.FINE if alike else ExitCode.CHECK_FAILED
 
 
-def dry_run(file: Path, options: SweepOptions) -> int:
+def dry_run(file: Path, options: SweepOptions) -> None:
     """`octarm sweep --dry-run`: prints what the sweep will take."""
     spec = _checked_spec(file, options)
     workers = options.workers or cores()
@@ -90,7 +90,6 @@ def dry_run(file: Path, options: SweepOptions) -> int:
         print(f"octarm sweep will refuse it: {error}")
     if expected.shards < workers:
         print(f"a batch below {spec.batch} would make more shards, for all {workers} workers")
-    return ExitCode.FINE
 
 
 def _checked_spec(file: Path, options: SweepOptions) -> SweepSpec:

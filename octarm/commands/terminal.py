@@ -67,15 +67,15 @@ def _open_files() -> int:
 
 
 def surviving_output(
-    work: Callable[..., int], *arguments: Any, **options: Any
-) -> Callable[[], int]:
+    work: Callable[..., int | None], *arguments: Any, **options: Any
+) -> Callable[[], int | None]:
     """Work with its arguments whose results are in files: it goes on although output fails.
 
     What a standard output that is full does not take goes to standard error; whoever has closed a
     pipe has seen enough.
     """
 
-    def survivor() -> int:
+    def survivor() -> int | None:
         with contextlib.redirect_stdout(_Stream(sys.stdout, sys.stderr)):
             return work(*arguments, **options)
 

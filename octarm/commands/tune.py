@@ -19,7 +19,7 @@ from octarm.bars import bar as new_bar
 from octarm.commands.options import USUAL_GAINS, GainOptions, TuneOptions
 from octarm.declared import Code, lacking, short_name
 from octarm.disturbances.spelling import parse_disturbance
-from octarm.errors import ExitCode, OctarmError, printable
+from octarm.errors import OctarmError, printable
 from octarm.files import write_text
 from octarm.interfaces import Tunable
 from octarm.simulation.engines import usual_engine
@@ -29,7 +29,7 @@ from octarm.sweeps.tune import tune as tune_gains
 from octarm.sweeps.tune_cost import FORMULA, LARGEST, Examination, Rig
 
 
-def tune(controller: str, options: TuneOptions) -> int:
+def tune(controller: str, options: TuneOptions) -> None:
     """`octarm tune`: gains for one controller, as a TOML file."""
     assert options.out is not None
     out, budget, rig = options.out, Budget.within(options.budget), _rig(options)
@@ -52,7 +52,6 @@ def tune(controller: str, options: TuneOptions) -> int:
     print(f"wrote {printable(str(out))}")
     gains, word = (printable(shlex.quote(str(each))) for each in (out, controller))
     print(f"try it: octarm run --controller {word} --gains {gains}")
-    return ExitCode.FINE
 
 
 def _rig(options: TuneOptions) -> Rig:
