@@ -133,8 +133,7 @@ def view(
     seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
     arm: Annotated[str | None, kinds.ARM, kinds.MODEL] = None,
     mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0,
-    gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None,
-    gain: Annotated[tuple[str, ...], kinds.kind("NAME:VALUES"), kinds.GAIN] = (),
+    gain_options: GainOptions = USUAL_GAINS,
     control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
 ) -> kinds.Work:
     """Watch the arm in MuJoCo's viewer, moved by a controller.
@@ -150,8 +149,7 @@ def view(
         seed: seed of all that is random
         arm: the true arm and the controller's model of it, a file or an arm that comes with octarm
         mismatch: error of the controller's model
-        gains: tuned, recommended, or a file; tuned ones when not given
-        gain: one gain in SI
+        gain_options: see `octarm.commands.options`
         control_period: time between control actions [s]; one physics step when not given
 
     Examples:
@@ -171,14 +169,14 @@ def view(
             controller,
             reference,
             disturbance,
-            gains=GainOptions(gain=gain).values(),
+            gains=gain_options.values(),
             nominal=nominal,
             parameters=true,
             seed=seed,
             duration=1.0,  # of a run; the window stays open
             control_period=control_period,
         )
-        work.view(what, gains)
+        work.view(what, gain_options.gains)
 
     return job
 
@@ -237,7 +235,7 @@ def compare(
       octarm compare runs/a runs/b runs/c --out comparison-of-gains
     """
     kinds.check_free(force, out / "comparison.html", out / "comparison.rrd")
-    from octarm.commands import compare as work
+    from octarm.commands import redraw as work
 
     return surviving_output(work.compare, runs, out)
 

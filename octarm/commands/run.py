@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 from dm_control.rl import control
 from tqdm import tqdm
 
@@ -19,7 +20,7 @@ from controllers import make_controller
 from octarm.arm.modes import growth_rate
 from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
-from octarm.commands.summary import Swing, summary
+from octarm.commands.summary import summary
 from octarm.declared import short_name, word_of
 from octarm.disturbances.episode import Disturbance
 from octarm.errors import ExitCode, OctarmError, printable
@@ -61,7 +62,7 @@ def _run(
     for sentence in late_events(experiment.disturbances, experiment.duration):
         print(f"octarm: {sentence}", file=sys.stderr)
     out = out or _dated_folder(experiment.controller)
-    started, swing = time.perf_counter(), Swing()
+    started, ends = time.perf_counter(), list[np.ndarray]()  # of the reference, block by block
     with new_bar(total=periods, unit=" periods") as bar:
         trajectory, description = run_into(
             out,
@@ -70,11 +71,12 @@ def _run(
             announced,
             recording=run_recording,
             progress=bar.update,
-            keep=swing.add,
+            keep=lambda rows: ends.extend([rows["q_d"].min(axis=0), rows["q_d"].max(axis=0)]),
             live=None if url is None else LiveRecording(url, announced, _say),
         )
     elapsed = time.perf_counter() - started
-    print(summary(len(trajectory), swing.amplitude(), description, elapsed, experiment.code))
+    amplitude = 0.5 * np.ptp(ends, axis=0)
+    print(summary(len(trajectory), amplitude, description, elapsed, experiment.code))
     print(f"wrote {printable(str(out))}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt(f"{out} holds the run up to t = {trajectory.t[-1]:.6g} s")

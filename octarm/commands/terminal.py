@@ -24,7 +24,7 @@ def repair_streams() -> None:
     The next files that a program opens would have the numbers of closed ones, and what is printed
     would be written into them. Of output and errors, one stands in for the other.
     """
-    closed = [number for number in range(3) if not _is_open(number)]
+    closed = [number for number in range(3) if not os.path.exists(f"/dev/fd/{number}")]
     for _ in closed:
         os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
     for number, other in ((1, 2), (2, 1)):
@@ -36,14 +36,6 @@ def repair_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-
-
-def _is_open(number: int) -> bool:
-    try:
-        os.fstat(number)
-    except OSError:
-        return False
-    return True
 
 
 def check_open_files() -> None:
