@@ -22,7 +22,6 @@ from cyclopts.exceptions import (
     UnusedCliTokensError,
 )
 
-from octarm import units
 from octarm.commands import checks, kinds, many_runs, one_run, yours
 from octarm.commands.kinds import SHELLS, Work
 from octarm.commands.pages import arguments_of, commands, is_operand, overview, page, spelling
@@ -112,11 +111,10 @@ def parse(words: Sequence[str]) -> Callable[[], int]:
 
 
 def _joined(words: Sequence[str]) -> list[str]:
-    """The words, a negative number with a unit, such as -30%, joined to the option before it."""
+    """The words, a negative number, which may be -30%, joined to the option before it."""
     joined: list[str] = []
     for word in words:
-        negative = re.match(r"-\.?\d", word) and joined and joined[-1].startswith("--")
-        if negative and "=" not in joined[-1] and units.has_unit(word):
+        if re.match(r"-\.?\d", word) and joined and re.fullmatch("--[^=]+", joined[-1]):
             joined[-1] += f"={word}"
         else:
             joined.append(word)

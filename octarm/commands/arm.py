@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -106,39 +107,31 @@ def _from_rod(text: str) -> Arm:
                 f"--from-rod has {quoted(item)}; each key is given once, as KEY=VALUE"
             )
         given[key] = value
-    modules, layout = _modules(given.pop("modules", "")), given.pop("layout", "paper")
-    fields: dict[str, Any] = {key: _profile(key, value) for key, value in given.items()}
-    rod = Rod(**fields)
-    p = arm_from_rod(rod, modules, layout)
+    modules, layout = given.pop("modules", ""), given.pop("layout", "paper")
+    if not re.fullmatch(r"[-+]?\d+", modules):
+        what = f"modules {quoted(modules)}" if modules else "no modules"
+        raise OctarmError(f"--from-rod has {what}; it needs modules=N, a whole number")
+    rod = Rod(**{key: _profile(key, value) for key, value in given.items()})
+    p = arm_from_rod(rod, int(modules), layout)
     if violation := cannot_hang(p):
         raise OctarmError(violation)
     numbers = ", ".join(
-        f"{key} = {_spelt(value)}" for key, value in dataclasses.asdict(rod).items()
+        f"{key} = {':'.join(f'{x:g}' for x in np.atleast_1d(value))}"
+        for key, value in dataclasses.asdict(rod).items()
     )
     return Arm(
         p,
-        f"a rod of {modules} modules, layout {layout}",
+        f"a rod of {int(modules)} modules, layout {layout}",
         converted=(f"columns, masses and inertias from a rod with {numbers} in SI units",),
     )
 
 
-def _modules(word: str) -> int:
+def _profile(key: str, word: str) -> Any:
+    """A number, or those at the base and at the tip of a property that tapers."""
     try:
-        return int(word)
-    except ValueError:
-        what = f"modules {quoted(word)}" if word else "no modules"
-        raise OctarmError(f"--from-rod has {what}; it needs modules=N, a whole number") from None
-
-
-def _profile(key: str, word: str) -> float | tuple[float, ...]:
-    try:
-        numbers = tuple(map(float, word.split(":")))
+        base, *tip = map(float, word.split(":"))
     except ValueError:
         raise OctarmError(
             f"--from-rod has {key} {quoted(word)}; it must be a number, or BASE:TIP"
         ) from None
-    return numbers[0] if len(numbers) == 1 else numbers
-
-
-def _spelt(value: Any) -> str:
-    return ":".join(f"{x:g}" for x in np.atleast_1d(value))
+    return (base, *tip) if tip else base

@@ -42,6 +42,7 @@ from octarm.sweeps.margin import (
 )
 from octarm.sweeps.workers import cores
 
+_NEVER_ENOUGH = "no number of seeds has one"
 _NUMBERS = ("margin", "interval_low", "interval_high", "least", "median", "most")
 
 
@@ -221,7 +222,11 @@ def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, options: Mar
     if any(row["alike"] for row in rows):
         print("no interval: nothing random acts, all seeds are the same; --disturbance noise:0.4?")
     if not all(row["alike"] for row in rows):
-        _print_missing_ends(options.share, seeds)
+        for end, needed in zip(("lower", "upper"), seeds_needed(options.share), strict=True):
+            if needed > seeds:
+                enough = f"it needs {needed} seeds" if needed < math.inf else _NEVER_ENOUGH
+                missing = f"no {end} end of a 95 % interval at {options.share:.0%}"
+                print(f"?: {seeds} seeds have {missing}; {enough}")
     print(
         "taken for granted between the values that were tried: what breaks the bound breaks it "
         "further on, too"
@@ -232,16 +237,6 @@ def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, options: Mar
                 f"* {row['controller']}: not so, {row['met_again']} of {seeds} seeds meet "
                 "the bound again further on; the margin is that of the first failure"
             )
-
-
-def _print_missing_ends(share: float, seeds: int) -> None:
-    """Which ends of intervals the seeds cannot carry, and how many could."""
-    for end, needed in zip(("lower", "upper"), seeds_needed(share), strict=True):
-        if needed > seeds:
-            enough = (
-                f"it needs {needed} seeds" if needed < math.inf else "no number of seeds has one"
-            )
-            print(f"?: {seeds} seeds have no {end} end of a 95 % interval at {share:.0%}; {enough}")
 
 
 def _csv(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -9,7 +9,6 @@ import itertools
 import shlex
 import sys
 import time
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,6 @@ from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
 from octarm.commands.summary import summary
 from octarm.declared import short_name, word_of
-from octarm.disturbances.episode import Disturbance
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.recordings import viewer
 from octarm.recordings.live import LiveRecording
@@ -59,9 +57,18 @@ def _run(
     label = short_name(word_of(experiment.controller, experiment.code))
     far = print_unsuited(label, gain_set, experiment.nominal, None, period)
     periods = whole_periods(experiment.duration, period)
-    for sentence in late_events(experiment.disturbances, experiment.duration):
-        print(f"octarm: {sentence}", file=sys.stderr)
+    for event in (event for each in experiment.disturbances for event in each.events()):
+        if event.text and event.at >= experiment.duration:
+            print(
+                f"octarm: {event.text} begins at {event.at:g} s, and the run ends at "
+                f"{experiment.duration:g} s before it",
+                file=sys.stderr,
+            )
     out = out or _dated_folder(experiment.controller)
+
+    def say(sentence: str) -> None:
+        tqdm.write(f"octarm: {sentence}", file=sys.stderr)  # above the bar
+
     started, ends = time.perf_counter(), list[np.ndarray]()  # of the reference, block by block
     with new_bar(total=periods, unit=" periods") as bar:
         trajectory, description = run_into(
@@ -72,7 +79,7 @@ def _run(
             recording=run_recording,
             progress=bar.update,
             keep=lambda rows: ends.extend([rows["q_d"].min(axis=0), rows["q_d"].max(axis=0)]),
-            live=None if url is None else LiveRecording(url, announced, _say),
+            live=None if url is None else LiveRecording(url, announced, say),
         )
     elapsed = time.perf_counter() - started
     amplitude = 0.5 * np.ptp(ends, axis=0)
@@ -90,17 +97,6 @@ def _run(
     else:
         print(f"see it: octarm replay {printable(shlex.quote(str(out)))}")
     return ExitCode.FINE
-
-
-def late_events(disturbances: Sequence[Disturbance], duration: float) -> Iterator[str]:
-    """What begins after a run of this duration [s], a sentence each."""
-    for disturbance in disturbances:
-        for event in disturbance.events():
-            if event.text and event.at >= duration:
-                yield (
-                    f"{event.text} begins at {event.at:g} s, and the run ends at {duration:g} s "
-                    "before it"
-                )
 
 
 def _advice(far: str, environment: control.Environment) -> str:
@@ -131,10 +127,6 @@ def _view(folder: Path) -> None:
         print(f"the viewer did not open: {error}")
         name = printable(shlex.quote(str(folder)))
         print(f"a picture: octarm replay {name} --screenshot picture.png")
-
-
-def _say(sentence: str) -> None:
-    tqdm.write(f"octarm: {sentence}", file=sys.stderr)  # above the bar
 
 
 def _dated_folder(controller: str) -> Path:

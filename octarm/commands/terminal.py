@@ -41,7 +41,10 @@ def repair_streams() -> None:
 def check_open_files() -> None:
     """Raises OctarmError if the system lets this process open too few files to do anything."""
     limit, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    needed = _open_files() + _FILES
+    try:
+        needed = len(os.listdir("/dev/fd")) + _FILES
+    except OSError:  # no further file can be opened
+        needed = 3 + _FILES
     if not 0 <= limit < needed:  # a negative number stands for no limit
         return
     if 0 <= most < needed:
@@ -49,13 +52,6 @@ def check_open_files() -> None:
             f"the system allows {limit} open files, and octarm needs {needed}: ulimit -n {needed}"
         )
     resource.setrlimit(resource.RLIMIT_NOFILE, (needed, most))
-
-
-def _open_files() -> int:
-    try:
-        return len(os.listdir("/dev/fd"))
-    except OSError:  # there is none, or no further file can be opened
-        return 3
 
 
 def surviving_output(

@@ -34,7 +34,11 @@ def tune(controller: str, options: TuneOptions) -> None:
     assert options.out is not None
     out, budget, rig = options.out, Budget.within(options.budget), _rig(options)
     rig.check()
-    _check_knobs(controller)
+    if misses := lacking(CONTROLLERS[controller], knobs=[], scales=[]):
+        raise OctarmError(
+            f"{short_name(controller)} {misses}; a controllers.law.Law has it, and "
+            "octarm.interfaces.Tunable says what it answers"
+        )
     if options.force and not options.resume:
         state_file(out).unlink(missing_ok=True)
     tuned = _search(controller, out, budget, rig, options)
@@ -133,15 +137,6 @@ def _search(controller: str, out: Path, budget: Budget, rig: Rig, options: TuneO
         raise KeyboardInterrupt(f"go on by: {_command(controller, options)} {more}") from None
 
 
-def _check_knobs(controller: str) -> None:
-    """Raises OctarmError for a law that does not say what tuning may turn."""
-    if misses := lacking(CONTROLLERS[controller], knobs=[], scales=[]):
-        raise OctarmError(
-            f"{short_name(controller)} {misses}; a controllers.law.Law has it, and "
-            "octarm.interfaces.Tunable says what it answers"
-        )
-
-
 def state_file(out: Path) -> Path:
     """Where the state of the search is kept that ends in a file."""
     return out.with_name(out.name + ".state")
@@ -227,14 +222,9 @@ def _print_summary(controller: str, budget: Budget, tuned: Tuned, start: str) ->
         print(f"  {name:<10} of {trial.duration:>4g} s {means}")
     lost = [s for s, cost in zip(budget.long.scenarios, tuned.long, strict=True) if cost >= LARGEST]
     for scenario in lost:
-        print(f"  lost: {_words(scenario)}")
+        print(f"  lost: {', '.join(f'{name} {x}' for name, x in _unusual(scenario).items())}")
     if tuned.at_bounds:
         print(f"  as small or large as allowed: {', '.join(tuned.at_bounds)}")
-
-
-def _words(scenario: Scenario) -> str:
-    """A scenario in words."""
-    return ", ".join(f"{name} {value}" for name, value in _unusual(scenario).items())
 
 
 def _unusual(scenario: Scenario) -> dict[str, Any]:
