@@ -104,11 +104,8 @@ def is_module(name: str) -> bool:
 
 
 def _spec(name: str, places: Any) -> Any:
-    for finder in sys.meta_path:
-        spec = finder.find_spec(name, places)
-        if spec is not None:
-            return spec
-    return None
+    found = (finder.find_spec(name, places) for finder in sys.meta_path)
+    return next((spec for spec in found if spec is not None), None)
 
 
 def distribution_of(source: str) -> str:
