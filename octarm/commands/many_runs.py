@@ -133,9 +133,9 @@ def tune(
     FILE.toml uses them.
 
     The measure holds two control periods, late and slow inputs, a payload, a fast motion, wrong
-    models and noise: the list SCENARIOS of octarm/sweeps/scenarios.py. What the gains are worth is
-    then measured on the list EVALUATION there: desired motions, noises, faults and model errors
-    that the search never saw.
+    models, noise, a plant of nine modules and an arm that hardly damps itself: the list SCENARIOS
+    of octarm/sweeps/scenarios.py. What the gains are worth is then measured on the list EVALUATION
+    there: desired motions, noises, faults and model errors that the search never saw.
 
     A reference takes the place of those of all scenarios; disturbances and errors of the model come
     in addition to what a scenario has. The search begins around the gains of --gains and --gain,

@@ -168,7 +168,7 @@ class MarginOptions:
     bound: Annotated[tuple[str, ...], kinds.kind("METRIC:VALUE"), kinds.SOUGHT] = ()
     low: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None
     high: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None
-    seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 16
+    seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 36
     share: Annotated[float, kinds.X, kinds.SOUGHT] = 0.9
     metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.SOUGHT] = ()
     arm: Annotated[tuple[str, ...], kinds.ARM, kinds.MODEL] = ()
@@ -206,6 +206,7 @@ class TuneOptions:
         force: replace gains that are there, and begin an interrupted search anew
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
             given
+        workers: processes; one a core when not given; the gains do not depend on them
     """
 
     reference: Annotated[str | None, kinds.REFERENCE, kinds.EXPERIMENT] = None
@@ -218,6 +219,7 @@ class TuneOptions:
     resume: bool = False
     force: bool = False
     engine: Annotated[str | None, kinds.ENGINE] = None
+    workers: Annotated[int | None, kinds.whole(1, 4096)] = None
 
 
 @Parameter(name="*")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import datetime
+import functools
 import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -27,6 +29,7 @@ from octarm.sweeps.scenarios import Scenario
 from octarm.sweeps.tune import Budget, SearchState, Space, StateFile, Tuned, settings, versions
 from octarm.sweeps.tune import tune as tune_gains
 from octarm.sweeps.tune_cost import FORMULA, LARGEST, Examination, Rig
+from octarm.sweeps.workers import WorkerProcesses, cores
 
 
 def tune(controller: str, options: TuneOptions) -> None:
@@ -81,12 +84,18 @@ def _start(options: TuneOptions) -> str:
 
 def _factory(controller: str, gains: GainOptions) -> Callable[..., Tunable]:
     """What makes a controller from its nominal model and gains, those not given as at first."""
-    begun, gain_set = gains.values(), gains.gains or "recommended"
+    gain_set = gains.gains or "recommended"
+    return functools.partial(_with_gains, controller, gain_set, gains.values())
 
-    def make(nominal: Any, gains: Mapping[str, Any]) -> Tunable:
-        return make_controller(controller, nominal, {**begun, **gains}, gain_set=gain_set)
 
-    return make
+def _with_gains(
+    controller: str,
+    gain_set: str,
+    begun: Mapping[str, Any],
+    nominal: Any,
+    gains: Mapping[str, Any],
+) -> Tunable:
+    return make_controller(controller, nominal, {**begun, **gains}, gain_set=gain_set)
 
 
 def _command(controller: str, options: TuneOptions) -> str:
@@ -113,6 +122,8 @@ def _search(controller: str, out: Path, budget: Budget, rig: Rig, options: TuneO
             "begin it anew by --force"
         )
     state = file.read() if options.resume else None
+    workers = options.workers or cores()
+    pool = WorkerProcesses(workers) if workers > 1 else contextlib.nullcontext()
     bar = new_bar(total=budget.seconds, unit=" simulated s", unit_scale=True)
 
     def keep(state: SearchState) -> None:
@@ -120,7 +131,7 @@ def _search(controller: str, out: Path, budget: Budget, rig: Rig, options: TuneO
         bar.set_postfix_str(f"generation {state.generation + 1}, cost {state.costs[0]:.4g}")
 
     try:
-        with bar:
+        with bar, pool as processes:
             return tune_gains(
                 factory,
                 budget,
@@ -129,6 +140,7 @@ def _search(controller: str, out: Path, budget: Budget, rig: Rig, options: TuneO
                 keep=keep,
                 progress=bar.update,
                 rig=rig,
+                workers=processes,
             )
     except KeyboardInterrupt:
         if not file.path.exists():
