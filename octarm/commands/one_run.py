@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from octarm.commands import kinds
 from octarm.commands.options import NOMINAL_ARM, USUAL_GAINS, ArmOptions, GainOptions
 from octarm.commands.terminal import surviving_output
 from octarm.errors import OctarmError
+
+if TYPE_CHECKING:
+    from octarm.runs.experiment import Experiment
 
 
 def run(
@@ -97,10 +101,9 @@ def run(
         os.environ.setdefault("RUST_LOG", "off")  # a viewer that goes away is said by octarm
     gains, (true, nominal) = gain_options.values(), model.both()
     from octarm.commands import run as work
-    from octarm.commands.words import experiment
 
     def job() -> int:
-        what = experiment(
+        what = _experiment(
             controller,
             reference,
             disturbance,
@@ -162,10 +165,9 @@ def view(
         check_display("octarm run and octarm video need none")
         os.environ["MUJOCO_GL"] = "glfw"  # before anything imports MuJoCo
         from octarm.commands import view as work
-        from octarm.commands.words import experiment
 
         true, nominal = ArmOptions(arm=arm, mismatch=mismatch).both()
-        what = experiment(
+        what = _experiment(
             controller,
             reference,
             disturbance,
@@ -328,6 +330,34 @@ def video(
 
     size = (width, height)
     return surviving_output(work.video, run, out, size=size, rate=rate, speed=speed)
+
+
+def _experiment(
+    controller: str,
+    reference: str,
+    disturbances: Sequence[str],
+    metrics: Sequence[str] = (),
+    **others: Any,
+) -> Experiment:
+    """The experiment that words name, with short names and the code of what is not built in."""
+    from controllers import CONTROLLERS
+    from octarm.declared import named
+    from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
+    from octarm.metrics.declared import ACCUMULATORS
+    from octarm.references import REFERENCES
+    from octarm.runs.experiment import Experiment
+
+    words = [(CONTROLLERS, controller), (REFERENCES, reference)]
+    words += [(DISTURBANCES, text) for text in disturbances]
+    words += [(ACCUMULATORS, word) for word in metrics]
+    names, code = named(words)
+    return Experiment(
+        controller=names[0],
+        reference=names[1],
+        disturbances=tuple(map(parse_disturbance, disturbances)),
+        code=code,
+        **others,
+    )
 
 
 def _sibling(folder: Path, ending: str) -> Path:
