@@ -199,7 +199,9 @@ def test_the_error_on_a_plant_is_that_of_all_physics_steps_and_arms_are_those_of
     """Three modules are the arm itself; the metrics of the package count from 2 s on."""
     environment = octarm.load(
         BENDS, batch=3, control_period=0.002, timestep="auto", engine="lagrange",
-        disturbances=[BandLimitedNoise(ratio=[[0.0], [NOISE], [NOISE]], correlation_time=TIME)],
+        disturbances=[
+            BandLimitedNoise(ratio=np.array([[0.0], [NOISE], [NOISE]]), correlation_time=TIME)
+        ],
         seed=[np.random.SeedSequence(0, spawn_key=(i,)) for i in (0, 0, 1)],
     )  # fmt: skip
     variant = VARIANTS[by_hand(SMC)]

@@ -281,7 +281,7 @@ def test_the_best_law_is_named_whatever_it_is():
 def test_a_grid_has_a_row_for_each_place_in_which_all_was_run():
     """Its values are ratios to a law in the same place, here twice and half of `afsmc`."""
     factors = {FIXED_RULES: 2.0, SMC: 0.5}
-    rows = list(grid(evidence(lambda c, _: factors.get(c.label, 1.0)), "ablations"))
+    rows: list[Any] = list(grid(evidence(lambda c, _: factors.get(c.label, 1.0)), "ablations"))
     places = [row[:3] for row in rows]
     assert places[:4] == [
         (SMC, joints, noise)
@@ -292,7 +292,8 @@ def test_a_grid_has_a_row_for_each_place_in_which_all_was_run():
     values = {row[0]: {x.value for x in row[3:]} for row in rows}
     assert values[SMC] == {0.5} and values[FIXED_RULES] == {2.0} and values[AS_PRINTED] == {1.0}
     own = evidence(lambda c, _: 3.0 if c.label == by_hand(SMC) else 1.0)
-    assert {row[0]: row[2].value for row in grid(own, "gain-sets")} == {
+    others: list[Any] = list(grid(own, "gain-sets"))
+    assert {row[0]: row[2].value for row in others} == {
         SIGN: 1.0, SMC: pytest.approx(1.0 / 3.0), PROPOSED: 1.0,
     }  # fmt: skip
 

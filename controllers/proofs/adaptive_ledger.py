@@ -264,8 +264,12 @@ def etas(law: AdaptiveLaw) -> Adapted:
 def membership(law: AdaptiveLaw, s: np.ndarray, now: Adapted) -> np.ndarray:
     """phi of eqs (66), (88), or of (58) when normalised, shape (..., 2N, M)."""
     z = (s / law.scale)[..., None]
-    mu = np.exp(-np.square(now.sigma * (z - now.alpha)))
-    return mu / np.sum(mu, axis=-1, keepdims=True) if law.normalised else mu
+    exponents = -np.square(now.sigma * (z - now.alpha))
+    if not law.normalised:
+        return np.exp(exponents)
+    # Far from all rules all mu would be 0 in floating point; their shares would not.
+    mu = np.exp(exponents - np.max(exponents.real, axis=-1, keepdims=True))
+    return mu / np.sum(mu, axis=-1, keepdims=True)
 
 
 def membership_along(law: AdaptiveLaw, s: np.ndarray, now: Adapted, step: Adapted) -> np.ndarray:
