@@ -90,11 +90,16 @@ def _arm(option: str, word: str) -> str:
     return word
 
 
-def _duration(option: str, word: str) -> float:
-    seconds = number(option, word, "s")
-    if not seconds > 0.0:
-        raise OctarmError(f"duration is {seconds:g} s; it must be positive")
-    return seconds
+def _positive(what: str) -> Callable[[str, str], float]:
+    """A time [s], which is called `what` in a sentence."""
+
+    def convert(option: str, word: str) -> float:
+        seconds = number(option, word, "s")
+        if not seconds > 0.0:
+            raise OctarmError(f"{what} is {seconds:g} s; it must be positive")
+        return seconds
+
+    return convert
 
 
 def _gains(option: str, word: str) -> str:
@@ -249,15 +254,20 @@ def _step(option: str, word: str) -> float | str:
     if word == "auto":
         return word
     try:
-        return number(option, word, "s")
+        seconds = number(option, word, "s")
     except OctarmError as error:
         raise OctarmError(str(error).replace("a number", "a number [s] or auto")) from None
+    from octarm.arm.modes import check_step
+
+    check_step(seconds)
+    return seconds
 
 
 STEP = _converted("S", _step)
 X = _converted("X", _real("1"))
 S = _converted("S", _real("s"))
-DURATION, SETTLE = _converted("S", _duration), _converted("S", _real("s", 0.0))
+DURATION, PERIOD = (_converted("S", _positive(x)) for x in ("duration", "control period"))
+SETTLE = _converted("S", _real("s", 0.0))
 HZ = _converted("HZ", _real("Hz"))
 AMOUNT = _converted("X", _number_as_text)  # a number whose unit depends on another option
 RUN, DIR = text("RUN"), text("DIR")

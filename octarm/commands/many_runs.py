@@ -135,7 +135,7 @@ def margin(
     duration: Annotated[float, kinds.DURATION, kinds.RUNS] = 6.0,
     settle: Annotated[float, kinds.SETTLE, kinds.RUNS] = 2.0,
     timestep: Annotated[float | str | None, kinds.STEP, kinds.RUNS] = None,
-    control_period: Annotated[float | None, kinds.S, kinds.RUNS] = None,
+    control_period: Annotated[float | None, kinds.PERIOD, kinds.RUNS] = None,
     seed: Annotated[int, kinds.N, kinds.RUNS] = 0,
     engine: Annotated[str | None, kinds.ENGINE, kinds.RUNS] = None,
     csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,
@@ -186,7 +186,7 @@ def margin(
     kinds.check_free(force, csv, json)
     for word in controllers:
         kinds.check("CONTROLLER", word)
-    gain_options.values()  # raises
+    gain_options.values(*controllers)  # raises
     models = [model.of(name) for name in arm or (None,)]
     for each in models:
         each.both()  # raises
@@ -268,7 +268,7 @@ def tune(
     kinds.check("CONTROLLER", controller)
     out = out or Path(f"{short_name(controller)}.toml")
     kinds.check_free(force or resume, out)
-    gain_options.values()  # raises
+    gain_options.values(controller)  # raises
     model.both()
     from octarm.commands import tune as work
 

@@ -26,7 +26,7 @@ def run(
     model: ArmOptions = NOMINAL_ARM,
     gain_options: GainOptions = USUAL_GAINS,
     timestep: Annotated[float | str | None, kinds.STEP, kinds.SIMULATION] = None,
-    control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
+    control_period: Annotated[float | None, kinds.PERIOD, kinds.SIMULATION] = None,
     actuation: Annotated[str, kinds.ACTUATION, kinds.SIMULATION] = "f-coeff",
     integrator: Annotated[str, kinds.INTEGRATOR, kinds.SIMULATION] = "rk4",
     engine: Annotated[str, kinds.ENGINE, kinds.SIMULATION] = "mujoco",
@@ -98,7 +98,7 @@ def run(
         os.environ.setdefault("RUST_LOG", "off")  # a viewer that goes away is said by octarm
     from octarm.commands.words import named_words
 
-    gains, (true, nominal) = gain_options.values(), model.both()
+    gains, (true, nominal) = gain_options.values(controller), model.both()
     from octarm.commands import run as work
     from octarm.disturbances.spelling import parse_disturbance
     from octarm.runs.experiment import Experiment
@@ -140,7 +140,7 @@ def view(
     mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0,
     gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None,
     gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = (),
-    control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
+    control_period: Annotated[float | None, kinds.PERIOD, kinds.SIMULATION] = None,
 ) -> Work:
     """Watch the arm in MuJoCo's viewer, moved by a controller.
 
@@ -177,7 +177,7 @@ def view(
         true = words.true_arm((), arm)
         experiment = Experiment(
             controller=names[0],
-            gains=words.gain_values(gain),
+            gains=words.gain_values(gain, controller),
             nominal=true.mismatched(mismatch),
             parameters=true,
             reference=names[1],

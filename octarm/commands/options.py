@@ -99,11 +99,14 @@ class GainOptions:
     gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None
     gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = ()
 
-    def values(self) -> Mapping[str, Any]:
-        """The gains that are given one by one, by name [SI]; raises OctarmError."""
+    def values(self, *controllers: str) -> Mapping[str, Any]:
+        """The gains that are given one by one, by name [SI].
+
+        Raises OctarmError if one does not read so, or one of the controllers does not have it.
+        """
         from octarm.commands import words
 
-        return words.gain_values(self.gain)
+        return words.gain_values(self.gain, *controllers)
 
     def command(self) -> list[str]:
         """The words of a command line that give the same options."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from controllers import CONTROLLERS
+from controllers import CONTROLLERS, check_gains
 from octarm.arm.file import read_arm
 from octarm.arm.parameters import ArmParameters
 from octarm.declared import Code, named
@@ -78,11 +78,11 @@ def parameter_values(option: str, items: Sequence[str]) -> dict[str, npt.ArrayLi
     return values
 
 
-def gain_values(items: Sequence[str]) -> dict[str, npt.ArrayLike]:
-    """Gains by name, of shape () or (k,), each spelt NAME:VALUES.
+def gain_values(items: Sequence[str], *controllers: str) -> dict[str, npt.ArrayLike]:
+    """Gains of all these controllers by name, of shape () or (k,), each spelt NAME:VALUES.
 
     Raises:
-        OctarmError: if an item does not read so.
+        OctarmError: if an item does not read so, or a controller has no such gain.
     """
     gains = named_values("--gain", items)
     for item, value in zip(items, gains.values(), strict=True):
@@ -90,6 +90,8 @@ def gain_values(items: Sequence[str]) -> dict[str, npt.ArrayLike]:
             raise OctarmError(
                 f"--gain is {quoted(item)}; a gain is one number, or one a coordinate"
             )
+    for controller in controllers:
+        check_gains(controller, gains)
     return gains
 
 

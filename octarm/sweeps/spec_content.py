@@ -42,7 +42,7 @@ import pydantic
 from pydantic import AfterValidator, Field, FiniteFloat
 
 from octarm.arm.actuation import ACTUATIONS
-from octarm.arm.modes import INTEGRATORS
+from octarm.arm.modes import INTEGRATORS, LONGEST_STEP, SHORTEST_STEP
 from octarm.arm.parameters import MOST_MODULES
 from octarm.arm.rod import LAYOUTS
 from octarm.declared import Code
@@ -65,8 +65,8 @@ def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def _step(value: float | str) -> float | str:
-    if value != AUTO and not (isinstance(value, float) and 1e-7 <= value <= 0.1):
-        raise ValueError(f"{spelt(AUTO)}, or a number from 1e-07 to 0.1")
+    if value != AUTO and not (isinstance(value, float) and SHORTEST_STEP <= value <= LONGEST_STEP):
+        raise ValueError(f"{spelt(AUTO)}, or a number from {SHORTEST_STEP:g} to {LONGEST_STEP:g}")
     return value
 
 
