@@ -36,7 +36,8 @@ part of the spec that the sweep keeps.
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar
 
 import pydantic
 from pydantic import AfterValidator, Field, FiniteFloat
@@ -46,6 +47,7 @@ from octarm.arm.modes import INTEGRATORS, LONGEST_STEP, SHORTEST_STEP
 from octarm.arm.parameters import MOST_MODULES
 from octarm.arm.rod import LAYOUTS
 from octarm.declared import Code
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.formats import Array, Model, one_of, spelt
 from octarm.metrics.metric import SETTLED_AFTER
 from octarm.simulation.engines import ENGINES, MUJOCO
@@ -80,6 +82,12 @@ Number = Annotated[float, pydantic.AllowInfNan(True)]
 Gain = float | list[float]
 
 
+# What users mean by keys that there are not.
+_DISTURBANCES = {name: f"'disturbance.{name}'" for name in DISTURBANCES}
+_SEEDS = "'episodes' at the top, the number of seeds in each cell"
+_IN_A_CELL = dict.fromkeys(("seed", "seeds", "episodes"), _SEEDS)
+
+
 class Bounds(Model):
     """Between which values an axis is drawn."""
 
@@ -104,6 +112,8 @@ class MismatchBounds(Bounds):
 class Grid(Model):
     """The table `[grid]`."""
 
+    meant: ClassVar[Mapping[str, str]] = _DISTURBANCES | _IN_A_CELL
+
     controller: Annotated[Array[str], Distinct] | None = None
     reference: Annotated[Array[str], Distinct] | None = None
     mismatch: Annotated[Array[Mismatch], Distinct] | None = None
@@ -115,6 +125,8 @@ class Grid(Model):
 
 class Random(Model):
     """The table `[random]`."""
+
+    meant: ClassVar[Mapping[str, str]] = _DISTURBANCES | _IN_A_CELL
 
     mismatch: MismatchBounds | None = None
     disturbance: dict[str, Any] = Field(default_factory=dict)
@@ -138,6 +150,15 @@ class GainFile(Model):
 
 class SpecFile(Model):
     """The whole file; fields of disturbances are read in `_fields`."""
+
+    meant: ClassVar[Mapping[str, str]] = {
+        **_DISTURBANCES,
+        **dict.fromkeys(("seeds", "repetitions", "repeats", "runs"), _SEEDS),
+        **dict.fromkeys(("dt", "step"), "'timestep'"),
+        "period": "'control_period'",
+        "modules": "'plant_modules'",
+        "time": "'duration'",
+    }
 
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
     episodes: Annotated[int, Field(ge=1)] = 1
