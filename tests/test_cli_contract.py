@@ -68,6 +68,8 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--duration": "S 10",
             "--settle": "S 2",
             "--seed": "N 0",
+            "--start": "START rest",
+            "--start-share": "X 0.1",
         },
         **SHARED,
         "simulation": {
@@ -463,6 +465,8 @@ BAD_INPUT = [
     "run --timestep 0.3",
     "run --timestep=-1",
     "run --control-period=-1",
+    "run --start rset",
+    "run --start random --start-share 0",
     "run --duration -1",
     "run --settle=-1",
     "margin SMC --disturbance payload --bound tip_rms_error:1mm",

@@ -163,7 +163,11 @@ def test_the_hash_is_that_of_what_is_asked_for():
         (1, "mismatch = -1.0", "mismatch is -1.0; it must be above -1"),
         (2, "seed = 1\nbatch = 0", "batch is 0"),
         (1, "[gird]\nnoise = [1]", "unknown key 'gird', did you mean 'grid'"),
-        (3, "[grid]\nmismatch = [0.1]\nnoise = [1]", "unknown key 'noise' in [grid], did you mean 'disturbance.noise'"),
+        (
+            3,
+            "[grid]\nmismatch = [0.1]\nnoise = [1]",
+            "in [grid], did you mean 'disturbance.noise'",
+        ),
         (2, "[grid]\nmismatch = 0.1", "mismatch is 0.1; it must be a list"),
         (2, "[grid]\nmismatch = []", "mismatch is []"),
         (

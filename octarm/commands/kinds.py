@@ -38,6 +38,7 @@ _WORDS = {
     "ACTUATION": "octarm.arm.actuation:ACTUATIONS",
     "INTEGRATOR": "octarm.arm.modes:INTEGRATORS",
     "ENGINE": "octarm.simulation.engines:ENGINES",
+    "START": "octarm.simulation.start:STARTS",
     "LAYOUT": "octarm.arm.rod:LAYOUTS",
     "SHELL": "octarm.commands.kinds:SHELLS",
     "KIND": "octarm.commands.kinds:STARTS",
@@ -170,6 +171,13 @@ def _real(unit: str, least: float = -math.inf) -> Callable[[str, str], float]:
     return convert
 
 
+def _share(option: str, word: str) -> float:
+    share = number(option, word, "1")
+    if not 0.0 < share <= 1.0:
+        raise OctarmError(f"{option} is {quoted(word)}; it must be above 0 and at most 1")
+    return share
+
+
 def _number_as_text(option: str, word: str) -> str:
     number(option, word, ANY)
     return word
@@ -266,6 +274,7 @@ def _step(option: str, word: str) -> float | str:
 STEP = _converted("S", _step)
 X = _converted("X", _real("1"))
 S = _converted("S", _real("s"))
+SHARE = _converted("X", _share)
 DURATION, PERIOD = (_converted("S", _positive(x)) for x in ("duration", "control period"))
 SETTLE = _converted("S", _real("s", 0.0))
 HZ = _converted("HZ", _real("Hz"))
@@ -280,7 +289,7 @@ CALLED, COLUMN = (
     _declared("METRIC", known=False),
 )  # in a sweep
 ACTUATION, INTEGRATOR, ENGINE = map(_one_of, ("ACTUATION", "INTEGRATOR", "ENGINE"))
-LAYOUT = _one_of("LAYOUT")
+LAYOUT, START = map(_one_of, ("LAYOUT", "START"))
 GAINS = _converted("GAINS", _gains, completer=lambda _: known_words("GAINS"))
 # Operands, which are looked at after all options.
 FILE_OR_ARM, SHELL, KIND = map(_word, ("ARM", "SHELL", "KIND"))

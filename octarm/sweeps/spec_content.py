@@ -2,7 +2,8 @@
 
 At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `settle` (when metrics of the
 steady regime begin), `timestep` (or `"auto"`), `control_period` [s], `actuation`, `integrator`,
-`engine`, `batch` and `gain_set`, and `controller`, `reference`, `mismatch`, `plant_modules` and
+`engine`, `batch`, `start` and `start_share` (where episodes begin, as in `octarm.load`) and
+`gain_set`, and `controller`, `reference`, `mismatch`, `plant_modules` and
 `layout` (of a plant of more modules, see `octarm.arm.groups`) where they have one value. The tables
 are:
 
@@ -51,6 +52,7 @@ from octarm.disturbances.spelling import DISTURBANCES
 from octarm.formats import Array, Model, one_of, spelt
 from octarm.metrics.metric import SETTLED_AFTER
 from octarm.simulation.engines import ENGINES, MUJOCO
+from octarm.simulation.start import REST, SHARE, STARTS
 from octarm.simulation.steps import AUTO
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
@@ -170,6 +172,8 @@ class SpecFile(Model):
     engine: Annotated[str, one_of(ENGINES)] = MUJOCO
     batch: Annotated[int, Field(ge=1)] = 1024
     integrator: Annotated[str, one_of(INTEGRATORS)] = "rk4"
+    start: Annotated[str, one_of(STARTS)] = REST
+    start_share: Annotated[float, Field(gt=0.0, le=1.0)] = SHARE
     controller: str | None = None
     reference: str | None = None
     metric: str | Array[str] = ()  # those that are not built in are in `code`
