@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -110,7 +110,8 @@ def make_controller(
     Raises:
         OctarmError: for an unknown name or gain set, or a gain that is unknown or invalid.
     """
-    law, word = cast(Any, CONTROLLERS[name]), name
+    law: Any = CONTROLLERS[name]
+    word = name
     if name not in CONTROLLERS:  # no gains are shipped for it
         name = short_name(name)
         if gain_set == "tuned":
@@ -132,7 +133,7 @@ def make_controller(
         if field in declared and declared[field].replaced_by in given:
             starting.pop(gain, None)
     check_gains(word, {**starting, **given})
-    values = {fields[gain]: value for gain, value in {**starting, **given}.items()}
+    values: dict[str, Any] = {fields[gain]: value for gain, value in {**starting, **given}.items()}
     if not issubclass(law, Law):  # which checks its gains itself
         for each in dataclasses.fields(law):
             if each.name in values:

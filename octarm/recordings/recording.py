@@ -327,7 +327,7 @@ class RunRecording:
         """A line across each plot at each event: from its lowest number to its highest one."""
         for kind in self.events():
             at = np.array([t for t, _ in self._marks[kind]])
-            rows = {}
+            rows: dict[str, np.ndarray] = {}
             for plot, (low, high) in self._extremes.items():
                 rows[plot] = np.tile([low, high, np.nan], len(at))  # the line ends at what is none
                 if plot.startswith("q_"):
