@@ -465,7 +465,6 @@ BAD_INPUT = [
     "run --gain lamda:3",
     "run --timestep 0.3",
     "run --timestep=-1",
-    "run --control-period=-1",
     "run --start rset",
     "run --start random --start-share 0",
     "run --duration -1",

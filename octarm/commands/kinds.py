@@ -91,16 +91,11 @@ def _arm(option: str, word: str) -> str:
     return word
 
 
-def _positive(what: str) -> Callable[[str, str], float]:
-    """A time [s], which is called `what` in a sentence."""
-
-    def convert(option: str, word: str) -> float:
-        seconds = number(option, word, "s")
-        if not seconds > 0.0:
-            raise OctarmError(f"{what} is {seconds:g} s; it must be positive")
-        return seconds
-
-    return convert
+def _duration(option: str, word: str) -> float:
+    seconds = number(option, word, "s")
+    if not seconds > 0.0:
+        raise OctarmError(f"duration is {seconds:g} s; it must be positive")
+    return seconds
 
 
 def _gains(option: str, word: str) -> str:
@@ -275,8 +270,7 @@ STEP = _converted("S", _step)
 X = _converted("X", _real("1"))
 S = _converted("S", _real("s"))
 SHARE = _converted("X", _share)
-DURATION, PERIOD = (_converted("S", _positive(x)) for x in ("duration", "control period"))
-SETTLE = _converted("S", _real("s", 0.0))
+DURATION, SETTLE = _converted("S", _duration), _converted("S", _real("s", 0.0))
 HZ = _converted("HZ", _real("Hz"))
 AMOUNT = _converted("X", _number_as_text)  # a number whose unit depends on another option
 RUN, DIR = text("RUN"), text("DIR")

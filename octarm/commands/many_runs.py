@@ -135,7 +135,7 @@ def margin(
     duration: Annotated[float, kinds.DURATION, kinds.RUNS] = 6.0,
     settle: Annotated[float, kinds.SETTLE, kinds.RUNS] = 2.0,
     timestep: Annotated[float | str | None, kinds.STEP, kinds.RUNS] = None,
-    control_period: Annotated[float | None, kinds.PERIOD, kinds.RUNS] = None,
+    control_period: Annotated[float | None, kinds.S, kinds.RUNS] = None,
     seed: Annotated[int, kinds.N, kinds.RUNS] = 0,
     engine: Annotated[str | None, kinds.ENGINE, kinds.RUNS] = None,
     csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None,

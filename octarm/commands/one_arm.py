@@ -21,7 +21,7 @@ def arm(
     force: Annotated[bool, kinds.OUTPUT] = False,
     controller: Annotated[tuple[str, ...], kinds.CONTROLLER, kinds.LOOP] = (),
     gains: Annotated[str | None, kinds.GAINS, kinds.LOOP] = None,
-    control_period: Annotated[float | None, kinds.PERIOD, kinds.LOOP] = None,
+    control_period: Annotated[float | None, kinds.S, kinds.LOOP] = None,
 ) -> Work:
     r"""Say what the numbers of an arm mean.
 

@@ -28,7 +28,7 @@ def run(
     model: ArmOptions = NOMINAL_ARM,
     gain_options: GainOptions = USUAL_GAINS,
     timestep: Annotated[float | str | None, kinds.STEP, kinds.SIMULATION] = None,
-    control_period: Annotated[float | None, kinds.PERIOD, kinds.SIMULATION] = None,
+    control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
     actuation: Annotated[str, kinds.ACTUATION, kinds.SIMULATION] = "f-coeff",
     integrator: Annotated[str, kinds.INTEGRATOR, kinds.SIMULATION] = "rk4",
     engine: Annotated[str, kinds.ENGINE, kinds.SIMULATION] = "mujoco",
@@ -148,7 +148,7 @@ def view(
     mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0,
     gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None,
     gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = (),
-    control_period: Annotated[float | None, kinds.PERIOD, kinds.SIMULATION] = None,
+    control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
 ) -> Work:
     """Watch the arm in MuJoCo's viewer, moved by a controller.
 
