@@ -62,17 +62,9 @@ def compare_engines(
 ) -> CheckTable:
     """A check for each law: how far the engines are apart under any of the disturbances.
 
-    Args:
-        parameters: the arm.
-        make: gives a law by name, with its nominal model.
-        laws: names of the laws.
-        switching: those that switch on sgn(s).
-        duration: of the runs [s].
-        seed: of what is random.
-        progress: called with the name of each part before it starts.
-
-    Raises:
-        OctarmError: if an engine is not installed.
+    `make` gives a law by its name and the nominal model; `switching` are those that switch on
+    sgn(s). Runs have a duration [s]. The progress is called with the name of each part before it
+    starts. Raises OctarmError if an engine is not installed.
     """
     for engine in ENGINES:
         check_engine(engine)

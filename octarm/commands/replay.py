@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from octarm.commands.redraw import rows_of, say_partial
-from octarm.errors import ExitCode, OctarmError, printable
+from octarm.errors import OctarmError, printable
 from octarm.recordings import viewer
 from octarm.recordings.comparison import write_comparison
 from octarm.recordings.recording import write_recording
+from octarm.recordings.rrd import last_instant, telling_instant
 from octarm.recordings.titles import LONGEST, conditions_of
 from octarm.runs import folder as runs
 
@@ -21,7 +22,7 @@ _SWEEP = "manifest.json"  # a folder with it is a sweep
 _MOST = 32  # recordings of a sweep that are opened at once
 
 
-def replay(folders: Sequence[Path], screenshot: Path | None, time: float | None, web: bool) -> int:
+def replay(folders: Sequence[Path], screenshot: Path | None, time: float | None, web: bool) -> None:
     """`octarm replay`: the viewer on runs, or a picture of it."""
     if screenshot is not None and web:
         raise OctarmError("--screenshot and --web exclude each other")
@@ -32,12 +33,11 @@ def replay(folders: Sequence[Path], screenshot: Path | None, time: float | None,
             viewer.serve(files, lambda url: print(f"open {url}   (Ctrl-C ends it)", flush=True))
         else:
             viewer.open_viewer(files)
-    return ExitCode.FINE
 
 
 def _picture(files: Sequence[Path], screenshot: Path, time: float | None) -> None:
-    end = viewer.end_of(files[0])
-    time = viewer.telling_instant(files[0]) if time is None else time
+    end = last_instant(files[0])
+    time = telling_instant(files[0]) if time is None else time
     if not 0.0 <= time <= end:
         raise OctarmError(f"time is {time:g} s; the run goes from 0 to {end:g} s")
     viewer.screenshot(files[0], screenshot, others=files[1:], time=time)
@@ -102,11 +102,11 @@ def _of_run(folder: Path, scratch: Path) -> Path:
             message = printable(description.get("message", ""), 200)
             print(f"octarm: the run is partial: it was {message}", file=sys.stderr)
         elif description["status"] == runs.RUNNING:
-            say_partial(viewer.end_of(recording))
+            say_partial(last_instant(recording))
         return recording
     if not partial.is_file():
         raise OctarmError(f"{folder} has no recording {runs.RECORDING}; octarm record writes one")
     rescued = scratch / runs.RECORDING
     viewer.rescue(partial, rescued)
-    say_partial(viewer.end_of(rescued))
+    say_partial(last_instant(rescued))
     return rescued

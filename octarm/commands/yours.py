@@ -1,4 +1,4 @@
-"""The command on an arm: arm."""
+"""The commands on what is your own: arm, new."""
 
 from __future__ import annotations
 
@@ -7,22 +7,18 @@ from pathlib import Path
 from typing import Annotated
 
 from octarm.commands import kinds
-from octarm.commands.kinds import Work
+from octarm.commands.options import ARM_ITSELF, NO_LOOP, LoopOptions, SourceOptions
 from octarm.commands.terminal import surviving_output
 
 
 def arm(
     *arms: Annotated[str, kinds.FILE_OR_ARM],
-    from_rod: Annotated[str | None, kinds.text("KEY=VALUE,.."), kinds.SOURCE] = None,
-    fit_modules: Annotated[int | None, kinds.whole(1, 60), kinds.SOURCE] = None,
-    layout: Annotated[str, kinds.LAYOUT, kinds.SOURCE] = "paper",
+    source: SourceOptions = ARM_ITSELF,
     write: Annotated[Path | None, kinds.file(".toml"), kinds.OUTPUT] = None,
     out: Annotated[Path | None, kinds.file(".png"), kinds.OUTPUT] = None,
     force: Annotated[bool, kinds.OUTPUT] = False,
-    controller: Annotated[tuple[str, ...], kinds.CONTROLLER, kinds.LOOP] = (),
-    gains: Annotated[str | None, kinds.GAINS, kinds.LOOP] = None,
-    control_period: Annotated[float | None, kinds.S, kinds.LOOP] = None,
-) -> Work:
+    loop: LoopOptions = NO_LOOP,
+) -> kinds.Work:
     r"""Say what the numbers of an arm mean.
 
     Prints how it hangs, its modes with frequencies and damping ratios, the longest stable physics
@@ -35,18 +31,11 @@ def arm(
     Args:
         arms: files NAME.toml with numbers and their units, or arms that come with octarm; the
             nominal arm when none is given
-        from_rod: a chain of modules that stands for a rod, with the keys modules, layout (paper or
-            centred), length [m], EA [N], EI [N m^2], density [kg/m], rotary_inertia [kg m],
-            damping_time [s] and gravity [m/s^2]; BASE:TIP for a property that tapers
-        fit_modules: go on with the arm of so many modules that stands best for this one, and say
-            what error remains in statics, modes and transients
-        layout: of the fitted modules, paper or centred
+        source: see `octarm.commands.options`
         write: write the arm to this file, in SI units
         out: draw the arm into this file
         force: replace files that are there
-        controller: look at the loop with this controller
-        gains: its gains, as in octarm run
-        control_period: time between control actions [s]; 0.0005 when not given
+        loop: see `octarm.commands.options`
 
     Examples:
       octarm arm my-arm.toml --out my-arm.png
@@ -57,9 +46,30 @@ def arm(
     """
     kinds.check_free(force, write, out)
     for word in arms:
-        kinds.check("ARM", word)
+        kinds.arm("", word)
     from octarm.commands import arm as work
 
-    loop = work.LoopOptions(controller, gains, control_period)
-    source = work.Source(arms, from_rod, fit_modules, layout)
-    return surviving_output(partial(work.arm, source, loop, write, out))
+    return surviving_output(work.arm, arms, source, loop, write, out)
+
+
+def new(
+    kind: Annotated[str, kinds.KIND], name: Annotated[str, kinds.kind("NAME")], /
+) -> kinds.Work:
+    """Write a commented file to start from, which runs as it is.
+
+    Into the working folder, as NAME.py with a class of this name, or NAME.toml. A file that is
+    there already stays as it is. What you make of it needs no place in octarm: every command takes
+    FILE.py:NAME, or MODULE:NAME of an installed package.
+
+    Args:
+        kind: what it is to be
+        name: of your own, such as my-law
+
+    Examples:
+      octarm new controller my-law
+      octarm new disturbance soft-wall
+      octarm new experiment first
+    """
+    from octarm.commands import new as work
+
+    return partial(work.new, kind, name)
