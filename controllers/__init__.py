@@ -13,7 +13,7 @@ gains.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +73,21 @@ def limits_text() -> str:
     return "\n".join(f"  {name}: up to {text}" for name, text in limits.items() if text)
 
 
+def check_gains(controller: str, gains: Iterable[str]) -> None:
+    """Raises OctarmError for an unknown controller, or a gain of a name that it does not have."""
+    fields = _gain_names(CONTROLLERS[controller])
+    for gain in gains:
+        if gain not in fields:
+            label = short_name(controller)
+            raise OctarmError(f"{label} has no gain {quoted(gain)}{closest(gain, fields)}")
+
+
+def _gain_names(law: Any) -> dict[str, str]:
+    """The fields of a controller that are gains, by how users spell them."""
+    names = [field.name for field in dataclasses.fields(law) if field.init]
+    return {spelled(name): name for name in names if name != "nominal"}
+
+
 def make_controller(
     name: str,
     nominal: ArmParameters | NominalModel,
@@ -96,6 +111,7 @@ def make_controller(
         OctarmError: for an unknown name or gain set, or a gain that is unknown or invalid.
     """
     law: Any = CONTROLLERS[name]
+    word = name
     if name not in CONTROLLERS:  # no gains are shipped for it
         name = short_name(name)
         if gain_set == "tuned":
@@ -103,8 +119,7 @@ def make_controller(
         gain_set = "recommended" if gain_set is None else gain_set
     model = LagrangeModel(nominal) if isinstance(nominal, ArmParameters) else nominal
     given, declared = dict(gains or {}), gain_fields(law)
-    known = [field.name for field in dataclasses.fields(law) if field.init]
-    fields = {spelled(field): field for field in known if field != "nominal"}
+    fields = _gain_names(law)
     starting: dict[str, Any] = {
         gain: declared[field].start(model)
         for gain, field in fields.items()
@@ -117,11 +132,8 @@ def make_controller(
     for gain, field in fields.items():
         if field in declared and declared[field].replaced_by in given:
             starting.pop(gain, None)
-    values: dict[str, Any] = {}
-    for gain, value in {**starting, **given}.items():
-        if gain not in fields:
-            raise OctarmError(f"{name} has no gain {quoted(gain)}{closest(gain, fields)}")
-        values[fields[gain]] = value
+    check_gains(word, {**starting, **given})
+    values: dict[str, Any] = {fields[gain]: value for gain, value in {**starting, **given}.items()}
     if not issubclass(law, Law):  # which checks its gains itself
         for each in dataclasses.fields(law):
             if each.name in values:
@@ -130,7 +142,9 @@ def make_controller(
     needed = [f.name for f in dataclasses.fields(law) if f.init and _default(f) is _MISSING]
     if missing := [spelled(f) for f in needed if f not in values and f != "nominal"]:
         raise OctarmError(f"{name} needs the gain {missing[0]}; it recommends no value")
-    made: Any = law(**values, **({"nominal": model} if "nominal" in known else {}))
+    if any(field.name == "nominal" and field.init for field in dataclasses.fields(law)):
+        values["nominal"] = model
+    made: Any = law(**values)
     return made
 
 

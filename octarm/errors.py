@@ -99,16 +99,18 @@ def sentence_of(error: OSError) -> str:
     return f"{error.filename or 'standard output'}: {error.strerror}"
 
 
-def closest(word: object, known: Iterable[str]) -> str:
+def closest(word: object, known: Iterable[str], meant: str = "") -> str:
     """The end of an error sentence: what a misspelt word may have meant, and the known ones.
 
-    Of more than a dozen only the nearest are named.
+    Of more than a dozen only the nearest are named. What is `meant` is the most similar known word
+    unless it is given.
     """
     text = str(word)[:_LONGEST_GUESS].casefold()
     known = {name.casefold(): name for name in known}
     nearest = [known[n] for n in difflib.get_close_matches(text, known, _NEAREST, 0.0)]
-    match = difflib.get_close_matches(text, known, n=1)
-    meant = f", did you mean {quoted(known[match[0]])}?" if match else ";"
+    if not meant and (match := difflib.get_close_matches(text, known, n=1)):
+        meant = quoted(known[match[0]])
+    meant = f", did you mean {meant}?" if meant else ";"
     if len(known) <= _MOST_NAMES:
         return f"{meant} known are {', '.join(known.values())}"
     return f"{meant} the nearest of {len(known)} are {', '.join(nearest)}"

@@ -20,7 +20,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, cast
+from typing import Annotated, Any, ClassVar, TypeVar, cast
 
 import numpy as np
 import pydantic
@@ -56,7 +56,12 @@ class Model(pydantic.BaseModel):
 
     Nothing is converted but whole numbers to floats: a word or a truth value is not a number. A
     validator of a field says in a ValueError what the value must be, such as "positive".
+
+    Attributes:
+        meant: what users mean by keys that there are not, where it is not the most similar one.
     """
+
+    meant: ClassVar[Mapping[str, str]] = {}
 
     model_config = pydantic.ConfigDict(strict=True, extra="forbid", frozen=True)
 
@@ -66,7 +71,7 @@ class Model(pydantic.BaseModel):
         if isinstance(content, dict) and cls.model_config.get("extra") == "forbid":
             for key in cast(dict[str, Any], content):
                 if key not in cls.model_fields:
-                    hint = closest(key, cls.model_fields)
+                    hint = closest(key, cls.model_fields, cls.meant.get(key, ""))
                     raise PydanticCustomError("unknown_key", "{hint}", {"key": key, "hint": hint})
         return cast(Any, content)
 

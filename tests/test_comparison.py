@@ -27,9 +27,9 @@ def test_it_holds_both_runs_and_the_difference_of_their_errors(tmp_path):
         found = fields(path, f"/{root}/signals", "signals")
         np.testing.assert_array_equal(found["tau"], run.tau)
     found = fields(path, "/difference")
-    expected = np.abs(first.error[:2000]) - np.abs(second.error)
-    np.testing.assert_allclose(found["slides"], expected[:, :3], atol=1e-15)
-    np.testing.assert_allclose(found["bends"], expected[:, 3:], atol=1e-15)
+    expected = 1e3 * (np.abs(first.error[:2000]) - np.abs(second.error))  # [mm], [mrad]
+    np.testing.assert_allclose(found["slides"], expected[:, :3], atol=1e-12)
+    np.testing.assert_allclose(found["bends"], expected[:, 3:], atol=1e-12)
     assert len(rr.chunk.RrdReader(path).blueprints()) == 1
 
 
@@ -39,9 +39,9 @@ def test_any_number_of_runs_is_held_with_the_differences_from_the_first(tmp_path
     write_comparison(path, *((run, described()) for run in runs))
     assert {f"/{root}/world/tube" for root in "ABCD"} <= entities(path)
     for i, root in enumerate("BCD", 1):
-        expected = np.abs(runs[0].error) - np.abs(runs[i].error[:300])
+        expected = 1e3 * (np.abs(runs[0].error) - np.abs(runs[i].error[:300]))
         parts = fields(path, f"/difference/{root}", "difference")
-        np.testing.assert_allclose(parts["bends"], expected[:, 3:], atol=1e-15)
+        np.testing.assert_allclose(parts["bends"], expected[:, 3:], atol=1e-12)
     assert labels(28)[24:] == ["Y", "Z", "AA", "AB"]
 
 

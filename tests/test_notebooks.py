@@ -74,6 +74,18 @@ def test_cells_take_the_colours_of_the_notebook_and_fetch_nothing(swept):
         assert "background: #" not in html.replace('class="dot" style="background: #', "")
 
 
+def test_columns_of_words_are_on_the_left_whatever_the_notebook_says_of_tables(swept):
+    """JupyterLab has a rule of two classes and an element, `..Common td`, that puts all right."""
+    style = re.search(r"<style>(.*)</style>", octarm.FinishedSweep(swept)._repr_html_(), re.DOTALL)
+    assert style is not None
+    ways = re.findall(r"([^{}]*)\{[^{}]*text-align: left", style[1])
+    selectors = [selector for way in ways for selector in way.split(",")]
+    assert len(selectors) == 2
+    for selector in selectors:
+        classes, elements = selector.count("."), len(re.findall(r"(?:^|\s)[a-z]", selector.strip()))
+        assert (classes, elements) >= (2, 1)
+
+
 def test_what_a_run_says_is_escaped():
     evil = "<script>alert(1)</script>"
     run = swinging(rows=9)
@@ -89,6 +101,8 @@ def test_a_run_that_diverged_is_shown():
     q[40:] = np.nan
     lost = dataclasses.replace(run, q=q, status="diverged", message="diverged at t = 0.03 s")
     assert "diverged at t = 0.03 s" in texts(lost._repr_html_())
+    said = texts(Run(lost, described())._repr_html_())
+    assert "50 control instants, diverged at t = 0.03 s" in said
     assert "nan," not in lost._repr_html_() and ",nan" not in lost._repr_html_()
 
 

@@ -42,27 +42,37 @@ def verified(path):
 
 
 @pytest.mark.parametrize("modules", [1, 3, 5])
-def test_every_signal_comes_back_bit_for_bit(tmp_path, modules):
+def test_every_signal_comes_back_in_units_that_people_read(tmp_path, modules):
+    """Lengths in mm, angles in mrad, forces in N and mN m, energies in mJ: to the last digit."""
     run = swinging(modules, rows=7000, gain=np.random.default_rng(1).normal(size=(7000, 30)))
     found = fields(record(tmp_path, run), "/signals")
-    for name, values in (
-        ("q", run.q), ("q_d", run.q_d), ("s", np.float32(run.signals["s"])),
-        ("switching", np.float32(run.signals["switching"])), ("error", np.float32(run.error)),
+    thousandth, moments = np.full(2 * modules, 1e3), np.repeat([1.0, 1e3], modules)
+    for name, values, factor, kind in (
+        ("q", run.q, thousandth, np.float64), ("q_d", run.q_d, thousandth, np.float64),
+        ("s", run.signals["s"], thousandth, np.float32),
+        ("error", run.error, thousandth, np.float32),
+        ("switching", run.signals["switching"], moments, np.float32),
     ):  # fmt: skip
         both = np.concatenate([found[f"{name}_slides"], found[f"{name}_bends"]], axis=1)
-        np.testing.assert_array_equal(both, values)
-        assert both.dtype == values.dtype
-    for name in ("V", "gain"):
-        np.testing.assert_array_equal(found[name], run.signals[name])
+        np.testing.assert_array_equal(both, (factor * values).astype(kind))
+        assert both.dtype == kind
+    np.testing.assert_array_equal(found["V"], 1e3 * run.signals["V"])
+    np.testing.assert_array_equal(found["gain"], run.signals["gain"])
     np.testing.assert_array_equal(found["tau"], run.tau)
+    channels = channels_of(dict(run.arrays()), described(modules), run.layer, disturbed=True)
+    units = {part: channels["switching"].recorded(part)[1] for part in ("slides", "bends")}
+    assert units == {"slides": " [N]", "bends": " [mN m]"}
+    titles = [plot.name for plot in Plots(channels, 1.0).tracking("bends")]
+    assert titles == ["bends [mrad]   wide: desired", "error of bends [mrad]   grey: phi / lambda"]
+    assert Plots(channels, 1.0).views("q")[0].name == "coordinates q, bends [mrad]"
 
 
 def test_the_rate_of_V_and_its_claim_are_those_of_the_signals(tmp_path):
     run = swinging(rows=7000)
     found = fields(record(tmp_path, run), "/signals")
     V = run.signals["V"][:, 0]
-    np.testing.assert_allclose(found["V_rate"][1:, 0], np.diff(V) / np.diff(run.t), rtol=1e-5)
-    claim = np.sum(run.signals["s"] * run.signals["switching"], axis=1)
+    np.testing.assert_allclose(found["V_rate"][1:, 0], 1e3 * np.diff(V) / np.diff(run.t), rtol=1e-5)
+    claim = 1e3 * np.sum(run.signals["s"] * run.signals["switching"], axis=1)
     np.testing.assert_allclose(found["V_claim"][:, 0], claim, rtol=1e-6)
 
 
@@ -72,7 +82,8 @@ def test_what_adapts_is_recorded_60_times_a_second_and_numbers_of_rules_are_draw
     path = record(tmp_path, run)
     found = fields(path, "/adaptation")
     E = np.concatenate([found["E_slides"], found["E_bends"]], axis=1)
-    np.testing.assert_array_equal(E, run.signals["E"][::17].astype(np.float32))
+    newton = np.repeat([1.0, 1e3], 3)  # mN m for bends
+    np.testing.assert_array_equal(E, (newton * run.signals["E"][::17]).astype(np.float32))
     assert {"/heat/theta/picture", "/heat/now"} <= entities(path)
     assert not {"theta", "E_bends"} & fields(path, "/signals").keys()
 
@@ -158,8 +169,8 @@ def test_the_file_is_valid_and_carries_layout_and_metadata(tmp_path):
 
 def test_bounds_are_lines_from_end_to_end(tmp_path):
     found = fields(record(tmp_path, swinging()), "/bounds/error", "bounds")
-    np.testing.assert_allclose(found["bends"], [[0.08, -0.08]] * 2)
-    np.testing.assert_allclose(found["slides"], [[0.005, -0.005]] * 2)
+    np.testing.assert_allclose(found["bends"], [[80.0, -80.0]] * 2)  # [mrad]
+    np.testing.assert_allclose(found["slides"], [[5.0, -5.0]] * 2)  # [mm]
 
 
 def test_a_signal_may_have_any_name_and_shape(tmp_path):
@@ -178,11 +189,35 @@ def test_a_diverged_run_is_recorded_with_the_frames_that_can_be_drawn(tmp_path):
     path = record(tmp_path, broken, status="diverged", duration=10.0)
     t = column(path, "/world/tube", "t").astype("timedelta64[ns]").astype(np.int64)
     assert t.max() < 1.2e9
-    np.testing.assert_array_equal(fields(path, "/signals")["q_bends"], q[:, 3:])
+    np.testing.assert_array_equal(fields(path, "/signals")["q_bends"], 1e3 * q[:, 3:])
     states = [
         batch.column("StateChange:state").to_pylist() for batch in chunks(path, "/states/run")
     ]
     assert states == [[["running"], ["diverged"]]]
+
+
+def test_events_are_lines_across_every_plot(tmp_path):
+    """Each from the lowest to the highest number of its plot, the desired motion included."""
+    run = dataclasses.replace(swinging(), status="diverged")
+    payload = {"name": "payload", "asked": {"mass": 0.1, "at": 0.7}}
+    noise = {"name": "noise", "asked": {"ratio": 0.4}}  # acts from the beginning: no event
+    path = record(tmp_path, run, disturbances=[noise, payload], status="diverged")
+    for kind, at in (("begins", 0.7), ("ends", run.t[-1])):
+        t = column(path, f"/events/{kind}", "t").astype("timedelta64[ns]").astype(np.int64)
+        np.testing.assert_allclose(1e-9 * t, [at] * 3)
+        found = fields(path, f"/events/{kind}", "events")
+        both = 1e3 * np.concatenate([run.q, run.q_d])[:, 3:]
+        for plot in ("q_bends", "q_d_bends"):
+            np.testing.assert_allclose(found[plot].ravel(), [both.min(), both.max(), np.nan])
+        ends = [run.tau.min(), run.tau.max(), np.nan]
+        np.testing.assert_allclose(found["tau"].ravel(), ends)
+        signals = fields(path, "/signals").keys()
+        assert {x.replace("q_d_", "q_") for x in signals} <= {*found}
+    channels = channels_of(dict(run.arrays()), described(), run.layer, disturbed=True)
+    plots = Plots(channels, 1.0, events={"begins": "payload 100 g", "ends": "diverged"})
+    for view in (*plots.tracking("bends"), *plots.views("tau"), plots.energy_rate()):
+        assert {"events/begins", "events/ends"} <= {*view.contents}
+    assert not any("events" in x for x in Plots(channels, 1.0).views("tau")[0].contents)
 
 
 @pytest.mark.parametrize("rows", [1, 2])
@@ -256,7 +291,7 @@ def test_plots_that_would_be_empty_and_bounds_that_are_far_off_are_not_drawn(tmp
     plots = Plots(channels, 1.0, largest=largest)
     assert plots.views("disturbance") == []
     assert len(plots.views("s")) == 2
-    assert "phi / lambda = 0.08, far off" in plots.bounded("error", "error", "bends").name
+    assert "phi / lambda = 80, far off" in plots.bounded("error", "error", "bends").name
     assert "grey: phi" in plots.bounded("s", "s", "bends").name
     unknown = Plots(channels, 1.0)
     assert len(unknown.views("disturbance")) == 2

@@ -46,6 +46,9 @@ def test_a_run_keeps_it_and_verify_repeats_it(capsys: pytest.CaptureFixture[str]
     late = run.error[run.t >= 0.05]
     rms = np.sqrt(np.mean(late**2, axis=0))
     np.testing.assert_allclose(description["metrics"]["rms_error"], rms, rtol=1e-12)
+    rows = {line.split()[0]: line.split()[1:3] for line in out.splitlines() if " [m" in line}
+    for name, unit, size in (("s1", "[mm]", rms[0]), ("theta1", "[mrad]", rms[3])):
+        assert rows[name] == [unit, f"{1e3 * size:.3g}"]
     assert main(["verify", "a"]) == 0
 
 

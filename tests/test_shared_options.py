@@ -94,7 +94,9 @@ def test_tune_takes_what_run_takes_and_writes_it_down(capsys: pytest.CaptureFixt
     assert "start" in capsys.readouterr().out
 
 
-def test_every_column_says_what_it_means(capsys: pytest.CaptureFixture[str]):
+def test_every_column_says_what_it_means(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
     text = 'duration = 0.01\nsettle = 0.005\nepisodes = 1\ncontroller = "pd"\n'
     text += '[grid]\narm = ["eth"]\nlayout = ["paper", "centred"]\nplant_modules = [4]\n'
     text += "[grid.disturbance]\npayload = [0.0, 0.1]\n"
@@ -108,11 +110,19 @@ def test_every_column_says_what_it_means(capsys: pytest.CaptureFixture[str]):
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split() == ["column", "unit", "better", "meaning"]
     (tip,) = (line for line in lines if line.startswith("tip_rms_error "))
-    assert tip.split(maxsplit=3)[1:] == ["m", "less", METRICS["tip_rms_error"].text]
+    unit, better, text = tip.split(maxsplit=3)[1:]
+    assert (unit, better) == ("m", "less") and METRICS["tip_rms_error"].text.startswith(text)
+    assert max(map(len, lines)) <= 100
+    again = " ".join(" ".join(lines).split())
+    assert all(METRICS[name].text in again for name in ("overshoot", "chattering", "work"))
+    monkeypatch.setenv("COLUMNS", "150")
+    assert main(["report", "--columns"]) == 0
+    assert 100 < max(map(len, capsys.readouterr().out.splitlines())) <= 150
+    monkeypatch.delenv("COLUMNS")
     Path("spec.toml").write_text('duration = 0.01\nepisodes = 1\ncontroller = "pd"\n')
     assert main(["sweep", "spec.toml", "--out", "s", "--workers", "1"]) == 0
     table = octarm.read_sweep("s")
-    assert len(lines) - 1 == len(table.column_names)
+    assert [line.split()[0] for line in lines[1:] if line[0] != " "] == table.column_names
     assert table.schema.field("overshoot_theta1").metadata[b"better"] == b"nearer to zero"
     capsys.readouterr()
     assert main(["report", "s", "--columns"]) == 0

@@ -1,5 +1,6 @@
 """What dm_control's own suite asks of a task: names, specs, random starts, episodes that end."""
 
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -12,11 +13,15 @@ import octarm
 from octarm.arm.groups import Groups
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.reach import hold
+from octarm.commands.cli import main
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import OctarmError
 from octarm.interfaces import Command
+from octarm.recordings.titles import title_of
+from octarm.recordings.what_differs import differences
 from octarm.references import REFERENCES
 from octarm.simulation.start import Start
+from octarm.sweeps.spec_file import parse_spec
 
 NAMES = [name for name in REFERENCES if name != "file"]  # which needs a file
 
@@ -216,3 +221,54 @@ def test_a_loop_lasts_as_long_as_it_is_asked_to():
 def test_what_no_start_is(setting: dict[str, Any], words: str):
     with pytest.raises(OctarmError, match=words):
         octarm.load(**setting)
+
+
+def test_a_run_that_begins_elsewhere_is_recorded_and_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    words = ["run", "--duration", "0.02", "--start", "moving", "--start-share", "5%"]
+    assert main([*words, "--seed", "3", "--out", "a"]) == 0
+    assert main([*words, "--seed", "4", "--out", "b"]) == 0
+    run, other = (octarm.read_run(name) for name in ("a", "b"))
+    seen = octarm.load(start="moving", start_share=0.05, seed=3).reset().observation
+    np.testing.assert_array_equal(run.trajectory.q[0], seen["q"])
+    np.testing.assert_array_equal(run.trajectory.v[0], seen["v"])
+    assert np.all(run.trajectory.q[0] != other.trajectory.q[0])
+    assert (run.description["start"], run.description["start_share"]) == ("moving", 0.05)
+    assert "moving start" in title_of(run.description)
+    both = differences([run.description, other.description])
+    assert "seed" in [each.name for each in both if each.of_the_task]
+    assert main(["verify", "a"]) == 0
+    assert main(["run", "--duration", "0.02", "--out", "still"]) == 0
+    still = octarm.read_run("still").description
+    assert not {"start", "start_share"} & still.keys()
+    (start,) = [d for d in differences([run.description, still]) if d.name == "start"]
+    assert start.values == ["moving", "rest"] and start.of_the_task
+
+
+def test_a_sweep_begins_where_its_spec_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    text = 'start = "random"\nstart_share = "5%"\nduration = 0.02\nepisodes = 2\n'
+    text += '[grid]\ncontroller = ["pd", "smc"]\n[record]\nepisodes = [1]\n'
+    spec = parse_spec(text)
+    assert (spec.start, spec.start_share) == ("random", 0.05) and parse_spec(spec.to_toml()) == spec
+    usual = parse_spec(text.replace('start = "random"\nstart_share = "5%"\n', ""))
+    assert not {"start", "start_share"} & usual.content().keys() and spec.hash() != usual.hash()
+    with pytest.raises(OctarmError, match="it must be above 0"):
+        parse_spec(text.replace("5%", "0%"))
+    Path("spec.toml").write_text(text)
+    assert main(["sweep", "spec.toml", "--dry-run"]) == 0
+    assert "start: random, within 5 % of what inputs reach" in capsys.readouterr().out
+    assert main(["sweep", "spec.toml", "--out", "s", "--workers", "1"]) == 0
+    peaks = octarm.read_sweep("s")["peak_input_tau1"].to_numpy().reshape(2, 2)
+    assert np.all(peaks[:, 0] != peaks[:, 1])  # each seed has a start of its own
+    run = octarm.read_run("s/recorded/1-chosen")
+    limits = Start.of(P, "random", 0.05)
+    assert limits is not None
+    moved = run.trajectory.q[0] - octarm.load().physics.hanging()
+    assert np.all((moved >= limits.low) & (moved <= limits.high)) and np.any(moved)
+    assert main(["verify", "s/recorded/1-chosen"]) == 0
+    assert main(["verify", "s", "--episode", "3"]) == 0

@@ -157,12 +157,15 @@ def test_the_default_metrics_are_those_of_what_moves(known):
     ]  # fmt: skip
     assert episodes.absent == ("chattering", "overshoot_theta2")
     assert [axis.name for axis in episodes.factors] == ["mismatch", "noise"]
-    assert episodes.factors[1].labels == ("0", "0.2", "0.4")
+    assert episodes.factors[1].title == "noise [%]"
+    assert episodes.factors[1].labels == ("0", "20", "40")
+    assert episodes.factors[1].levels == ("0", "0.2", "0.4")  # as the table has them
+    assert np.allclose(episodes.factors[1].places, (0.0, 20.0, 40.0))
 
 
 def test_medians_and_differences_are_those_of_the_formula(known):
     report = compare(read_episodes(known, ["rms_error_theta1"]), "plain")
-    noisy = [entry for entry in report.of(report.episodes.factors[1]) if entry.label == "0.4"]
+    noisy = [entry for entry in report.of(report.episodes.factors[1]) if entry.label == "40"]
     for entry in noisy:
         factor = FACTOR[entry.controller]
         assert entry.episodes == SEEDS * len(MISMATCHES)

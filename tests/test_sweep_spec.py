@@ -150,6 +150,9 @@ def test_the_hash_is_that_of_what_is_asked_for():
     ("line", "text", "expected"),
     [
         (1, "sede = 1", "unknown key 'sede', did you mean 'seed'"),
+        (1, "seeds = 3", "unknown key 'seeds', did you mean 'episodes' at the top, the number of"),
+        (2, "[grid]\nseed = [0, 1]", "unknown key 'seed' in [grid], did you mean 'episodes' at"),
+        (1, "noise = 0.4", "unknown key 'noise', did you mean 'disturbance.noise'? "),
         (1, "seed = -1", "seed is -1; it must be at least 0"),
         (1, "seed = true", "seed is true"),
         (1, "episodes = 2.5", "episodes is 2.5"),
@@ -160,7 +163,11 @@ def test_the_hash_is_that_of_what_is_asked_for():
         (1, "mismatch = -1.0", "mismatch is -1.0; it must be above -1"),
         (2, "seed = 1\nbatch = 0", "batch is 0"),
         (1, "[gird]\nnoise = [1]", "unknown key 'gird', did you mean 'grid'"),
-        (3, "[grid]\nmismatch = [0.1]\nnoise = [1]", "unknown key 'noise' in [grid]"),
+        (
+            3,
+            "[grid]\nmismatch = [0.1]\nnoise = [1]",
+            "in [grid], did you mean 'disturbance.noise'",
+        ),
         (2, "[grid]\nmismatch = 0.1", "mismatch is 0.1; it must be a list"),
         (2, "[grid]\nmismatch = []", "mismatch is []"),
         (

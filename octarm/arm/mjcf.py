@@ -25,6 +25,7 @@ import mujoco
 import numpy as np
 
 from octarm.arm.lagrange import NO_EQUILIBRIUM, newton, potential_hessian
+from octarm.arm.modes import check_step
 from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.errors import FileError, OctarmError
 
@@ -86,12 +87,11 @@ def read_parameters(model: mujoco.MjModel) -> ArmParameters:
 def physics_step(timestep: float | None = None) -> float:
     """A physics step [s]; that of `models/octarm.xml` when it is not given.
 
-    Raises OctarmError if it is not within 1e-7 to 0.1 s.
+    Raises OctarmError if it is not within what `octarm.arm.modes.check_step` allows.
     """
     if timestep is None:
         return _nominal_step()
-    if not 1e-7 <= timestep <= 0.1:
-        raise OctarmError(f"timestep is {timestep:g} s; it must be between 1e-07 and 0.1 s")
+    check_step(timestep)
     return timestep
 
 

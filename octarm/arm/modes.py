@@ -21,7 +21,9 @@ import numpy as np
 
 from octarm.arm import lagrange
 from octarm.arm.parameters import ArmParameters
+from octarm.errors import OctarmError
 
+SHORTEST_STEP, LONGEST_STEP = 1e-7, 0.1  # of the physics [s]
 _GROWING = 1e-9  # share of an eigenvalue; a smaller positive real part is rounding
 
 
@@ -145,6 +147,15 @@ INTEGRATORS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "rk4": _longest_of_rk4,
     "implicitfast": _longest_of_implicitfast,
 }
+
+
+def check_step(timestep: float) -> None:
+    """Raises OctarmError for a physics step [s] that no arm is simulated with."""
+    if not SHORTEST_STEP <= timestep <= LONGEST_STEP:
+        raise OctarmError(
+            f"timestep is {timestep:g} s; it must be between {SHORTEST_STEP:g} and "
+            f"{LONGEST_STEP:g} s"
+        )
 
 
 def _per_inertia(p: ArmParameters, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -37,6 +37,7 @@ _WORDS = {
     "ACTUATION": "octarm.arm.actuation:ACTUATIONS",
     "INTEGRATOR": "octarm.arm.modes:INTEGRATORS",
     "ENGINE": "octarm.simulation.engines:ENGINES",
+    "START": "octarm.simulation.start:STARTS",
     "LAYOUT": "octarm.arm.rod:LAYOUTS",
     "SHELL": "octarm.commands.kinds:SHELLS",
     "KIND": "octarm.commands.kinds:STARTS",
@@ -148,10 +149,23 @@ def _duration(option: str, word: str) -> float:
 
 
 def _step(option: str, word: str) -> float | str:
+    if word == "auto":
+        return word
     try:
-        return word if word == "auto" else number(option, word, "s")
+        seconds = number(option, word, "s")
     except OctarmError as error:
         raise OctarmError(str(error).replace("a number", "a number [s] or auto")) from None
+    from octarm.arm.modes import check_step
+
+    check_step(seconds)
+    return seconds
+
+
+def _share(option: str, word: str) -> float:
+    share = number(option, word, "1")
+    if not 0.0 < share <= 1.0:
+        raise OctarmError(f"{option} is {quoted(word)}; it must be above 0 and at most 1")
+    return share
 
 
 def _amount(option: str, word: str) -> str:
@@ -206,7 +220,7 @@ def _live(hint: Any, tokens: Sequence[Token]) -> list[str]:
 N, COUNT = whole(0), whole(1)
 X, S, HZ = (kind(*each) for each in (("X", _real("1")), ("S", _real("s")), ("HZ", _real("Hz"))))
 DURATION, SETTLE, STEP = kind("S", _duration), kind("S", _real("s", 0.0)), kind("S", _step)
-AMOUNT = kind("X", _amount)
+AMOUNT, SHARE = kind("X", _amount), kind("X", _share)
 RUN, DIR = kind("RUN"), kind("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
     _declared, ("CONTROLLER", "REFERENCE", "DISTURBANCE", "METRIC")
@@ -214,8 +228,8 @@ CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
 VARIED = _declared("DISTURBANCE", "nominal-mismatch")  # see `octarm.sweeps.margin`
 CALLED = _declared("CONTROLLER", known=False)
 COLUMN = _declared("METRIC", known=False)  # of the table of a sweep
-ACTUATION, INTEGRATOR, ENGINE, LAYOUT = map(
-    _one_of, ("ACTUATION", "INTEGRATOR", "ENGINE", "LAYOUT")
+ACTUATION, INTEGRATOR, ENGINE, LAYOUT, START = map(
+    _one_of, ("ACTUATION", "INTEGRATOR", "ENGINE", "LAYOUT", "START")
 )
 GAINS, ARM = kind("GAINS", _gains), kind("ARM", arm)
 FILE_OR_ARM, SHELL, KIND = map(kind, ("ARM", "SHELL", "KIND"))  # operands: looked at last

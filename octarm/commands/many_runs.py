@@ -113,7 +113,7 @@ def margin(*controllers: Annotated[str, kinds.CALLED], options: MarginOptions = 
     kinds.check_free(options.force, options.csv, options.json)
     for word in controllers:
         kinds.check("CONTROLLER", word)
-    options.gain_options.values()  # raises
+    options.gain_options.values(*controllers)  # raises
     for model in options.models:
         model.both()  # raises
     from octarm.commands import margin as work
@@ -155,7 +155,7 @@ def tune(
     kinds.check("CONTROLLER", controller)
     out = options.out or Path(f"{short_name(controller)}.toml")
     kinds.check_free(options.force or options.resume, out)
-    options.gain_options.values()  # raises
+    options.gain_options.values(controller)  # raises
     options.model.both()  # raises
     from octarm.commands import tune as work
 

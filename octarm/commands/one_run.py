@@ -26,6 +26,8 @@ def run(
     duration: Annotated[float, kinds.DURATION, kinds.EXPERIMENT] = 10.0,
     settle: Annotated[float, kinds.SETTLE, kinds.EXPERIMENT] = 2.0,
     seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
+    start: Annotated[str, kinds.START, kinds.EXPERIMENT] = "rest",
+    start_share: Annotated[float, kinds.SHARE, kinds.EXPERIMENT] = 0.1,
     model: ArmOptions = NOMINAL_ARM,
     gain_options: GainOptions = USUAL_GAINS,
     timestep: Annotated[float | str | None, kinds.STEP, kinds.SIMULATION] = None,
@@ -50,7 +52,10 @@ def run(
         metric: what is measured as well, FILE.py:NAME or MODULE:NAME
         duration: length of the run [s]
         settle: when errors and other metrics of the steady regime begin to count [s]
-        seed: seed of all that is random; an undisturbed run has nothing random
+        seed: seed of all that is random; an undisturbed run from rest has nothing random
+        start: rest, the arm hangs still; random, a place that is drawn; moving, with a speed, too
+        start_share: share of what the inputs reach within which the start is drawn; tuned gains
+            lose the nominal arm from about 0.2 on
         model: see `octarm.commands.options`
         gain_options: likewise
         timestep: physics step [s]; that of models/octarm.xml, 0.0005 s, when not given; auto is the
@@ -73,6 +78,7 @@ def run(
       octarm run --disturbance noise:0.4 --disturbance payload:0.2,at=3
       octarm run --reference sine:amplitude=20deg,frequency=1
       octarm run --reference tip:circle,size=3cm,period=2
+      octarm run --start moving --start-share 5% --seed 3
       octarm run --controller smc --gain lambda:20 --parameter mass:0.4,0.3,0.2
       octarm run --controller ./mine.py:Law --disturbance ./mine.py:Gust:5,at=1
       octarm run --arm eth --controller afsmc
@@ -99,7 +105,7 @@ def run(
         if view or len(live) > 1:
             raise OctarmError("--live is given with --view, or twice; one viewer shows a run")
         os.environ.setdefault("RUST_LOG", "off")  # a viewer that goes away is said by octarm
-    gains, (true, nominal) = gain_options.values(), model.both()
+    gains, (true, nominal) = gain_options.values(controller), model.both()
     from octarm.commands import run as work
 
     def job() -> int:
@@ -121,6 +127,8 @@ def run(
             engine=engine,
             plant_modules=model.plant_modules,
             layout=model.layout,
+            start=start,
+            start_share=start_share,
         )
         url = None if live is None else "".join(live)
         return work.run(what, gain_options.gains, out, view, url)
@@ -171,7 +179,7 @@ def view(
             controller,
             reference,
             disturbance,
-            gains=gain_options.values(),
+            gains=gain_options.values(controller),
             nominal=nominal,
             parameters=true,
             seed=seed,

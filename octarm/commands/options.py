@@ -117,14 +117,21 @@ class GainOptions:
     gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None
     gain: Annotated[tuple[str, ...], kinds.kind("NAME:VALUES"), kinds.GAIN] = ()
 
-    def values(self) -> Mapping[str, Any]:
-        """The gains that are given one by one, by name [SI]; raises OctarmError."""
+    def values(self, *controllers: str) -> Mapping[str, Any]:
+        """The gains that are given one by one, by name [SI].
+
+        Raises OctarmError if one does not read so, or one of the controllers does not have it.
+        """
+        from controllers import check_gains
+
         gains = _named_values("--gain", self.gain)
         for item, value in zip(self.gain, gains.values(), strict=True):
             if isinstance(value, list) and isinstance(value[0], list):
                 raise OctarmError(
                     f"--gain is {quoted(item)}; a gain is one number, or one a coordinate"
                 )
+        for controller in controllers:
+            check_gains(controller, gains)
         return gains
 
     def command(self) -> list[str]:

@@ -62,8 +62,11 @@ def compare(folders: Sequence[Path], out: Path) -> None:
         contents |= picture.files(out / FIGURES)
     write_files(contents)
     write_comparison(out / RECORDING, *runs)
-    for name, folder, title in zip(comparison.names, folders, comparison.titles, strict=True):
-        print(f"{name}: {printable(str(folder))}, {title}")
+    titles = zip(comparison.names, folders, comparison.titles, runs, strict=True)
+    for name, folder, title, run in titles:
+        tip = run.metrics.get("tip_rms_error")
+        rms = "" if tip is None else f"; tip: {1e3 * tip:.3g} mm rms"
+        print(f"{name}: {printable(str(folder))}, {title}{rms}")
     for each in comparison.differences:
         print(f"  {each.name}: {'; '.join(map(printable, each.values))}")
     print(printable(comparison.verdict, 2000))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import os
 import shlex
+import shutil
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -50,13 +52,15 @@ def columns(sweep: Path | None) -> None:
     rows = [("column", "unit", "better", "meaning")]
     for field in schema(spec):
         said = {key.decode(): text.decode() for key, text in metadata_of(field).items()}
-        of = f" of {said['of']}" if said.get("of") else ""
-        text = f"{said['text']}{of and f',{of}'}"
-        rows.append((field.name, said.get("unit", ""), said.get("better", ""), text))
+        rows.append((field.name, said.get("unit", ""), said.get("better", ""), said["text"]))
     widths = [max(len(row[i]) for row in rows) for i in range(3)]
+    # Where nobody reads it in a terminal, lines are as long as those of a page of text.
+    width = max(shutil.get_terminal_size((100, 24)).columns, sum(widths) + 36)
     for row in rows:
-        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=False))
-        print(printable("  ".join([*cells, row[3]])))
+        cells = (cell.ljust(size) for cell, size in zip(row, widths, strict=False))
+        head = "  ".join([*cells, ""])
+        print(textwrap.fill(printable(row[3]), width, initial_indent=head,
+                            subsequent_indent=" " * len(head)))  # fmt: skip
 
 
 def _check_place(out: Path, sweep: Path) -> None:

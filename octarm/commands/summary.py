@@ -59,7 +59,7 @@ def _table(
 ) -> list[str]:
     width = [10, 11, 15, 11, 14, 13]
     head = "".join(f"{h:>{w}}" for h, w in zip(_HEADINGS, width, strict=True))
-    lines = [f"after {settle:g} s".ljust(13) + head.rstrip()]
+    lines = [f"after {settle:g} s".ljust(14) + head.rstrip()]
     for j, coordinate in enumerate(coordinates):
         name, unit = coordinate["name"], coordinate["unit"]
         force = METRICS["chattering"].unit_for(unit)
@@ -67,15 +67,15 @@ def _table(
         share = 100.0 * rms / amplitude[j] if amplitude[j] > 0.0 else None
         reached = metrics.get("reaching_time")
         cells = (
-            f"{rms:.2e}",
-            f"{metrics['peak_error'][j]:.2e}",
+            f"{1e3 * rms:.3g}",
+            f"{1e3 * metrics['peak_error'][j]:.3g}",
             _cell(share, ".3f", " %"),
             _cell(metrics["overshoot"][j], "+.2f", " %"),
-            _cell(metrics["chattering"][j], ".1e", f" {force}"),
+            _cell(metrics["chattering"][j], ".2g", f" m{force}", 1e3),
             _cell(reached[j] if reached else None, ".4g", " s"),
         )
         row = "".join(f"{cell:>{w}}" for cell, w in zip(cells, width, strict=True))
-        lines.append(f"{name:>7} [{unit}]".ljust(13) + row.rstrip())
+        lines.append(f"{name:>7} [m{unit}]".ljust(14) + row.rstrip())
     tip = f"tip: {1e3 * metrics['tip_rms_error']:.3g} mm rms"
     bound = metrics.get("reaching_bound")
     if bound is not None:
@@ -94,5 +94,5 @@ def _others(code: Mapping[str, Code], metrics: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _cell(value: float | None, form: str, unit: str) -> str:
-    return "" if value is None else f"{value:{form}}{unit}"
+def _cell(value: float | None, form: str, unit: str, factor: float = 1.0) -> str:
+    return "" if value is None else f"{factor * value:{form}}{unit}"

@@ -22,6 +22,7 @@ from octarm.formats import read_toml
 from octarm.memory import check_batch
 from octarm.metrics.metric import unsettled
 from octarm.simulation.engines import LAGRANGE, check_engine
+from octarm.simulation.start import REST
 from octarm.simulation.steps import AUTO
 from octarm.sweeps import engine_check
 from octarm.sweeps.cluster import WAIT, dask_cluster
@@ -72,6 +73,8 @@ def dry_run(file: Path, options: SweepOptions) -> None:
     for axis in spec.random:
         low, high = axis.values
         print(f"  {axis.name}: {low:g} .. {high:g}, {axis.method}")
+    if spec.start != REST:
+        print(f"  start: {spec.start}, within {100.0 * spec.start_share:g} % of what inputs reach")
     print(f"  seeds: {spec.episodes} a cell")
     busy = min(workers, expected.shards)
     simulated = expected.episodes * spec.duration / expected.seconds * busy

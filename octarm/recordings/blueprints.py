@@ -22,6 +22,8 @@ from octarm.recordings.titles import title_of
 
 _BOUND = [150, 156, 166]
 _BACKGROUND = [13, 15, 19]
+EVENTS = {"begins": [224, 138, 60], "ends": [255, 90, 95]}  # of a disturbance, of a run that failed
+_EACH = rr.components.AggregationPolicy.Off  # both ends of a line are at one instant
 _LEGEND = 8  # series at most that a legend can name
 _FAR = 2.0  # times the largest value; a bound beyond that is written, not drawn
 _SHORT = 64  # letters of a title that leaves room for more
@@ -60,16 +62,18 @@ class Plots:
         end: float,
         root: str = "",
         largest: Mapping[str, np.ndarray] | None = None,
+        events: Mapping[str, str] | None = None,
     ) -> None:
         """Plots from 0 to `end` [s].
 
         The largest size of each number of a channel, by name, tells which plots would be empty and
-        which bounds are far off; None while the run goes on.
+        which bounds are far off; None while the run goes on. Of the entities of `EVENTS` those that
+        there are have a name for the legend.
         """
         at = rr.TimeRangeBoundary.absolute
         time = rr.TimeRange(start=at(seconds=0.0), end=at(seconds=1.2 * end))
         self.channels, self.axis, self._root = channels, rrb.TimeAxis(view_range=time), root
-        self._largest = largest
+        self._largest, self._events = largest, events or {}
 
     def curves(self, name: str, part: str = "") -> Curves:
         """The curves of a part of a channel."""
@@ -83,11 +87,17 @@ class Plots:
     ) -> Any:
         """A plot of curves; from -largest to largest if that is given."""
         lines: dict[Any, list[Any]] = {}
-        for some in curves:
+        path = curves[0].path.removesuffix("[]")
+        marks = [
+            Curves(f"events/{kind}", path, [name], [EVENTS[kind]], 1.0)
+            for kind, name in self._events.items()
+        ]
+        for some in [*curves, *marks]:
             style = rr.SeriesLines.from_fields(
                 names=list(some.names),
                 colors=np.asarray(some.colors).astype(np.uint8),
                 widths=[some.width] * len(some.names),
+                aggregation_policy=_EACH if some in marks else None,
             )
             source = VisualizerComponentMapping(
                 "Scalars:scalars",
@@ -97,7 +107,8 @@ class Plots:
             )
             entity = f"{self._root}{some.entity}"
             lines.setdefault(entity, []).append(style.visualizer(mappings=[source]))
-        legend = legend and 0 < len({name for some in curves for name in some.names}) <= _LEGEND
+        names = {name for some in (*curves, *marks) for name in some.names}
+        legend = legend and 0 < len(names) <= _LEGEND
         return rrb.TimeSeriesView(
             name=title,
             contents=list(lines),
@@ -112,7 +123,8 @@ class Plots:
         bound, curves = self.channels[name].bound, [self.curves(name, part)]
         if bound is not None and self._far(name, part):
             sizes = np.abs(bound.lines(self.channels[name].parts[part]))
-            ends = dict.fromkeys(f"{x:.3g}" for x in (sizes.min(), sizes.max()))
+            factor = self.channels[name].recorded(part)[0]
+            ends = dict.fromkeys(f"{factor * x:.3g}" for x in (sizes.min(), sizes.max()))
             title = f"{title}   {bound.word} = {' to '.join(ends)}, far off"
         elif bound is not None:
             count = len(bound.lines(self.channels[name].parts[part]))
@@ -148,20 +160,22 @@ class Plots:
         parts = [part for part in channel.parts if not self.empty(name, part)]
         return [
             self.bounded(
-                f"{channel.title}{', ' if part else ''}{part}{channel.units[part]}", name, part,
+                f"{', '.join(filter(None, [channel.title, part]))}{channel.recorded(part)[1]}",
+                name,
+                part,
                 legend=named and i == 0,
             )
             for i, part in enumerate(parts)
-        ]  # fmt: skip
+        ]
 
     def tracking(self, part: str) -> list[Any]:
         """Coordinates against the desired ones, and their error."""
         wanted = self.curves("q_d", part)
         names, colors = ["desired"] * len(wanted.names), 0.45 * wanted.colors + 25.0
         wanted = wanted._replace(names=names, colors=colors, width=6.0)
-        title = f"{part}{self.channels['q'].units[part]}   wide: desired"
+        unit = self.channels["q"].recorded(part)[1]
+        title = f"{part}{unit}   wide: desired"
         both = self.view(title, wanted, self.curves("q", part), legend=True)
-        unit = self.channels["error"].units[part]
         return [both, self.bounded(f"error of {part}{unit}", "error", part)]
 
     def energy_rate(self) -> Any:
@@ -169,7 +183,7 @@ class Plots:
         curves = [Curves("signals", ".V_rate", ["V'"], [[120, 160, 200]])]
         if has_sliding(self.channels):
             curves.append(Curves("signals", ".V_claim", ["s . robust part"], [[255, 159, 67]]))
-        title = "V' [W]   orange: its bound were the model exact"
+        title = "V' [mW]   orange: its bound were the model exact"
         return self.view(title, *curves, legend=True)
 
     def states(self, name: str, *contents: str) -> Any:
@@ -203,6 +217,7 @@ def blueprint(
     description: Mapping[str, Any],
     lanes: int,
     largest: Mapping[str, np.ndarray] | None = None,
+    events: Mapping[str, str] | None = None,
     *,
     listed: bool = False,
     following: bool = False,
@@ -215,10 +230,11 @@ def blueprint(
         description: of the run; its duration is the range of the plots.
         lanes: of the state timeline, without those of single coordinates.
         largest: sizes of the numbers of each channel, shape (numbers,), see `Plots`.
+        events: see `Plots`.
         listed: whether the viewer keeps its list of recordings open.
         following: whether the viewer follows the last instant.
     """
-    plots = Plots(channels, float(description["duration"]), largest=largest)
+    plots = Plots(channels, float(description["duration"]), largest=largest, events=events)
     tabs = _tabs(plots, ledger=bool(description.get("disturbances")))
     by_priority = (
         "adaptation",

@@ -4,10 +4,13 @@ A channel is what is recorded and plotted together: an array of the loop or a si
 controller. The names of its numbers suit the columns of a table: `theta1`, `column_2_3`, or `s1_4`
 for the fourth rule of s1.
 
-q, q_d, tau and V are recorded with all their bits at every control instant, and so is every signal
+q, q_d, tau and V are recorded in double precision at every control instant, and so is every signal
 that is not known here. What follows from them, s, and the parts that a force is the sum of, are
 recorded with single precision; the gain E, which adapts slowly, also with single precision and only
 60 times a second. Signals with a number for each fuzzy rule are recorded as a picture.
+
+Lengths, angles, moments and energies are recorded in thousandths, mm and mrad, which people read:
+the viewer plots numbers as they are.
 """
 
 from __future__ import annotations
@@ -27,6 +30,11 @@ from octarm.interfaces import WITHIN, Rows
 # The fields of `Rows` that the loop itself provides; all others are the controller's signals.
 _LOOP = ("t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance", *WITHIN)
 
+# Units that recordings have instead of those of the SI, and figures where numbers are small.
+THOUSANDTHS = {
+    "m": "mm", "m/s": "mm/s", "m s": "mm s", "rad": "mrad", "rad/s": "mrad/s", "rad s": "mrad s",
+    "N m": "mN m", "J": "mJ", "W": "mW",
+}  # fmt: skip
 
 SLIDING, REACHING = "sliding", "reaching"
 _NAMED = 3  # coordinates at most that a phase names
@@ -123,6 +131,11 @@ class Channel(NamedTuple):
         """Name of the list of the numbers of a part in that structure."""
         return f"{self.name}_{part}" if part else self.name
 
+    def recorded(self, part: str) -> tuple[float, str]:
+        """What the numbers of a part are multiplied by in a recording, and their unit there."""
+        unit = self.units[part].strip(" []")
+        return (1e3, f" [{THOUSANDTHS[unit]}]") if unit in THOUSANDTHS else (1.0, self.units[part])
+
     def values(self, rows: Rows) -> np.ndarray:
         """The numbers of k instants, shape (k, numbers)."""
         if not self.field:
@@ -131,10 +144,12 @@ class Channel(NamedTuple):
 
     def columns(self, values: np.ndarray) -> dict[str, np.ndarray]:
         """The numbers, shape (k, numbers), as they are recorded: part by part, by `column`."""
-        if _known(self.name).single:
-            with np.errstate(over="ignore"):  # a diverged arm may be anywhere
-                values = values.astype(np.float32)
-        return {self.column(name): values[:, part] for name, part in self.parts.items()}
+        kind = np.float32 if _known(self.name).single else values.dtype
+        with np.errstate(over="ignore"):  # a diverged arm may be anywhere
+            return {
+                self.column(name): (self.recorded(name)[0] * values[:, part]).astype(kind)
+                for name, part in self.parts.items()
+            }
 
 
 def coordinates_of(description: Mapping[str, Any]) -> Coordinates:

@@ -43,11 +43,11 @@ def write_comparison(path: Path, *runs: Run) -> None:
             recording.add_all(run)
             recording.finish(description)
             recordings.append(recording)
-        parts = recordings[0].channels["error"].parts
         layout = _Layout(recordings, runs)
         for entity, (run, _) in zip(layout.entities, runs[1:], strict=True):
             t, larger = difference(runs[0][0], run)
-            lists = {name: larger[:, part] for name, part in parts.items()}
+            error = recordings[0].channels["error"]
+            lists = {x: error.recorded(x)[0] * larger[:, part] for x, part in error.parts.items()}
             stream.send_columns(entity, times(t), structures(lists, "difference"))
         page = rr.TextDocument(layout.page(), media_type=rr.MediaType.MARKDOWN)
         stream.log("differences", page, static=True)
@@ -105,7 +105,7 @@ class _Layout:
         for name, recording, title in zip(self._names, self._recordings, self.titles, strict=True):
             arms.append(recording.scene.view(f"{name}: {title}   pale sheath: desired", f"{name}/"))
             plots, channel = self._plots(name, recording), recording.channels["tau"]
-            forces = f"input forces of {name}{channel.units['']}"
+            forces = f"input forces of {name}{channel.recorded('')[1]}"
             inputs.append(plots.view(forces, plots.curves("tau"), legend=True))
         pages = [rrb.TextDocumentView(origin=f"{x}/notes", name=x) for x in self._names]
         differing = rrb.TextDocumentView(origin="differences", name="what differs")
@@ -126,20 +126,21 @@ class _Layout:
         return rrb.Vertical(*(rrb.Horizontal(*row, name=x) for x, row in rows.items()), name=name)
 
     def _plots(self, name: str, recording: RunRecording) -> Plots:
-        return Plots(recording.channels, self._end, f"{name}/")
+        return Plots(recording.channels, self._end, f"{name}/", events=recording.events())
 
     def _errors(self, part: str) -> Iterator[Any]:
         """A plot for each run."""
         error = self._recordings[0].channels["error"]
         sizes = [np.nan_to_num(np.abs(run.error[:, error.parts[part]])).max() for run in self._runs]
-        largest = float(max(sizes))
+        factor, unit = error.recorded(part)
+        largest = factor * float(max(sizes))
         for name, recording in zip(self._names, self._recordings, strict=True):
             plots = self._plots(name, recording)
             yield plots.view(
-                f"error of {part} in {name}{error.units[part]}",
+                f"error of {part} in {name}{unit}",
                 plots.curves("error", part),
                 legend=name == "A",
-                largest=1.05 * largest if largest < 1e3 else None,
+                largest=1.05 * largest if largest < 1e6 else None,
             )
 
     def _larger(self, part: str) -> Iterator[Any]:
@@ -148,6 +149,6 @@ class _Layout:
         plots, error = Plots(channels, self._end), channels["error"]
         for name, entity in zip(self._names[1:], self.entities, strict=True):
             end = f"above 0: {name} is nearer" if self._ranked else "not ranked, see what differs"
-            text = f"|error| of A less that of {name}, {part}{error.units[part]}   {end}"
+            text = f"|error| of A less that of {name}, {part}{error.recorded(part)[1]}   {end}"
             curves = plots.curves("error", part)._replace(entity=entity, path=f".{part}[]")
             yield plots.view(text, curves)

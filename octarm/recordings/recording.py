@@ -5,8 +5,10 @@ is killed.
 
 Whatever has a row at every control instant stands in one entity, `signals`, as one structure of
 lists: one set of times for all of them makes the file half as large as one entity for each plot.
-Plots pick their lists by name, `.q_bends[]`. Slowly adapting numbers, in `adaptation`, and the
-scene are recorded 60 times a second; signals with a number for each fuzzy rule as a picture.
+Plots pick their lists by name, `.q_bends[]`. Lines at bounds stand in `bounds`, at events, from
+the lowest to the highest number of each plot, in `events`. Slowly adapting numbers, in
+`adaptation`, and the scene are recorded 60 times a second; signals with a number for each fuzzy
+rule as a picture.
 
 An adaptive controller reports 121 numbers at an instant. With q, q_d and tau that is 11 MB for
 10 s at 1 kHz, which do not compress, for every bit is new; without the rules it is 4 MB still. So
@@ -157,11 +159,13 @@ class RunRecording:
         )
         self.channels: dict[str, Channel] = {}
         self.largest: dict[str, np.ndarray] = {}
+        self._extremes: dict[str, np.ndarray] = {}  # of each plot, in the units of the recording
         self.name = ""
         self._heat_maps: dict[str, HeatMap] = {}
         self._lanes: set[str] = set()
         self._late: set[str] = set()  # phases that name what is not sliding
         self._events = events_of(description)
+        self._marks: dict[str, list[tuple[float, str]]] = {"begins": [], "ends": []}
         self._eventful = len({name for _, name, _ in self._events})
         self._count, self._stride = 0, 1
         self._next_picture = _FIRST_PICTURE // 10 if following else _FIRST_PICTURE
@@ -199,6 +203,8 @@ class RunRecording:
             while self._events and self._events[0][0] <= t[-1]:
                 at, lane, text = self._events.pop(0)
                 self._log_state(lane, [(at, text)])
+                if text and at > self._start:
+                    self._marks["begins"].append((at, text))
             self._count, self._end = count, float(t[-1])
             if self._count >= self._next_picture:  # what a killed run leaves has one too
                 self._next_picture = 4 * self._count
@@ -225,10 +231,12 @@ class RunRecording:
             ended = description.get("status", "ok") != "ok"
             short = ended or self._end < 0.9 * self._planned
             duration = self._end if short else self._planned
-            self._lay_out({**description, "duration": duration}, self.largest)
             if ended:
                 ending = (self._end, str(description["status"]))
                 self._log_state("run", [(self._start, "running"), ending])
+                self._marks["ends"].append(ending)
+            self._log_events()
+            self._lay_out({**description, "duration": duration}, self.largest)
             if self._following:
                 self._flush()
 
@@ -267,6 +275,7 @@ class RunRecording:
                 description,
                 lanes,
                 largest,
+                None if largest is None else self.events(),
                 listed=bool(self.name),
                 following=self._following,
             )
@@ -289,21 +298,51 @@ class RunRecording:
                 full |= channel.columns(values)
         if has_energy(self.channels):
             full |= self._energy_rate(rows)
+        for column, values in (full | slow).items():
+            self._extend(column.replace("q_d_", "q_"), values)
         self._send("signals", t, structures(full, "signals"))
         if slow and frames.any():
             self._send("adaptation", t[frames], structures(slow, "adaptation"))
 
+    def _extend(self, plot: str, values: np.ndarray) -> None:
+        """Takes further numbers into account of which the plot with this first column has to do."""
+        values = values[np.isfinite(values)]
+        if values.size:
+            known = self._extremes.get(plot, values)
+            low, high = min(np.min(values), np.min(known)), max(np.max(values), np.max(known))
+            self._extremes[plot] = np.array([low, high], dtype=float)
+
+    def events(self) -> dict[str, str]:
+        """What happened, by the entities of `EVENTS` that the recording has, in words."""
+        words = {kind: dict.fromkeys(text for _, text in x) for kind, x in self._marks.items() if x}
+        return {
+            kind: next(iter(texts)) if len(texts) == 1 else "a disturbance begins"
+            for kind, texts in words.items()
+        }
+
+    def _log_events(self) -> None:
+        """A line across each plot at each event: from its lowest number to its highest one."""
+        for kind in self.events():
+            at = np.array([t for t, _ in self._marks[kind]])
+            rows: dict[str, np.ndarray] = {}
+            for plot, (low, high) in self._extremes.items():
+                rows[plot] = np.tile([low, high, np.nan], len(at))  # the line ends at what is none
+                if plot.startswith("q_"):
+                    rows[plot.replace("q_", "q_d_")] = rows[plot]
+            if rows:
+                self._send(f"events/{kind}", np.repeat(at, 3), structures(rows, "events"))
+
     def _energy_rate(self, rows: Rows) -> dict[str, np.ndarray]:
-        """The rate of V, and its bound by (42) if the model were exact: s^T robust part [W]."""
+        """The rate of V, and its bound by (42) if the model were exact: s^T robust part [mW]."""
         t, V = rows["t"], self.channels["V"].values(rows)[:, 0]
         t_0, V_0 = self._last or (t[0], V[0])
         self._last = float(t[-1]), float(V[-1])
         dt = np.diff(t, prepend=t_0)
         rate = np.diff(V, prepend=V_0) / np.where(dt > 0.0, dt, np.nan)
-        columns = {"V_rate": rate.astype(np.float32)}
+        columns = {"V_rate": (1e3 * rate).astype(np.float32)}
         if has_sliding(self.channels):
             s, robust = (self.channels[name].values(rows) for name in ("s", "switching"))
-            columns["V_claim"] = np.sum(s * robust, axis=1).astype(np.float32)
+            columns["V_claim"] = (1e3 * np.sum(s * robust, axis=1)).astype(np.float32)
         return columns
 
     def _draw_rules(self) -> None:
@@ -334,9 +373,11 @@ class RunRecording:
     def _log_bounds(self, at: float) -> None:
         """The bounds of channels, which are lines from the first instant to the last."""
         for name, channel in self.channels.items():
-            bound, parts = channel.bound, {**self._coordinates.groups, "all": slice(None)}
-            if bound is not None:
-                lines = {part: np.array([bound.lines(where)]) for part, where in parts.items()}
+            if (bound := channel.bound) is not None:
+                lines = {
+                    part or "all": channel.recorded(part)[0] * np.array([bound.lines(where)])
+                    for part, where in channel.parts.items()
+                }
                 self._send(f"bounds/{name}", np.array([at]), structures(lines, "bounds"))
 
     def _describe(self, description: Mapping[str, Any]) -> None:

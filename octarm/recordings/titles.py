@@ -55,10 +55,11 @@ def wrapped(title: str, letters: int) -> str:
 
 
 def conditions_of(description: Mapping[str, Any]) -> list[str]:
-    """What makes the run harder than one without any of it: disturbances, plant, model error."""
+    """What makes the run harder than one without any of it: disturbances, plant, start, model."""
     parts = [disturbance_of(entry) for entry in description.get("disturbances", [])]
     plant = description.get("plant")
     parts += [f"a plant of {plant['modules']} modules"] if plant else []
+    parts += [f"{description['start']} start"] if "start" in description else []
     return parts + _model_error(description)
 
 

@@ -9,14 +9,15 @@ from typing import Any, NamedTuple
 
 from octarm.recordings import titles
 from octarm.recordings.notes import in_words
+from octarm.runs.description import USUAL
 
 # What is not part of a run's task: two laws may differ in it and still be ranked.
 _OF_THE_LAW = ("controller", "gain ", "model's ", "version ", "timestep", "control_period", "code ")
 _SETTINGS = (
     "duration", "timestep", "control_period", "actuation", "integrator", "engine", "seed",
-    "spawn_key",
+    "spawn_key", *USUAL,
 )  # fmt: skip
-_UNITS = {"duration": "s", "timestep": "s", "control_period": "s"}
+_UNITS = {"duration": "s", "settle": "s", "timestep": "s", "control_period": "s"}
 
 
 class Difference(NamedTuple):
@@ -70,7 +71,7 @@ def differences(descriptions: Sequence[Mapping[str, Any]]) -> list[Difference]:
             texts = ["–" if value is None else str(value) for value in values]
         task = not name.startswith(_OF_THE_LAW)
         if name in ("seed", "spawn_key"):
-            task = any(description.get("disturbances") for description in descriptions)
+            task = any(each.get("disturbances") or "start" in each for each in descriptions)
         unit = f" [{_UNITS[name]}]" if name in _UNITS else ""
         differing.append(Difference(name.replace("_", " ") + unit, texts, task))
     return differing
@@ -106,7 +107,7 @@ def _aspects(description: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     for key in ("modules", "layout"):
         yield f"plant's {key}", plant.get(key)
     for key in _SETTINGS:
-        yield key, description.get(key)
+        yield key, description.get(key, USUAL.get(key))
     for name, value in controller.get("gains", {}).items():
         yield f"gain {name.rstrip('_')}", value
     for whose, table in (("model's", "nominal"), ("arm's", "parameters")):

@@ -204,8 +204,9 @@ def tables(comparisons: Comparisons) -> dict[str, str]:
 
 
 def _where(group: Group) -> dict[str, Any]:
-    axis = "all" if group.factor is None else group.factor.name
-    return {"axis": axis, "value": group.label, "controller": group.controller}
+    factor = group.factor
+    axis, value = ("all", "") if factor is None else (factor.name, factor.levels[group.level])
+    return {"axis": axis, "value": value, "controller": group.controller}
 
 
 def _medians(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
@@ -255,8 +256,8 @@ def _cell_medians(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
         for place, value in np.ndenumerate(values):
             c, m, i, k = map(int, place)
             yield {
-                "axis_1": first.name, "value_1": first.labels[i],
-                "axis_2": second.name, "value_2": second.labels[k], "controller": names[c],
+                "axis_1": first.name, "value_1": first.levels[i],
+                "axis_2": second.name, "value_2": second.levels[k], "controller": names[c],
             } | _name(measures[m]) | {"median": value}  # fmt: skip
 
 

@@ -26,8 +26,9 @@ class Factor:
 
     Attributes:
         name: of its column.
-        unit: of its values; empty for ratios and words.
-        labels: its levels in words; ranges when its values were drawn.
+        unit: of its labels and places, % of a share; empty for words.
+        levels: in words, as the table of the sweep has them; ranges when its values were drawn.
+        labels: the same in its unit.
         places: where its levels stand on an axis, shape (k,); their order when they are words or
             infinite.
         scaled: whether the places are numbers.
@@ -37,6 +38,7 @@ class Factor:
 
     name: str
     unit: str
+    levels: tuple[str, ...]
     labels: tuple[str, ...]
     places: np.ndarray
     scaled: bool
@@ -58,28 +60,30 @@ def factors_of(
     """The factors that take more than one value, given columns of shape (n,)."""
     factors: list[Factor] = []
     for name in names:
-        column, unit, title = held[name], _unit(name, declared), printable(name, LONGEST)
+        column, title = held[name], printable(name, LONGEST)
+        unit = _unit(name, declared)
+        size, unit = (100.0, "%") if unit == "1" else (1.0, unit)
         if f"random.{name}" in spec:
-            factors += _drawn(title, unit, column)
+            factors += _drawn(title, size, unit, column)
             continue
         values = np.array(spec[f"grid.{name}"])
         if len(values) < 2:
             continue
         words = column.dtype.kind != "f"
-        labels = tuple(printable(str(value), LONGEST) for value in values.tolist())
+        levels = labels = tuple(printable(str(value), LONGEST) for value in values.tolist())
         if not words:
             if values.dtype.kind not in "if":
                 raise OctarmError(f"the manifest of the sweep has words for values of {name}")
             values = np.sort(values.astype(float))
-            labels = tuple(f"{v:g}" for v in values)
+            levels, labels = (tuple(f"{k * v:g}" for v in values) for k in (1.0, size))
         scaled = not words and bool(np.isfinite(values).all())
-        place = values if scaled else np.arange(len(values))
+        place = size * values if scaled else np.arange(len(values))
         code = places(column, values)
-        factors.append(Factor(title, unit, labels, place, scaled, drawn=False, code=code))
+        factors.append(Factor(title, unit, levels, labels, place, scaled, drawn=False, code=code))
     return factors
 
 
-def _drawn(name: str, unit: str, column: np.ndarray) -> list[Factor]:
+def _drawn(name: str, size: float, unit: str, column: np.ndarray) -> list[Factor]:
     """A drawn factor, cut into ranges with as many values each; none if there are too few."""
     different = np.unique(column)
     bins = min(len(different) // _FEWEST, _MOST_RANGES)
@@ -87,24 +91,28 @@ def _drawn(name: str, unit: str, column: np.ndarray) -> list[Factor]:
         return []
     edges = np.quantile(different, np.linspace(0.0, 1.0, bins + 1))
     code = np.clip(np.searchsorted(edges, column, side="right") - 1, 0, bins - 1)
-    labels = tuple(f"{a:.3g} .. {b:.3g}" for a, b in itertools.pairwise(edges))
-    middles = np.array([np.median(column[code == i]) for i in range(bins)])
-    return [Factor(name, unit, labels, middles, scaled=True, drawn=True, code=code)]
+    levels, labels = (
+        tuple(f"{k * a:.3g} .. {k * b:.3g}" for a, b in itertools.pairwise(edges))
+        for k in (1.0, size)
+    )
+    middles = size * np.array([np.median(column[code == i]) for i in range(bins)])
+    return [Factor(name, unit, levels, labels, middles, scaled=True, drawn=True, code=code)]
 
 
 def _unit(factor: str, code: Mapping[str, Code]) -> str:
-    """The unit of a disturbance's field; empty for ratios and words."""
+    """The unit of a disturbance's field; empty for words."""
     name, _, key = factor.removeprefix("disturbance.").partition(".")
     kind = which(name)[0]
-    if factor == "mismatch" or kind not in (*DISTURBANCES, *code):
+    if factor == "mismatch":
+        return "1"
+    if kind not in (*DISTURBANCES, *code):
         return ""
     if kind in code:
         units = {name: str(said["unit"]) for name, said in code[kind].declares.items()}
     else:
         kinds = field_kinds(DISTURBANCES[kind])
         units = {kind.key or field: kind.unit for field, kind in kinds.items()}
-    unit = units.get(key or next(iter(units), ""), "")
-    return "" if unit == "1" else unit
+    return units.get(key or next(iter(units), ""), "")
 
 
 def places(column: np.ndarray, values: npt.ArrayLike) -> np.ndarray:

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 
 from octarm.files import write_files
 from octarm.palette import MODULES
-from octarm.recordings.channels import Channel, channels_of, has_energy
+from octarm.recordings.channels import THOUSANDTHS, Channel, channels_of, has_energy
 from octarm.recordings.titles import events_of, title_of, wrapped
 from octarm.reports.figures import (
     FAILED,
@@ -39,7 +39,6 @@ _FAR = 2.0  # times the largest value; a bound beyond that is written, not drawn
 _WORDS = {"phi": "φ", "phi / lambda": "φ / λ", "E_max": "E max"}
 _GREEK = {"theta": "θ", "alpha": "α", "sigma": "σ"}
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
-_SMALL = {"m": "mm", "m/s": "mm/s", "m s": "mm s", "rad": "mrad", "N m": "mN m", "J": "mJ"}
 
 
 @np.errstate(all="ignore")  # a diverged arm may hold anything
@@ -242,8 +241,8 @@ class _Drawing:
 
 def _scale(unit: str, largest: float) -> tuple[float, str]:
     """What values are multiplied by, and their unit then; lengths are in mm however large."""
-    small = unit in _SMALL and (largest < 0.1 or unit == "m") and largest > 0.0
-    return (1e3, _SMALL[unit]) if small else (1.0, unit)
+    small = unit in THOUSANDTHS and (largest < 0.1 or unit == "m") and largest > 0.0
+    return (1e3, THOUSANDTHS[unit]) if small else (1.0, unit)
 
 
 def _drawable(values: np.ndarray) -> np.ndarray:

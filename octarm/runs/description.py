@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat
@@ -10,6 +11,7 @@ from octarm.declared import Code
 from octarm.disturbances.ledger import Drawn
 from octarm.formats import Array, Model
 from octarm.metrics.metric import SETTLED_AFTER
+from octarm.simulation.start import REST, SHARE
 
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 _Numbers = float | None | Array[float | None]  # what is not finite is null
@@ -53,7 +55,9 @@ class Description(_Table):
     reference: _Named
     code: dict[str, Code] = Field(default_factory=dict)
     plant: Plant | None = None
-    settle: Annotated[FiniteFloat, Field(ge=0.0)] = SETTLED_AFTER  # where it is not the usual one
+    settle: Annotated[FiniteFloat, Field(ge=0.0)] = SETTLED_AFTER
+    start: str = REST
+    start_share: FiniteFloat = SHARE
     spawn_key: Array[Annotated[int, Field(ge=0, lt=2**32)]] = ()
     status: Literal["running", "ok", "diverged", "interrupted"]
     coordinates: Array[_Coordinate] = ()
@@ -78,3 +82,12 @@ REPEATED = (
     "nominal", "disturbances", "seed", "duration", "timestep", "control_period", "actuation",
     "integrator", "engine",
 )  # fmt: skip
+
+# Settings that `run.json` and the manifest of a sweep have only where they are other ones.
+USUAL: Mapping[str, Any] = {"settle": SETTLED_AFTER, "start": REST, "start_share": SHARE}
+
+
+def unusual(thing: Any) -> dict[str, Any]:
+    """The settings of an experiment or a sweep that are not the `USUAL` ones, by name."""
+    values = {name: getattr(thing, name) for name in USUAL}
+    return {name: value for name, value in values.items() if value != USUAL[name]}

@@ -31,12 +31,13 @@ from octarm.metrics.table import Metrics, as_json
 from octarm.references import REFERENCES, recorded_word
 from octarm.runs import folder as runs
 from octarm.runs.archive import Archive
-from octarm.runs.description import REPEATED, Description
+from octarm.runs.description import REPEATED, USUAL, Description, unusual
 from octarm.runs.place import new_folder
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import MUJOCO
 from octarm.simulation.environment import load, whole_periods
 from octarm.simulation.rollout import ArmRecorder, Observer, copied
+from octarm.simulation.start import REST, SHARE
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.task import TrackingTask
 from octarm.simulation.trajectory import Ending, Trajectory, joined
@@ -44,7 +45,7 @@ from octarm.simulation.trajectory import Ending, Trajectory, joined
 _LIVE = 500  # rows of a block that is to be seen while the run goes on
 _AS_THEY_ARE = {
     "seed", "spawn_key", "duration", "timestep", "control_period", "actuation", "integrator",
-    "engine", "settle",
+    "engine", *USUAL,
 }  # fmt: skip
 
 
@@ -97,6 +98,8 @@ class Experiment:
     engine: str = MUJOCO
     plant_modules: int | None = None
     layout: str = PAPER
+    start: str = REST
+    start_share: float = SHARE
     code: Mapping[str, Code] = dataclasses.field(default_factory=dict[str, Code])
 
     def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
@@ -120,6 +123,8 @@ class Experiment:
             engine=self.engine,
             plant_modules=self.plant_modules,
             layout=self.layout,
+            start=self.start,
+            start_share=self.start_share,
         )
         controller = word_of(self.controller, self.code)
         return environment, factory(controller, self.nominal, self.gains)
@@ -148,7 +153,7 @@ class Experiment:
             "actuation": self.actuation,
             "integrator": self.integrator,
             "engine": self.engine,
-            **({} if self.settle == SETTLED_AFTER else {"settle": self.settle}),
+            **unusual(self),
             **self._plant(physics.groups),
             "metrics": {},
             "status": runs.RUNNING,

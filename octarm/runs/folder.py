@@ -163,7 +163,7 @@ class Run(NamedTuple):
         run, description = self
         acting = ", ".join(entry["name"] for entry in description.get("disturbances", []))
         title = f"{description['controller']['name']} on {description['reference']['name']}"
-        lines = [f"{len(run)} control instants, {run.status} {run.message}".strip()]
+        lines = [f"{len(run)} control instants, {run.message or run.status}"]
         lines += [f"disturbances: {acting}"] if acting else []
         return notebook_cell(title, lines, run.table())
 

@@ -20,7 +20,7 @@ from octarm.references import named_reference, wanted
 from octarm.simulation.arguments import check_load, whole_number
 from octarm.simulation.engines import LAGRANGE, MUJOCO, check_engine
 from octarm.simulation.physics import ArmPhysics, BatchPhysics
-from octarm.simulation.start import REST, Start
+from octarm.simulation.start import REST, SHARE, Start
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.steps import (
     AUTO,
@@ -58,7 +58,7 @@ def load(
     plant_modules: int | None = None,
     layout: str = PAPER,
     start: str = REST,
-    start_share: float = 0.1,
+    start_share: float = SHARE,
     flat_observation: bool = False,
 ) -> control.Environment:
     """The arm, and a motion it shall follow; or a batch of n such arms.

@@ -22,6 +22,7 @@ from octarm.arm.reach import reach
 from octarm.errors import OctarmError, closest, quoted
 
 REST, RANDOM, MOVING = STARTS = ("rest", "random", "moving")
+SHARE = 0.1  # within which a start is drawn unless another one is given
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

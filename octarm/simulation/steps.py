@@ -18,7 +18,7 @@ import numpy as np
 from octarm.arm.groups import Groups
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import physics_step
-from octarm.arm.modes import INTEGRATORS, longest_step, rate_bound, rates
+from octarm.arm.modes import INTEGRATORS, SHORTEST_STEP, longest_step, rate_bound, rates
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.episode import Disturbance, Episode, PlantChange
@@ -28,7 +28,6 @@ from octarm.interfaces import Reference
 AUTO = "auto"
 
 _RESERVE = 1.1  # by which a step that is found here is shorter than the longest stable one
-_SHORTEST = 1e-7  # [s]
 _LONGEST_PERIOD = 10.0  # [s]
 _MOST_STEPS = 1_000_000  # in a control period
 
@@ -178,12 +177,12 @@ def fitting_step(longest: float, control_period: float | None) -> tuple[float, f
     for decade, part in itertools.product(range(12), (1, 2, 5)):
         step = period / (part * 10**decade)
         if step <= usual * (1.0 + 1e-9) and step * _RESERVE <= longest:
-            if step < _SHORTEST:
+            if step < SHORTEST_STEP:
                 break
             return step, period
     raise OctarmError(
         f"the fastest mode of the arm needs steps below {longest / _RESERVE:.3g} s; they must be "
-        f"at least {_SHORTEST:g} s"
+        f"at least {SHORTEST_STEP:g} s"
     )
 
 

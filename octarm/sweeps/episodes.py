@@ -89,6 +89,8 @@ class FinishedSweep:
             engine=spec.engine,
             plant_modules=arms.plant_modules,
             layout=arms.layout,
+            start=spec.start,
+            start_share=spec.start_share,
             code=spec.code,
         )
 

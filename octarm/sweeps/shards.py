@@ -136,6 +136,8 @@ def begin(
         engine=spec.engine,
         plant_modules=arms.plant_modules,
         layout=arms.layout,
+        start=spec.start,
+        start_share=spec.start_share,
     )
     nominal = arm.mismatched(arms.mismatch)
     return environment, spec.controller(arms.controller, nominal, factory)

@@ -21,7 +21,9 @@ from octarm.interfaces import Controller, ControllerFactory
 from octarm.metrics.declared import declared_metrics, measured
 from octarm.metrics.metric import SETTLED_AFTER, Metric
 from octarm.metrics.table import Catalogue
+from octarm.runs.description import USUAL, unusual
 from octarm.simulation.engines import MUJOCO
+from octarm.simulation.start import REST, SHARE
 
 Value = float | str
 ARM, PLANT_MODULES, LAYOUT = "arm", "plant_modules", "layout"
@@ -78,7 +80,7 @@ class Axis:
 
 SETTINGS = (
     "seed", "episodes", "duration", "settle", "timestep", "control_period", "actuation",
-    "integrator", "engine", "batch",
+    "integrator", "engine", "batch", "start", "start_share",
 )  # fmt: skip
 
 
@@ -119,6 +121,8 @@ class SweepSpec:
     engine: str = MUJOCO
     batch: int = 1024
     integrator: str = "rk4"
+    start: str = REST
+    start_share: float = SHARE
     fixed: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
     gain_sets: Mapping[str, Any] = dataclasses.field(default_factory=dict[str, Any])
     gains: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
@@ -191,11 +195,8 @@ class SweepSpec:
         return {key: plain(value) for key, value in content.items()}
 
     def _settings(self) -> dict[str, Any]:
-        """The settings by name; that of metrics where it is not the usual one."""
-        content = {name: getattr(self, name) for name in SETTINGS}
-        if self.settle == SETTLED_AFTER:
-            del content["settle"]
-        return content
+        """The settings by name, those of `USUAL` where they are other ones."""
+        return {name: getattr(self, name) for name in SETTINGS if name not in USUAL} | unusual(self)
 
     def hash(self) -> str:
         """SHA-256 of `content`: files that ask for the same rows have the same."""

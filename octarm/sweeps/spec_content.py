@@ -2,7 +2,8 @@
 
 At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `settle` (when metrics of the
 steady regime begin), `timestep` (or `"auto"`), `control_period` [s], `actuation`, `integrator`,
-`engine`, `batch` and `gain_set`, and `controller`, `reference`, `mismatch`, `plant_modules` and
+`engine`, `batch`, `start` and `start_share` (where episodes begin, as in `octarm.load`) and
+`gain_set`, and `controller`, `reference`, `mismatch`, `plant_modules` and
 `layout` (of a plant of more modules, see `octarm.arm.groups`) where they have one value. The tables
 are:
 
@@ -36,19 +37,22 @@ part of the spec that the sweep keeps.
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar
 
 import pydantic
 from pydantic import AfterValidator, Field, FiniteFloat
 
 from octarm.arm.actuation import ACTUATIONS
-from octarm.arm.modes import INTEGRATORS
+from octarm.arm.modes import INTEGRATORS, LONGEST_STEP, SHORTEST_STEP
 from octarm.arm.parameters import MOST_MODULES
 from octarm.arm.rod import LAYOUTS
 from octarm.declared import Code
+from octarm.disturbances.spelling import DISTURBANCES
 from octarm.formats import Array, Model, one_of, spelt
 from octarm.metrics.metric import SETTLED_AFTER
 from octarm.simulation.engines import ENGINES, MUJOCO
+from octarm.simulation.start import REST, SHARE, STARTS
 from octarm.simulation.steps import AUTO
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
@@ -65,8 +69,8 @@ def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def _step(value: float | str) -> float | str:
-    if value != AUTO and not (isinstance(value, float) and 1e-7 <= value <= 0.1):
-        raise ValueError(f"{spelt(AUTO)}, or a number from 1e-07 to 0.1")
+    if value != AUTO and not (isinstance(value, float) and SHORTEST_STEP <= value <= LONGEST_STEP):
+        raise ValueError(f"{spelt(AUTO)}, or a number from {SHORTEST_STEP:g} to {LONGEST_STEP:g}")
     return value
 
 
@@ -78,6 +82,12 @@ Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 Step = Annotated[float | str, AfterValidator(_step)]
 Number = Annotated[float, pydantic.AllowInfNan(True)]
 Gain = float | list[float]
+
+
+# What users mean by keys that there are not.
+_DISTURBANCES = {name: f"'disturbance.{name}'" for name in DISTURBANCES}
+_SEEDS = "'episodes' at the top, the number of seeds in each cell"
+_IN_A_CELL = dict.fromkeys(("seed", "seeds", "episodes"), _SEEDS)
 
 
 class Bounds(Model):
@@ -104,6 +114,8 @@ class MismatchBounds(Bounds):
 class Grid(Model):
     """The table `[grid]`."""
 
+    meant: ClassVar[Mapping[str, str]] = _DISTURBANCES | _IN_A_CELL
+
     controller: Annotated[Array[str], Distinct] | None = None
     reference: Annotated[Array[str], Distinct] | None = None
     mismatch: Annotated[Array[Mismatch], Distinct] | None = None
@@ -115,6 +127,8 @@ class Grid(Model):
 
 class Random(Model):
     """The table `[random]`."""
+
+    meant: ClassVar[Mapping[str, str]] = _DISTURBANCES | _IN_A_CELL
 
     mismatch: MismatchBounds | None = None
     disturbance: dict[str, Any] = Field(default_factory=dict)
@@ -139,6 +153,15 @@ class GainFile(Model):
 class SpecFile(Model):
     """The whole file; fields of disturbances are read in `_fields`."""
 
+    meant: ClassVar[Mapping[str, str]] = {
+        **_DISTURBANCES,
+        **dict.fromkeys(("seeds", "repetitions", "repeats", "runs"), _SEEDS),
+        **dict.fromkeys(("dt", "step"), "'timestep'"),
+        "period": "'control_period'",
+        "modules": "'plant_modules'",
+        "time": "'duration'",
+    }
+
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
     episodes: Annotated[int, Field(ge=1)] = 1
     duration: Positive = 10.0
@@ -149,6 +172,8 @@ class SpecFile(Model):
     engine: Annotated[str, one_of(ENGINES)] = MUJOCO
     batch: Annotated[int, Field(ge=1)] = 1024
     integrator: Annotated[str, one_of(INTEGRATORS)] = "rk4"
+    start: Annotated[str, one_of(STARTS)] = REST
+    start_share: Annotated[float, Field(gt=0.0, le=1.0)] = SHARE
     controller: str | None = None
     reference: str | None = None
     metric: str | Array[str] = ()  # those that are not built in are in `code`

@@ -34,6 +34,7 @@ _UNITS = {
     ("settle",): "s",
     ("timestep",): "s",
     ("control_period",): "s",
+    ("start_share",): "1",
     ("mismatch",): "1",
     ("grid", "mismatch"): "1",
     ("random", "mismatch"): "1",
