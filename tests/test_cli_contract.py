@@ -41,6 +41,7 @@ SHARED = {
         "--parameter": "NAME:VALUES ..",
         "--plant-modules": "N",
         "--layout": "LAYOUT paper",
+        "--sensing": "SENSING groups",
     },
     "gains": {"--gains": "GAINS", "--gain": "NAME:VALUES .."},
 }
@@ -455,6 +456,7 @@ BAD_INPUT = [
     "run --arm eht",
     "run --engine lagrang",
     "run --layout central",
+    "run --sensing plate",
     "run --parameter wdith:1",
     "run --nominal mas:1",
     "run --gains tuend",

@@ -39,6 +39,7 @@ _WORDS = {
     "INTEGRATOR": "octarm.arm.modes:INTEGRATORS",
     "ENGINE": "octarm.simulation.engines:ENGINES",
     "LAYOUT": "octarm.arm.rod:LAYOUTS",
+    "SENSING": "octarm.arm.groups:SENSINGS",
     "SHELL": "octarm.commands.kinds:SHELLS",
     "KIND": "octarm.commands.kinds:STARTS",
 }
@@ -271,6 +272,7 @@ CALLED, COLUMN = (
 )  # in a sweep
 ACTUATION, INTEGRATOR, ENGINE = map(_one_of, ("ACTUATION", "INTEGRATOR", "ENGINE"))
 LAYOUT = _one_of("LAYOUT")
+SENSING = _one_of("SENSING")
 GAINS = _converted("GAINS", _gains, completer=lambda _: known_words("GAINS"))
 # Operands, which are looked at after all options.
 FILE_OR_ARM, SHELL, KIND = map(_word, ("ARM", "SHELL", "KIND"))

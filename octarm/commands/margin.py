@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from controllers import CONTROLLERS, make_controller
+from octarm.arm.groups import SUMS
 from octarm.arm.parameters import ArmParameters
 from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
@@ -111,6 +112,7 @@ class Settings:
             parameters=self.model.true_arm(),
             plant_modules=self.model.plant_modules,
             layout=self.model.layout,
+            sensing=self.model.sensing,
             seed=self.seed,
             threads=cores(),
             catalogue=METRICS.extended(ACCUMULATORS[word] for word in self.metric),
@@ -219,7 +221,8 @@ def _heading(
     around += [f"the arm{'s' * (len(arms) > 1)} {', '.join(arms)}"] if arms else []
     around += [*model.parameter]
     if model.plant_modules is not None:
-        around += [f"a plant of {model.plant_modules} modules, {model.layout}"]
+        read = "" if model.sensing == SUMS else f", read by {model.sensing}"
+        around += [f"a plant of {model.plant_modules} modules, {model.layout}{read}"]
     around += [f"gain {gain}" for gain in settings.gain_options.gain]
     around += [spelling(parse_disturbance(text)) for text in settings.fixed]
     seeds = f"{settings.share:.0%} of {settings.seeds} seeds"

@@ -122,6 +122,7 @@ def run(
             engine=engine,
             plant_modules=model.plant_modules,
             layout=model.layout,
+            sensing=model.sensing,
             code=code,
         )
         url = None if live is None else "".join(live)

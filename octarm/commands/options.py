@@ -31,6 +31,8 @@ class ModelOptions:
         plant_modules: modules of the true arm, a multiple of the model's: a chain of the same rod,
             of which the controller knows groups; the model's modules when not given
         layout: of such a chain: paper, or centred with hinges in the middle of elements
+        sensing: what is read of it: groups for sums over groups of modules, or plates for arcs
+            between the plates that end them
     """
 
     mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0
@@ -38,6 +40,7 @@ class ModelOptions:
     parameter: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.MODEL] = ()
     plant_modules: Annotated[int | None, kinds.COUNT, kinds.MODEL] = None
     layout: Annotated[str, kinds.LAYOUT, kinds.MODEL] = "paper"
+    sensing: Annotated[str, kinds.SENSING, kinds.MODEL] = "groups"
 
     def of(self, arm: str | None) -> ArmOptions:
         """The same options of an arm."""

@@ -53,6 +53,7 @@ class Options:
             engine,
             model.plant_modules,
             model.layout,
+            model.sensing,
             model.true_arm() if given else None,
             self.reference,
             tuple(map(parse_disturbance, self.disturbances)),

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from dm_control.rl import control
 
-from octarm.arm.groups import PAPER, Groups
+from octarm.arm.groups import PAPER, SUMS, Groups
 from octarm.arm.parameters import ArmParameters
 from octarm.declared import Code, word_of
 from octarm.disturbances.episode import Disturbance
@@ -96,6 +96,7 @@ class Experiment:
     engine: str = MUJOCO
     plant_modules: int | None = None
     layout: str = PAPER
+    sensing: str = SUMS
     code: Mapping[str, Code] = dataclasses.field(default_factory=dict[str, Code])
 
     def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
@@ -119,6 +120,7 @@ class Experiment:
             engine=self.engine,
             plant_modules=self.plant_modules,
             layout=self.layout,
+            sensing=self.sensing,
         )
         controller = word_of(self.controller, self.code)
         return environment, factory(controller, self.nominal, self.gains)
@@ -163,7 +165,7 @@ class Experiment:
         if groups is None:
             return {}
         matrix, offset = groups.matrix.tolist(), groups.offset.tolist()
-        table = {"modules": self.plant_modules, "layout": self.layout}
+        table = {"modules": self.plant_modules, "layout": self.layout, "sensing": self.sensing}
         return {"plant": table | {"map": {"matrix": matrix, "offset": offset}}}
 
     @classmethod
@@ -198,6 +200,7 @@ class Experiment:
             code=inputs.code,
             plant_modules=plant and plant.modules,
             layout=plant.layout if plant else PAPER,
+            sensing=plant.sensing if plant else SUMS,
             **numbers,
         )
 

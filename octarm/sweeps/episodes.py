@@ -89,6 +89,7 @@ class FinishedSweep:
             engine=spec.engine,
             plant_modules=arms.plant_modules,
             layout=arms.layout,
+            sensing=arms.sensing,
             code=spec.code,
         )
 

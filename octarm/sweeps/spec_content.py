@@ -2,11 +2,11 @@
 
 At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `settle` (when metrics of the
 steady regime begin), `timestep` (or `"auto"`), `control_period` [s], `actuation`, `integrator`,
-`engine`, `batch` and `gain_set`, and `controller`, `reference`, `mismatch`, `plant_modules` and
-`layout` (of a plant of more modules, see `octarm.arm.groups`) where they have one value. The tables
-are:
+`engine`, `batch` and `gain_set`, and `controller`, `reference`, `mismatch`, `plant_modules`,
+`layout` and `sensing` (of a plant of more modules, see `octarm.arm.groups`) where they have one
+value. The tables are:
 
-- `[grid]`: `controller`, `reference`, `mismatch`, `plant_modules` and `layout` as lists;
+- `[grid]`: `controller`, `reference`, `mismatch`, `plant_modules`, `layout`, `sensing` as lists;
 - `[grid.disturbance]`: lists of values of disturbances, spelt as on the command line: `noise` for
   the value that goes without a key there, `noise.time` for one with a key;
 - `[random]` with `mismatch`, and `[random.disturbance]`: what is drawn for each seed,
@@ -42,6 +42,7 @@ import pydantic
 from pydantic import AfterValidator, Field, FiniteFloat
 
 from octarm.arm.actuation import ACTUATIONS
+from octarm.arm.groups import SENSINGS
 from octarm.arm.modes import INTEGRATORS
 from octarm.arm.parameters import MOST_MODULES
 from octarm.arm.rod import LAYOUTS
@@ -73,6 +74,7 @@ def _step(value: float | str) -> float | str:
 Distinct = AfterValidator(_distinct)
 Mismatch = Annotated[float, Field(gt=-1.0, le=1e6)]
 Layout = Annotated[str, one_of(LAYOUTS)]
+Sensing = Annotated[str, one_of(SENSINGS)]
 Modules = Annotated[int, Field(ge=1, le=MOST_MODULES)]
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 Step = Annotated[float | str, AfterValidator(_step)]
@@ -109,6 +111,7 @@ class Grid(Model):
     mismatch: Annotated[Array[Mismatch], Distinct] | None = None
     plant_modules: Annotated[Array[Modules], Distinct] | None = None
     layout: Annotated[Array[Layout], Distinct] | None = None
+    sensing: Annotated[Array[Sensing], Distinct] | None = None
     arm: Annotated[Array[str], Distinct] | None = None
     disturbance: dict[str, Any] = Field(default_factory=dict)
 
@@ -155,6 +158,7 @@ class SpecFile(Model):
     mismatch: Mismatch | None = None
     plant_modules: Modules | None = None
     layout: Layout | None = None
+    sensing: Sensing | None = None
     gain_set: str | dict[str, str | GainFile] | None = None
     grid: Grid = Grid()
     random: Random = Random()
