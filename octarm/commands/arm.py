@@ -12,6 +12,7 @@ import numpy as np
 from controllers import CONTROLLERS, make_controller
 from octarm.arm.file import Arm, arm_toml, cannot_hang, read_arm_file
 from octarm.arm.fit import fit_modules
+from octarm.arm.groups import groups_of
 from octarm.arm.mjcf import nominal_parameters, physics_step
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
@@ -30,7 +31,10 @@ class LoopOptions:
 
     controllers: tuple[str, ...]
     gains: str | None
+    roll_off: float | None
     period: float | None
+    plant_modules: int | None
+    layout: str
 
     def of(self, p: ArmParameters) -> Stability | None:
         """The loops of an arm; None if no controller is given."""
@@ -39,9 +43,12 @@ class LoopOptions:
         period = physics_step() if self.period is None else self.period
         check_period(period)
         short, _ = named((CONTROLLERS, word) for word in self.controllers)
-        laws = [make_controller(word, p, gain_set=self.gains) for word in self.controllers]
+        given = {} if self.roll_off is None else {"roll_off": self.roll_off}
+        laws = [make_controller(word, p, given, gain_set=self.gains) for word in self.controllers]
         made = dict(zip(short, laws, strict=True))
-        return Stability(p, made, period)
+        finer = self.plant_modules is not None
+        groups = groups_of(p, self.plant_modules, self.layout) if finer else None
+        return Stability(p, made, period, groups)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,7 +21,9 @@ def arm(
     force: Annotated[bool, kinds.OUTPUT] = False,
     controller: Annotated[tuple[str, ...], kinds.CONTROLLER, kinds.LOOP] = (),
     gains: Annotated[str | None, kinds.GAINS, kinds.LOOP] = None,
+    roll_off: Annotated[float | None, kinds.HZ, kinds.LOOP] = None,
     control_period: Annotated[float | None, kinds.S, kinds.LOOP] = None,
+    plant_modules: Annotated[int | None, kinds.COUNT, kinds.LOOP] = None,
 ) -> Work:
     r"""Say what the numbers of an arm mean.
 
@@ -40,13 +42,15 @@ def arm(
             damping_time [s] and gravity [m/s^2]; BASE:TIP for a property that tapers
         fit_modules: go on with the arm of so many modules that stands best for this one, and say
             what error remains in statics, modes and transients
-        layout: of the fitted modules, paper or centred
+        layout: of the fitted modules, and of the plant of --plant-modules: paper or centred
         write: write the arm to this file, in SI units
         out: draw the arm into this file
         force: replace files that are there
         controller: look at the loop with this controller
         gains: its gains, as in octarm run
+        roll_off: corner beyond which its force is rolled off, as in octarm run [Hz]
         control_period: time between control actions [s]; 0.0005 when not given
+        plant_modules: modules of the true arm, as in octarm run
 
     Examples:
       octarm arm my-arm.toml --out my-arm.png
@@ -54,12 +58,13 @@ def arm(
       octarm arm --from-rod modules=30 --fit-modules 3 --write fitted.toml
       octarm arm eth --controller smc-boundary --controller afsmc \
         --control-period 0.001
+      octarm arm --controller afsmc --plant-modules 15 --roll-off 60
     """
     kinds.check_free(force, write, out)
     for word in arms:
         kinds.check("ARM", word)
     from octarm.commands import arm as work
 
-    loop = work.LoopOptions(controller, gains, control_period)
+    loop = work.LoopOptions(controller, gains, roll_off, control_period, plant_modules, layout)
     source = work.Source(arms, from_rod, fit_modules, layout)
     return surviving_output(partial(work.arm, source, loop, write, out))

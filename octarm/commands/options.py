@@ -97,16 +97,20 @@ class GainOptions:
             hand), or a file NAME.toml of octarm tune; tuned ones, in octarm tune recommended
             ones, when not given
         gain: one gain in SI, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
+        roll_off: corner beyond which the force of the controller is rolled off [Hz], for plants
+            whose modes its model lacks; none when not given
     """
 
     gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None
     gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = ()
+    roll_off: Annotated[float | None, kinds.HZ, kinds.GAIN] = None
 
     def values(self) -> Mapping[str, Any]:
         """The gains that are given one by one, by name [SI]; raises OctarmError."""
         from octarm.commands import words
 
-        return words.gain_values(self.gain)
+        corner = {} if self.roll_off is None else {"roll_off": self.roll_off}
+        return words.gain_values(self.gain) | corner
 
     def command(self) -> list[str]:
         """The words of a command line that give the same options."""

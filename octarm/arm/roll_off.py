@@ -1,0 +1,88 @@
+"""A first-order roll-off of the force that a law asks for.
+
+A plant has modes beyond those of the law's model. What a law does to them at every control instant,
+at half the sampling rate in the end, may make them grow. The roll-off takes such fast parts off the
+force: f' = omega (Q - f), for a Q that is held between two instants exactly
+
+    f_k = a f_(k-1) + (1 - a) Q_k,    a = exp(-omega T)
+
+At half the sampling rate its gain is (1 - a) / (1 + a) and its phase 0, far below the corner it is
+late by 1 / omega. `octarm.checks.sampled_loop` says what this is worth for a loop.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from octarm.interfaces import Command, Controller, Knob, Measurement, Reference, Tunable
+
+
+class RollOffState(NamedTuple):
+    """What is remembered.
+
+    Attributes:
+        t: time of the last call [s]; None before the first one.
+        force: the answer then, shape (..., 2N) [N], [N m].
+        law: state of the law.
+    """
+
+    t: float | None
+    force: np.ndarray
+    law: Any
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class RolledOff:
+    """A law and the roll-off of its force; signals are those of the law.
+
+    Attributes:
+        law: whose force it is.
+        roll_off: corner omega / (2 pi) of each coordinate, broadcasts to (..., 2N) [Hz].
+        scale: what the corner is divided by to be a number that suits similar arms [Hz].
+    """
+
+    law: Tunable
+    roll_off: np.ndarray
+    scale: np.ndarray
+
+    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> RollOffState:
+        """The state before the first call, at which the force is that of the law."""
+        return RollOffState(None, np.zeros(()), self.law.initial_state(batch_shape))
+
+    def __call__(
+        self, state: RollOffState, measurement: Measurement, reference: Reference
+    ) -> tuple[Command, RollOffState]:
+        """The command for this instant, whose force is f, and the next state."""
+        command, law = self.law(state.law, measurement, reference)
+        force = np.array(command.force)
+        if state.t is not None:
+            force += self.decay(measurement.t - state.t) * (state.force - force)
+        return command._replace(force=force), RollOffState(measurement.t, force, law)
+
+    def decay(self, period: float) -> np.ndarray:
+        """What is left of an old force after a period [s], a, broadcasts to (..., 2N) [1]."""
+        return np.exp(-2.0 * np.pi * period * self.roll_off)
+
+    def knobs(self) -> tuple[Knob, ...]:
+        """What tuning may turn: the knobs of the law."""
+        return self.law.knobs()
+
+    def scales(self) -> Mapping[str, np.ndarray]:
+        """What gains are divided by, those of the law and `roll_off` [SI]."""
+        return {**self.law.scales(), "roll_off": self.scale}
+
+
+def fields_of(controller: Controller) -> dict[str, Any]:
+    """The fields of a controller by name, `roll_off` beside those of its law; none if it has none.
+
+    The nominal model is one of them.
+    """
+    if isinstance(controller, RolledOff):
+        return {**fields_of(controller.law), "roll_off": controller.roll_off}
+    if not dataclasses.is_dataclass(controller):
+        return {}
+    return {field.name: getattr(controller, field.name) for field in dataclasses.fields(controller)}
