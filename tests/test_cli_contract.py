@@ -43,7 +43,7 @@ SHARED = {
         "--layout": "LAYOUT paper",
         "--sensing": "SENSING groups",
     },
-    "gains": {"--gains": "GAINS", "--gain": "NAME:VALUES .."},
+    "gains": {"--gains": "GAINS", "--gain": "NAME:VALUES ..", "--roll-off": "HZ"},
 }
 SHARED_MODEL = SHARED["the arm, and the model that the controller believes"]
 OPTIONS: dict[str, dict[str, dict[str, str]]] = {
@@ -57,7 +57,9 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
         "stability of the sampled loop": {
             "--controller": "CONTROLLER ..",
             "--gains": "GAINS",
+            "--roll-off": "HZ",
             "--control-period": "S",
+            "--plant-modules": "N",
         },
     },
     "run": {
@@ -168,6 +170,8 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
         "options": {
             "--controllers": "",
             "--engines": "",
+            "--plant-modules": "N",
+            "--layout": "LAYOUT paper",
             "--arm": "ARM",
             "--rod": "",
             "--modules": "N 3",

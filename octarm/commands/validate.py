@@ -11,6 +11,9 @@ import numpy as np
 from controllers import CONTROLLERS, make_controller
 from controllers.proofs.ledger import ledger as ledger
 from octarm.arm.file import read_arm
+from octarm.arm.groups import PAPER
+from octarm.arm.lagrange import equilibrium
+from octarm.arm.modes import rates
 from octarm.arm.parameters import ArmParameters
 from octarm.bars import bar as new_bar
 from octarm.checks.closed_loops import compare_engines
@@ -28,12 +31,33 @@ __all__ = ["arms", "engines", "ledger", "plant", "validate"]
 
 
 def engines(
-    arm: ArmParameters, states: int, seed: int, progress: Callable[[str], None]
+    arm: ArmParameters,
+    states: int,
+    seed: int,
+    progress: Callable[[str], None],
+    *,
+    plant_modules: int | None = None,
+    layout: str = PAPER,
 ) -> CheckTable:
-    """Both engines in closed loop, with every controller."""
+    """Both engines in closed loop, with every controller.
+
+    On a plant of more modules for a second, their forces rolled off at four times the frequency of
+    the model's fastest mode: loops that rattle would make something of every rounding error.
+    """
     del states  # there are none to draw
+    finer = plant_modules is not None
+    fastest = float(np.max(np.abs(rates(arm, equilibrium(arm)).imag))) / (2.0 * np.pi)
+    gains = {"roll_off": 4.0 * fastest} if finer else {}
     return compare_engines(
-        arm, make_controller, [*CONTROLLERS], SWITCHING, seed=seed, progress=progress
+        arm,
+        lambda name, nominal: make_controller(name, nominal, gains),
+        [*CONTROLLERS],
+        SWITCHING,
+        duration=1.0 if finer else 10.0,
+        seed=seed,
+        plant_modules=plant_modules,
+        layout=layout,
+        progress=progress,
     )
 
 
