@@ -172,7 +172,7 @@ class Groups:
 
 
 def groups_of(
-    arm: ArmParameters, plant_modules: int | None, layout: str = PAPER, sensing: str = SUMS
+    arm: ArmParameters, plant_modules: int | None = None, layout: str = PAPER, sensing: str = SUMS
 ) -> Groups | None:
     """The groups of a plant of so many modules, if that is another one than the arm itself.
 

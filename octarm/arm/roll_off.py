@@ -14,25 +14,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from octarm.interfaces import Command, Controller, Knob, Measurement, Reference, Tunable
 
-
-class RollOffState(NamedTuple):
-    """What is remembered.
-
-    Attributes:
-        t: time of the last call [s]; None before the first one.
-        force: the answer then, shape (..., 2N) [N], [N m].
-        law: state of the law.
-    """
-
-    t: float | None
-    force: np.ndarray
-    law: Any
+# Time of the last call [s], None before the first one, the force then, and the state of the law.
+State = tuple[float | None, np.ndarray, Any]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,19 +38,20 @@ class RolledOff:
     roll_off: np.ndarray
     scale: np.ndarray
 
-    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> RollOffState:
+    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> State:
         """The state before the first call, at which the force is that of the law."""
-        return RollOffState(None, np.zeros(()), self.law.initial_state(batch_shape))
+        return None, np.zeros(()), self.law.initial_state(batch_shape)
 
     def __call__(
-        self, state: RollOffState, measurement: Measurement, reference: Reference
-    ) -> tuple[Command, RollOffState]:
+        self, state: State, measurement: Measurement, reference: Reference
+    ) -> tuple[Command, State]:
         """The command for this instant, whose force is f, and the next state."""
-        command, law = self.law(state.law, measurement, reference)
+        before, held, law = state
+        command, law = self.law(law, measurement, reference)
         force = np.array(command.force)
-        if state.t is not None:
-            force += self.decay(measurement.t - state.t) * (state.force - force)
-        return command._replace(force=force), RollOffState(measurement.t, force, law)
+        if before is not None:
+            force += self.decay(measurement.t - before) * (held - force)
+        return command._replace(force=force), (measurement.t, force, law)
 
     def decay(self, period: float) -> np.ndarray:
         """What is left of an old force after a period [s], a, broadcasts to (..., 2N) [1]."""

@@ -250,13 +250,9 @@ def _rolled_off(law: LinearLaw, decay: np.ndarray) -> LinearLaw:
     """A law and the roll-off of its force f = a f + (1 - a) Q, which is a further state."""
     n, k = law.C.shape
     a = np.broadcast_to(decay, n)[:, None]
-    by_y, by_z, by_f = (1.0 - a) * law.F, (1.0 - a) * law.C, a * np.eye(n)
-    return LinearLaw(
-        F=by_y,
-        C=np.hstack([by_z, by_f]),
-        R=np.vstack([law.R, by_y]),
-        S=np.block([[law.S, np.zeros((k, n))], [by_z, by_f]]),
-    )
+    F, C = (1.0 - a) * law.F, np.hstack([(1.0 - a) * law.C, a * np.eye(n)])
+    S = np.hstack([law.S, np.zeros((k, n))])
+    return LinearLaw(F, C, np.vstack([law.R, F]), np.vstack([S, C]))
 
 
 class Loop:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -45,20 +47,13 @@ def engines(
     the model's fastest mode: loops that rattle would make something of every rounding error.
     """
     del states  # there are none to draw
-    finer = plant_modules is not None
-    fastest = float(np.max(np.abs(rates(arm, equilibrium(arm)).imag))) / (2.0 * np.pi)
-    gains = {"roll_off": 4.0 * fastest} if finer else {}
-    return compare_engines(
-        arm,
-        lambda name, nominal: make_controller(name, nominal, gains),
-        [*CONTROLLERS],
-        SWITCHING,
-        duration=1.0 if finer else 10.0,
-        seed=seed,
-        plant_modules=plant_modules,
-        layout=layout,
-        progress=progress,
-    )
+    make, duration = make_controller, 10.0
+    if plant_modules is not None:
+        fastest = np.max(np.abs(rates(arm, equilibrium(arm)).imag)) / (2.0 * np.pi)
+        make, duration = partial(make_controller, gains={"roll_off": 4.0 * fastest}), 1.0
+    plant: dict[str, Any] = {"plant_modules": plant_modules, "layout": layout}
+    plant |= {"duration": duration, "seed": seed, "progress": progress}
+    return compare_engines(arm, make, [*CONTROLLERS], SWITCHING, **plant)
 
 
 def arms(file: str | None, modules: int, random_arms: int, seed: int) -> list[ArmParameters]:

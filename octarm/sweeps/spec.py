@@ -25,6 +25,7 @@ from octarm.simulation.engines import MUJOCO
 
 Value = float | str
 ARM, PLANT_MODULES, LAYOUT, SENSING = "arm", "plant_modules", "layout", "sensing"
+PLANT = (LAYOUT, PLANT_MODULES, SENSING)
 
 
 def which(disturbance: str) -> tuple[str, int]:

@@ -140,7 +140,6 @@ class Rig:
         numbers: dict[str, Any] = {"engine": self.engine}
         if self.plant_modules is not None:
             numbers |= {"plant_modules": self.plant_modules, "layout": self.layout}
-        if self.sensing != SUMS:
             numbers["sensing"] = self.sensing
         if self.parameters is not None:
             numbers["arm"] = self.parameters.to_dict()
