@@ -137,7 +137,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--bound": "METRIC:VALUE ..",
             "--low": "X",
             "--high": "X",
-            "--seeds": "N 16",
+            "--seeds": "N 36",
             "--share": "X 0.9",
             "--metric": "METRIC ..",
         },
@@ -164,6 +164,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--resume": "",
             "--force": "",
             "--engine": "ENGINE",
+            "--workers": "N",
         },
     },
     "validate": {

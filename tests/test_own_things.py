@@ -477,7 +477,7 @@ def test_everything_by_the_command_line_and_the_same_table_however_it_is_run(thi
     assert margin.startswith("largest gust [m/s] of 0 .. 8 at which") and "(Swing, 2.2 s" in margin
     written = json.loads(Path("margin.json").read_text())
     assert {*written["code"]} == {"Damper", "gust", "Swing", "Reach"}
-    octarm_("tune", "./damper.py:Damper", "--budget", "1152")
+    octarm_("tune", "./damper.py:Damper", "--budget", "1224")
     assert 'controller = "Damper"' in Path("Damper.toml").read_text()
     run = ["run", "--controller", "./damper.py:Damper", "--duration", "0.05", "--out", "tuned"]
     octarm_(*run, "--gains", "Damper.toml")

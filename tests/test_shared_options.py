@@ -84,7 +84,7 @@ def test_a_rig_has_what_all_scenarios_shall_have():
 
 @pytest.mark.slow
 def test_tune_takes_what_run_takes_and_writes_it_down(capsys: pytest.CaptureFixture[str]):
-    words = ["tune", "pd", "--out", "g.toml", "--budget", "1200", *OPTIONS]
+    words = ["tune", "pd", "--out", "g.toml", "--budget", "1224", *OPTIONS]
     words += ["--reference", "sine", "--disturbance", "payload:50g", "--gain", "K_d:3"]
     assert main(words) == 0
     tuning = tomllib.loads(Path("g.toml").read_text())["tuning"]

@@ -52,6 +52,7 @@ from octarm.sweeps.tune_cost import (
     Examination,
     costs,
 )
+from octarm.sweeps.workers import WorkerProcesses
 
 P = nominal_parameters()
 N = P.modules
@@ -91,6 +92,7 @@ def test_the_cost_is_the_declared_formula(scenario: Scenario):
     both = costs(trial, by_hand("smc"), {"K": K})
     assert both.shape == (2, 2)
     acting = {
+        f"mismatch:0,damping={scenario.damping}": scenario.damping != 1.0,
         f"noise:{scenario.noise},time={scenario.correlation_time}": scenario.noise,
         f"measurement-noise:{scenario.readings}": scenario.readings,
         f"actuation-delay:{scenario.delay}": scenario.delay,
@@ -108,7 +110,8 @@ def test_the_cost_is_the_declared_formula(scenario: Scenario):
         seed=trial.seeds()[1],
         engine="lagrange",
     )
-    controller = by_hand("smc")(P.mismatched(scenario.mismatch), {"K": 3.0})
+    nominal = P.scaled(damping=scenario.damping).mismatched(scenario.mismatch)
+    controller = by_hand("smc")(nominal, {"K": 3.0})
     run = rollout(environment, controller, trial.duration)
     first = round(trial.begin / scenario.period)
     steps = run.signals  # every physics step counts
@@ -371,6 +374,17 @@ def test_it_may_stop_anywhere_and_go_on_with_the_same_bits(uninterrupted, tmp_pa
     assert sum(seconds) == pytest.approx(BUDGET.seconds)
 
 
+@pytest.mark.slow
+def test_workers_find_the_same_gains(uninterrupted):
+    seconds: list[float] = []
+    with WorkerProcesses(2) as workers:
+        again = tune(
+            by_hand("smc-boundary"), BUDGET, seed=3, progress=seconds.append, workers=workers
+        )
+    assert_same(again, uninterrupted[0])
+    assert sum(seconds) == pytest.approx(BUDGET.seconds)
+
+
 def test_the_seed_changes_the_search_and_not_the_scenarios(uninterrupted):
     tuned, states = uninterrupted
     other: list[SearchState] = []
@@ -479,9 +493,9 @@ def test_an_interrupted_command_goes_on(capsys, monkeypatch):
     ("arguments", "sentence"),
     [
         (["smcc"], "unknown controller 'smcc', did you mean 'smc'?"),
-        (["smc", "--budget", "1"], "budget is 1 s; it must be at least 1152 s, one generation"),
-        (["smc", "--budget", "nan"], "budget is nan s; it must be at least 1152 s, one generation"),
-        (["smc", "--budget", "inf"], "it must be at least 1152 s, one generation, and finite"),
+        (["smc", "--budget", "1"], "budget is 1 s; it must be at least 1224 s, one generation"),
+        (["smc", "--budget", "nan"], "budget is nan s; it must be at least 1224 s, one generation"),
+        (["smc", "--budget", "inf"], "it must be at least 1224 s, one generation, and finite"),
         (["smc", "--seed", "-1"], "seed is -1; it must be at least 0"),
         (["smc", "--out", "gains.txt"], "--out is 'gains.txt'; its name must end in .toml"),
         (["smc", "--out", "no/x.toml"], "no/x.toml cannot be written: there is no folder for it"),

@@ -125,7 +125,7 @@ def margin(
     bound: Annotated[tuple[str, ...], kinds.text("METRIC:VALUE"), kinds.SOUGHT] = (),
     low: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None,
     high: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None,
-    seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 16,
+    seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 36,
     share: Annotated[float, kinds.X, kinds.SOUGHT] = 0.9,
     metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.SOUGHT] = (),
     arm: Annotated[tuple[str, ...], kinds.ARM, kinds.MODEL] = (),
@@ -227,6 +227,7 @@ def tune(
     resume: bool = False,
     force: bool = False,
     engine: Annotated[str | None, kinds.ENGINE] = None,
+    workers: Annotated[int | None, kinds.whole(1, 4096)] = None,
 ) -> Work:
     """Find gains for one controller.
 
@@ -236,9 +237,9 @@ def tune(
     FILE.toml uses them.
 
     The measure holds two control periods, late and slow inputs, a payload, a fast motion, wrong
-    models and noise: the list SCENARIOS of octarm/sweeps/scenarios.py. What the gains are worth is
-    then measured on the list EVALUATION there: desired motions, noises, faults and model errors
-    that the search never saw.
+    models, noise, a plant of nine modules and an arm that hardly damps itself: the list SCENARIOS
+    of octarm/sweeps/scenarios.py. What the gains are worth is then measured on the list EVALUATION
+    there: desired motions, noises, faults and model errors that the search never saw.
 
     A reference takes the place of those of all scenarios; disturbances and errors of the model come
     in addition to what a scenario has. The search begins around the gains of --gains and --gain,
@@ -257,6 +258,7 @@ def tune(
         force: replace gains that are there, and begin an interrupted search anew
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
             given
+        workers: processes; one a core when not given; the gains do not depend on them
 
     Examples:
       octarm tune smc-boundary --out my-gains.toml
@@ -273,6 +275,7 @@ def tune(
     from octarm.commands import tune as work
 
     options = work.Options(
-        out, budget, seed, resume, force, engine, model, gain_options, reference, disturbance
-    )
+        out, budget, seed, resume, force, engine, model, gain_options, reference, disturbance,
+        workers,
+    )  # fmt: skip
     return surviving_output(partial(work.tune, controller, options))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import datetime
+import functools
 import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -27,6 +29,7 @@ from octarm.sweeps.scenarios import Scenario
 from octarm.sweeps.tune import Budget, SearchState, Space, StateFile, Tuned, settings, versions
 from octarm.sweeps.tune import tune as tune_gains
 from octarm.sweeps.tune_cost import FORMULA, LARGEST, Examination, Rig
+from octarm.sweeps.workers import WorkerProcesses, cores
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,6 +46,7 @@ class Options:
     gains: GainOptions = USUAL_GAINS
     reference: str | None = None
     disturbances: tuple[str, ...] = ()
+    workers: int | None = None
 
     @property
     def rig(self) -> Rig:
@@ -68,13 +72,9 @@ class Options:
 
     def factory(self, controller: str) -> Callable[..., Tunable]:
         """What makes a controller from its nominal model and gains, those not given as at first."""
-        begun = self.gains.values()
-
-        def make(nominal: Any, gains: Mapping[str, Any]) -> Tunable:
-            gain_set = self.gains.gains or "recommended"
-            return make_controller(controller, nominal, {**begun, **gains}, gain_set=gain_set)
-
-        return make
+        return functools.partial(
+            _with_gains, controller, self.gains.gains or "recommended", self.gains.values()
+        )
 
     def command(self, controller: str) -> str:
         """The command line that finds the same gains."""
@@ -84,6 +84,16 @@ class Options:
         words += ["--reference", self.reference] if self.reference is not None else []
         words += [f"--disturbance={each}" for each in self.disturbances]
         return shlex.join([*words, *self.model.command(), *self.gains.command()])
+
+
+def _with_gains(
+    controller: str,
+    gain_set: str,
+    begun: Mapping[str, Any],
+    nominal: Any,
+    gains: Mapping[str, Any],
+) -> Tunable:
+    return make_controller(controller, nominal, {**begun, **gains}, gain_set=gain_set)
 
 
 def tune(controller: str, options: Options) -> int:
@@ -126,6 +136,8 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
             "begin it anew by --force"
         )
     state = file.read() if resume else None
+    workers = options.workers or cores()
+    pool = WorkerProcesses(workers) if workers > 1 else contextlib.nullcontext()
     bar = new_bar(total=budget.seconds, unit=" simulated s", unit_scale=True)
 
     def keep(state: SearchState) -> None:
@@ -133,7 +145,7 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
         bar.set_postfix_str(f"generation {state.generation + 1}, cost {state.costs[0]:.4g}")
 
     try:
-        with bar:
+        with bar, pool as processes:
             return tune_gains(
                 factory,
                 budget,
@@ -142,6 +154,7 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
                 keep=keep,
                 progress=bar.update,
                 rig=options.rig,
+                workers=processes,
             )
     except KeyboardInterrupt:
         if not file.path.exists():

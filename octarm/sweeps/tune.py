@@ -12,8 +12,10 @@ generation, and the hand-set gains, are tried for longer and under other noise; 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -198,6 +200,7 @@ def tune(
     keep: Callable[[SearchState], object] = lambda state: None,
     progress: Callable[[float], object] = lambda seconds: None,
     rig: Rig | None = None,
+    workers: Executor | None = None,
 ) -> Tuned:
     """Searches gains; the same bits for the same arguments, wherever it went on from.
 
@@ -210,20 +213,17 @@ def tune(
         keep: called with the state after every generation.
         progress: called with simulated seconds as they pass, see `tune_cost.costs`.
         rig: what they are tried on, see `tune_cost.costs`.
+        workers: that try them; the result does not depend on them.
 
     Raises:
         OctarmError: if the controller cannot be made, or has no gain that can be tuned.
     """
     nominal = (rig or Rig()).arm()
     space = Space(factory(nominal, {}), nominal.modules)
-    fixed = space.fixed()
-
-    def make(nominal: Any, numbers: Mapping[str, np.ndarray]) -> Controller:
-        scales = factory(nominal, {}).scales()
-        return factory(nominal, {n: x * scales[n] for n, x in {**fixed, **numbers}.items()})
+    make = functools.partial(_made, factory, space.fixed())
 
     def tried(examination: Examination, candidates: np.ndarray) -> np.ndarray:
-        return costs(examination, make, space.turned(candidates), progress, rig)
+        return costs(examination, make, space.turned(candidates), progress, rig, workers)
 
     def cost(candidates: np.ndarray) -> np.ndarray:
         return budget.short.mean(tried(budget.short, candidates))
@@ -259,6 +259,17 @@ def tune(
         unseen_by_hand=unseen[1],
         at_bounds=space.at_bounds(finalists[winner]),
     )
+
+
+def _made(
+    factory: Callable[..., Tunable],
+    fixed: Mapping[str, np.ndarray],
+    nominal: Any,
+    numbers: Mapping[str, np.ndarray],
+) -> Controller:
+    """The controller with gains that are numbers in the scales of its nominal model."""
+    scales = factory(nominal, {}).scales()
+    return factory(nominal, {n: x * scales[n] for n, x in {**fixed, **numbers}.items()})
 
 
 def initial_population(bounds: np.ndarray, size: int, random: np.random.Generator) -> np.ndarray:

@@ -29,6 +29,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from typing import Any
 
 import numpy as np
@@ -164,20 +165,30 @@ def costs(
     candidates: Mapping[str, np.ndarray],
     progress: Callable[[float], object] = lambda seconds: None,
     rig: Rig | None = None,
+    workers: Executor | None = None,
 ) -> np.ndarray:
     """The cost of each candidate in each scenario, shape (n, scenarios) [1].
 
-    J is its `Examination.mean`. A cost does not depend on the other candidates. They are gains by
-    name with a row for each candidate, shapes (n, 1) or (n, 2N); the factory makes the controller
-    of its nominal model and gains, hand-set where not given. The progress is called with the
-    seconds that were simulated since the last call, all arms counted.
+    J is its `Examination.mean`. A cost does not depend on the other candidates, nor on workers.
+    Candidates are gains by name with a row for each, shapes (n, 1) or (n, 2N); the factory makes
+    the controller of its nominal model and gains, hand-set where not given. The progress is called
+    with the seconds that were simulated since the last call, all arms counted. Workers take the
+    scenarios of one control period and plant at a time, for which the factory can be pickled.
     """
-    table = np.empty((len(next(iter(candidates.values()))), len(examination.scenarios)))
+    rig, n = rig or Rig(), len(next(iter(candidates.values())))
+    table = np.empty((n, len(examination.scenarios)))
     kinds = [(scenario.period, scenario.plant_modules) for scenario in examination.scenarios]
-    for kind in dict.fromkeys(kinds):
-        places = [i for i, other in enumerate(kinds) if other == kind]
-        trial = examination, places
-        table[:, places] = _costs(trial, factory, candidates, progress, rig or Rig())
+    parts = [[i for i, other in enumerate(kinds) if other == kind] for kind in dict.fromkeys(kinds)]
+    if workers is None:
+        for places in parts:
+            table[:, places] = _costs((examination, places), factory, candidates, rig, progress)
+        return table
+    calls = [
+        workers.submit(_costs, (examination, places), factory, candidates, rig) for places in parts
+    ]
+    for places, call in zip(parts, calls, strict=True):
+        table[:, places] = call.result()
+        progress(n * len(places) * examination.duration)
     return table
 
 
@@ -185,8 +196,8 @@ def _costs(
     trial: tuple[Examination, Sequence[int]],
     factory: ControllerFactory,
     candidates: Mapping[str, np.ndarray],
-    progress: Callable[[float], object],
     rig: Rig,
+    progress: Callable[[float], object] = lambda seconds: None,
 ) -> np.ndarray:
     """The costs in the scenarios with these numbers, of one control period and one plant."""
     examination, places = trial

@@ -30,7 +30,7 @@ from paper.runs import noisy_arms
 from paper.studies import BENDS, NOISE, SCALE, Effort
 from paper.variants import Variant
 
-DURATION, COUNTED = 2.0, 1.0  # of a run, and from when on errors count: half a period [s]
+DURATION, COUNTED = 1.5, 0.5  # of a run, and from when on errors count: half a period [s]
 SHORTEST, LONGEST = 1e-5, 0.01  # periods that are looked at [s]
 SHORTEST_TRACKED = 5e-5  # of laws that are to track [s]
 CLOSE = 1.05  # shortest that fails over longest that does not, where the search ends [1]
