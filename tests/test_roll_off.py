@@ -135,14 +135,16 @@ def sizes(law: Any, modules: int, period: float, count: int) -> np.ndarray:
     move = groups.spread(1e-9 * np.random.default_rng(0).normal(size=6))
     physics.set_motion(rest + move, np.zeros_like(rest))
     state, zero, stay = law.initial_state(), np.zeros(6), groups.measured(rest)
+    still = Reference(stay, zero, zero)  # where the model would hang elsewhere
+    bias = law.law(None, Measurement(0.0, stay, zero), still)[0].force
     for k in range(count):
         v = physics.v()
         speeds.append(float(np.linalg.norm(v * np.repeat([1.0, 0.04], 3))))
         if speeds[-1] > 1e-4:
             break
         measured = Measurement(k * period, physics.q(), v)
-        command, state = law(state, measured, Reference(stay, zero, zero))
-        environment.step(physics.actuation.inputs(physics.q(), command.force))
+        command, state = law(state, measured, still)
+        environment.step(physics.actuation.inputs(physics.q(), command.force - bias))
     return np.array(speeds)
 
 
@@ -161,15 +163,15 @@ def test_simulation_grows_just_beyond_the_longest_period_and_not_below(name: str
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["smc-boundary", "afsmc"])
-def test_with_it_tuned_gains_hold_fifteen_modules_at_the_usual_period(name: str):
+@pytest.mark.parametrize("name", ["smc-boundary", "computed-torque"])
+def test_with_it_laws_hold_fifteen_modules_at_the_usual_period(name: str):
     for corner, holds in ((60.0, True), (None, False)):
         environment = load(
             plant_modules=15, timestep="auto", control_period=5e-4, engine="lagrange"
         )
-        run = rollout(environment, law_of(name, corner, "tuned"), 2.0)
+        run = rollout(environment, law_of(name, corner), 2.0)
         worst = np.max(np.abs(run.error[run.t > 1.0, 3:]), initial=0.0)
-        assert (run.status == "ok" and worst < 0.01) == holds
+        assert (run.status == "ok" and worst < 0.03) == holds
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)

@@ -1,16 +1,14 @@
 """What sensors on the plates that end groups say of a plant: arcs of constant curvature.
 
-Every sensor measures where its plate is and how it is turned. Between two of them, group i is taken
-for an arc: it turns by theta_i, the angle between the plates, and its length follows from the chord
-c_i, which is the vector from one plate to the next,
+From one plate to the next group i is taken for an arc, which turns by the angle theta_i between
+them. Its length follows from its chord c_i, the inverse of `octarm.arm.kinematics.arc_tip`, and its
+velocity is the derivative:
 
-    s_i = |c_i| g(theta_i / 2),    g(x) = x / sin x
+    s_i = |c_i| g(theta_i / 2),    s_i' = |c_i|' g + |c_i| g' theta_i' / 2,    g(x) = x / sin x
 
-the inverse of `octarm.arm.kinematics.arc_tip`. A group bends behind its last slide in the layout
-`paper`, and its plate is beyond that hinge; in the layout `centred` a plate is inside the slide
-that leads across the border, and turns with it, and the last one is at the end of the rigid piece.
-So the bends are those of the sums over groups, and the lengths are, too, where the arm is straight.
-The velocities are the derivatives, s_i' = |c_i|' g + |c_i| g' theta_i' / 2.
+In the layout `paper` a plate is beyond the hinge that ends its group. In the layout `centred` it is
+inside the slide that leads across the border and turns with it; the last one ends the rigid piece.
+So bends are the sums over groups, and lengths are, too, where the arm is straight.
 """
 
 from __future__ import annotations

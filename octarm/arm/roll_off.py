@@ -1,13 +1,11 @@
 """A first-order roll-off of the force that a law asks for.
 
-A plant has modes beyond those of the law's model. What a law does to them at every control instant,
-at half the sampling rate in the end, may make them grow. The roll-off takes such fast parts off the
-force: f' = omega (Q - f), for a Q that is held between two instants exactly
+It takes off what makes modes grow that the law's model lacks, at half the sampling rate in the end:
 
     f_k = a f_(k-1) + (1 - a) Q_k,    a = exp(-omega T)
 
-At half the sampling rate its gain is (1 - a) / (1 + a) and its phase 0, far below the corner it is
-late by 1 / omega. `octarm.checks.sampled_loop` says what this is worth for a loop.
+exact of f' = omega (Q - f) for a Q that is held. At half the sampling rate its gain is
+(1 - a) / (1 + a); far below the corner omega it is late by 1 / omega.
 """
 
 from __future__ import annotations
@@ -67,10 +65,7 @@ class RolledOff:
 
 
 def fields_of(controller: Controller) -> dict[str, Any]:
-    """The fields of a controller by name, `roll_off` beside those of its law; none if it has none.
-
-    The nominal model is one of them.
-    """
+    """The fields of a controller by name; of a `RolledOff` those of its law, and `roll_off`."""
     if isinstance(controller, RolledOff):
         return {**fields_of(controller.law), "roll_off": controller.roll_off}
     if not dataclasses.is_dataclass(controller):

@@ -49,7 +49,7 @@ def engines(
     del states  # there are none to draw
     make, duration = make_controller, 10.0
     if plant_modules is not None:
-        fastest = np.max(np.abs(rates(arm, equilibrium(arm)).imag)) / (2.0 * np.pi)
+        fastest = np.max(np.abs(np.imag(rates(arm, equilibrium(arm))))) / (2.0 * np.pi)
         make, duration = partial(make_controller, gains={"roll_off": 4.0 * fastest}), 1.0
     plant: dict[str, Any] = {"plant_modules": plant_modules, "layout": layout}
     plant |= {"duration": duration, "seed": seed, "progress": progress}
