@@ -19,8 +19,7 @@ Forces act on the plant by virtual work: Q_M does the work Q_M^T v_M, hence Q_N 
 a tension and a moment through each group, one muscle on each side. Input forces give
 Q_N = B^T F_coeff(q_M) tau. The motors on the columns of the plant exert it exactly.
 
-What is read of q_M are these sums, or what sensors on the plates that end groups make of it, see
-`octarm.arm.plates`.
+What is read of q_M are these sums, or what plates between groups say, see `octarm.arm.plates`.
 """
 
 from __future__ import annotations

@@ -46,9 +46,8 @@ class LoopOptions:
         given = {} if self.roll_off is None else {"roll_off": self.roll_off}
         laws = [make_controller(word, p, given, gain_set=self.gains) for word in self.controllers]
         made = dict(zip(short, laws, strict=True))
-        finer = self.plant_modules is not None
-        groups = groups_of(p, self.plant_modules, self.layout) if finer else None
-        return Stability(p, made, period, groups)
+        finer = self.plant_modules and groups_of(p, self.plant_modules, self.layout)
+        return Stability(p, made, period, finer or None)
 
 
 @dataclasses.dataclass(frozen=True)

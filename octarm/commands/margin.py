@@ -224,8 +224,8 @@ def _heading(
         read = "" if model.sensing == SUMS else f", read by {model.sensing}"
         around += [f"a plant of {model.plant_modules} modules, {model.layout}{read}"]
     around += [f"gain {gain}" for gain in settings.gain_options.gain]
-    corner = settings.gain_options.roll_off
-    around += [] if corner is None else [f"roll-off {corner:g} Hz"]
+    if corner := settings.gain_options.roll_off:
+        around += [f"roll-off {corner:g} Hz"]
     around += [spelling(parse_disturbance(text)) for text in settings.fixed]
     seeds = f"{settings.share:.0%} of {settings.seeds} seeds"
     return [

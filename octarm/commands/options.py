@@ -97,8 +97,7 @@ class GainOptions:
             hand), or a file NAME.toml of octarm tune; tuned ones, in octarm tune recommended
             ones, when not given
         gain: one gain in SI, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
-        roll_off: corner beyond which the force of the controller is rolled off [Hz], for plants
-            whose modes its model lacks; none when not given
+        roll_off: corner of a roll-off of the force that the controller asks for [Hz]
     """
 
     gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None

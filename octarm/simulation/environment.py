@@ -100,9 +100,8 @@ def load(
             that stands for the same rod, of which the sums over N groups are measured and moved;
             see `octarm.arm.groups`. The arm itself when not given.
         layout: of that plant, `paper` or `centred`.
-        sensing: what is read of it, `groups` for the sums over groups, or `plates` for what sensors
-            on the plates between them say, see `octarm.arm.plates`. True coordinates, errors and
-            forces are those of the sums, whatever is read.
+        sensing: what is read of it: `groups`, the sums, or `plates`, arcs between sensors, see
+            `octarm.arm.plates`. True coordinates, errors and forces are those of the sums.
         start: of an episode: `rest`, the arm hangs still; `random`, at a place that is drawn for
             each episode and arm, and still; `moving`, with a drawn velocity, too.
         start_share: share of what the inputs reach within which it is drawn, above 0 and at most 1;
