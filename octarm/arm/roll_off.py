@@ -60,7 +60,7 @@ class RolledOff:
         return self.law.knobs()
 
     def scales(self) -> Mapping[str, np.ndarray]:
-        """What gains are divided by, those of the law and `roll_off` [SI]."""
+        """What gains of the law and `roll_off` are divided by, shape () or (..., 2N) [SI]."""
         return {**self.law.scales(), "roll_off": self.scale}
 
 
