@@ -29,7 +29,7 @@ class RolledOff:
     Attributes:
         law: whose force it is.
         roll_off: corner omega / (2 pi) of each coordinate, broadcasts to (..., 2N) [Hz].
-        scale: what the corner is divided by to be a number that suits similar arms [Hz].
+        scale: what it is divided by to suit similar arms, shape () or (..., 1) [Hz].
     """
 
     law: Tunable

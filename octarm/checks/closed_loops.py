@@ -42,7 +42,7 @@ class Motion(NamedTuple):
     Attributes:
         t: time, shape (T,) [s].
         q: true coordinates of all modules, shape (T, n, 2N) [m], [rad].
-        read: what the law was given of them, of the model's modules.
+        read: what was read of the model's modules, shape (T, n, 2M).
         s: the sliding variable, shape (T, n, 2N) [m/s], [rad/s]; ones for a law without one.
     """
 
