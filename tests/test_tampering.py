@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import rerun as rr
 
 import octarm
 from controllers import make_controller
@@ -20,6 +21,7 @@ from octarm.checks.verify import RunCheck, check_run
 from octarm.commands.cli import main
 from octarm.errors import OctarmError
 from octarm.recordings.contents import contents
+from octarm.recordings.rrd import rrd_file
 from octarm.runs import folder as runs
 from octarm.sweeps.episodes import FinishedSweep
 from octarm.sweeps.spec_file import parse_spec
@@ -596,3 +598,15 @@ def test_a_changed_recording_of_an_episode_is_made_again(sweep, capsys):
     command = ["sweep", str(sweep / "spec.toml"), "--out", str(sweep), "--workers", "1"]
     assert main([*command, "--resume"]) == 0
     assert verified(sweep, "--episode", "3")
+
+
+def test_contents_do_not_depend_on_when_rerun_has_written_what_stays(tmp_path):
+    for name in ("at once", "one by one"):
+        with rrd_file(tmp_path / name) as stream:
+            for text in ("first", "second"):
+                stream.log("note", rr.TextDocument(text), static=True)
+                if name == "one by one":
+                    stream.flush()
+    first, second = (contents(tmp_path / name) for name in ("at once", "one by one"))
+    assert first == second
+    assert first["/note TextDocument:text"].to_pylist() == [["second"]]

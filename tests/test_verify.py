@@ -146,7 +146,7 @@ def test_a_run_that_diverged_comes_out_again(tmp_path):
     metrics = json.loads((tmp_path / "run/run.json").read_text())["metrics"]
     assert metrics["effort"] == [None] * 6 and metrics["tip_rms_error"] is None
     assert check(tmp_path / "run").identical
-    edit(tmp_path / "run", "message", to=lambda text: text.replace("theta1", "theta2"))
+    edit(tmp_path / "run", "message", to=lambda text: text.replace("diverged", "turned"))
     found = check(tmp_path / "run")
     assert [d.key for d in found.differences] == ["message"]
 

@@ -14,6 +14,7 @@ from octarm.errors import ExitCode, OctarmError, printable
 from octarm.recordings import viewer
 from octarm.recordings.comparison import write_comparison
 from octarm.recordings.recording import write_recording
+from octarm.recordings.rrd import last_instant, telling_instant
 from octarm.recordings.titles import LONGEST, conditions_of
 from octarm.runs import folder as runs
 
@@ -36,8 +37,8 @@ def replay(folders: Sequence[Path], screenshot: Path | None, time: float | None,
 
 
 def _picture(files: Sequence[Path], screenshot: Path, time: float | None) -> None:
-    end = viewer.end_of(files[0])
-    time = viewer.telling_instant(files[0]) if time is None else time
+    end = last_instant(files[0])
+    time = telling_instant(files[0]) if time is None else time
     if not 0.0 <= time <= end:
         raise OctarmError(f"time is {time:g} s; the run goes from 0 to {end:g} s")
     viewer.screenshot(files[0], screenshot, others=files[1:], time=time)
@@ -102,11 +103,11 @@ def _of_run(folder: Path, scratch: Path) -> Path:
             message = printable(description.get("message", ""), 200)
             print(f"octarm: the run is partial: it was {message}", file=sys.stderr)
         elif description["status"] == runs.RUNNING:
-            say_partial(viewer.end_of(recording))
+            say_partial(last_instant(recording))
         return recording
     if not partial.is_file():
         raise OctarmError(f"{folder} has no recording {runs.RECORDING}; octarm record writes one")
     rescued = scratch / runs.RECORDING
     viewer.rescue(partial, rescued)
-    say_partial(viewer.end_of(rescued))
+    say_partial(last_instant(rescued))
     return rescued

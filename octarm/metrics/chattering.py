@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from octarm.interfaces import Rows
-from octarm.metrics.metric import FORCE, STEADY, Accumulator, Asked, Metric, Settings, asked
+from octarm.metrics.metric import FORCE, STEADY, Accumulator, Metric, Settings
 from octarm.metrics.rows import Before, add_rows
 
 
@@ -93,13 +93,6 @@ class Chattering(Accumulator):
             "switching_activity": self._variation / (rows / settings.steps),
             "control_rate": np.asarray(1.0 / settings.control_period),
         }
-
-
-class AskedChattering(Asked):
-    """`chattering` of the generalised force that the controller asked for."""
-
-    of = Chattering
-    metrics = asked({"chattering": Chattering.metrics["chattering"]})
 
 
 def _step(y: np.ndarray, z: np.ndarray, decay: float, jump: np.ndarray) -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 from octarm.declared import Code, Declared, lacking, word_of
 from octarm.errors import printable, quoted
-from octarm.formats import Array, Document, Model
+from octarm.formats import Document
 from octarm.metrics.metric import Accumulator, Metric
 from octarm.metrics.table import METRICS, Catalogue
 
@@ -42,6 +42,12 @@ ACCUMULATORS: Declared[type[Accumulator]] = Declared(
 )
 
 
+def code_of(description: Mapping[str, Any]) -> dict[str, Code]:
+    """The code that a run needed and is not built in, by name, as `run.json` says it."""
+    code = {"code": description.get("code", {})}
+    return Document("run.json", code).read(dict[str, Code], "code")
+
+
 def measured(code: Mapping[str, Code]) -> Catalogue:
     """All metrics of an experiment: those of `METRICS`, and those of its code."""
     names = [name for name, each in code.items() if each.kind == "metric"]
@@ -57,23 +63,7 @@ def declared_metrics(code: Mapping[str, Code]) -> dict[str, Metric]:
     known = dict(METRICS)
     for each in code.values():
         for name, content in each.declares.items() if each.kind == "metric" else ():
-            known.setdefault(name, Document(each.path, content).read(_Declaration).metric())
+            known_keys = {key: x for key, x in content.items() if key in Metric._fields}
+            metric = Document(each.path, known_keys).read(Metric)
+            known.setdefault(name, metric._replace(text=printable(metric.text, 200)))
     return known
-
-
-class _Declaration(Model):
-    """A `Metric` as a file holds it."""
-
-    of: Literal["coordinate", "input", "arm"]
-    units: Array[str]
-    text: str
-    better: Literal["less", "more", "neither"] = "less"
-    zero_best: bool = False
-    together: Literal["rms", "max", "mean"] = "mean"
-    waits_for: str = ""
-
-    def metric(self) -> Metric:
-        text = printable(self.text, 200)
-        return Metric(
-            self.of, self.units, text, self.better, self.zero_best, self.together, self.waits_for
-        )

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from octarm.interfaces import Rows
-from octarm.metrics.metric import FORCE, Accumulator, Asked, Metric, Settings, asked
+from octarm.metrics.metric import FORCE, Accumulator, Metric, Settings
 from octarm.metrics.rows import Before, Count, Size, add_rows, filled
 
 
@@ -49,13 +49,6 @@ class InputUse(Accumulator):
         }
 
 
-class AskedInputUse(Asked):
-    """The same of the input forces that were asked for, which may be beyond their range."""
-
-    of = InputUse
-    metrics = asked(InputUse.metrics)
-
-
 class ForceUse(Accumulator):
     """Size and work of the generalised force Q of the inputs that the arm received.
 
@@ -94,10 +87,3 @@ class ForceUse(Accumulator):
             "energy": self._absolute.copy(),
             "work": self._net.copy(),
         }
-
-
-class AskedForceUse(Asked):
-    """The same of the generalised force that the controller asked for."""
-
-    of = ForceUse
-    metrics = asked(ForceUse.metrics)

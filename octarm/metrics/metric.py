@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octarm.errors import OctarmError
+from octarm.formats import Array
 from octarm.interfaces import Rows
 
 SETTLED_AFTER = 2.0  # [s]; the steady regime is the rest of the run, unless another one is given
@@ -41,7 +42,7 @@ class Metric(NamedTuple):
     """
 
     of: Literal["coordinate", "input", "arm"]
-    units: tuple[str, ...]
+    units: Array[str]
     text: str
     better: Literal["less", "more", "neither"] = "less"
     zero_best: bool = False
@@ -163,34 +164,28 @@ class Accumulator(abc.ABC):
         """The metrics so far, each of shape (..., 2N), or (...) for a metric of the arm."""
 
 
-class Asked(Accumulator):
-    """The metrics of an accumulator of what the arm received, of what was asked for instead.
+def asked(of: type[Accumulator], *names: str) -> type[Accumulator]:
+    """An accumulator of what the controller asked for, made of one of what the arm received.
 
-    Attributes:
-        of: the class of that accumulator.
+    It gives the metrics of these names, or all if none is named; theirs begin with `asked_` then.
     """
 
-    of: ClassVar[type[Accumulator]]
+    class Asked(Accumulator):
+        metrics: ClassVar = {
+            f"asked_{name}": metric._replace(text=f"{metric.text}, of what was asked for")
+            for name, metric in of.metrics.items()
+            if name in (names or of.metrics)
+        }
 
-    def __init__(self, first: Rows, settings: Settings) -> None:
-        """The accumulator, for other rows."""
-        self._of = self.of(first, settings)
+        def __init__(self, first: Rows, settings: Settings) -> None:
+            self._of = of(first, settings)
 
-    def update(self, rows: Rows, steady: bool) -> None:
-        """Takes rows; see `Accumulator`."""
-        asked = {"tau": rows["asked_tau"], "force": rows["asked_force"]}
-        self._of.update({**rows, **asked}, steady)
+        def update(self, rows: Rows, steady: bool) -> None:
+            forces = {"tau": rows["asked_tau"], "force": rows["asked_force"]}
+            self._of.update({**rows, **forces}, steady)
 
-    def result(self) -> dict[str, np.ndarray]:
-        """The metrics that are declared, by names that begin with `asked_`."""
-        results = {f"asked_{name}": values for name, values in self._of.result().items()}
-        return {name: results[name] for name in self.metrics}
+        def result(self) -> dict[str, np.ndarray]:
+            results = self._of.result()
+            return {name: results[name.removeprefix("asked_")] for name in self.metrics}
 
-
-def asked(metrics: Mapping[str, Metric]) -> dict[str, Metric]:
-    """The declarations of `Asked`, for those of coordinates and inputs."""
-    return {
-        f"asked_{name}": metric._replace(text=f"{metric.text}, of what was asked for")
-        for name, metric in metrics.items()
-        if metric.of != "arm"
-    }
+    return Asked

@@ -18,10 +18,10 @@ from octarm.arm.actuation import Actuation
 from octarm.arrays import stacked
 from octarm.errors import OctarmError
 from octarm.interfaces import WITHIN, Rows
-from octarm.metrics.chattering import AskedChattering, Chattering
-from octarm.metrics.inputs import AskedForceUse, AskedInputUse, ForceUse, InputUse
-from octarm.metrics.metric import CORNER, Accumulator, Metric, Settings
+from octarm.metrics.chattering import Chattering
+from octarm.metrics.inputs import ForceUse, InputUse
 from octarm.metrics.metric import SETTLED_AFTER as SETTLED_AFTER
+from octarm.metrics.metric import Accumulator, Metric, Settings, asked
 from octarm.metrics.sliding import ReachingBound, Sliding
 from octarm.metrics.tracking import Overshoot, Settling, TipError, TrackingError
 
@@ -62,8 +62,8 @@ class Catalogue(Mapping[str, Metric]):
 
 
 METRICS = Catalogue(
-    TrackingError, Overshoot, Settling, TipError, InputUse, AskedInputUse, ForceUse, AskedForceUse,
-    Chattering, AskedChattering, Sliding, ReachingBound,
+    TrackingError, Overshoot, Settling, TipError, InputUse, asked(InputUse), ForceUse,
+    asked(ForceUse), Chattering, asked(Chattering, "chattering"), Sliding, ReachingBound,
 )  # fmt: skip
 
 
@@ -75,26 +75,14 @@ class Metrics:
     """
 
     def __init__(
-        self,
-        *,
-        control_period: float,
-        input_range: tuple[npt.ArrayLike, npt.ArrayLike] = (-np.inf, np.inf),
-        layer: npt.ArrayLike | None = None,
-        band: npt.ArrayLike | None = None,
-        corner: float = CORNER,
-        settle: float = SETTLED_AFTER,
-        actuation: Actuation | None = None,
-        catalogue: Catalogue = METRICS,
+        self, *, actuation: Actuation | None = None, catalogue: Catalogue = METRICS, **settings: Any
     ) -> None:
-        """Metrics of arms of any number and batch shape; the arguments are those of `Settings`.
+        """Metrics of arms of any number and batch shape; further arguments are those of `Settings`.
 
         The actuation turns the inputs that the arm received into a generalised force. Without it,
         that is taken to be the one that was asked for. The catalogue says what is measured.
         """
-        self._settings = Settings(
-            control_period=control_period, input_range=input_range, layer=layer, band=band,
-            corner=corner, settle=settle,
-        )  # fmt: skip
+        self._settings = Settings(**settings)
         self._actuation = actuation
         self._catalogue = catalogue
         self._accumulators: list[Accumulator] = []
@@ -248,12 +236,8 @@ class Column(NamedTuple):
 
     @property
     def description(self) -> dict[str, str]:
-        """What a table's schema says of it, with its meaning and which values are better."""
-        return {
-            **self.metadata,
-            "text": self.declared.text,
-            "better": self.declared.direction,
-        }
+        """The same, with its meaning and which values are better."""
+        return self.metadata | {"text": self.declared.text, "better": self.declared.direction}
 
 
 def columns(

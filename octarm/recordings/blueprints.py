@@ -16,7 +16,8 @@ from rerun.blueprint.encodings import VisualizerComponentMapping
 
 from octarm.recordings import heat_map
 from octarm.recordings.channels import Channel, has_energy, has_sliding
-from octarm.recordings.scene import Scene, input_colors, module_colors
+from octarm.recordings.scene import Scene, input_colors
+from octarm.recordings.shapes import module_colors
 from octarm.recordings.titles import title_of
 
 _BOUND = [150, 156, 166]

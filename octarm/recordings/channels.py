@@ -269,17 +269,15 @@ class Phases:
         self._start: np.ndarray | None = None  # sign of s
         self._reached = np.zeros(len(names), dtype=bool)
         self._last: dict[str, bool] = {}
-        self._looked: tuple[bool, float] | None = None  # at the surface: whether late, tenth of a s
-        self._word = ""
+        self._looked, self._word = np.nan, ""  # the surface: when and whether late, and its phase
 
     def changes(self, rows: Rows) -> dict[str, list[tuple[int, str]]]:
         """The rows of this block at which a lane changes and its phase from there on, by lane."""
         changes: dict[str, list[tuple[int, str]]] = {}
 
         def add(lane: str, flags: np.ndarray, *words: str) -> None:
-            last = self._last.get(lane, not flags[0])
+            at = np.flatnonzero(np.diff(flags, prepend=self._last.get(lane, not flags[0])))
             self._last[lane] = bool(flags[-1])
-            at = np.flatnonzero(flags != np.concatenate([[last], flags[:-1]]))
             if at.size:
                 changes[lane] = [(int(row), words[int(flags[row])]) for row in at]
 
@@ -301,18 +299,14 @@ class Phases:
         The names of what is not sliding are looked at ten times a second: s may leave its layer
         thousands of times.
         """
-        late, ticks = ~np.all(sliding, axis=1), np.floor(10.0 * t + 1e-6)
-        was_late, tick = self._looked or (not late[0], ticks[0])
-        self._looked = bool(late[-1]), float(ticks[-1])
-        new = (late != np.concatenate([[was_late], late[:-1]])) | (
-            ticks != np.concatenate([[tick], ticks[:-1]])
-        )
+        state = 2.0 * np.floor(10.0 * t + 1e-6) + ~np.all(sliding, axis=1)
+        new = np.flatnonzero(np.diff(state, prepend=self._looked) != 0.0)  # NaN counts as another
+        self._looked = state[-1]
         changes: list[tuple[int, str]] = []
-        for row in np.flatnonzero(new).tolist():
-            names = [name for name, good in zip(self._names, sliding[row], strict=True) if not good]
-            word = f"{len(names)} of {len(self._names)}"
-            word = f"{REACHING}: {', '.join(names) if len(names) <= _NAMED else word}"
-            word = word if names else SLIDING
+        for row in new.tolist():
+            late = [name for name, good in zip(self._names, sliding[row], strict=True) if not good]
+            which = ", ".join(late) if len(late) <= _NAMED else f"{len(late)} of {len(self._names)}"
+            word = f"{REACHING}: {which}" if late else SLIDING
             if word != self._word:
                 changes.append((row, word))
                 self._word = word

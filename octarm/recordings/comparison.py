@@ -15,8 +15,7 @@ from octarm.recordings.blueprints import Layout, Plots
 from octarm.recordings.notes import markdown_table
 from octarm.recordings.recording import RunRecording
 from octarm.recordings.rrd import Path, rerun_errors, rrd_file, structures, times
-from octarm.recordings.titles import title_of
-from octarm.recordings.what_differs import differences, labels, verdict
+from octarm.recordings.what_differs import Compared, labels
 from octarm.simulation.trajectory import Trajectory
 
 # The arrays of a run of one arm, and what `run.json` holds.
@@ -84,10 +83,9 @@ class _Layout:
 
     def __init__(self, recordings: Sequence[RunRecording], runs: Sequence[Run]) -> None:
         self._recordings, self._runs = recordings, [run for run, _ in runs]
-        self._names = labels(len(runs))
-        self.titles = [title_of(description) for _, description in runs]
-        self._differences = differences([description for _, description in runs])
-        self._ranked = not any(each.of_the_task for each in self._differences)
+        self._compared = Compared([description for _, description in runs])
+        self._names, self._ranked = self._compared.names, self._compared.ranked
+        self.titles = self._compared.titles
         self._end = max(float(run.t[-1]) for run in self._runs)
         # Where the difference of the first run from each other one stands.
         many = len(runs) > 2
@@ -95,9 +93,9 @@ class _Layout:
 
     def page(self) -> str:
         """In what the runs differ, as Markdown."""
-        rows = [[each.name, *each.values] for each in self._differences]
-        runs = [f"- {name}: {t}" for name, t in zip(self._names, self.titles, strict=True)]
-        heading = f"# What differs\n\n{verdict(self._differences)}"
+        rows = [[each.name, *each.values] for each in self._compared.differences]
+        runs = map("- {}: {}".format, self._names, self.titles)
+        heading = f"# What differs\n\n{self._compared.verdict}"
         return "\n\n".join([heading, "\n".join(runs), markdown_table(["", *self._names], rows)])
 
     def blueprint(self) -> rrb.Blueprint:

@@ -34,8 +34,8 @@ def contents(path: Path) -> dict[str, pa.Array]:
                 if key == "/notes TextDocument:text":
                     texts = [[_VERSIONS.sub("", t) for t in row] for row in column.to_pylist()]
                     column = pa.array(texts, column.type)
-                if chunk.is_static:
-                    parts[key] = [column]
+                if chunk.is_static:  # one chunk or several, as time allowed; the last row counts
+                    parts[key] = [column[-1:]]
                 else:
                     parts.setdefault(key, []).append(column)
         return {key: pa.concat_arrays(columns) for key, columns in parts.items()}

@@ -6,13 +6,10 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
-from octarm.declared import Code
-from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import printable
-from octarm.formats import Document
-from octarm.metrics.declared import declared_metrics
+from octarm.metrics.declared import code_of, declared_metrics
 from octarm.recordings.channels import coordinates_of
-from octarm.recordings.titles import LONGEST, disturbance_of, title_of, units_of
+from octarm.recordings.titles import LONGEST, class_of, disturbance_of, title_of, units_of
 
 _REMARK = """The arm is drawn as a picture of the lumped model, whose module i slides along the end
 of the one before and bends at its own end. No arc of length s_i and angle theta_i ends where such a
@@ -76,8 +73,7 @@ def notes_of(description: Mapping[str, Any]) -> dict[str, str]:
 def _metrics(description: Mapping[str, Any]) -> str:
     """A table with a column for each coordinate; inputs stand in the order of tau."""
     names = coordinates_of(description).names
-    code = Document("run.json", {"code": description.get("code", {})})
-    known = declared_metrics(code.read(dict[str, Code], "code"))
+    known = declared_metrics(code_of(description))
     rows: list[list[str]] = []
     for name, values in description["metrics"].items():
         numbers = cast(list[Any], values) if isinstance(values, list) else [values]
@@ -99,9 +95,9 @@ def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def _ledger(entry: Mapping[str, Any]) -> str:
     """What a disturbance was asked to do and what was delivered, as a table with units."""
-    units = units_of(entry)
+    units = {name: "" if unit == "1" else unit for name, unit in units_of(entry).items()}
     rows = [
-        ["asked", name, in_words(value), _unit(units.get(name, ""))]
+        ["asked", name, in_words(value), units.get(name, "")]
         for name, value in entry["asked"].items()
         if value is not None
     ]
@@ -110,8 +106,8 @@ def _ledger(entry: Mapping[str, Any]) -> str:
         change = cast(dict[str, Any], value) if isinstance(value, dict) else {}
         if "undisturbed" in change and "end" in change:  # a parameter of the arm
             value = f"{in_words(change['undisturbed'])} → {in_words(change['end'])}"
-        unit = _UNITS.get(name) or _signal_unit(entry["name"], name) or units.get(name, "")
-        rows.append(["delivered", name, in_words(value), _unit(unit)])
+        unit = _UNITS.get(name) or _signal_unit(entry, name) or units.get(name, "")
+        rows.append(["delivered", name, in_words(value), unit])
     if not delivered:
         rows.append(["delivered", "not known yet" if delivered is None else "nothing", "", ""])
     rows = [[first, name.replace("_", " "), *rest] for first, name, *rest in rows]
@@ -119,13 +115,9 @@ def _ledger(entry: Mapping[str, Any]) -> str:
     return f"## {heading}\n\n{markdown_table(['', '', '', 'unit'], rows)}"
 
 
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else unit
-
-
-def _signal_unit(disturbance: str, name: str) -> str:
+def _signal_unit(entry: Mapping[str, Any], name: str) -> str:
     """The unit of what was measured of the signal of a disturbance that is built in."""
-    cls = DISTURBANCES.get(re.sub(r"-\d+$", "", disturbance))
+    cls = class_of(entry)
     if cls is None or name in cls.units:
         return "" if cls is None else cls.units[name]
     known = name.startswith(("rms", "peak")) or name == "unexplained"

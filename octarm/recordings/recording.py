@@ -98,12 +98,10 @@ def write_recording(
 
 
 @contextlib.contextmanager
-def run_recording(
-    path: Path, description: Mapping[str, Any], *, disturbed: bool | None = None
-) -> Generator[RunRecording]:
+def run_recording(path: Path, description: Mapping[str, Any]) -> Generator[RunRecording]:
     """A recording to be written while the run goes on; see `RunRecording` and `rrd_file`."""
     with rrd_file(path) as stream:
-        yield RunRecording(stream, path, description, disturbed=disturbed)
+        yield RunRecording(stream, path, description)
 
 
 class RunRecording:
@@ -238,9 +236,8 @@ class RunRecording:
         """Logs what the first rows tell, and what stays the same."""
         t, names = rows["t"], self._coordinates.names
         self.channels = channels_of(rows, self._description, layer, disturbed=self._disturbed)
-        bounds = {name: channel.bound for name, channel in self.channels.items() if channel.bound}
-        limits = [bounds[name].values if name in bounds else None for name in ("s", "tau")]
-        self._phases = Phases(names, *limits)
+        bounds = [c.bound if (c := self.channels.get(name)) else None for name in ("s", "tau")]
+        self._phases = Phases(names, *(bound and bound.values for bound in bounds))
         if len(t) > 1:
             rate = (len(t) - 1) / float(t[-1] - t[0])
             self._stride = max(1, round(rate / _FRAME_RATE))

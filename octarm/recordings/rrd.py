@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pathlib
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -90,14 +90,7 @@ def last_instant(path: Path) -> float:
     Raises:
         OctarmError: if the file is not a recording, or has no instants.
     """
-    ends: list[int] = []
-    try:
-        for chunk in rr.chunk.RrdReader(os.fspath(path)).stream():
-            batch = chunk.to_record_batch()
-            if not chunk.is_static and "t" in batch.schema.names and batch.num_rows:
-                ends.append(batch.column("t").cast(pa.int64()).to_numpy().max())
-    except Exception as error:  # rerun's errors are of many kinds
-        raise OctarmError(f"{path} cannot be read: {_first_line(error)}") from None
+    ends = [t.max() for _, _, t in _temporal(path)]
     if not ends:
         raise OctarmError(f"{path} is a recording without instants")
     return float(max(ends)) * 1e-9
@@ -112,22 +105,27 @@ def telling_instant(path: Path) -> float:
         OctarmError: if the file is not a recording, or has no instants.
     """
     end, largest, telling = last_instant(path), -1.0, 0.0
-    for chunk in rr.chunk.RrdReader(os.fspath(path)).stream():
-        kind, batch = chunk.entity_path.rsplit("/", 1)[-1], chunk.to_record_batch()
-        if chunk.is_static or not batch.num_rows:
-            continue
-        if kind == "run" and "diverged" in str(batch.to_pydict()):
+    for entity, batch, t in _temporal(path):
+        if entity.endswith("states/run") and "diverged" in str(batch.to_pydict()):
             return end
-        if kind != "signals" or "octarm:signals" not in batch.schema.names:
-            continue
-        rows = pa.compute.list_flatten(batch.column("octarm:signals"))
-        bends = rows.field("q_bends").flatten().to_numpy(zero_copy_only=False)
-        size = np.nan_to_num(np.abs(bends).reshape(len(rows), -1).sum(axis=1))
-        if size.max() > largest:
-            row = int(np.argmax(size))
-            at = batch.column("t").cast(pa.int64()).to_numpy()[row]
-            largest, telling = float(size[row]), float(at) * 1e-9
+        if "octarm:signals" in batch.schema.names:
+            rows = pa.compute.list_flatten(batch.column("octarm:signals"))
+            bends = rows.field("q_bends").flatten().to_numpy(zero_copy_only=False)
+            size = np.nan_to_num(np.abs(bends).reshape(len(rows), -1).sum(axis=1))
+            if size.max() > largest:
+                largest, telling = float(size.max()), float(t[np.argmax(size)]) * 1e-9
     return telling
+
+
+def _temporal(path: Path) -> Iterator[tuple[str, pa.RecordBatch, np.ndarray]]:
+    """Entity, rows and times [ns] of each piece of a recording that has times."""
+    try:
+        for chunk in rr.chunk.RrdReader(os.fspath(path)).stream():
+            batch = chunk.to_record_batch()
+            if not chunk.is_static and "t" in batch.schema.names and batch.num_rows:
+                yield chunk.entity_path, batch, batch.column("t").cast(pa.int64()).to_numpy()
+    except Exception as error:  # rerun's errors are of many kinds
+        raise OctarmError(f"{path} cannot be read: {_first_line(error)}") from None
 
 
 def _lists(values: np.ndarray) -> Any:

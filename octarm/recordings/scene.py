@@ -23,8 +23,8 @@ from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.ledger import Drawn
 from octarm.interfaces import Rows
-from octarm.palette import BRIGHT_MODULES
 from octarm.recordings import shapes
+from octarm.recordings.shapes import module_colors
 
 _PLATE, _BASE = 0xDEE2E8FF, 0x78808CFF
 _TRAIL, _PATH, _GHOST = 0xFF4655FF, 0x8FA3B8FF, 0xC6D6EA22
@@ -38,11 +38,6 @@ _COARSE = 1024.0  # angles and lengths of pieces likewise
 
 # Fields of `Rows` that the scene is made of; the last two are there for a plant of more modules.
 DRAWN = ("t", "q", "q_d", "tau", "disturbance", "plant_q", "plant_tip")
-
-
-def module_colors(count: int) -> np.ndarray:
-    """One colour for each module, shape (count, 3)."""
-    return np.resize([list(bytes.fromhex(color[1:])) for color in BRIGHT_MODULES], (count, 3))
 
 
 def input_colors(count: int) -> np.ndarray:
@@ -190,10 +185,10 @@ class Scene:
 
     def _balls(self, t: np.ndarray, q: np.ndarray) -> list[Any]:
         """Payloads as balls of steel below the last plate, of no size until they are carried."""
-        places, radii = zip(*shapes.payload_balls(self._payloads, t, q, self._width), strict=True)
-        sizes = np.repeat(np.stack(radii, axis=1)[..., None], 3, axis=-1)
+        places, radii = shapes.payload_balls(self._payloads, t, q, self._width)
+        sizes = np.repeat(radii[..., None], 3, axis=-1)
         return [
-            *_columns(rr.InstancePoses3D, translations=_rounded(np.stack(places, axis=1), _FINE)),
+            *_columns(rr.InstancePoses3D, translations=_rounded(places, _FINE)),
             *_columns(rr.Ellipsoids3D, half_sizes=_rounded(sizes, _FINE)),
         ]
 
@@ -237,8 +232,7 @@ def _poses(pieces: shapes.Pieces) -> list[Any]:
 
 
 def _cylinders(pieces: shapes.Pieces, **looks: np.ndarray) -> list[Any]:
-    """Cylinders that overlap a little, so that there is no gap where the arm bends."""
-    lengths = _rounded(1.08 * pieces.lengths, _COARSE)
+    lengths = _rounded(shapes.OVERLAP * pieces.lengths, _COARSE)
     return [*_poses(pieces), *_columns(rr.Cylinders3D, lengths=lengths, **looks)]
 
 

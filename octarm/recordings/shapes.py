@@ -14,7 +14,6 @@ Coordinates q have shape (..., 2N) [m], [rad]; places are in the world frame [m]
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -22,10 +21,12 @@ import numpy as np
 
 from octarm.arm.kinematics import positions
 from octarm.arm.mjcf import world_position
+from octarm.palette import BRIGHT_MODULES
 
 TUBE_PIECES = 6  # of the tube, for each module
 COLUMN_PIECES = 4
 RIBS = 4  # of the desired arm, for each module
+OVERLAP = 1.08  # drawn length of a piece over its own, so that there is no gap where the arm bends
 _RELAXED, _PULL, _PUSH = (112, 118, 126), (240, 243, 248), (232, 62, 62)
 _STEEL = 7850.0  # [kg/m^3]; a payload is drawn as a ball of it
 _LONGEST = 100.0  # [m], [rad]; an arm with a larger coordinate cannot be drawn
@@ -44,6 +45,11 @@ class Pieces(NamedTuple):
     centers: np.ndarray
     angles: np.ndarray
     lengths: np.ndarray
+
+
+def module_colors(count: int) -> np.ndarray:
+    """One colour for each module, from 0 to 255, shape (count, 3)."""
+    return np.resize([list(bytes.fromhex(color[1:])) for color in BRIGHT_MODULES], (count, 3))
 
 
 def drawable(q: np.ndarray) -> np.ndarray:
@@ -69,15 +75,29 @@ def smooth_arm(q: np.ndarray, offset: float = 0.0, points: int = 12) -> np.ndarr
     return world_position(curve + offset * normal / size)
 
 
+def pieces_of(curves: np.ndarray, axes: int = 1) -> Pieces:
+    """The pieces of curves of shape (..., points, 3).
+
+    The last `axes` axes before that of x, y and z count curves and points: their pieces stand one
+    after another.
+    """
+    step = np.diff(curves, axis=-2)
+    centers = 0.5 * (curves[..., 1:, :] + curves[..., :-1, :])
+    angles = np.arctan2(step[..., 0], step[..., 2])
+    lengths = np.linalg.norm(step, axis=-1)
+    flat = (*angles.shape[: angles.ndim - axes], -1)
+    return Pieces(centers.reshape(*flat, 3), angles.reshape(flat), lengths.reshape(flat))
+
+
 def backbone(q: np.ndarray, pieces: int) -> Pieces:
     """The backbone for q of shape (..., 2N), in that many pieces for each module."""
-    return _pieces(smooth_arm(q, points=pieces + 1), q)
+    return pieces_of(smooth_arm(q, points=pieces + 1), axes=2)
 
 
-def columns(q: np.ndarray, width: float) -> Pieces:
-    """Columns for q of shape (..., 2N), in the order of tau, in `COLUMN_PIECES` pieces each."""
-    sides = [smooth_arm(q, side * width, COLUMN_PIECES + 1) for side in (-0.5, 0.5)]
-    return _pieces(np.stack(sides, axis=-3), q)
+def columns(q: np.ndarray, width: float, pieces: int = COLUMN_PIECES) -> Pieces:
+    """Columns for q of shape (..., 2N), in the order of tau, in that many pieces each."""
+    sides = [smooth_arm(q, side * width, pieces + 1) for side in (-0.5, 0.5)]
+    return pieces_of(np.stack(sides, axis=-3), axes=3)
 
 
 def plates(q: np.ndarray) -> Pieces:
@@ -89,12 +109,6 @@ def plates(q: np.ndarray) -> Pieces:
 def tip(q: np.ndarray) -> np.ndarray:
     """The tip, shape (..., 3) [m]."""
     return world_position(positions(q)[..., -1, :])
-
-
-def tip_axis(q: np.ndarray) -> np.ndarray:
-    """The direction in which the arm points at its tip, shape (..., 3) [1]."""
-    angle = -np.sum(q[..., q.shape[-1] // 2 :], axis=-1)
-    return np.stack([-np.sin(angle), np.zeros_like(angle), -np.cos(angle)], axis=-1)
 
 
 def skeleton(q: np.ndarray) -> np.ndarray:
@@ -143,7 +157,7 @@ def column_looks(tau: np.ndarray, weight: float) -> tuple[np.ndarray, np.ndarray
 
 def payload_balls(
     payloads: Sequence[tuple[float, float]], t: np.ndarray, q: np.ndarray, width: float
-) -> list[tuple[np.ndarray, np.ndarray]]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Payloads as balls of steel below the last plate, of no size until they are carried.
 
     Args:
@@ -153,21 +167,10 @@ def payload_balls(
         width: of the arm [m].
 
     Returns:
-        Of each payload its places, shape (k, 3) [m], and radii, shape (k,) [m].
+        Their places, shape (k, payloads, 3) [m], and radii, shape (k, payloads) [m].
     """
-    balls: list[tuple[np.ndarray, np.ndarray]] = []
-    for mass, begin in payloads:
-        radius = math.cbrt(0.75 * mass / (math.pi * _STEEL))
-        places = tip(q) + tip_axis(q) * (radius + 0.035 * width)
-        balls.append((places, (t >= begin) * radius))
-    return balls
-
-
-def _pieces(curve: np.ndarray, q: np.ndarray) -> Pieces:
-    """The pieces of curves of shape (..., points, 3), curve after curve, for each arm of q."""
-    step = np.diff(curve, axis=-2)
-    centers = 0.5 * (curve[..., 1:, :] + curve[..., :-1, :])
-    angles = np.arctan2(step[..., 0], step[..., 2])
-    lengths = np.linalg.norm(step, axis=-1)
-    flat = (*q.shape[:-1], -1)
-    return Pieces(centers.reshape(*flat, 3), angles.reshape(flat), lengths.reshape(flat))
+    mass, begin = np.reshape(payloads, (-1, 2)).T
+    radius, angle = np.cbrt(0.75 * mass / (np.pi * _STEEL)), np.sum(q[:, q.shape[1] // 2 :], axis=1)
+    down = np.stack([np.sin(angle), np.zeros_like(angle), -np.cos(angle)], axis=-1)
+    below = down[:, None] * (radius + 0.035 * width)[:, None]
+    return tip(q)[:, None] + below, (t[:, None] >= begin) * radius

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,6 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from octarm.arm.parameters import ArmParameters
-from octarm.palette import BRIGHT_MODULES
 from octarm.recordings import shapes
 from octarm.recordings.channels import disturbances_of
 from octarm.recordings.titles import events_of, title_of, wrapped
@@ -39,10 +36,10 @@ _XML = """
 </mujoco>
 """
 _PIECES = 8  # of a tube or column, for each module
-_TRAIL = 24  # pieces of the trail
+_TRAIL = 24  # points of the trail
 _SECONDS = 1.0  # that the trail goes back
-_PLATE, _BASE, _GHOST = (0.87, 0.89, 0.91, 1.0), (0.47, 0.5, 0.55, 1.0), (0.78, 0.86, 1.0, 0.22)
-_TIP, _PAYLOAD, _FORCE = (1.0, 0.27, 0.33, 1.0), (0.88, 0.54, 0.24, 1.0), (0.77, 0.55, 1.0, 1.0)
+_PLATE, _BASE, _GHOST = (222, 227, 232, 255), (120, 128, 140, 255), (199, 219, 255, 56)
+_TIP, _PAYLOAD, _FORCE = (255, 69, 84, 255), (224, 138, 61, 255), (196, 140, 255, 255)
 _SMALLEST = 0.02  # of the longest arrow; a smaller one is not drawn
 
 
@@ -60,18 +57,18 @@ class Stage:
         self._length = float(np.sum(p.rest_length))
         self._weight = float(np.sum(p.mass) * p.gravity)
         loads = (each.carried() for each in disturbances_of(description).values())
-        self._solids: Any = ()
         self._payloads = [load for load in loads if load is not None]
         self._plant = run.signals.get("plant_q") if description.get("plant") else None
-        self._beside = 0.0 if self._plant is None else 1.1 * self._length
+        beside = 0.0 if self._plant is None else 1.1 * self._length
+        self._side = np.array([-beside, 0.0, 0.0])  # where a plant of more modules stands
+        self._solids: Any = ()
         reach = 1.12 * self._length + self._width
         few = rows[:: max(1, len(rows) // 200)]
         tips = shapes.skeleton(run.q[few])[..., ::2].reshape(-1, 2)
-        farthest = 1.6 * self._length
-        tips = np.clip(tips, -farthest, farthest)
+        tips = np.clip(tips, -1.6 * self._length, 1.6 * self._length)
         low = np.minimum([-0.4 * reach, 0.3 * self._width - reach], tips.min(axis=0, initial=0.0))
         high = np.maximum([0.4 * reach, 0.5 * self._width], tips.max(axis=0, initial=0.0))
-        low[0] -= self._beside
+        low[0] -= beside
         self.camera = mujoco.MjvCamera()
         above = 0.05 * (high[1] - low[1])  # room for the title
         self.camera.lookat[:] = 0.5 * (low[0] + high[0]), 0.0, 0.5 * (low[1] + high[1]) + above
@@ -86,50 +83,39 @@ class Stage:
     def fill(self, scene: mujoco.MjvScene, row: int) -> None:
         """Puts the solids of a row into a scene."""
         self._solids = scene.geoms  # whose list takes time to make
-        run, side = self._run, np.array([-self._beside, 0.0, 0.0])
+        run, w, path = self._run, self._width, self._run.q
         q, tau = run.q[row], run.tau[row]
-        self._arm(scene, q, np.zeros(3), tau)
-        ribs = shapes.smooth_arm(run.q_d[row], points=_PIECES + 1)
-        for line in ribs:
-            self._tube(scene, line, 0.4 * self._width, _GHOST)
-        true = q if self._plant is None else self._plant[row]
+        self._arm(scene, q, tau, np.zeros(3))
+        self._cylinders(scene, shapes.backbone(run.q_d[row], _PIECES), 0.4 * w, _GHOST)
         if self._plant is not None:
-            self._arm(scene, true, side, np.repeat(tau.reshape(self._modules, 2),
-                      len(true) // len(q), axis=0).ravel())  # fmt: skip
+            path, pairs = self._plant, tau.reshape(self._modules, 2)
+            each = np.repeat(pairs, path.shape[1] // len(q), axis=0).ravel()
+            self._arm(scene, path[row], each, self._side)
         since = int(np.searchsorted(run.t, float(run.t[row]) - _SECONDS))
-        trail = run.q if self._plant is None else self._plant
-        tips = shapes.tip(trail[np.round(np.linspace(since, row, _TRAIL)).astype(np.int64)]) + side
-        self._tube(scene, tips, 0.035 * self._width, _TIP)
-        balls = shapes.payload_balls(self._payloads, run.t[[row]], true[None], self._width)
-        for centers, (size,) in balls:
+        few = np.round(np.linspace(since, row, _TRAIL)).astype(np.int64)
+        trail = shapes.pieces_of(shapes.tip(path[few]) + self._side)
+        self._cylinders(scene, trail, 0.035 * w, _TIP)
+        balls = shapes.payload_balls(self._payloads, run.t[[row]], path[[row]], w)
+        for place, size in zip(*(x[0] for x in balls), strict=True):
             if size:
-                self._add(scene, "SPHERE", [size] * 3, centers[0] + side, _PAYLOAD)
+                self._add(scene, "SPHERE", [size] * 3, place + self._side, _PAYLOAD)
         if np.any(force := run.disturbance[row]):
             self._arrows(scene, q, force)
         self._solids = ()  # they are the renderer's, and may not outlive it
 
-    def _arm(self, scene: mujoco.MjvScene, q: np.ndarray, at: np.ndarray, tau: np.ndarray) -> None:
+    def _arm(self, scene: mujoco.MjvScene, q: np.ndarray, tau: np.ndarray, at: np.ndarray) -> None:
         """Base, tubes, columns and plates; the plates of a group of modules are at its end."""
         w, n = self._width, len(q) // 2
         group, base = n // self._modules, np.array([0.0, 0.0, 0.075 * w])
+        pieces = max(2, _PIECES // group)
         self._add(scene, "CYLINDER", [0.75 * w, 0.075 * w, 0.0], at + base, _BASE)
-        points = max(2, _PIECES // group) + 1
-        for i, line in enumerate(shapes.smooth_arm(q, points=points)):
-            color = BRIGHT_MODULES[i // group % len(BRIGHT_MODULES)]
-            rgba = [int(color[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
-            self._tube(scene, line + at, 0.27 * w, [*rgba, 1.0])
-        colors, sizes = shapes.column_looks(tau, self._weight)
-        for a, side in enumerate((-0.5, 0.5)):
-            for i, line in enumerate(shapes.smooth_arm(q, side * w, points)):
-                rgba = [*(colors[2 * i + a] / 255.0), 1.0]
-                self._tube(scene, line + at, w * float(sizes[2 * i + a]), rgba)
-        plates = shapes.plates(q)
-        for center, angle in list(zip(plates.centers, plates.angles, strict=True))[
-            group - 1 :: group
-        ]:
-            cos, sin = math.cos(angle), math.sin(angle)
-            turn = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
-            self._add(scene, "CYLINDER", [0.7 * w, 0.035 * w, 0.0], center + at, _PLATE, turn)
+        colors = np.repeat(shapes.module_colors(self._modules), group * pieces, axis=0)
+        self._cylinders(scene, shapes.backbone(q, pieces), 0.27 * w, colors, at)
+        colors, radii = (np.repeat(x, pieces, 0) for x in shapes.column_looks(tau, self._weight))
+        self._cylinders(scene, shapes.columns(q, w, pieces), w * radii, colors, at)
+        plates = shapes.Pieces(*(x[group - 1 :: group] for x in shapes.plates(q)))
+        plates = plates._replace(lengths=plates.lengths + 0.07 * w / shapes.OVERLAP)
+        self._cylinders(scene, plates, 0.7 * w, _PLATE, at)
 
     def _arrows(self, scene: mujoco.MjvScene, q: np.ndarray, force: np.ndarray) -> None:
         """The forces of disturbances, on the scale on which the arm's weight is two widths."""
@@ -138,40 +124,37 @@ class Stage:
         sizes = np.linalg.norm(ways, axis=-1)
         for start, way, size in zip(starts, ways, sizes, strict=True):
             if size > max(_SMALLEST * sizes.max(), 1e-3 * self._length):
-                geom = self._next(scene)
+                geom = self._add(scene, "ARROW", np.zeros(3), start, _FORCE)
                 if geom is not None:
                     kind, width = mujoco.mjtGeom.mjGEOM_ARROW, 0.05 * self._width
-                    mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(),
-                                        np.array(_FORCE, dtype=np.float32))  # fmt: skip
                     mujoco.mjv_connector(geom, kind, width, start, start + way)
 
-    def _tube(self, scene: mujoco.MjvScene, line: np.ndarray, radius: float, rgba: Any) -> None:
-        """A round tube along points of shape (k, 3), whose pieces overlap a little."""
-        for start, end in itertools.pairwise(line):
-            geom = self._next(scene) if np.linalg.norm(end - start) > 1e-9 else None
-            if geom is None:
-                continue
-            kind, more = mujoco.mjtGeom.mjGEOM_CYLINDER, 0.04 * (end - start)
-            mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(),
-                                np.array(rgba, dtype=np.float32))  # fmt: skip
-            mujoco.mjv_connector(geom, kind, radius, start - more, end + more)
+    def _cylinders(
+        self, scene: mujoco.MjvScene, pieces: shapes.Pieces, radii: Any, colors: Any, at: Any = 0.0
+    ) -> None:
+        """A cylinder a piece; radii and colours are those of each piece, or one for all."""
+        radii = np.broadcast_to(radii, pieces.lengths.shape)
+        colors = np.broadcast_to(colors, (len(radii), np.shape(colors)[-1]))
+        for *piece, radius, color in zip(*pieces, radii, colors, strict=True):
+            center, angle, length = piece
+            if length > 1e-9:
+                cos, sin = np.cos(angle), np.sin(angle)
+                turn = [cos, 0.0, sin, 0.0, 1.0, 0.0, -sin, 0.0, cos]
+                size = [radius, 0.5 * shapes.OVERLAP * length, 0.0]
+                self._add(scene, "CYLINDER", size, center + at, color, turn)
 
     def _add(
-        self, scene: mujoco.MjvScene, kind: str, size: Any, at: Any, rgba: Any, turn: Any = None
-    ) -> None:
-        geom = self._next(scene)
-        if geom is not None:
-            turn = np.eye(3) if turn is None else turn
-            mujoco.mjv_initGeom(geom, getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"), np.array(size),
-                                np.array(at, dtype=float), np.ravel(turn),
-                                np.array(rgba, dtype=np.float32))  # fmt: skip
-
-    def _next(self, scene: mujoco.MjvScene) -> Any:
-        """The next solid of a scene; None if it is full."""
+        self, scene: mujoco.MjvScene, kind: str, size: Any, at: Any, color: Any, turn: Any = None
+    ) -> Any:
+        """The next solid of a scene, of a colour from 0 to 255; None if the scene is full."""
         if scene.ngeom >= scene.maxgeom:
             return None
-        scene.ngeom += 1
-        return self._solids[scene.ngeom - 1]
+        geom, scene.ngeom = self._solids[scene.ngeom], scene.ngeom + 1
+        turn = np.eye(3).ravel() if turn is None else np.array(turn)
+        rgba = np.array([*color, 255.0][:4], dtype=np.float32) / np.float32(255.0)
+        kind = getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")
+        mujoco.mjv_initGeom(geom, kind, np.array(size), np.asarray(at, dtype=float), turn, rgba)
+        return geom
 
 
 class Captions:
@@ -197,10 +180,7 @@ class Captions:
         draw.multiline_text((pad, pad), self._title, fill=(236, 240, 245), font=self._font)
         draw.text((width - pad, height - pad), f"t = {t:.2f} s", fill=(236, 240, 245),
                   font=self._font, anchor="rs")  # fmt: skip
-        now: dict[str, str] = {}
-        for at, name, text in self._events:
-            if at <= t:
-                now[name] = text
+        now = {name: text for at, name, text in self._events if at <= t}
         words = [(text, (224, 138, 60)) for text in now.values() if text]
         if row == len(self._run) - 1 and self._run.status != "ok":
             words.append((self._run.status, (255, 90, 95)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -12,7 +11,7 @@ import numpy as np
 
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import printable
-from octarm.fields import Quantity, field_kinds
+from octarm.fields import Quantity, field_defaults, field_kinds
 from octarm.recordings.channels import disturbances_of
 
 LONGEST = 200  # characters of a title, a message or a cell
@@ -65,7 +64,8 @@ def conditions_of(description: Mapping[str, Any]) -> list[str]:
 
 def disturbance_of(entry: Mapping[str, Any]) -> str:
     """An entry of `run.json` in words, such as `payload 100 g at 3 s`."""
-    asked, usual = entry["asked"], _defaults(entry)
+    asked, cls = entry["asked"], class_of(entry)
+    usual = field_defaults(cls) if cls else {}
     given = [x for x in units_of(entry) if asked.get(x) not in (None, [], usual.get(x))]
     size = amount(asked[given[0]], units_of(entry)[given[0]]) if given else ""
     at = f"at {amount(asked['at'], 's')}" if asked.get("at") else ""
@@ -80,20 +80,13 @@ def events_of(description: Mapping[str, Any]) -> list[tuple[float, str, str]]:
     events: list[tuple[float, str, str]] = []
     disturbances = disturbances_of(description)
     for entry in description.get("disturbances", []):
-        asked = {name: x for name, x in entry["asked"].items() if name != "at"}
-        text = disturbance_of({**entry, "asked": {**asked, "at": None}})
+        text = disturbance_of({**entry, "asked": {**entry["asked"], "at": None}})
         for event in disturbances[entry["name"]].events():
             events.append((event.at, entry["name"], text if event.text else ""))
     return sorted(events)
 
 
-def _defaults(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """What the numbers of a disturbance that is built in are if they are not given, by name."""
-    cls = _class_of(entry)
-    return {field.name: field.default for field in dataclasses.fields(cls)} if cls else {}
-
-
-def _class_of(entry: Mapping[str, Any]) -> Any:
+def class_of(entry: Mapping[str, Any]) -> Any:
     """The class of a disturbance that is built in; None of another one."""
     return DISTURBANCES.get(re.sub(r"-\d+$", "", str(entry["name"])))
 
@@ -103,7 +96,7 @@ def units_of(entry: Mapping[str, Any]) -> dict[str, str]:
 
     They are unknown of a disturbance that is not built in, whose code is not imported.
     """
-    cls = _class_of(entry)
+    cls = class_of(entry)
     if cls is None:
         sizes = entry["asked"].items()
         return {name: "" for name, x in sizes if isinstance(x, int | float | list)}

@@ -82,8 +82,7 @@ def open_for_run(address: str = "") -> Generator[str]:
         return
     check_display("--live HOST:PORT takes a viewer elsewhere")
     with _running([]) as viewer:
-        port = urllib.parse.urlsplit(viewer.url.removeprefix("rerun+")).port or 0
-        _await(viewer, port)
+        _await(viewer, viewer.port)
         yield viewer.url
         viewer.process.wait()
 
@@ -109,8 +108,7 @@ def serve(paths: Iterable[Name], ready: Callable[[str], object]) -> None:
     with _running(["--serve-web", "--web-viewer-port", str(port), *files]) as viewer:
         _await(viewer, port)
         query = urllib.parse.urlencode({"url": viewer.url, "theme": "dark"})
-        data_port = urllib.parse.urlsplit(viewer.url.removeprefix("rerun+")).port or 0
-        with _guarded_page(port, data_port) as page, contextlib.suppress(KeyboardInterrupt):
+        with _guarded_page(port, viewer.port) as page, contextlib.suppress(KeyboardInterrupt):
             ready(f"http://127.0.0.1:{page}/?{query}")
             viewer.process.wait()
             raise viewer.failure()
@@ -172,28 +170,14 @@ def rescue(partial: Name, path: Name) -> None:
     Raises:
         OctarmError: if nothing can be read.
     """
-    from octarm.recordings.rrd import time_axes
+    from octarm.recordings.rrd import last_instant, time_axes  # imports rerun: half a second
 
     with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
         whole = os.path.join(scratch, "whole.rrd")
         _rrd(partial, "merge", "--continue-on-error", str(partial), "-o", whole)
         dropped = [item for axis in time_axes(whole) for item in ("--drop-entity", axis)]
         _rrd(partial, "filter", *dropped, whole, "-o", str(path))
-    end_of(path)
-
-
-def end_of(path: Name) -> float:
-    """The last instant of a recording [s]; see `octarm.recordings.rrd.last_instant`."""
-    from octarm.recordings.rrd import last_instant  # imports rerun, which takes half a second
-
-    return last_instant(_existing(path))
-
-
-def telling_instant(path: Name) -> float:
-    """The instant that a picture shows when none is asked for [s]."""
-    from octarm.recordings import rrd
-
-    return rrd.telling_instant(_existing(path))
+    last_instant(path)
 
 
 class _Viewer:
@@ -202,6 +186,10 @@ class _Viewer:
     def __init__(self, process: subprocess.Popen[bytes], url: str, errors: IO[bytes]) -> None:
         self.process, self.url, self._errors = process, url, errors
         self._worked, self._since, self._late = -1.0, clock.monotonic(), ""
+
+    @property
+    def port(self) -> int:
+        return urllib.parse.urlsplit(self.url.removeprefix("rerun+")).port or 0
 
     def pause(self, patience: float) -> None:
         """Waits a moment for the viewer to get on, if it has not ended and patience [s] lasts.
@@ -307,11 +295,9 @@ def _executable() -> Path:
     """The viewer itself: the `rerun` command is a script that would leave it behind when killed."""
     spec = importlib.util.find_spec("rerun_cli")
     folder = Path(spec.origin).parent if spec and spec.origin else Path()
-    names = ("Rerun.app/Contents/MacOS/Rerun", "rerun", "rerun.exe")
-    for name in names if spec else ():
-        if (folder / name).is_file():
-            return folder / name
-    raise OctarmError("the rerun viewer is missing; reinstall rerun-sdk")
+    if not (folder / "rerun").is_file():
+        raise OctarmError("the rerun viewer is missing; reinstall rerun-sdk")
+    return folder / "rerun"
 
 
 def _free_port() -> int:

@@ -7,6 +7,7 @@ import string
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from octarm.recordings import titles
 from octarm.recordings.notes import in_words
 
 # What is not part of a run's task: two laws may differ in it and still be ranked.
@@ -31,6 +32,25 @@ class Difference(NamedTuple):
     name: str
     values: Sequence[str]
     of_the_task: bool
+
+
+class Compared:
+    """Runs beside each other, in words; `run.json` of each is given.
+
+    Attributes:
+        names: A, B and so on.
+        titles: of the runs.
+        differences: in what they differ.
+        ranked: whether they had the same to do, so that one can be better than another.
+        verdict: one sentence on that.
+    """
+
+    def __init__(self, descriptions: Sequence[Mapping[str, Any]]) -> None:
+        self.names = labels(len(descriptions))
+        self.titles = [titles.title_of(description) for description in descriptions]
+        self.differences = differences(descriptions)
+        self.ranked = not any(each.of_the_task for each in self.differences)
+        self.verdict = verdict(self.differences)
 
 
 def differences(descriptions: Sequence[Mapping[str, Any]]) -> list[Difference]:

@@ -88,14 +88,8 @@ def _draw_rates(ax: Axes, summary: ArmSummary) -> None:
     for slides, color, marker in ((False, COLORS[0], "o"), (True, COLORS[1], "s")):
         group = [mode for mode in summary.modes if (mode.slides > 0.5) == slides]
         if group:
-            ax.plot(
-                [mode.frequency for mode in group],
-                [mode.damping_ratio for mode in group],
-                linestyle="none",
-                marker=marker,
-                color=color,
-                label="slides" if slides else "bends",
-            )
+            rates = [m.frequency for m in group], [m.damping_ratio for m in group]
+            ax.plot(*rates, marker, color=color, label="slides" if slides else "bends")
     known = np.array([mode.frequency for mode in summary.modes])
     choose_scale(ax, "x", known, signed=False)
     ax.set_xlabel("natural frequency [Hz]")
@@ -120,16 +114,11 @@ def _draw_arm(
     points = 1e3 * _line(p, q)
     ax.plot(points[:, 1], -points[:, 0], color=color, label=label, linewidth=1.6)
     if plates:
-        angles = np.concatenate([[0.0], np.cumsum(q[p.modules :])])
-        widths = np.concatenate([p.widths[:1], p.widths])
-        for point, angle, width in zip(points, angles, widths, strict=False):
-            half = 500.0 * width * np.array([-np.sin(angle), np.cos(angle)])
-            ax.plot(*np.transpose([_drawn(point - half), _drawn(point + half)]), color=color)
-
-
-def _drawn(point: np.ndarray) -> list[float]:
-    """A point of the base plane as it is drawn: y to the right, x down."""
-    return [float(point[1]), -float(point[0])]
+        angles = np.cumsum([0.0, *q[p.modules :]])
+        widths = np.array([p.widths[0], *p.widths])
+        half = 500.0 * widths * np.array([-np.sin(angles), np.cos(angles)])  # x down, y right
+        ends = np.stack([points[:-1].T - half, points[:-1].T + half])
+        ax.plot(ends[:, 1], -ends[:, 0], color=color)
 
 
 def _finish(ax: Axes) -> None:

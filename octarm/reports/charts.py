@@ -58,7 +58,7 @@ def pictures(comparisons: Comparisons) -> Iterator[Picture]:
     with figures.figure_style():
         for factor in episodes.factors:
             caption = f"Median over {which} at each {factor.name}, with its 95 % interval."
-            if _any_range(comparisons):
+            if any(np.any(group.seeds < FEWEST) for group in comparisons.groups):
                 caption += f" It is a range where fewer than {FEWEST} seeds have a value."
             if diverged:
                 caption += " A curve ends where half of the episodes diverge."
@@ -82,11 +82,6 @@ def pictures(comparisons: Comparisons) -> Iterator[Picture]:
         if diverged:
             caption = "Share of episodes that diverged, with its 95 % interval."
             yield figures.save_figure("failures", caption, _failures(comparisons))
-
-
-def _any_range(comparisons: Comparisons) -> bool:
-    """Whether the ends of some median are those of a range, as there are too few seeds."""
-    return any(bool(np.any(group.seeds < FEWEST)) for group in comparisons.groups)
 
 
 def _degradation(comparisons: Comparisons, factor: Factor) -> Figure:
@@ -193,15 +188,8 @@ def _box(ax: Axes, c: int, color: str, column: np.ndarray, ends: tuple[float, fl
     column = np.sort(np.clip(column, *ends))
     low, q1, middle, q3, high = np.percentile(column, [5.0, 25.0, 50.0, 75.0, 95.0])
     ax.plot([low, high], [c, c], color=color, linewidth=1.2, solid_capstyle="butt")
-    ax.barh(
-        c,
-        q3 - q1,
-        left=q1,
-        height=0.56,
-        color=(*to_rgb(color), 0.25),
-        edgecolor=color,
-        linewidth=1.2,
-    )
+    fill = {"color": (*to_rgb(color), 0.25), "edgecolor": color, "linewidth": 1.2}
+    ax.barh(c, q3 - q1, left=q1, height=0.56, **fill)
     middles = [c - 0.28, c + 0.28]
     ax.plot([middle, middle], middles, color=color, linewidth=2.4, clip_on=False)
     inside = [x for x in (column[0], column[-1]) if ends[0] < x < ends[1]]
@@ -222,20 +210,13 @@ def _map(comparisons: Comparisons, cells: Cells) -> Figure:
     image = None
     for ax, name, medians in zip(panels, names, values, strict=True):
         ax.set_facecolor(figures.LINE)
-        finite = np.ma.masked_invalid(medians)
-        image = ax.pcolormesh(
-            finite, cmap="cividis", norm=norm, edgecolors=figures.GROUND, linewidth=1.0
-        )
+        look = {"cmap": "cividis", "edgecolors": figures.GROUND, "linewidth": 1.0}
+        image = ax.pcolormesh(np.ma.masked_invalid(medians), norm=norm, **look)
         for (i, k), value in np.ndenumerate(medians):
             if rows * columns <= 64 and not np.isnan(value):
                 text = "∞" if np.isinf(value) else f"{value:.3g}"
-                ink = (
-                    figures.INK
-                    if np.isinf(value)
-                    else "#fefefe"
-                    if norm(value) < 0.55
-                    else "#101010"
-                )
+                ink = "#fefefe" if norm(value) < 0.55 else "#101010"  # on dark, on bright ground
+                ink = figures.INK if np.isinf(value) else ink
                 ax.text(k + 0.5, i + 0.5, text, ha="center", va="center", color=ink, fontsize=7.5)
         ax.set_title(name)
         ax.grid(False)
@@ -245,18 +226,13 @@ def _map(comparisons: Comparisons, cells: Cells) -> Figure:
         ax.set_yticks(np.arange(rows) + 0.5, first.labels)
     for ax in panels:
         ax.label_outer()
-    length = figures.row_length(panels)
-    for ax in panels[-length:]:
+    for ax in panels[-figures.row_length(panels) :]:
         ax.tick_params(labelbottom=True)
-        ax.set_xlabel(second.title)
-    for ax in panels[::length]:
-        ax.set_ylabel(first.title)
+    figures.name_axes(panels, second.title, first.title)
     if image is not None:
         bar = figure.colorbar(image, ax=panels, label=scale.title, pad=0.01, aspect=18)
         if isinstance(norm, LogNorm):
-            figures.logarithmic_ticks(
-                bar.ax.yaxis, float(norm.vmin or 1.0), float(norm.vmax or 1.0)
-            )
+            figures.logarithmic_ticks(bar.ax.yaxis, norm.vmin or 1.0, norm.vmax or 1.0)
         bar.outline.set_visible(False)
     return figure
 

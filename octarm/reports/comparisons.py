@@ -6,7 +6,7 @@ import csv
 import io
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -141,7 +141,10 @@ def compare(episodes: Episodes, baseline: str | None = None) -> Comparisons:
             difference,
         )  # fmt: skip
         groups.append(group)
-    groups = _adjusted(groups)
+    found = [group.difference for group in groups]
+    chances = iter(adjusted([d.chance for d in found if d is not None]))
+    found = [d and d._replace(chance=next(chances)) for d in found]
+    groups = [group._replace(difference=d) for group, d in zip(groups, found, strict=True)]
     pairs = itertools.combinations(factors, 2)
     pairs = ((b, a) if b.drawn and not a.drawn else (a, b) for a, b in pairs)  # long labels first
     cells = tuple(_cells(episodes, first, second) for first, second in pairs)
@@ -164,20 +167,6 @@ def _difference(episodes: Episodes, rows: np.ndarray, partner: np.ndarray) -> Di
         unpaired=len(rows) - len(mine),
         chance=np.where(signs == 0, np.nan, measured.chance),
     )
-
-
-def _adjusted(groups: Sequence[Group]) -> list[Group]:
-    """The groups, with the chances of their differences adjusted for their number."""
-    known = [group.difference for group in groups if group.difference is not None]
-    if not known:
-        return list(groups)
-    chances = iter(adjusted([difference.chance for difference in known]))
-    return [
-        group
-        if group.difference is None
-        else group._replace(difference=group.difference._replace(chance=next(chances)))
-        for group in groups
-    ]
 
 
 def partners(episodes: Episodes, controller: str) -> np.ndarray:
@@ -232,11 +221,8 @@ def _medians(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
 def _failures(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
     for group in comparisons.groups:
         counts = {"episodes": group.episodes, "diverged": group.failed}
-        yield (
-            _where(group)
-            | counts
-            | dict(zip(("share", "low", "high"), group.failures, strict=True))
-        )
+        numbers = dict(zip(("share", "low", "high"), group.failures, strict=True))
+        yield _where(group) | counts | numbers
 
 
 def _differences(comparisons: Comparisons) -> Iterator[dict[str, Any]]:

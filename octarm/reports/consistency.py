@@ -88,24 +88,25 @@ def _same_states(episodes: Episodes) -> Iterator[Remark]:
 
 def _implausible(episodes: Episodes) -> Iterator[Remark]:
     """Episodes that ended well by their status alone, or better than anything can."""
-    if lost := _counts(episodes, episodes.lost):
+    if hanging := _counts(episodes, episodes.lost):
         yield Remark(
             True,
             "Their status ok is no success: episodes did not diverge, but a coordinate followed "
-            f"its reference no better than if it hung still ({lost}).",
+            f"its reference no better than if it hung still ({hanging}).",
         )
     if exact := _counts(episodes, episodes.exact):
         yield Remark(True, f"Episodes have an error of exactly zero ({exact}).")
-    planned = episodes.planned // len(episodes.controllers)
-    counts = {name: len(episodes.of_controller(name)) for name in episodes.controllers}
-    lost = [
-        n for n, k in counts.items() if k and episodes.diverged[episodes.of_controller(n)].all()
-    ]
-    if whole := [name for name in lost if counts[name] == planned]:
+    planned, lost = episodes.planned // len(episodes.controllers), dict[str, int]()
+    for name in episodes.controllers:
+        mine = episodes.of_controller(name)
+        if mine.size and episodes.diverged[mine].all():
+            lost[name] = len(mine)
+    if whole := [name for name, count in lost.items() if count == planned]:
         yield Remark(True, f"All episodes diverged of {', '.join(whole)}.")
-    for name in (name for name in lost if counts[name] < planned):
-        text = f"All finished episodes diverged of {name}: {counts[name]} of {planned} planned."
-        yield Remark(True, text)
+    for name, count in lost.items():
+        if count < planned:
+            text = f"All finished episodes diverged of {name}: {count} of {planned} planned."
+            yield Remark(True, text)
 
 
 def _counts(episodes: Episodes, which: np.ndarray) -> str:
@@ -132,10 +133,7 @@ def _idle_factors(episodes: Episodes) -> Iterator[Remark]:
 
 def _is_idle(episodes: Episodes, factor: Factor, rows: np.ndarray) -> bool:
     """Whether episodes that differ in the factor alone have the same states."""
-    key = episodes.seed[rows]
-    for other in episodes.factors:
-        if other is not factor:
-            key = key * len(other.labels) + other.code[rows]
+    key = (episodes.cell(but=factor) * (episodes.seed.max() + 1) + episodes.seed)[rows]
     order = np.lexsort((factor.code[rows], key))
     key, digest = key[order], episodes.digest[rows][order]
     neighbours = key[1:] == key[:-1]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from octarm.reports import figures
-from octarm.reports.figures import COLORS, INK, MARKERS, Axes, Figure, Picture
+from octarm.reports.figures import COLORS, INK, MARKERS, Figure, Picture
 
 Motions = Mapping[str, tuple[np.ndarray, str]]
 
@@ -69,13 +69,9 @@ def _convergence(modules: Sequence[int], errors: Mapping[str, Mapping[str, np.nd
         ax.minorticks_off()
         ax.set_ylim(0.004, 400.0)
         ax.set_title(case)
-    length = figures.row_length(panels)
-    for ax in panels[-length:]:
-        ax.set_xlabel("modules N")
+    figures.name_axes(panels, "modules N", "error")
     for order, name, at in ((1, "1/N", 5.5), (2, "1/N²", 11.0)):  # where no curve is
         panels[-2].text(at, 130.0 * at**-order, name, color="#8c8c8c", fontsize=8)
-    for ax in panels[::length]:
-        ax.set_ylabel("error")
     figures.add_legend(figure, panels[0])
     return figure
 
@@ -92,10 +88,6 @@ def _release(motions: Sequence[tuple[str, Motions]], duration: float) -> Figure:
         ax.set_xlabel("time [s]")
         ax.set_xlim(0.0, duration)
         ax.invert_yaxis()
-        _legend(ax)
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3, fontsize=7.5)
     panels[0].set_ylabel("sag of the tip [mm]")
     return figure
-
-
-def _legend(ax: Axes) -> None:
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3, frameon=False, fontsize=7.5)

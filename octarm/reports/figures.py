@@ -24,11 +24,7 @@ from octarm.palette import MARKERS as MARKERS
 Axes = Any
 Figure = Any
 
-INK, LINE, GROUND = (
-    "#24292f",
-    "#d4dae1",
-    "#ffffff",
-)  # a page replaces them by its own; as in the style
+INK, LINE, GROUND = "#24292f", "#d4dae1", "#ffffff"  # as in the style; a page has its own
 GRAY, FAILED = "#6b7480", "#c0152f"  # bounds and remarks; where a run failed
 
 LETTER = 0.085  # mean width of a letter [inch]
@@ -115,6 +111,14 @@ def panels_of(
 def row_length(panels: list[Axes]) -> int:
     """Number of panels side by side."""
     return panels[0].get_subplotspec().get_gridspec().ncols
+
+
+def name_axes(panels: list[Axes], x: str, y: str = "") -> None:
+    """Names the horizontal axes of the last row of panels, and the vertical ones of the first."""
+    for ax in panels[-row_length(panels) :]:
+        ax.set_xlabel(x)
+    for ax in panels[:: row_length(panels)]:
+        ax.set_ylabel(y)
 
 
 def choose_scale(ax: Axes, which: str, values: np.ndarray, *, signed: bool) -> None:

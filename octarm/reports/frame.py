@@ -115,11 +115,14 @@ class Episodes:
         finished = "" if len(self.seed) == self.planned else "finished "
         return f"{finished}episode{' that did not diverge' if self.diverged.any() else ''}"
 
-    def cell(self) -> np.ndarray:
-        """A number for each place of the grid, shape (n,); what was drawn goes with the seed."""
+    def cell(self, but: Factor | None = None) -> np.ndarray:
+        """A number for each place of the grid, whatever the level of a factor, shape (n,).
+
+        What was drawn goes with the seed.
+        """
         number = np.zeros_like(self.seed)
         for factor in self.factors:
-            if not factor.drawn:
+            if not factor.drawn and factor is not but:
                 number = number * len(factor.labels) + factor.code
         return number
 
@@ -176,6 +179,7 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
         )
     lost, exact = _suspects(held, errors, plan.spec)
     factors = factors_of(held, spec, names, code)
+    apart = held.get(engine_check.COLUMN, np.empty(0))
     return Episodes(
         manifest=manifest,
         controllers=tuple(printable(name, LONGEST) for name in controllers),
@@ -189,12 +193,8 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
         values=np.stack([*values.values()], axis=1),
         lost=lost,
         exact=exact,
-        engine_difference=_known(held.get(engine_check.COLUMN, np.empty(0))),
+        engine_difference=apart[~np.isnan(apart)],
     )
-
-
-def _known(column: np.ndarray) -> np.ndarray:
-    return column[~np.isnan(column)]
 
 
 def _metrics_of(word: str, code: Mapping[str, Code]) -> list[str]:
@@ -207,9 +207,8 @@ def _metrics_of(word: str, code: Mapping[str, Code]) -> list[str]:
 
 def _column(field: pa.Field, known: Mapping[str, Metric]) -> Measure | None:
     """A column of a metric, as the schema describes it; None for another column."""
-    said = {
-        key.decode(): printable(text.decode(), LONGEST) for key, text in metadata_of(field).items()
-    }
+    words = metadata_of(field).items()
+    said = {key.decode(): printable(text.decode(), LONGEST) for key, text in words}
     metric = said.get("metric", "")
     if metric not in known:
         return None
@@ -246,17 +245,10 @@ def _moved(spec: SweepSpec, names: Sequence[str]) -> np.ndarray:
 def _hanging_errors(
     spec: SweepSpec, names: Sequence[str], begin: float, end: float
 ) -> dict[tuple[str, str], np.ndarray]:
-    """The rms errors of arms that hang still, of each built-in reference and arm.
+    """The rms errors of arms that hang still between two instants [s], of these coordinates.
 
-    Args:
-        spec: of the sweep.
-        names: of the coordinates.
-        begin: from when on [s].
-        end: until when [s].
-
-    Returns:
-        By the names of the reference and of the arm, shape (k,) [m], [rad]; 0 for a coordinate that
-        the arm does not have.
+    They are given by the names of each built-in reference and arm, shape (k,) [m], [rad]; 0 for a
+    coordinate that the arm does not have.
     """
     errors: dict[tuple[str, str], np.ndarray] = {}
     for reference, arm in itertools.product(spec.references, spec.arms or [""]):
@@ -309,9 +301,8 @@ def _suspects(
     if not spec.duration > spec.settle:
         return lost, exact
     names = [column.of for column in errors]
-    for (reference, arm), hanging in _hanging_errors(
-        spec, names, spec.settle, spec.duration
-    ).items():
+    known = _hanging_errors(spec, names, spec.settle, spec.duration)
+    for (reference, arm), hanging in known.items():
         here = held["reference"] == reference
         if arm:
             here &= held[ARM] == arm

@@ -43,22 +43,19 @@ def page(
     manifest = comparisons.episodes.manifest
     machines = (_machine(start["host"]) for start in manifest["starts"])
     gains = (f"{name}: {json.dumps(gains)}" for name, gains in manifest["gains"].items())
-    return (
-        templates()
-        .get_template("report.html")
-        .render(
-            comparisons._asdict(),
-            manifest=manifest,
-            remarks=list(remarks),
-            page=Tables(comparisons),
-            pictures=list(pictures),
-            source=source,
-            seeds=len(np.unique(comparisons.episodes.seed)),
-            fewest=FEWEST,
-            settled_after=f"{manifest['spec'].get('settle', SETTLED_AFTER):g}",
-            machines="; ".join(dict.fromkeys(machines)),
-            gains="\n".join(gains),
-        )
+    template = templates().get_template("report.html")
+    return template.render(
+        comparisons._asdict(),
+        manifest=manifest,
+        remarks=list(remarks),
+        page=Tables(comparisons),
+        pictures=list(pictures),
+        source=source,
+        seeds=len(np.unique(comparisons.episodes.seed)),
+        fewest=FEWEST,
+        settled_after=f"{manifest['spec'].get('settle', SETTLED_AFTER):g}",
+        machines="; ".join(dict.fromkeys(machines)),
+        gains="\n".join(gains),
     )
 
 
@@ -107,9 +104,8 @@ class Tables:
             fell = f"{d.alone}, {d.other}, {d.both}{missing}"
             cells = [*self._where(group), Cell(str(d.pairs), [fell])]
             for j, (measure, scale) in enumerate(zip(self._measures, self._scales, strict=True)):
-                text, small = _estimate(
-                    d.measured.difference, d.measured.seeds, j, scale, signed=True
-                )
+                found = d.measured.difference, d.measured.seeds
+                text, small = _estimate(*found, j, scale, signed=True)
                 pairs, won, lost = (x[j] for x in d.measured[:3])
                 if measure.sign and pairs:
                     even = f", {ties} even" if (ties := pairs - won - lost) else ""
@@ -161,10 +157,8 @@ def _estimate(
     text = number(value, signed=signed)
     if math.isnan(low) or math.isnan(high) or (math.isinf(value) and low == high):
         return text, []
-    ends = f"{number(low)} .. {number(high)}"
-    return text, [
-        "no spread" if low == value == high else ends + " range" * bool(seeds[j] < FEWEST)
-    ]
+    ends = f"{number(low)} .. {number(high)}{' range' if seeds[j] < FEWEST else ''}"
+    return text, ["no spread" if low == value == high else ends]
 
 
 def _judged(difference: Difference, j: int, sign: int) -> str:
@@ -179,9 +173,7 @@ def number(value: float, *, signed: bool = False) -> str:
     if math.isnan(value):
         return "-"
     size = abs(value)
-    if math.isinf(value):
-        text = "∞"
-    else:
-        text = f"{size:.0f}" if 99.95 <= size < 1e6 else f"{size:#.3g}"
+    text = f"{size:.0f}" if 99.95 <= size < 1e6 else f"{size:#.3g}"
+    text = "∞" if math.isinf(value) else text
     plus = "+" if signed and value > 0.0 else ""
     return ("−" if value < 0.0 else plus) + text

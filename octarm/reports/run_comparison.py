@@ -8,17 +8,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from octarm.arrays import Coordinates
-from octarm.declared import Code
-from octarm.formats import Document
 from octarm.html import Cell, Table, templates
-from octarm.metrics.declared import declared_metrics
+from octarm.metrics.declared import code_of, declared_metrics
 from octarm.metrics.metric import Metric
 from octarm.palette import OTHERS, look_of
 from octarm.recordings.channels import coordinates_of
 from octarm.recordings.comparison import difference
-from octarm.recordings.titles import events_of, title_of
-from octarm.recordings.what_differs import differences, labels, verdict
+from octarm.recordings.titles import events_of
+from octarm.recordings.what_differs import Compared
 from octarm.reports import figures
 from octarm.reports.figures import Axes, Picture
 from octarm.reports.frame import DEFAULT
@@ -33,14 +30,10 @@ _LARGEST = 1e6  # number that is drawn of an arm that diverged
 _Curve = tuple[int, np.ndarray, np.ndarray]
 
 
-class RunComparison:
+class RunComparison(Compared):
     """Runs of arms with as many modules each, next to each other.
 
     Attributes:
-        names: A, B and so on.
-        titles: of the runs.
-        differences: in what they differ.
-        ranked: whether they had the same to do, so that one can be better than another.
         colors: of the runs: those of their controllers, if these tell them apart.
     """
 
@@ -48,35 +41,30 @@ class RunComparison:
         """Compares these runs, two or more."""
         self._runs = runs
         self._descriptions = [description for _, description in runs]
-        self._coordinates: Coordinates = coordinates_of(self._descriptions[0])
-        self.names = labels(len(runs))
-        self.titles = [title_of(description) for description in self._descriptions]
-        self.differences = differences(self._descriptions)
+        super().__init__(self._descriptions)
+        self._coordinates = coordinates_of(self._descriptions[0])
         events = [event for each in self._descriptions for event in events_of(each)]
         self._begins = sorted({at for at, _, text in events if text and at > 0.0})
-        self.ranked = not any(each.of_the_task for each in self.differences)
         laws = [str(each.get("controller", {}).get("name")) for each in self._descriptions]
         colors = [look_of(law).color for law in laws]
         apart = len({*colors}) == len(colors)  # then each has the colour of its controller
         self.colors = colors if apart else [OTHERS[i % len(OTHERS)] for i in range(len(runs))]
-
-    @property
-    def verdict(self) -> str:
-        """One sentence on whether the runs can be ranked."""
-        return verdict(self.differences)
 
     def page(self, folders: Sequence[str], pictures: Sequence[Picture]) -> str:
         """The page as text, given the names of the runs' folders and its figures."""
         numbers = dict(self._numbers())
         main = [row for name in DEFAULT if name in numbers for row in numbers[name]]
         others = [row for name, rows in numbers.items() if name not in DEFAULT for row in rows]
-        template = templates().get_template("comparison.html")
-        return template.render(
-            comparison=self,
-            differing=self._differing(folders),
-            numbers=Table(self._head("metric", "of"), main),
-            others=Table(self._head("metric", "of"), others),
-            pictures=pictures,
+        return (
+            templates()
+            .get_template("comparison.html")
+            .render(
+                comparison=self,
+                differing=self._differing(folders),
+                numbers=Table(self._head("metric", "of"), main),
+                others=Table(self._head("metric", "of"), others),
+                pictures=pictures,
+            )
         )
 
     def _head(self, *words: str) -> list[Cell]:
@@ -95,10 +83,9 @@ class RunComparison:
 
     def _numbers(self) -> Iterator[tuple[str, list[list[Cell]]]]:
         """The rows of each metric that a run has."""
-        code: dict[str, Any] = {}
+        known: dict[str, Metric] = {}
         for description in self._descriptions:
-            code |= description.get("code", {})
-        known = declared_metrics(Document("run.json", {"code": code}).read(dict[str, Code], "code"))
+            known |= declared_metrics(code_of(description))
         names = dict.fromkeys(name for each in self._descriptions for name in each["metrics"])
         for name in names:
             if name in known:
@@ -159,8 +146,7 @@ class RunComparison:
             for at in self._begins:
                 ax.axvline(at, color=figures.INK, linewidth=1.0, linestyle="--")
             _limit(ax, [factor * x[:, j] for i, _, x in curves if i in fine])
-        for ax in panels[-figures.row_length(panels) :]:
-            ax.set_xlabel("time [s]")
+        figures.name_axes(panels, "time [s]")
         figures.add_legend(figure, panels[0])
         if self._begins:
             caption += " Dashed: when a disturbance begins."
@@ -171,11 +157,10 @@ class RunComparison:
 
 def _limit(ax: Axes, values: Sequence[np.ndarray]) -> None:
     """Lets the runs that did not diverge, each of shape (T,), fill a panel."""
-    if not values:
-        return
-    low, high = min(float(x.min()) for x in values), max(float(x.max()) for x in values)
-    room = 0.06 * (high - low) or 1.0
-    ax.set_ylim(low - room, high + room)
+    if values:
+        low, high = min(float(x.min()) for x in values), max(float(x.max()) for x in values)
+        room = 0.06 * (high - low) or 1.0
+        ax.set_ylim(low - room, high + room)
 
 
 def _column(value: Any, count: int) -> list[float]:

@@ -58,9 +58,8 @@ def write_figures(
         OSError: if a file cannot be written.
     """
     drawn: dict[Path, bytes] = {}
-    with figure_style(), warnings.catch_warnings():
-        # A number without end is drawn as none.
-        warnings.simplefilter("ignore")
+    with figure_style():
+        warnings.simplefilter("ignore")  # a number without end is drawn as none
         for name, figure in _Drawing(run, description).figures():
             picture = save_figure(name, "", figure)
             drawn[Path(folder) / f"{name}.svg"] = picture.svg.encode()

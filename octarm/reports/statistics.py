@@ -14,6 +14,7 @@ balances are taken to be symmetric. It needs 6 seeds: fewer are too often all on
 
 from __future__ import annotations
 
+import bisect
 import functools
 import itertools
 import math
@@ -26,6 +27,7 @@ from scipy.stats import beta, false_discovery_control, t
 from octarm.errors import OctarmError
 
 CONFIDENCE = 0.95
+_TAIL = 0.5 * (1.0 - CONFIDENCE)
 FEWEST = 6  # seeds with which a median has an interval: 2 / 2^6 <= 1 - CONFIDENCE < 2 / 2^5
 
 _SEED = 20_250_101  # of the signs: a report depends on the sweep alone
@@ -50,7 +52,7 @@ class Interval(NamedTuple):
     high: Any
 
 
-def binomial(count: float, total: float, confidence: float = CONFIDENCE) -> Interval:
+def binomial(count: float, total: float) -> Interval:
     """The share of a count with the exact interval of Clopper and Pearson; NaN without a trial.
 
     Trials are independent. Their number need not be whole, see `share`. Raises OctarmError for a
@@ -60,13 +62,12 @@ def binomial(count: float, total: float, confidence: float = CONFIDENCE) -> Inte
         return Interval(np.nan, np.nan, np.nan)
     if not 0 <= count <= total:
         raise OctarmError(f"the count is {count}; it must be between 0 and the total, {total}")
-    tail = 0.5 * (1.0 - confidence)
-    low = beta.ppf(tail, count, total - count + 1.0) if count > 0 else 0.0
-    high = beta.ppf(1.0 - tail, count + 1.0, total - count) if count < total else 1.0
+    low = beta.ppf(_TAIL, count, total - count + 1.0) if count > 0 else 0.0
+    high = beta.ppf(1.0 - _TAIL, count + 1.0, total - count) if count < total else 1.0
     return Interval(count / total, float(low), float(high))
 
 
-def share(true: npt.ArrayLike, seeds: npt.ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+def share(true: npt.ArrayLike, seeds: npt.ArrayLike) -> Interval:
     """The share of rows that are true, with an interval that holds however alike a seed's rows are.
 
     It is that of `binomial` for as many independent trials as the rows are worth: p (1 - p) over
@@ -89,15 +90,12 @@ def share(true: npt.ArrayLike, seeds: npt.ArrayLike, confidence: float = CONFIDE
         largest = p * (1.0 - p) * float(np.sum(size * size)) / n**2
         part = 1.0 / (1.0 + min(np.count_nonzero(count), np.count_nonzero(size - count)))
         variance = between + part * (largest - between)
-        tail = 0.5 * (1.0 - confidence)
-        narrower = float(t.ppf(tail, n - 1) / t.ppf(tail, seeds_there - 1))
+        narrower = float(t.ppf(_TAIL, n - 1) / t.ppf(_TAIL, seeds_there - 1))
         worth = min(max(p * (1.0 - p) / variance * narrower**2, worth), n)
-    return binomial(p * worth, worth, confidence)._replace(value=p)
+    return binomial(p * worth, worth)._replace(value=p)
 
 
-def medians(
-    values: npt.ArrayLike, seeds: npt.ArrayLike, *, confidence: float = CONFIDENCE
-) -> Interval:
+def medians(values: npt.ArrayLike, seeds: npt.ArrayLike) -> Interval:
     """Medians of columns, with the intervals of a sign test over seeds.
 
     There is a row an episode, shape (n, M), NaN where there is no value, with its seeds, shape
@@ -108,7 +106,7 @@ def medians(
         than two seeds have one. See `seeds_with_values` for which of them are ranges.
     """
     rows, owner = np.asarray(values, dtype=np.float64), np.asarray(seeds)
-    found = [_median(rows[:, j], owner, confidence) for j in range(rows.shape[1])]
+    found = [_median(rows[:, j], owner) for j in range(rows.shape[1])]
     return Interval(*np.array(found).reshape(-1, 3).T)
 
 
@@ -141,11 +139,7 @@ class Paired(NamedTuple):
 
 
 def paired(
-    own: npt.ArrayLike,
-    partner: npt.ArrayLike,
-    seeds: npt.ArrayLike,
-    sign: npt.ArrayLike,
-    **options: Any,
+    own: npt.ArrayLike, partner: npt.ArrayLike, seeds: npt.ArrayLike, sign: npt.ArrayLike
 ) -> Paired:
     """Compares rows with their partners, both of shape (n, M) as `medians` takes them.
 
@@ -159,7 +153,7 @@ def paired(
         pairs=np.sum(~np.isnan(one) & ~np.isnan(other), axis=0),
         won=np.sum(sign * np.sign(difference) < 0, axis=0),
         lost=np.sum(sign * np.sign(difference) > 0, axis=0),
-        difference=medians(difference, seeds, **options),
+        difference=medians(difference, seeds),
         seeds=seeds_with_values(difference, seeds),
         chance=np.array([_chance(column, seeds) for column in difference.T]),
     )
@@ -178,7 +172,7 @@ def adjusted(chances: npt.ArrayLike) -> np.ndarray:
     return out
 
 
-def _median(column: np.ndarray, seeds: np.ndarray, confidence: float) -> tuple[float, float, float]:
+def _median(column: np.ndarray, seeds: np.ndarray) -> tuple[float, float, float]:
     """The fields of the `Interval` of one column, shape (n,)."""
     known = ~np.isnan(column)
     order = np.argsort(column[known], kind="stable")
@@ -190,11 +184,10 @@ def _median(column: np.ndarray, seeds: np.ndarray, confidence: float) -> tuple[f
     value = _middle(values)
     if len(owners) < 2:
         return value, math.nan, math.nan
-    tail = 0.5 * (1.0 - confidence)
-    if 0.5 ** len(owners) > tail:
+    if 0.5 ** len(owners) > _TAIL:
         each = [_middle(values[owner == k]) for k in range(len(owners))]
         return value, min(each), max(each)
-    low, high = _places(owner, tail), n - 1 - _places(owner[::-1], tail)
+    low, high = _place(owner), n - 1 - _place(owner[::-1])
     return value, float(values[low]), float(values[high])
 
 
@@ -205,28 +198,25 @@ def _middle(values: np.ndarray) -> float:
         return float(0.5 * (values[(n - 1) // 2] + values[n // 2]))
 
 
-def _places(owner: np.ndarray, tail: float) -> int:
+def _place(owner: np.ndarray) -> int:
     """The first of values that rise which is not refuted as their median, given their seeds."""
     half = 0.5 * np.bincount(owner)
-    refuted, kept = -1, len(owner) // 2  # half of the values or more are up to the latter
-    while kept - refuted > 1:
-        place = (refuted + kept) // 2
-        balance = np.bincount(owner[: place + 1], minlength=len(half)) - half
-        if _below(balance, tail):
-            refuted = place
-        else:
-            kept = place
-    return kept
+
+    def kept(place: int) -> bool:
+        return not _below(np.bincount(owner[: place + 1], minlength=len(half)) - half)
+
+    # Half of the values or more are up to the middle one, which is kept.
+    return bisect.bisect_left(range(len(owner) // 2), True, key=kept)
 
 
-def _below(balance: np.ndarray, tail: float) -> bool:
-    """Whether signs flipped by chance give at most the sum of balances with at most this share."""
+def _below(balance: np.ndarray) -> bool:
+    """Whether signs flipped by chance seldom give at most the sum of balances."""
     total, square = float(np.sum(balance)), float(np.sum(balance * balance))
     if total >= 0.0:
         return False
-    if total * total > -2.0 * math.log(tail) * square:  # by Hoeffding's bound
+    if total * total > -2.0 * math.log(_TAIL) * square:  # by Hoeffding's bound
         return True
-    return _shares(balance)[0] <= tail
+    return _shares(balance)[0] <= _TAIL
 
 
 def _shares(balance: np.ndarray) -> tuple[float, float]:

@@ -13,7 +13,7 @@ import shutil
 import zipfile
 from collections.abc import Generator
 from pathlib import Path
-from typing import IO
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -35,23 +35,23 @@ class Archive:
     """
 
     def __init__(self, path: str | os.PathLike[str], *, rows: int) -> None:
-        """An archive in a file of blocks, whose folder must exist, with room for so many rows."""
-        self._path, self._expected, self._count = Path(path), rows, 0
-        self._file: IO[bytes] | None = None
-        # For each block where each of its arrays begins, how many bytes it has, and its shape.
-        self._blocks: list[dict[str, tuple[int, int, tuple[int, ...]]]] = []
+        """An archive in a file of blocks, whose folder must exist, with room for so many rows.
 
-    def __enter__(self) -> Archive:
-        """Makes the file; raises FileError if it cannot be written."""
+        Raises FileError if it cannot be written.
+        """
+        self._path, self._expected, self._count = Path(path), rows, 0
         with self._failures():
             self._file = open(self._path, "w+b")
+        self._blocks: list[tuple[int, np.dtype[Any]]] = []  # where each begins, and its fields
+
+    def __enter__(self) -> Archive:
+        """Nothing more: the file is open."""
         return self
 
     def __exit__(self, *_: object) -> None:
         """Removes the file."""
-        if self._file is not None:
-            with contextlib.suppress(OSError):  # of a full disk; the user knows already
-                self._file.close()
+        with contextlib.suppress(OSError):  # of a full disk; the user knows already
+            self._file.close()
         self._path.unlink(missing_ok=True)
 
     def __len__(self) -> int:
@@ -71,14 +71,9 @@ class Archive:
         with self._failures():
             if not self._count:
                 self._check_room(block.nbytes / len(rows["t"]))
-            npy.write_array(self._opened, block, version=(3, 0), allow_pickle=False)
-            self._opened.flush()
-            place = self._opened.tell() - block.nbytes
-        self._blocks.append({})
-        for name, array in arrays.items():
-            size = array.size * NUMBER.itemsize
-            self._blocks[-1][name] = place, size, array.shape
-            place += size
+            npy.write_array(self._file, block, version=(3, 0), allow_pickle=False)
+            self._file.flush()
+            self._blocks.append((self._file.tell() - block.nbytes, block.dtype))
         self._count += len(rows["t"])
 
     def save(self, path: str | os.PathLike[str], ending: Ending) -> None:
@@ -88,26 +83,20 @@ class Archive:
             FileError: if it cannot be written.
         """
         with whole_file(path) as part, zipfile.ZipFile(part, "w") as file:
-            for name, (*_, shape) in self._blocks[0].items():
+            for name, (first, *_) in (self._blocks[0][1].fields or {}).items():
                 if name in Ending._fields:
                     continue
                 with file.open(f"{name}.npy", "w", force_zip64=True) as member:
-                    shape = (len(self), *shape[1:])
-                    header = {"descr": "<f8", "fortran_order": False, "shape": shape}
+                    shape = (len(self), *first.shape[1:])
+                    header = {"descr": NUMBER.str, "fortran_order": False, "shape": shape}
                     npy.write_array_header_1_0(member, header)
-                    for places in self._blocks:
-                        place, size, _ = places[name]
-                        self._opened.seek(place)
-                        member.write(self._opened.read(size))
+                    for begin, fields in self._blocks:
+                        kind, place = (fields.fields or {})[name][:2]
+                        self._file.seek(begin + place)
+                        member.write(self._file.read(kind.itemsize))
             for name, array in ending.arrays().items():
                 with file.open(f"{name}.npy", "w", force_zip64=True) as member:
                     npy.write_array(member, array, allow_pickle=False)
-
-    @property
-    def _opened(self) -> IO[bytes]:
-        if self._file is None:
-            raise OctarmError(f"{self._path} is not open")
-        return self._file
 
     def _check_room(self, row: float) -> None:
         """Raises FileError unless all rows of so many bytes fit twice: as blocks, and as arrays."""

@@ -24,6 +24,7 @@ from octarm.errors import OctarmError, closest, quoted
 from octarm.formats import Document
 from octarm.interfaces import Controller, ControllerFactory, Rows
 from octarm.interrupts import ignored_interrupts
+from octarm.metrics.declared import code_of
 from octarm.metrics.declared import measured as measured_by
 from octarm.metrics.metric import SETTLED_AFTER
 from octarm.metrics.table import Metrics, as_json
@@ -157,7 +158,10 @@ class Experiment:
             "versions": versions(self.engine, self.code),
             "host": host(),
             "digest": "",
-            "command": _readable(shlex.join(["octarm", *sys.argv[1:]])),
+            # Names of files may be any bytes; a text file may not.
+            "command": os.fsencode(shlex.join(["octarm", *sys.argv[1:]])).decode(
+                "utf-8", "backslashreplace"
+            ),
         }
 
     def _plant(self, groups: Groups | None) -> dict[str, Any]:
@@ -203,11 +207,6 @@ class Experiment:
             sensing=plant.sensing if plant else SUMS,
             **numbers,
         )
-
-
-def _readable(word: str) -> str:
-    """A word of the command line as a text file may hold it; names of files may be any bytes."""
-    return os.fsencode(word).decode("utf-8", "backslashreplace")
 
 
 def perform(
@@ -303,8 +302,7 @@ def _perform(
     if ledger is not None:
         physics.watch = ledger.step
     measured: list[Metrics] = []
-    code = Document(runs.DESCRIPTION, {"code": announced.get("code", {})})
-    catalogue = measured_by(code.read(dict[str, Code], "code"))
+    catalogue = measured_by(code_of(announced))
 
     def take_up(rows: Rows) -> None:
         keep(rows, recorder.layer)

@@ -13,7 +13,7 @@ import fcntl
 import os
 import re
 import shutil
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -51,13 +51,11 @@ def new_folder(folder: Path) -> Generator[Path]:
         with _claimed(folder, _made(folder)):
             names = {path.name for path in folder.iterdir()}
             if names and not (DESCRIPTION in names and all(map(_FILE.fullmatch, names))):
-                raise OctarmError(
-                    f"{folder} exists and is not an earlier run; choose another --out"
-                )
+                raise _taken(folder)
             for stale in (spare, earlier):  # of killed processes: this one has the place to itself
                 shutil.rmtree(stale, ignore_errors=True)
             if not names:
-                with _emptied_on_failure(folder), _kept_in_reserve():
+                with _on_failure(lambda: _empty(folder)), _kept_in_reserve():
                     yield folder
                 return
             if Path.cwd().is_relative_to(folder):
@@ -89,12 +87,12 @@ def _made(folder: Path) -> list[Path]:
             if attempt == 9:
                 raise
     if not folder.is_dir():
-        raise OctarmError(_taken(folder))
+        raise _taken(folder)
     return made
 
 
-def _taken(folder: Path) -> str:
-    return f"{folder} exists and is not an earlier run; choose another --out"
+def _taken(folder: Path) -> OctarmError:
+    return OctarmError(f"{folder} exists and is not an earlier run; choose another --out")
 
 
 @contextmanager
@@ -104,7 +102,12 @@ def _claimed(folder: Path, made: list[Path]) -> Generator[None]:
     Folders that were made for it go if it cannot be opened, or the block fails. Raises OctarmError
     if another process, or another thread, holds it.
     """
-    with _removed_on_failure(made):
+
+    def remove() -> None:
+        for path in made:
+            path.rmdir()
+
+    with _on_failure(remove):
         handle = os.open(folder, os.O_RDONLY)
     try:
         try:
@@ -116,22 +119,27 @@ def _claimed(folder: Path, made: list[Path]) -> Generator[None]:
             mine = True
         if not mine:  # the folder was replaced between the two calls, or is locked
             raise OctarmError(f"another run is being written to {folder}; choose another --out")
-        with _removed_on_failure(made):
+        with _on_failure(remove):
             yield
     finally:
         os.close(handle)
 
 
 @contextmanager
-def _removed_on_failure(made: list[Path]) -> Generator[None]:
-    """Removes folders that were made, inmost first, if the block fails."""
+def _on_failure(undo: Callable[[], object]) -> Generator[None]:
+    """Undoes something as far as it can be if the block fails."""
     try:
         yield
     except BaseException:
         with contextlib.suppress(OSError):  # a parent in which something stands stays
-            for path in made:
-                path.rmdir()
+            undo()
         raise
+
+
+def _empty(folder: Path) -> None:
+    for path in folder.iterdir():
+        if _FILE.fullmatch(path.name):
+            path.unlink()
 
 
 @contextmanager
@@ -141,19 +149,6 @@ def _kept_in_reserve() -> Generator[None]:
         for _ in range(3):
             reserve.enter_context(open(os.devnull, "rb"))
         yield
-
-
-@contextmanager
-def _emptied_on_failure(folder: Path) -> Generator[None]:
-    """Removes what was written if the block fails."""
-    try:
-        yield
-    except BaseException:
-        with contextlib.suppress(OSError):
-            for path in folder.iterdir():
-                if _FILE.fullmatch(path.name):
-                    path.unlink()
-        raise
 
 
 @contextmanager
