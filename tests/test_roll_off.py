@@ -1,6 +1,8 @@
 """The roll-off of a law's force: against the filter's equation, and on plants of more modules."""
 
 import dataclasses
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +15,15 @@ from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.roll_off import RolledOff, fields_of
 from octarm.checks.sampled_loop import LinearPlant, Loop, linear_law
+from octarm.commands.cli import main
 from octarm.errors import OctarmError
 from octarm.interfaces import Command, Measurement, Reference
 from octarm.references import SetPoint
 from octarm.runs.folder import gains_of
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout, simulate
+from octarm.sweeps.shards import run_shard
+from octarm.sweeps.spec_file import parse_spec
 
 ARM = nominal_parameters()
 REST = equilibrium(ARM)
@@ -220,3 +225,22 @@ def test_one_arm_of_a_batch_runs_as_alone():
     simulate(load(batch=3, engine="lagrange"), law, 0.02, lambda x: seen.append(x.q[1]))
     run = rollout(load(engine="lagrange"), law, 0.02)
     np.testing.assert_array_equal(run.q, seen)
+
+
+def test_a_run_and_a_sweep_have_it_and_come_out_again(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["run", "--controller", "pd", "--duration", "0.02", "--out", "a", "--roll-off", "40"]
+    assert main(words) == 0 and main(["verify", "a"]) == 0
+    description = json.loads(Path("a/run.json").read_text())
+    assert description["controller"]["gains"]["roll_off"] == 40.0
+    description["controller"]["gains"]["roll_off"] = 50.0
+    Path("a/run.json").write_text(json.dumps(description))
+    assert main(["verify", "a"]) == 1
+    text = 'controller = "pd"\nduration = 0.02\nengine = "lagrange"\n'
+    digests = []
+    for more in ("", "[gains.pd]\nroll_off = 40.0\n"):
+        spec = parse_spec(text + more)
+        digests += run_shard(spec, 0, make_controller)["digest"].to_pylist()
+    assert digests[0] != digests[1]
+    assert main([*words[:-1], "0", "--force"]) == 2
+    assert "roll_off holds 0; it must be above 0" in capsys.readouterr().err
