@@ -7,7 +7,8 @@ A docstring names a shape by `shape (..)`, `shapes (..)`, `shape of ..`, or by w
 - the method of a base class that it overrides;
 - a line `Shapes: ..` of the module's docstring, where one convention holds for the whole module.
 
-Fields of dataclasses and named tuples name theirs in their own entry under `Attributes`.
+Fields of dataclasses and named tuples name theirs in their own entry under `Attributes`, unless a
+`Quantity` declares them, which has the unit and says whether coordinates have values of their own.
 """
 
 import importlib
@@ -15,6 +16,7 @@ import inspect
 import pkgutil
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import is_dataclass
 from types import ModuleType, UnionType
 from typing import Any, get_args
 
@@ -24,6 +26,9 @@ import pytest
 import controllers
 import octarm
 from controllers.law import Law, gain_fields
+from octarm.disturbances.episode import Disturbance
+from octarm.fields import field_kinds
+from octarm.references import NamedReference
 
 ARRAYS = re.compile(r"np\.ndarray|npt\.ArrayLike|npt\.NDArray")
 SHAPE = re.compile(
@@ -91,13 +96,29 @@ def test_a_function_names_the_shapes_of_its_arrays(docs: list[str]):
     assert any(SHAPE.search(doc) for doc in docs), docs[0]
 
 
+METHODS = [
+    pytest.param(docs, id=f"{module.__name__}.{name}")
+    for module in modules()
+    for name, docs, function in methods(module)
+    if function.__name__ != "<lambda>"  # the default of a field
+]
+
+
+@pytest.mark.parametrize("docs", METHODS)
+def test_a_method_says_what_it_does_or_overrides_one_that_does(docs: list[str]):
+    assert any(docs)
+
+
 def fields() -> Iterator[tuple[str, str, str]]:
     """Public fields that are arrays: where, name, and the docstring of the class."""
     for module in modules():
         for name, cls in own(module, inspect.isclass):
             gains = gain_fields(cls) if issubclass(cls, Law) else {}  # which say what they are
+            declares = issubclass(cls, (Disturbance, NamedReference)) and is_dataclass(cls)
+            declared = field_kinds(cls) if declares else {}
             for field, annotation in vars(cls).get("__annotations__", {}).items():
-                constant = not is_public(field) or "ClassVar" in str(annotation) or field in gains
+                constant = not is_public(field) or "ClassVar" in str(annotation)
+                constant |= field in gains or field in declared
                 if of_arrays(annotation, module) and not constant:
                     yield f"{module.__name__}.{name}.{field}", field, cls.__doc__ or ""
 

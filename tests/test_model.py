@@ -83,6 +83,31 @@ def test_the_nominal_parameters_give_the_default_model():
 
 
 @MODULES
+def test_further_modules_have_their_parts_where_the_file_has_those_of_its_last_one(n):
+    """Sensors and motors module by module, the tip on the last plate, each rod on its own plate."""
+    model = build_model(random_arm(1, n))
+    sensors = [model.sensor(i).name for i in range(model.nsensor)]
+    parts = ("s_{}_position", "theta_{}_position", "column_1_{}_length", "column_2_{}_length")
+    first = [part.format(i) for i in range(1, n + 1) for part in parts]
+    assert sensors == ["tip_position", *(x for p in first for x in (p, velocity_beside(p)))]
+    motors = [model.actuator(i).name for i in range(model.nu)]
+    sides = [f"{a}_{i}" for i in range(1, n + 1) for a in (1, 2)]
+    assert motors == [*(f"push_{x}" for x in sides), *(f"reaction_{x}" for x in sides[2:])]
+    of = {"site": model.site_bodyid, "geom": model.geom_bodyid}
+    for i in range(1, n + 1):
+        own, below = model.body(f"module_{i}"), model.body("base" if i == 1 else f"module_{i - 1}")
+        assert own.parentid == below.id
+        assert of["geom"][model.geom(f"column_1_{i}_rod").id] == own.id
+        assert of["geom"][model.geom(f"column_2_{i}_sleeve").id] == below.id
+        assert i == 1 or of["site"][model.site(f"reaction_{i}").id] == below.id
+    assert of["site"][model.site("tip").id] == model.body(f"module_{n}").id
+
+
+def velocity_beside(sensor: str) -> str:
+    return f"{sensor.rpartition('_')[0]}_velocity"
+
+
+@MODULES
 def test_parameters_survive_the_way_through_a_model(n):
     p = random_arm(1, n)
     back = read_parameters(build_model(p))

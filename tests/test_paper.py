@@ -14,11 +14,21 @@ from typing import Any
 import numpy as np
 import pytest
 from paper import lyapunov, plants, runs, writeup
-from paper.cases import Verdict
-from paper.claims import Claim
-from paper.evidence import Cell, Evidence, coordinates, gather, measured
+from paper.claims import Claim, Verdict
+from paper.evidence import Evidence, gather, measured
 from paper.jobs import run_all
-from paper.studies import BENDS, FULL, NOISE, QUICK, TIME, Effort, sweeps
+from paper.studies import (
+    BENDS,
+    COORDINATES,
+    FULL,
+    NOISE,
+    QUICK,
+    SCALE,
+    TIME,
+    Cell,
+    Effort,
+    sweeps,
+)  # fmt: skip
 from paper.tables import all_tables, as_csv, tuning
 from paper.variants import CONTROLLERS, FIXED_PREMISES, PROPOSED, SIGN, SMC, all_variants, by_hand
 
@@ -171,11 +181,13 @@ def test_what_figure_1_shows_is_what_is_recorded(tmp_path: Path):
 def test_oscillations_are_those_of_all_control_instants():
     """Noise is held for 20 of them: every 20th would always see it at the same age."""
     request = runs.Request(
-        "run", VARIANTS[SMC], BENDS, 2.2, ("q",), 0.0, lambda _, rows: {"q": rows["q"]},
+        "run", VARIANTS[SMC], BENDS, 2.2, ("q", "q_d", "lost"),
+        lambda one, rows: {"all": rows["q"], **runs.kept(one, rows)},
         mismatches=(0.0, 0.3), seeds=2,
     )  # fmt: skip
     arrays = request.perform()
-    steady = arrays["q"][4000:]  # from 2 s on, at 2 kHz
+    assert np.array_equal(arrays["q"], arrays["all"][::20]) and len(arrays["all"]) == 4400
+    steady = arrays["all"][4000:]  # from 2 s on, at 2 kHz
     moved = steady - steady[:, [0, 0, 0, 3, 3, 3]]  # the arms without noise
     expected = np.sqrt(np.mean(np.square(moved), axis=0))
     np.testing.assert_allclose(arrays["moved"], expected, rtol=1e-9)
@@ -185,20 +197,21 @@ def test_oscillations_are_those_of_all_control_instants():
 
 def test_the_error_on_a_plant_is_that_of_all_physics_steps_and_arms_are_those_of_the_seeds():
     """Three modules are the arm itself; the metrics of the package count from 2 s on."""
-    one = plants.Planted(VARIANTS[by_hand(SMC)], 3, 500.0, 2)
     environment = octarm.load(
         BENDS, batch=3, control_period=0.002, timestep="auto", engine="lagrange",
-        disturbances=[BandLimitedNoise(ratio=one.noise[:, None], correlation_time=TIME)],
+        disturbances=[BandLimitedNoise(ratio=[[0.0], [NOISE], [NOISE]], correlation_time=TIME)],
         seed=[np.random.SeedSequence(0, spawn_key=(i,)) for i in (0, 0, 1)],
     )  # fmt: skip
-    error, controller = plants.MeanSquare(3, 2.0), VARIANTS[by_hand(SMC)].controls(ARM)
-    outcome = measure(environment, controller, 2.2, error)
-    rms = np.array([outcome.metrics[f"rms_error_{name}"] for name in coordinates()])
-    shares = rms / np.repeat([0.0175, 0.3], 3)[:, None]
-    np.testing.assert_allclose(error.root(), np.sqrt(np.mean(shares**2, axis=0)), rtol=1e-9)
-    arrays = one.perform()
-    assert arrays["error"].shape == (3,) and not arrays["lost"].any()
-    assert len(set(arrays["error"].tolist())) == 3
+    variant = VARIANTS[by_hand(SMC)]
+    outcome = measure(environment, variant.controls(ARM), 2.2)
+    rms = np.array([outcome.metrics[f"rms_error_{name}"] for name in COORDINATES])
+    expected = np.sqrt(np.mean((rms / SCALE[:, None]) ** 2, axis=0))
+    arms = runs.noisy_arms([0.0, NOISE, NOISE], [0, 0, 1])
+    kept = plants.tracking(variant, 3, 0.002, 2.2, 2.0, **arms)
+    np.testing.assert_allclose(kept["error"], expected, rtol=1e-9)
+    planted = plants.planted(variant, 3, 500.0, 2)
+    assert planted["error"].shape == (3,) and not planted["lost"].any()
+    assert len(set(planted["error"].tolist())) == 3
 
 
 @pytest.mark.parametrize("modules", [3, 9])
@@ -216,7 +229,7 @@ def test_a_law_without_a_slope_is_asked_to_track():
 
 def outcomes(variant, rate: float, duration: float) -> list[lyapunov.Outcome]:
     request = runs.Request(
-        "run", variant, BENDS, duration, lyapunov.FIELDS, 0.0, lyapunov.counts, rate=rate
+        "run", variant, BENDS, duration, lyapunov.FIELDS, lyapunov.counts, rate=rate
     )
     return lyapunov.outcomes(request, request.perform())
 
@@ -245,7 +258,7 @@ def test_cells_are_found_by_what_acts(quick: Quick):
     assert evidence.has(Cell(PROPOSED, mismatch=-0.3, noise=NOISE))
     assert evidence.has(Cell(PROPOSED, "beyond", mismatch=-0.3, payload=0.1))
     assert not evidence.has(Cell(PROPOSED, mismatch=-0.25))
-    assert len(evidence.values(Cell(SMC, mismatch=0.3, noise=NOISE), "error")) == QUICK.seeds
+    assert len(evidence.cells[Cell(SMC, mismatch=0.3, noise=NOISE)]["error"]) == QUICK.seeds
 
 
 @pytest.mark.slow

@@ -8,14 +8,22 @@ from typing import Any
 import numpy as np
 import pytest
 from paper import rules, writeup
-from paper.cases import Case, Verdict, condition, matching, numbers_of, sensitivity, verdict
-from paper.evidence import Cell, Evidence, interval
+from paper.claims import (
+    Case,
+    Verdict,
+    condition,
+    matching,
+    numbers_of,
+    sensitivity,
+    verdict,
+)  # fmt: skip
+from paper.evidence import Evidence, interval
 from paper.lyapunov import Outcome
-from paper.numbers import Row, number, span
+from paper.numbers import Row, exact, number, span
 from paper.plants import longest
 from paper.runs import Cost, Series
-from paper.studies import BENDS, FULL, MODELS, NOISE, SLIDES, study_of_plants
-from paper.tables import Table, as_csv, best, plants, plants_ranking
+from paper.studies import BENDS, FULL, MODELS, NOISE, SLIDES, Cell
+from paper.tables import Table, as_csv, best, grid, plants, plants_ranking
 from paper.variants import (
     AS_PRINTED,
     FIXED_PREMISES,
@@ -118,11 +126,11 @@ def evidence(change: Any = None, **more: Any) -> Evidence:
         cell._replace(**{name: value})
         for cell in cells
         if cell.study == "beyond"
-        for name, sort in rules.BEYOND.items()
-        for value in sort.values[1:]
+        for name, sizes in rules.BEYOND.items()
+        for value in sizes.values()
     ]
     cells += [
-        Cell(label, study_of_plants(rate), noise=noise, plant=modules)
+        Cell(label, "plants", noise=noise, plant=modules, rate=rate)
         for label in (PROPOSED, SIGN, SMC)
         for rate, noise, modules in itertools.product(FULL.plant_rates, (0.0, NOISE), FULL.plants)
     ]
@@ -210,8 +218,8 @@ def test_uncertainty_is_held_against_the_law_without_its_estimator_and_both_read
 
 
 def test_chattering():
-    assert judged("chattering", evidence(lambda c, _: 0.001)) == HOLDS
-    printed = evidence(lambda c, _: 0.03 if of(c, AS_PRINTED) else 0.001)
+    assert judged("chattering", evidence(lambda c, _: 0.1)) == HOLDS
+    printed = evidence(lambda c, _: 3.0 if of(c, AS_PRINTED) else 0.1)
     assert judged("chattering", printed) == ONLY_IF
     assert judged("chattering", evidence(lambda c, _: math.inf)) == FAILS
 
@@ -270,6 +278,34 @@ def test_the_best_law_is_named_whatever_it_is():
     assert all(row[5] == Interval(2.0, 2.0, 2.0) for row in rows)
 
 
+def test_a_grid_has_a_row_for_each_place_in_which_all_was_run():
+    """Its values are ratios to a law in the same place, here twice and half of `afsmc`."""
+    factors = {FIXED_RULES: 2.0, SMC: 0.5}
+    rows = list(grid(evidence(lambda c, _: factors.get(c.label, 1.0)), "ablations"))
+    places = [row[:3] for row in rows]
+    assert places[:4] == [
+        (SMC, joints, noise)
+        for joints in ("theta1, theta2", "s1, s2")
+        for noise in ("40 %", "none")
+    ]
+    assert len(rows) == 4 * 4  # of the laws in that table, four were run
+    values = {row[0]: {x.value for x in row[3:]} for row in rows}
+    assert values[SMC] == {0.5} and values[FIXED_RULES] == {2.0} and values[AS_PRINTED] == {1.0}
+    own = evidence(lambda c, _: 3.0 if c.label == by_hand(SMC) else 1.0)
+    assert {row[0]: row[2].value for row in grid(own, "gain-sets")} == {
+        SIGN: 1.0, SMC: pytest.approx(1.0 / 3.0), PROPOSED: 1.0,
+    }  # fmt: skip
+
+
+def test_a_cell_names_its_study_and_evidence_what_was_varied():
+    cells = (Cell(SMC), Cell(SMC, rate=500.0), Cell(SMC, time=0.1), Cell(SMC, "plants", rate=1e4))
+    assert [c.title for c in cells] == ["tracking", "rate-500", "correlation", "plants-10000"]
+    own = evidence()
+    assert own.varied(Cell(""), "mismatch") == [-0.3, 0.0, 0.3]
+    assert own.varied(Cell("", "beyond", mismatch=-0.3), "loss") == [0.0, 0.1, 0.3, 0.5]
+    assert own.varied(Cell("", mismatch=0.2), "noise") == []
+
+
 def test_plants_have_a_row_for_each_number_of_modules_period_and_noise():
     def change(cell: Cell, _: str) -> float:
         lost = cell.label != PROPOSED and cell.plant > 9
@@ -293,7 +329,7 @@ def test_plants_have_a_row_for_each_number_of_modules_period_and_noise():
 def test_a_rank_counts_those_that_are_better_and_its_interval_those_that_may_be():
     """Three laws: the second is 1 % behind the first in one seed and ahead in the other."""
     own = evidence(lambda c, _: {PROPOSED: 1.0, SIGN: 1.01, SMC: 2.0}.get(c.label, 9.0))
-    cell = Cell(PROPOSED, study_of_plants(2000.0), noise=NOISE, plant=9)
+    cell = Cell(PROPOSED, "plants", noise=NOISE, plant=9)
     names = [PROPOSED, SIGN, SMC]
     assert own.rank(cell, names) == Interval(1.0, 1.0, 1.0)
     sign = cell._replace(label=SIGN)
@@ -326,7 +362,8 @@ def test_numbers_in_words():
         "0", "5", "123", "0.0123", "1.00e-07",
     ]  # fmt: skip
     assert number(math.inf) == "∞"
-    assert span([math.nan, 0.5, 0.25, math.inf], "%") == "0.250 to 0.500 %"
+    rows = [exact("", x) for x in (math.nan, 0.5, 0.25, math.inf)]
+    assert span(rows, "%") == "0.250 to 0.500 %" and span(rows[:1]) == "unknown"
     assert str(Row("", Interval(50.0, 25.0, 75.0), "%")) == "50 (25 .. 75) %"
 
 

@@ -145,7 +145,7 @@ def test_arms_of_other_sizes_are_not_lost_with_default_gains(arm: str, name: str
     assert np.all(environment.physics.intact())
     bends = np.array(errors)[len(errors) // 2 :, :, true.modules :]
     if name not in ("pd", "fuzzy"):  # whose errors grow with the weight
-        assert np.max(np.abs(bends)) < 0.05  # [rad], of an amplitude of 0.35 rad
+        assert np.max(np.abs(bends)) < 0.07  # [rad], a fifth of the amplitude
 
 
 def test_numbers_of_other_modules_are_interpolated_along_the_arm():

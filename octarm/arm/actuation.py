@@ -69,7 +69,6 @@ class InternalActuation(Actuation):
     name: ClassVar[str] = "internal"
 
     def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Q = T tau."""
         inputs, half = split(tau), self._levers
         lefts, rights = inputs[0::2], inputs[1::2]
         out = [left + right for left, right in zip(lefts, rights, strict=True)]
@@ -77,14 +76,12 @@ class InternalActuation(Actuation):
         return self._joined(out, tau, q)
 
     def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """tau = T^-1 Q."""
         n, wanted, out = force.shape[-1] // 2, split(force), list[Entry]()
         for push, couple, width in zip(wanted[:n], wanted[n:], self._widths, strict=True):
             out += [0.5 * push + couple / width, 0.5 * push - couple / width]
         return self._joined(out, force, q)
 
     def ctrl(self, tau: np.ndarray) -> np.ndarray:
-        """tau, and no force on the ground."""
         return np.concatenate([tau, np.zeros_like(tau[..., 2:])], axis=-1)
 
 
@@ -92,13 +89,12 @@ class GroundedActuation(Actuation):
     """The paper's F_coeff, eq (2): forces and couples that react on the ground.
 
     The two inputs of module i push its end along the axis of module i-1's plate, and turn it by
-    +-l/2 times their force.
+    +-l/2 times their force. The inverse is a back-substitution from the tip.
     """
 
     name: ClassVar[str] = "f-coeff"
 
     def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Q = F_coeff(q) tau."""
         n = q.shape[-1] // 2
         s, axes = split(q), plate_entries(q)
         inputs, half = split(tau), self._levers
@@ -116,7 +112,6 @@ class GroundedActuation(Actuation):
         return self._joined(out, q, tau)
 
     def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """tau = F_coeff(q)^-1 Q by back-substitution from the tip."""
         n: int = q.shape[-1] // 2
         s, axes = split(q), plate_entries(q)
         wanted, width = split(force), self._widths
@@ -134,7 +129,6 @@ class GroundedActuation(Actuation):
         return self._joined(out, q, force)
 
     def ctrl(self, tau: np.ndarray) -> np.ndarray:
-        """tau, and the reactions on the ground."""
         return np.concatenate([tau, tau[..., 2:]], axis=-1)
 
 

@@ -29,7 +29,7 @@ from pathlib import Path
 
 import numpy as np
 
-from octarm.arm.file_content import ArmFile, parameters_of
+from octarm.arm.file_content import KINDS, ArmFile, parameters_of
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.limits import Limits
 from octarm.arm.parameters import ArmParameters
@@ -42,14 +42,9 @@ SHIPPED = Path(__file__).resolve().parent.parent / "arms"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Arm:
-    """An arm with what its file says of it.
+    """An arm, and what its file says of its numbers to people.
 
-    Attributes:
-        parameters: its numbers.
-        name: for people.
-        source: where the numbers come from, a sentence each.
-        converted: what was computed from what the source gives, likewise.
-        assumed: what no source gives, likewise.
+    In sentences: their source, what was converted from what that gives, and what was assumed.
     """
 
     parameters: ArmParameters
@@ -67,9 +62,7 @@ def shipped_arms() -> dict[str, Path]:
 def read_arm(path: str | Path) -> ArmParameters:
     """The arm in a TOML file, or one that comes with octarm, by name, such as `eth`.
 
-    Raises:
-        OctarmError: if it is not an arm, or cannot hang; the sentence names the line.
-        FileError: if the file cannot be read.
+    Raises OctarmError if it is not an arm, or cannot hang, with the line, or FileError.
     """
     return read_arm_file(path).parameters
 
@@ -121,28 +114,21 @@ def arm_toml(arm: Arm) -> str:
         name: getattr(arm, name) or None for name in ("name", "source", "converted", "assumed")
     }
     lever = 0.25 * p.widths * p.widths
-    rows: dict[str, tuple[str, np.ndarray]] = {
-        "mass": ("mass", p.mass),
-        "inertia": ("inertia", p.inertia),
-        "width": ("length", p.width),
-        "rest_length": ("length", p.rest_length),
-        "stiffness": ("stiffness", p.stiffness),
-        "damping": ("damping", p.damping),
-        "gravity": ("acceleration", p.gravity),
-    }
+    always = ("mass", "inertia", "width", "rest_length", "stiffness", "damping", "gravity")
+    rows: dict[str, np.ndarray] = {name: getattr(p, name) for name in always}
     if np.any(p.rest_angle):
-        rows["rest_angle"] = "angle", p.rest_angle
+        rows["rest_angle"] = p.rest_angle
     for what, backbone in (("stiffness", p.backbone_stiffness), ("damping", p.backbone_damping)):
         if np.any(backbone):
             both = getattr(p, what).sum(axis=0)
-            rows[f"axial_{what}"] = what, both + backbone[0]
-            rows[f"bending_{what}"] = f"bending {what}", lever * both + backbone[1]
+            rows[f"axial_{what}"] = both + backbone[0]
+            rows[f"bending_{what}"] = lever * both + backbone[1]
     if np.any(p.tip_length):
-        rows["tip_length"] = "length", p.tip_length
+        rows["tip_length"] = p.tip_length
     if np.any(np.isfinite(p.input_range)):
         alike = p.input_range.shape[-1] == 1
-        rows["input_range"] = "force", p.input_range[:, 0] if alike else p.input_range
-    lines = [_line(name, value, next(iter(UNITS[kind]))) for name, (kind, value) in rows.items()]
+        rows["input_range"] = p.input_range[:, 0] if alike else p.input_range
+    lines = [_line(name, value, next(iter(UNITS[KINDS[name]]))) for name, value in rows.items()]
     return to_toml({**words, "modules": p.modules}) + "".join(lines)
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, cast
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, create_model
 
 from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
@@ -54,15 +54,11 @@ def _numbers(value: Any) -> np.ndarray:
         elif isinstance(part, bool) or not isinstance(part, int | float):
             raise ValueError("a table whose value is a number, or a list of numbers")
     try:
-        return _finite_or_inf(np.array(value, dtype=np.float64))
+        numbers = np.array(value, dtype=np.float64)
     except (ValueError, OverflowError):
         raise ValueError("a list of as many numbers in each row") from None
-
-
-def _finite_or_inf(x: Any) -> np.ndarray:
-    numbers = np.asarray(x, dtype=np.float64)
     if not numbers.size or np.isnan(numbers).any():
-        raise ValueError("made of numbers")
+        raise ValueError("a list of as many numbers in each row")
     return numbers
 
 
@@ -75,143 +71,150 @@ def _unit_size(unit: str, kind: str) -> float:
     return known[closed_up(unit)]
 
 
-def _of(kind: str) -> AfterValidator:
-    """An annotation: a quantity of this kind, as an array in SI units."""
-    return AfterValidator(functools.partial(quantity, kind))
+def _quantities(kinds: Mapping[str, str], default: Any = None) -> dict[str, Any]:
+    """Fields of a table for quantities of these kinds, which become arrays in SI units."""
+    return {
+        name: (Annotated[Any, AfterValidator(functools.partial(quantity, kind))], default)
+        for name, kind in kinds.items()
+    }
 
 
-Length = Annotated[Any, _of("length")]
-Modules = Annotated[int, Field(ge=1, le=MOST_MODULES)]
-Stiffness = Annotated[Any, _of("stiffness")]
-BendingStiffness = Annotated[Any, _of("bending stiffness")]
-Damping = Annotated[Any, _of("damping")]
-BendingDamping = Annotated[Any, _of("bending damping")]
-Force = Annotated[Any, _of("force")]
-Time = Annotated[Any, _of("time")]
+# The quantities that a file of an arm and its table [rod] may hold, with their kinds in `UNITS`.
+KINDS = {
+    "mass": "mass",
+    "inertia": "inertia",
+    "width": "length",
+    "rest_length": "length",
+    "rest_angle": "angle",
+    "stiffness": "stiffness",
+    "axial_stiffness": "stiffness",
+    "bending_stiffness": "bending stiffness",
+    "damping": "damping",
+    "axial_damping": "damping",
+    "bending_damping": "bending damping",
+    "damping_time": "time",
+    "gravity": "acceleration",
+    "tip_length": "length",
+    "input_range": "force",
+}
+_ROD_KINDS = {
+    "length": "length",
+    "EA": "force",
+    "EI": "flexural rigidity",
+    "density": "mass per length",
+    "rotary_inertia": "inertia per length",
+    "damping_time": "time",
+}
 _GRAVITY = np.array(9.81)
+_WHOLE = ("axial_stiffness", "bending_stiffness", "axial_damping", "bending_damping")
+
+Modules = Annotated[int, Field(ge=1, le=MOST_MODULES)]
 
 
-class RodTable(Model):
-    """The table `[rod]`, see `octarm.arm.rod.Rod`; in SI units."""
+class _Cut(Model):
+    """Into how many modules a rod is cut, and in what layout."""
 
-    length: Length
-    EA: Force
-    EI: Annotated[Any, _of("flexural rigidity")]
-    density: Annotated[Any, _of("mass per length")]
-    rotary_inertia: Annotated[Any, _of("inertia per length")]
-    damping_time: Time
     modules: Modules
     layout: Annotated[str, one_of(LAYOUTS)] = "paper"
 
 
-class ArmFile(Model):
-    """A whole file; quantities are arrays in SI units, None where they are not given."""
+RodTable = create_model("RodTable", __base__=_Cut, **_quantities(_ROD_KINDS, ...))
+
+
+class _Words(Model):
+    """What a file holds besides its quantities."""
 
     name: str = ""
     source: str | Array[str] = ""
     converted: Array[str] = ()
     assumed: Array[str] = ()
     modules: Modules | None = None
-    mass: Annotated[Any, _of("mass")] = None
-    inertia: Annotated[Any, _of("inertia")] = None
-    width: Length = None
-    rest_length: Length = None
-    rest_angle: Annotated[Any, _of("angle")] = None
-    stiffness: Stiffness = None
-    axial_stiffness: Stiffness = None
-    bending_stiffness: BendingStiffness = None
-    damping: Damping = None
-    axial_damping: Damping = None
-    bending_damping: BendingDamping = None
-    damping_time: Time = None
-    gravity: Annotated[Any, _of("acceleration")] = _GRAVITY
-    tip_length: Length = None
-    input_range: Force = None
-    rod: RodTable | None = None
+    rod: _Cut | None = None
 
 
-def parameters_of(content: ArmFile) -> ArmParameters:
+_FIELDS: dict[str, Any] = {"rod": (RodTable | None, None)} | _quantities(KINDS)
+ArmFile = create_model("ArmFile", __base__=_Words, **_FIELDS)
+
+
+def parameters_of(content: _Words) -> ArmParameters:
     """The parameters of one arm; numbers are broadcast, and what is not given is completed.
 
     Raises OctarmError if something is missing or does not fit; the sentence begins with its key.
     """
-    rod = content.rod
+    given = {n: x for n in KINDS if (x := getattr(content, n)) is not None}
     with np.errstate(all="ignore"):  # a width of 0 is refused in the end
-        return _Reader(content).parameters() if rod is None else _rod(content, rod)
+        if content.rod is None:
+            return _Reader(given, content.modules).parameters()
+        return _rod(given, content, content.rod)
 
 
-def _rod(content: ArmFile, rod: RodTable) -> ArmParameters:
-    given = content.model_fields_set - {"rod", "name", "source", "converted", "assumed"}
-    wrong = sorted(given - {"gravity", "input_range"})
+def _rod(given: dict[str, np.ndarray], content: _Words, rod: _Cut) -> ArmParameters:
+    wrong = sorted(
+        given.keys() - {"gravity", "input_range"} | content.model_fields_set & {"modules"}
+    )
     if wrong:
         raise OctarmError(f"{wrong[0]} is given beside [rod], which says it already")
-    table = {name: getattr(rod, name) for name in Rod.__dataclass_fields__.keys() - {"gravity"}}
-    whole = Rod(
-        **{n: x.tolist() for n, x in table.items()}, gravity=_single("gravity", content.gravity)
-    )
-    p = arm_from_rod(whole, rod.modules, rod.layout)
-    if content.input_range is None:
+    profiles = {name: getattr(rod, name).tolist() for name in _ROD_KINDS}
+    gravity = _single("gravity", given.get("gravity", _GRAVITY))
+    p = arm_from_rod(Rod(**profiles, gravity=gravity), rod.modules, rod.layout)
+    if "input_range" not in given:
         return p
-    return dataclasses.replace(p, input_range=_range(content.input_range, p.modules))
+    return dataclasses.replace(p, input_range=_range(given["input_range"], p.modules))
 
 
 class _Reader:
     """Makes parameters of a file: broadcasts numbers, and completes what is not given."""
 
-    def __init__(self, content: ArmFile) -> None:
-        self._content = content
-        self._modules = content.modules or self._counted()
+    def __init__(self, given: dict[str, np.ndarray], modules: int | None) -> None:
+        self._given = given
+        self._modules = modules or self._counted()
 
     def parameters(self) -> ArmParameters:
-        content = self._content
-        width = self._each("width")
+        given, width = self._given, self._each("width")
         stiffness, springs = self._shares("stiffness", width)
         damping, dampers = self._damping(width, stiffness, springs)
         length, angle = self._shape(width)
-        ranged = content.input_range is not None
-        alike = bool(np.all(width == width[0]))
+        others: dict[str, Any] = {"gravity": _single("gravity", given.get("gravity", _GRAVITY))}
+        if "tip_length" in given:
+            others["tip_length"] = _single("tip_length", given["tip_length"])
+        if "input_range" in given:
+            others["input_range"] = _range(given["input_range"], self._modules)
         return ArmParameters(
             mass=self._each("mass"),
             inertia=self._each("inertia"),
-            width=width[:1] if alike else width,
+            width=width[:1] if np.all(width == width[0]) else width,
             stiffness=stiffness,
             damping=damping,
             rest_length=length,
-            gravity=_single("gravity", content.gravity),
-            tip_length=0.0
-            if content.tip_length is None
-            else _single("tip_length", content.tip_length),
-            input_range=_range(content.input_range, self._modules) if ranged else (-np.inf, np.inf),
             rest_angle=angle,
             backbone_stiffness=springs,
             backbone_damping=dampers,
+            **others,
         )
 
-    def _given(self, key: str) -> np.ndarray:
-        value = getattr(self._content, key)
-        if value is None:
+    def _value(self, key: str) -> np.ndarray:
+        if key not in self._given:
             raise OctarmError(f"it needs a value of {key}")
-        return value
+        return self._given[key]
 
     def _counted(self) -> int:
         for key in ("mass", "inertia", "width", "rest_length", "rest_angle", *_WHOLE):
-            value = getattr(self._content, key)
-            if value is not None and value.ndim == 1:
-                return len(value)
+            if key in self._given and self._given[key].ndim == 1:
+                return len(self._given[key])
         for key in ("stiffness", "damping", "rest_length"):
-            value = getattr(self._content, key)
-            if value is not None and value.ndim and value.shape[-1] > 1:
+            value = self._given.get(key, np.zeros(()))
+            if value.ndim and value.shape[-1] > 1:
                 return value.shape[-1]
         raise OctarmError("it needs a value of modules, since no list says how many there are")
 
     def _each(self, key: str) -> np.ndarray:
-        value = self._given(key)
+        value = self._value(key)
         if value.shape not in ((), (1,), (self._modules,)):
             raise OctarmError(f"{key} has {_size(value)}; it needs {self._one_or_all()}")
         return np.broadcast_to(value, self._modules)
 
     def _columns(self, key: str) -> np.ndarray:
-        value = self._given(key)
+        value = self._value(key)
         rows = value if value.ndim == 2 else value[None]
         if value.ndim > 2 or len(rows) > 2 or rows.shape[-1:] not in ((), (1,), (self._modules,)):
             raise OctarmError(
@@ -225,7 +228,7 @@ class _Reader:
 
     def _whole(self, key: str) -> np.ndarray | None:
         """What a whole module has, shape (N,), where it is given."""
-        if getattr(self._content, key) is None:
+        if key not in self._given:
             return None
         value = self._each(key)
         if np.any(value < 0.0):
@@ -235,33 +238,29 @@ class _Reader:
     def _damping(
         self, width: np.ndarray, stiffness: np.ndarray, springs: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        content = self._content
-        if content.damping_time is None:
+        if "damping_time" not in self._given:
             return self._shares("damping", width)
-        others = (content.damping, content.axial_damping, content.bending_damping)
-        if any(x is not None for x in others):
+        if self._given.keys() & {"damping", "axial_damping", "bending_damping"}:
             raise OctarmError("damping_time is given beside damping, which says it already")
-        time = _single("damping_time", content.damping_time)
+        time = _single("damping_time", self._given["damping_time"])
         return time * stiffness, time * springs
 
     def _shares(self, what: str, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What columns and backbone have of stiffness or damping, shapes (2, N)."""
         whole = self._whole(f"axial_{what}"), self._whole(f"bending_{what}")
-        left_out = getattr(self._content, what) is None and not any(x is None for x in whole)
+        left_out = what not in self._given and not any(x is None for x in whole)
         return _shared(None if left_out else self._columns(what), whole, width, what)
 
     def _shape(self, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        lengths, angle = self._columns("rest_length"), self._content.rest_angle
-        if np.array_equal(lengths[0], lengths[1]):
-            return lengths[0], np.zeros(self._modules) if angle is None else self._each(
-                "rest_angle"
-            )
-        if angle is not None:
-            raise OctarmError("rest_angle is given beside two rows of rest_length, which say it")
-        return 0.5 * (lengths[0] + lengths[1]), (lengths[0] - lengths[1]) / width
-
-
-_WHOLE = ("axial_stiffness", "bending_stiffness", "axial_damping", "bending_damping")
+        first, second = self._columns("rest_length")
+        if not np.array_equal(first, second):
+            if "rest_angle" in self._given:
+                raise OctarmError(
+                    "rest_angle is given beside two rows of rest_length, which say it"
+                )
+            return 0.5 * (first + second), (first - second) / width
+        bent = "rest_angle" in self._given
+        return first, self._each("rest_angle") if bent else np.zeros(self._modules)
 
 
 def _shared(

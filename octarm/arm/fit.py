@@ -43,13 +43,10 @@ _PERIODS, _SAMPLES = 3.0, 150  # of the transients
 
 
 class Row(NamedTuple):
-    """One quantity of the fine chain, in `unit`, and the errors of the coarse ones.
+    """One quantity of the fine chain, for a transient its final value, and the errors of others.
 
-    Attributes:
-        kind: `statics`, `modes` or `transient`.
-        value: of the fine chain; for a transient the final value.
-        before: error of the lumped chain from which the search starts, relative [1].
-        after: error of the fitted chain, relative [1].
+    `before` and `after` are the relative errors [1] of the lumped chain, from which the search
+    starts, and of the fitted one.
     """
 
     kind: str

@@ -75,7 +75,10 @@ def tip_force(q: np.ndarray, fx: Entry, fy: Entry, tip_length: Entry = 0.0) -> n
     x, axes = split(q), plate_entries(q)
     pushes: list[Entry] = []
     couples: list[Entry] = []
-    moment = _tip_moment(q, fx, fy, tip_length) if np.count_nonzero(tip_length) else 0.0
+    moment: Entry = 0.0
+    if np.count_nonzero(tip_length):
+        cos, sin = last_axis(q)
+        moment = tip_length * (fy * cos - fx * sin)
     for i in reversed(range(n)):
         cos, sin = axes[i]
         pushes.append(fx * cos + fy * sin)
@@ -83,12 +86,6 @@ def tip_force(q: np.ndarray, fx: Entry, fy: Entry, tip_length: Entry = 0.0) -> n
         moment = moment + x[i] * (fy * cos - fx * sin)
     batch = np.broadcast_shapes(np.shape(fx), np.shape(fy))
     return join(pushes[::-1] + couples[::-1], q, (*batch, 2 * n))
-
-
-def _tip_moment(q: np.ndarray, fx: Entry, fy: Entry, tip_length: Entry) -> Entry:
-    """The moment about the last plate of a force at the end of the rigid piece, shape (...)."""
-    cos, sin = last_axis(q)
-    return tip_length * (fy * cos - fx * sin)
 
 
 def last_axis(q: np.ndarray) -> tuple[Entry, Entry]:

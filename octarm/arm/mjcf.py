@@ -11,11 +11,15 @@ modules from the second on once more, for the motors that put the reactions on t
 
 from __future__ import annotations
 
+import copy
 import functools
+import itertools
 import operator
+import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -26,7 +30,7 @@ from octarm.errors import FileError, OctarmError
 
 _COLUMN_SIDES = ((1, 1.0), (2, -1.0))  # column 1 lengthens with +theta
 _FARTHEST = 1e9  # [m], [rad]; of springs so soft, MuJoCo's forces are nothing but rounding
-_PARTS = ("column_1", "column_2", "backbone")
+_NUMBER = re.compile(r"(?<=_)\d+(?=(_[a-z]+)?$)")  # of its module, in the name of a part
 
 
 def model_path() -> Path:
@@ -124,8 +128,6 @@ def build_slim_model(
 
 def _arm_spec(p: ArmParameters, timestep: float | None) -> mujoco.MjSpec:
     """The template with as many modules, and with all parameters that are more than numbers."""
-    spec = mujoco.MjSpec.from_string(model_path().read_text(encoding="utf-8"))
-    spec.option.timestep = physics_step(timestep)
     if p.batch_shape:
         raise OctarmError(f"parameters have batch axes {p.batch_shape}; a model describes one arm")
     if p.modules > MOST_MODULES:
@@ -133,7 +135,8 @@ def _arm_spec(p: ArmParameters, timestep: float | None) -> mujoco.MjSpec:
             f"the arm has {p.modules} modules; it must have at most {MOST_MODULES}, since the time "
             "of a physics step grows with their square"
         )
-    _set_modules(spec, p.modules)
+    spec = mujoco.MjSpec.from_string(_xml(p.modules))
+    spec.option.timestep = physics_step(timestep)
     nominal = nominal_parameters()
     low, high = p.input_bounds(())
     for i in range(1, p.modules + 1):
@@ -141,15 +144,60 @@ def _arm_spec(p: ArmParameters, timestep: float | None) -> mujoco.MjSpec:
         body.mass, body.inertia = p.mass[i - 1], [p.inertia[i - 1]] * 3
         for column, (a, _) in enumerate(_COLUMN_SIDES, start=2 * (i - 1)):
             spec.actuator(f"push_{a}_{i}").ctrlrange = [low[column], high[column]]
-        alike = min(i, nominal.modules) - 1  # the module of the template that it is drawn like
-        longer = float(p.rest_length[i - 1] / nominal.rest_length[alike])
-        wider = float(p.widths[i - 1] / nominal.widths[alike])
-        for name in (*_sleeves(i), *_rods(i)):
-            geom = spec.geom(name)
+    for geom in spec.geoms:
+        if (number := _NUMBER.search(geom.name)) and (i := int(number[0])):
+            alike = min(i, nominal.modules) - 1  # the module of the template that it is drawn like
+            longer = float(p.rest_length[i - 1] / nominal.rest_length[alike])
+            wider = float(p.widths[i - 1] / nominal.widths[alike])
             geom.fromto = np.array(geom.fromto) * np.tile([longer, wider, 1.0], 2)
             geom.size = np.array(geom.size) * wider
     spec.site("tip").pos = [float(p.tip_length), 0.0, 0.0]
     return spec
+
+
+def _xml(modules: int) -> str:
+    """The template cut to N modules, or extended by copies of its last one with other numbers."""
+    root = ElementTree.parse(model_path()).getroot()
+    bodies = list(root.iter("body"))  # each within the one before it, from the base on
+    last, tip = len(bodies) - 1, bodies[-1][-1]
+    bodies[-1].remove(tip)
+    on_parent = copy.deepcopy([part for part in bodies[-2] if _module_of(part) == last])
+    for body in bodies:
+        body[:] = [part for part in body if _module_of(part) <= modules]
+    for section in root:
+        if section.tag in ("tendon", "actuator", "sensor"):
+            section[:] = [*_for_all_modules(section, last, modules)]
+    for key in root.iter("key"):
+        key.set("qpos", " 0" * (2 * modules))
+    for i in range(last + 1, modules + 1):
+        copies = [_renumbered(part, last, i) for part in on_parent]
+        bodies[-1].extend(copies)
+        bodies += [part for part in copies if part.tag == "body"]
+    bodies[modules].append(tip)
+    return ElementTree.tostring(root, "unicode")
+
+
+def _for_all_modules(
+    section: ElementTree.Element, last: int, modules: int
+) -> Iterator[ElementTree.Element]:
+    """Its parts for N modules, those of further ones behind those of the template's last one."""
+    for number, group in itertools.groupby(section, _module_of):
+        parts = list(group)
+        yield from parts if number <= modules else ()
+        for i in range(last + 1, modules + 1) if number == last else ():
+            yield from (_renumbered(part, last, i) for part in parts)
+
+
+def _renumbered(part: ElementTree.Element, last: int, i: int) -> ElementTree.Element:
+    """A copy for module i of a part of the template's last module."""
+    text = ElementTree.tostring(part, "unicode")
+    return ElementTree.fromstring(re.sub(rf'_{last}(?=["_])', f"_{i}", text))
+
+
+def _module_of(part: ElementTree.Element) -> int:
+    """The number of its module, which its name has; 0 for what belongs to none."""
+    number = _NUMBER.search(part.get("name", ""))
+    return int(number[0]) if number else 0
 
 
 def _compiled(spec: mujoco.MjSpec, parameters: ArmParameters) -> mujoco.MjModel:
@@ -225,10 +273,7 @@ class PlantFields:
         """Writes the parameters, of all arms or with the batch's axis (n,).
 
         The angle by which gravity turns from the hanging arm towards +y of the base frame has shape
-        () or shape (n,) [rad].
-
-        Returns:
-            Whether inertias changed, so that the caller must make MuJoCo's constants follow.
+        () or shape (n,) [rad]. True if inertias changed: MuJoCo's constants must then follow.
         """
         mass, inertia = self._field("body_mass"), self._field("body_inertia")
         changed = np.any(mass[..., self._bodies] != p.mass) or np.any(
@@ -250,91 +295,8 @@ class PlantFields:
             self._field("wrap_prm")[..., bends] = lever
             self._field("actuator_gear")[..., reactions, 5] = lever[..., 1:]
         self._plain &= p.entries.plain
-        if not self._plain:
-            self._write_backbone(p)
+        for row, free in () if self._plain else enumerate((p.rest_length, p.rest_angle)):
+            self._field("jnt_stiffness")[..., self._dof[row]] = p.backbone_stiffness[..., row, :]
+            self._field("dof_damping")[..., self._dof[row]] = p.backbone_damping[..., row, :]
+            self._field("qpos_spring")[..., self._qpos[row]] = free
         return bool(changed)
-
-    def _write_backbone(self, p: ArmParameters) -> None:
-        stiffness, damping, relaxed = map(
-            self._field, ("jnt_stiffness", "dof_damping", "qpos_spring")
-        )
-        for row, free in enumerate((p.rest_length, p.rest_angle)):
-            stiffness[..., self._dof[row]] = p.backbone_stiffness[..., row, :]
-            damping[..., self._dof[row]] = p.backbone_damping[..., row, :]
-            relaxed[..., self._qpos[row]] = free
-
-
-def _set_modules(spec: mujoco.MjSpec, modules: int) -> None:
-    """Cuts the template to N modules, or extends it by modules like its last one."""
-    in_template = len(spec.tendons) // 2
-    if modules == in_template:
-        return
-    for i in range(2, in_template + 1):  # their motors come after all others
-        for part in (spec.site(f"reaction_{i}"), *map(spec.actuator, _reactions(i))):
-            spec.delete(part)
-    spec.delete(spec.sensor("tip_position"))
-    spec.delete(spec.site("tip"))
-    if modules < in_template:
-        for name in _sleeves(modules + 1):
-            spec.delete(spec.geom(name))
-        spec.delete(spec.body(f"module_{modules + 1}"))  # with all that refers to it
-    for i in range(in_template + 1, modules + 1):
-        _add_module(spec, i)
-    for i in range(2, modules + 1):
-        _add_reaction(spec, i)
-    tip = spec.body(f"module_{modules}").add_site(name="tip", size=[0.008] * 3)
-    tip.rgba = [0.84, 0.15, 0.16, 1]
-    _add_sensor(spec, "tip", "position", "FRAMEPOS", "SITE")
-    spec.key("hanging").qpos = np.zeros(2 * modules)
-
-
-def _sleeves(i: int) -> list[str]:
-    """The geoms of module i on the body that it stands on."""
-    return [f"{part}_{i}_sleeve" for part in _PARTS]
-
-
-def _rods(i: int) -> list[str]:
-    """The geoms of module i on its own body."""
-    return [f"plate_{i}", *(f"{part}_{i}_rod" for part in _PARTS)]
-
-
-def _reactions(i: int) -> list[str]:
-    return [f"reaction_{a}_{i}" for a, _ in _COLUMN_SIDES]
-
-
-def _add_module(spec: mujoco.MjSpec, i: int) -> None:
-    parent = spec.body(f"module_{i - 1}")
-    body = parent.add_body(name=f"module_{i}", mass=1.0, inertia=[1.0] * 3, explicitinertial=True)
-    joints = [
-        body.add_joint(spec.find_default(kind), name=f"{name}_{i}")
-        for kind, name in (("slide", "s"), ("hinge", "theta"))
-    ]
-    for owner, geoms in ((parent, _sleeves), (body, _rods)):
-        for name, name_alike in zip(geoms(i), geoms(i - 1), strict=True):
-            alike: mujoco.MjsGeom = spec.geom(name_alike)
-            owner.add_geom(alike.classname, name=name, size=alike.size, fromto=alike.fromto)
-    for joint in joints:
-        _add_sensor(spec, joint.name, "position", "JOINTPOS", "JOINT")
-        _add_sensor(spec, joint.name, "velocity", "JOINTVEL", "JOINT")
-    for a, side in _COLUMN_SIDES:
-        tendon = spec.add_tendon(name=f"column_{a}_{i}")
-        for joint, moment in zip(joints, (1.0, side), strict=True):
-            tendon.wrap_joint(joint.name, moment)
-        push = spec.add_actuator(spec.find_default("column"), name=f"push_{a}_{i}")
-        push.trntype, push.target = mujoco.mjtTrn.mjTRN_TENDON, tendon.name
-        _add_sensor(spec, tendon.name, "length", "TENDONPOS", "TENDON")
-        _add_sensor(spec, tendon.name, "velocity", "TENDONVEL", "TENDON")
-
-
-def _add_reaction(spec: mujoco.MjSpec, i: int) -> None:
-    name = f"reaction_{i}"
-    spec.body(f"module_{i - 1}").add_site(spec.find_default("reaction"), name=name)
-    for motor_name in _reactions(i):
-        motor = spec.add_actuator(spec.find_default("column"), name=motor_name, group=1)
-        motor.trntype, motor.target = mujoco.mjtTrn.mjTRN_SITE, name
-
-
-def _add_sensor(spec: mujoco.MjSpec, target: str, quantity: str, kind: str, of: str) -> None:
-    sensor = getattr(mujoco.mjtSensor, f"mjSENS_{kind}")
-    thing = getattr(mujoco.mjtObj, f"mjOBJ_{of}")
-    spec.add_sensor(name=f"{target}_{quantity}", type=sensor, objtype=thing, objname=target)

@@ -149,7 +149,7 @@ INTEGRATORS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
 
 def _per_inertia(p: ArmParameters, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """D^-1 dG/dq and D^-1 B at q, each of shape (..., 2N, 2N)."""
-    q = _spread(p, q)
+    q = np.broadcast_to(q, (*np.broadcast_shapes(q.shape[:-1], p.batch_shape), q.shape[-1]))
     inertia, slope = lagrange.mass_matrix(p, q), lagrange.potential_hessian(p, q)
     damper = np.broadcast_to(lagrange.damping_matrix(p), slope.shape)
     slopes = np.concatenate([slope, damper], axis=-1)
@@ -158,11 +158,6 @@ def _per_inertia(p: ArmParameters, q: np.ndarray) -> tuple[np.ndarray, np.ndarra
     except np.linalg.LinAlgError:  # masses so small that their products vanish
         stiffness = damping = np.full_like(slope, np.nan)
     return stiffness, damping
-
-
-def _spread(p: ArmParameters, q: np.ndarray) -> np.ndarray:
-    """The pose with the batch axes of the parameters, too."""
-    return np.broadcast_to(q, (*np.broadcast_shapes(q.shape[:-1], p.batch_shape), q.shape[-1]))
 
 
 def _companion(lower_left: np.ndarray, lower_right: np.ndarray) -> np.ndarray:

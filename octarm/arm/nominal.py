@@ -12,13 +12,15 @@ from octarm.arm import lagrange, model_error, similarity
 from octarm.arm.actuation import GroundedActuation
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import coordinate_names, coordinate_units
+from octarm.interfaces import NominalModel
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class LagrangeModel:
+class LagrangeModel(NominalModel):
     """The planar arm with these parameters, by `octarm.arm.lagrange`.
 
-    It is an `octarm.interfaces.NominalModel`, which says what each method takes and gives.
+    `octarm.interfaces.NominalModel` says what each method takes and gives; scales are those of
+    `octarm.arm.similarity`, errors those of `octarm.arm.model_error`.
 
     Attributes:
         parameters: what the controller believes of the arm, of one arm or of a batch.
@@ -28,22 +30,18 @@ class LagrangeModel:
 
     @property
     def modules(self) -> int:
-        """Number of modules N."""
         return self.parameters.modules
 
     @property
     def coordinates(self) -> int:
-        """Number of coordinates 2N."""
         return self.parameters.coordinates
 
     @property
     def names(self) -> tuple[str, ...]:
-        """s1..sN, theta1..thetaN."""
         return tuple(coordinate_names(self.modules))
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Slides in "m", bends in "rad"."""
         return tuple(coordinate_units(self.modules))
 
     @property
@@ -54,15 +52,10 @@ class LagrangeModel:
 
     @property
     def time_scale(self) -> np.ndarray:
-        """1 / omega of the fastest undamped mode, shape () or (..., 1) [s]."""
         return self._scales.time
 
     @property
     def force_scale(self) -> np.ndarray:
-        """What accelerates a coordinate by its length in that time squared, shape (..., 2N).
-
-        In [N], [N m], see `octarm.arm.similarity`.
-        """
         return self._scales.force
 
     @functools.cached_property
@@ -71,15 +64,10 @@ class LagrangeModel:
 
     @property
     def descriptors(self) -> Mapping[str, np.ndarray]:
-        """Ratios in which arms differ that are not similar, each of shape (...) [1].
-
-        See `octarm.arm.similarity.descriptors`.
-        """
         return similarity.descriptors(self.parameters)
 
     @property
     def input_range(self) -> tuple[np.ndarray, np.ndarray]:
-        """The lowest and the highest input forces, each of shape (..., 2N) [N]."""
         return self._range.low, self._range.high
 
     @functools.cached_property
@@ -89,41 +77,32 @@ class LagrangeModel:
     def inverse_dynamics(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, v_r: np.ndarray | None = None
     ) -> np.ndarray:
-        """D(q) a + (C(q, v) + B) v_r + G(q), eq (1), shape (..., 2N) [N], [N m]."""
         return lagrange.inverse_dynamics(self.parameters, q, v, a, v_r)
 
     def mass_matrix(self, q: np.ndarray) -> np.ndarray:
-        """D(q), eq (3), shape (..., 2N, 2N)."""
         return lagrange.mass_matrix(self.parameters, q)
 
     def kinetic_energy(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """1/2 v^T D(q) v, shape (...) [J]."""
         return lagrange.kinetic_energy(self.parameters, q, v)
 
     def potential_force(self, q: np.ndarray) -> np.ndarray:
-        """G(q), eq (5), shape (..., 2N) [N], [N m]."""
         return lagrange.potential_force(self.parameters, q)
 
     def force_coefficients(self, q: np.ndarray) -> np.ndarray:
-        """F_coeff(q), eq (2), shape (..., 2N, 2N) [1], [m]."""
         return lagrange.force_coefficients(self.parameters, q)
 
     def shortfall(self, q: np.ndarray, force: np.ndarray) -> np.ndarray | None:
-        """What of Q is beyond the input range, shape (..., 2N) [N], [N m]; None if nothing is."""
         return self._range.shortfall(q, force)
 
     def equilibrium(self) -> np.ndarray:
-        """The coordinates at which the arm hangs still, shape (..., 2N) [m], [rad]."""
         return lagrange.equilibrium(self.parameters)
 
     def largest_inertia(self, q: np.ndarray) -> np.ndarray:
-        """D_ii of the straight arm, where it is largest, shape (..., 2N) [kg], [kg m^2]."""
         return model_error.straight_inertia(self.parameters, q)
 
     def largest_error(
         self, uncertainty: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray, v_r: np.ndarray
     ) -> np.ndarray:
-        """Of `inverse_dynamics`, shape (..., 2N) [N], [N m]; see `octarm.arm.model_error`."""
         return model_error.largest_error(self.parameters, uncertainty, q, v, a, v_r)
 
 

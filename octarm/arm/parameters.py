@@ -125,24 +125,9 @@ class ArmParameters:
     backbone_stiffness: np.ndarray = _NOTHING
     backbone_damping: np.ndarray = _NOTHING
 
-    if TYPE_CHECKING:  # the constructor takes anything array-like
+    if TYPE_CHECKING:  # the constructor takes anything array-like, by name
 
-        def __init__(
-            self,
-            *,
-            mass: npt.ArrayLike,
-            inertia: npt.ArrayLike,
-            width: npt.ArrayLike,
-            stiffness: npt.ArrayLike,
-            damping: npt.ArrayLike,
-            rest_length: npt.ArrayLike,
-            gravity: npt.ArrayLike,
-            tip_length: npt.ArrayLike = 0.0,
-            input_range: npt.ArrayLike = ...,
-            rest_angle: npt.ArrayLike = 0.0,
-            backbone_stiffness: npt.ArrayLike = 0.0,
-            backbone_damping: npt.ArrayLike = 0.0,
-        ) -> None: ...
+        def __init__(self, **fields: npt.ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
         *arms, modules = read_only("mass", self.mass).shape or (0,)
@@ -192,20 +177,11 @@ class ArmParameters:
     @functools.cached_property
     def entries(self) -> Entries:
         """The parameters entry by entry: floats for one arm, views of shape (...) for a batch."""
-        return Entries(
-            mass=split(self.mass),
-            inertia=split(self.inertia),
-            half_width=split(0.5 * self.widths),
-            stiffness=_two_rows(self.stiffness),
-            damping=_two_rows(self.damping),
-            rest_length=split(self.rest_length),
-            rest_angle=split(self.rest_angle),
-            backbone_stiffness=_two_rows(self.backbone_stiffness),
-            backbone_damping=_two_rows(self.backbone_damping),
-            gravity=entry(self.gravity),
-            tip_length=entry(self.tip_length),
-            plain=not any(np.any(getattr(self, name)) for name in _MOSTLY_ZERO),
-        )
+        by_axes = (entry, split, _two_rows)
+        fields = [(name, x) for name, x in self._fields().items() if name in Entries._fields]
+        parts: dict[str, Any] = {name: by_axes[_RULES[name][0]](x) for name, x in fields}
+        plain = not any(np.any(getattr(self, name)) for name in _MOSTLY_ZERO)
+        return Entries(half_width=split(0.5 * self.widths), plain=plain, **parts)
 
     @functools.cached_property
     def widths(self) -> np.ndarray:

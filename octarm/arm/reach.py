@@ -64,8 +64,7 @@ def reach(p: ArmParameters) -> Reach:
 def hold(p: ArmParameters, bends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Whether bends theta, shape (..., N) [rad], are held still by inputs within their range.
 
-    Returns:
-        Shape (...) of bool, and the arm bent so, q of shape (..., 2N) [m], [rad].
+    Shape (...) of bool, and the arm bent so, q of shape (..., 2N) [m], [rad].
     """
     n, limits = p.modules, Limits.of(p)
     rest = equilibrium(p)

@@ -15,7 +15,7 @@ masses, lengths and times differ by three factors, and everything else according
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -67,15 +67,11 @@ def _modes(p: ArmParameters, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Shapes (..., 2N) [1/s^2] and (..., 2N, 2N). With a negative square the arm does not stay there.
     """
-    half = _solved(np.linalg.inv, _solved(np.linalg.cholesky, lagrange.mass_matrix(p, rest)))
-    # L^-1 K L^-T is symmetric, and has the eigenvalues of D^-1 K.
-    stiffness = half @ lagrange.potential_hessian(p, rest) @ half.swapaxes(-1, -2)
-    return _solved(np.linalg.eigvalsh, stiffness), half
-
-
-def _solved(function: Callable[[np.ndarray], np.ndarray], matrix: np.ndarray) -> np.ndarray:
     try:
-        return function(matrix)
+        half = np.linalg.inv(np.linalg.cholesky(lagrange.mass_matrix(p, rest)))
+        # L^-1 K L^-T is symmetric, and has the eigenvalues of D^-1 K.
+        stiffness = half @ lagrange.potential_hessian(p, rest) @ half.swapaxes(-1, -2)
+        return np.linalg.eigvalsh(stiffness), half
     except np.linalg.LinAlgError:
         raise OctarmError(_BEYOND) from None
 

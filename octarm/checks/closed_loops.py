@@ -66,19 +66,10 @@ def compare_engines(
 ) -> CheckTable:
     """A check for each law: how far the engines are apart under any of the disturbances.
 
-    Args:
-        parameters: the arm.
-        make: gives a law by name, with its nominal model.
-        laws: names of the laws.
-        switching: those that switch on sgn(s).
-        duration: of the runs [s].
-        seed: of what is random.
-        plant_modules: number of modules of the plant; the arm itself when not given.
-        layout: of that plant, see `octarm.arm.groups`.
-        progress: called with the name of each part before it starts.
-
-    Raises:
-        OctarmError: if an engine is not installed, or there is no such plant.
+    `make` gives a law by its name and the nominal model; `switching` are those that switch on
+    sgn(s). Runs have a duration [s]. The plant has as many modules as said in that layout, or is
+    the arm itself. The progress is called with the name of each part before it starts. Raises
+    OctarmError if an engine is not installed, or there is no such plant.
     """
     for engine in ENGINES:
         check_engine(engine)

@@ -54,14 +54,7 @@ class State(enum.Enum):
 
 
 class Finding(NamedTuple):
-    """One line of the report.
-
-    Attributes:
-        name: what was looked at.
-        state: how it is.
-        text: what was found.
-        remedy: what to do about it; empty when there is nothing to do.
-    """
+    """One line of the report: what was looked at, how it is, and what to do, if anything."""
 
     name: str
     state: State

@@ -7,7 +7,6 @@ Time is a count of steps, so that every run ends at the same instant whatever it
 from __future__ import annotations
 
 import copy
-import functools
 import itertools
 from collections.abc import Callable
 from typing import NamedTuple
@@ -68,17 +67,11 @@ def simulate(
 ForceOf = Callable[[int, float, np.ndarray], np.ndarray]
 
 
-def no_force(sample: int, t: float, q: np.ndarray) -> np.ndarray:
-    """The force on an arm let go, shape (..., 2N) [N], [N m]: zero."""
-    del sample, t
-    return np.zeros_like(q)
-
-
 def reference_motion(
     p: ArmParameters,
     q: np.ndarray,
     v: np.ndarray,
-    force: ForceOf = no_force,
+    force: ForceOf = lambda sample, t, q: np.zeros_like(q),
     times: np.ndarray | None = None,
 ) -> np.ndarray:
     """Coordinates of analytic arms from q, v on, shape (samples + 1, ..., 2N) [m], [rad].
@@ -101,12 +94,7 @@ def reference_motion(
 
     for k, span in enumerate(itertools.pairwise(times)):
         solution = solve_ivp(
-            functools.partial(slope, sample=k),
-            span,
-            out[k].ravel(),
-            method="DOP853",
-            rtol=1e-12,
-            atol=1e-13,
+            slope, span, out[k].ravel(), method="DOP853", args=(k,), rtol=1e-12, atol=1e-13
         )
         if not solution.success:
             break
@@ -192,15 +180,14 @@ def mujoco_linearisation(model: mujoco.MjModel, q: np.ndarray) -> np.ndarray:
         differences = [acceleration(rest + d) - acceleration(rest - d) for d in steps]
         return np.stack(differences, axis=1) / (2.0 * h)
 
-    return _state_matrix((4.0 * slopes(1e-4) - slopes(2e-4)) / 3.0)  # Richardson, fourth order
+    richardson = (4.0 * slopes(1e-4) - slopes(2e-4)) / 3.0  # of fourth order
+    return np.vstack([np.eye(*richardson.shape, k=q.size), richardson])
 
 
 def undamped_modes(p: ArmParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Modes of the analytic arm about its equilibrium, by ascending frequency.
+    """Frequencies about the equilibrium, ascending, and modes as columns, orthonormal by D.
 
-    Returns:
-        Frequencies, shape (2N,) [rad/s], NaN for an unstable mode; and the modes as columns, shape
-        (2N, 2N), orthonormal with respect to D.
+    They have shapes (2N,) [rad/s], NaN for an unstable mode, and (2N, 2N).
     """
     q = lagrange.equilibrium(p)
     squares, modes = eigh(lagrange.potential_hessian(p, q), lagrange.mass_matrix(p, q))
@@ -279,8 +266,3 @@ def energy_imbalance(
     dissipated = simpson(power, dx=model.opt.timestep)
     change = float(np.diff(kinetic + potential)[0])
     return float(abs(change - work + dissipated) / np.max(lagrange.kinetic_energy(p, q_t, v_t)))
-
-
-def _state_matrix(slopes: np.ndarray) -> np.ndarray:
-    n = slopes.shape[0]
-    return np.vstack([np.eye(n, 2 * n, n), slopes])

@@ -285,12 +285,9 @@ def table(curves: Sequence[Curve]) -> str:
     head = ("error [%] at N =", "layout", *map(str, MODULES), "order", "5 % from", "1 % from")
     rows = [head, *map(_row, curves)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines: list[str] = []
-    for row in rows:
-        cells = [text.rjust(width) for text, width in zip(row, widths, strict=True)]
-        cells[:2] = [text.ljust(width) for text, width in zip(row[:2], widths[:2], strict=True)]
-        lines.append("  ".join(cells))
-    return "\n".join(lines)
+    pads = [str.ljust] * 2 + [str.rjust] * (len(head) - 2)
+    cells = [zip(pads, row, widths, strict=True) for row in rows]
+    return "\n".join("  ".join(pad(x, width) for pad, x, width in row) for row in cells)
 
 
 def _row(curve: Curve) -> tuple[str, ...]:

@@ -11,6 +11,8 @@ of second order under every static load, and exact for weight along the rod.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.linalg import eigh
 
@@ -26,48 +28,49 @@ _STAGES = 10  # in which a load is put on
 def static_tip(p: ArmParameters, end_force: np.ndarray, gravity: np.ndarray) -> np.ndarray:
     """Tip of a chain under dead loads: x, y and the angle there, shape (3,) [m], [m], [rad].
 
-    By Newton's method on the stationary point of springs less loads; see `lagrange.newton` for
-    errors. Loads are a force on the tip, shape (2,) [N], and an acceleration of the masses, shape
-    (2,) [m/s^2]; the chain's own gravity does not count.
+    Loads are a force on the tip, shape (2,) [N], and an acceleration of the masses, shape (2,)
+    [m/s^2]; the chain's own gravity does not count. See `lagrange.newton` for errors.
     """
-    n = p.modules
-    loads = np.concatenate([p.mass[:, None] * gravity, end_force[None, :]])
-    q = np.concatenate([p.rest_length, np.zeros(n)])
-    for share in np.arange(1, _STAGES + 1) / _STAGES:
-        carried = (
-            share * np.cumsum(loads[::-1], axis=0)[::-1]
-        )  # by each segment, the tip piece last
-        q = lagrange.newton(lambda q, f=carried: _static_balance(p, q, f), q, 1e-13)
-    phi = np.concatenate([[0.0], np.cumsum(q[n:])])
-    segments = np.append(q[:n], p.tip_length)
-    return np.array([segments @ np.cos(phi), segments @ np.sin(phi), phi[-1]])
-
-
-def _static_balance(
-    p: ArmParameters, q: np.ndarray, carried: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient and Hessian of V = springs - loads, from what segments carry, shape (N + 1, 2)."""
-    n = p.modules
-    phi = np.concatenate([[0.0], np.cumsum(q[n:])])
-    axes = np.stack([np.cos(phi), np.sin(phi)], axis=-1)
-    normals = np.stack([-axes[:, 1], axes[:, 0]], axis=-1)
-    segments = np.append(q[:n], p.tip_length)
-    along, across = np.sum(carried * axes, axis=-1), np.sum(carried * normals, axis=-1)
-
-    def beyond(x: np.ndarray) -> np.ndarray:
-        """Sums over the segments that turn with each hinge, shape (N,)."""
-        return np.cumsum(x[::-1])[::-1][1:]
-
-    springs = lagrange.stiffness_matrix(p)
+    n, springs = p.modules, lagrange.stiffness_matrix(p)
     rest = np.concatenate([p.rest_length, np.zeros(n)])
-    gradient = springs @ (q - rest) - np.concatenate([along[:n], beyond(segments * across)])
-    hessian = springs.copy()
-    swing = np.tril(np.broadcast_to(across[:n, None], (n, n)), -1)  # slide j turns with hinge k < j
-    hessian[:n, n:] -= swing
-    hessian[n:, :n] -= swing.T
-    later = np.maximum.outer(np.arange(n), np.arange(n))
-    hessian[n:, n:] += beyond(segments * along)[later]
-    return gradient, hessian
+    loads = np.concatenate([p.mass[:, None] * gravity, end_force[None, :]])
+    carried = np.cumsum(loads[::-1], axis=0)[::-1]  # by each segment, the tip piece last
+
+    def segments(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lengths and angles of the modules and the tip piece."""
+        return (
+            np.insert(q[..., :n], n, p.tip_length, axis=-1),
+            np.insert(np.cumsum(q[..., n:], axis=-1), 0, 0.0, axis=-1),
+        )
+
+    def balance(q: np.ndarray, share: float) -> np.ndarray:
+        lengths, phi = segments(q)
+        along, across = _components(share * carried, phi)
+        turning = np.cumsum((lengths * across)[..., ::-1], axis=-1)[..., ::-1]
+        loads = np.concatenate([along[..., :n], turning[..., 1:]], axis=-1)
+        return (q - rest) @ springs - loads
+
+    lengths, phi = segments(_loaded(balance, rest))
+    return np.array([lengths @ np.cos(phi), lengths @ np.sin(phi), phi[-1]])
+
+
+def _components(force: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of forces, shape (k, 2), along plates and across them, for angles of shape (..., k)."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return cos * force[:, 0] + sin * force[:, 1], cos * force[:, 1] - sin * force[:, 0]
+
+
+def _loaded(balance: Callable[[np.ndarray, float], np.ndarray], rest: np.ndarray) -> np.ndarray:
+    """Where the springs less a share of the loads balance, for the share 1, from rest.
+
+    By Newton's method; slopes are imaginary parts at complex steps, exact to rounding.
+    """
+    q, steps = rest, 1e-30j * np.eye(len(rest))
+    for share in np.arange(1, _STAGES + 1) / _STAGES:
+        q = lagrange.newton(
+            lambda q, f=share: (balance(q, f), np.imag(balance(q + steps, f)).T / 1e-30), q, 1e-13
+        )
+    return q
 
 
 def frequencies(p: ArmParameters) -> tuple[np.ndarray, np.ndarray]:
@@ -107,37 +110,18 @@ def halves_tip(rod: Rod, modules: int, end_force: np.ndarray, gravity: np.ndarra
     loads = nodes[:, None] * gravity
     loads[-1] += end_force
     carried = np.cumsum(loads[::-1], axis=0)[::-1]
-    x = np.concatenate([np.full(modules, h), np.zeros(modules)])
-    for share in np.arange(1, _STAGES + 1) / _STAGES:
-        x = lagrange.newton(
-            lambda x, f=share * carried: _halves_balance(x, axial, bending, h, f), x, 1e-13
-        )
+
+    def balance(x: np.ndarray, share: float) -> np.ndarray:
+        """Springs less loads by x = [s_1 .. s_N, phi_1 .. phi_N]."""
+        s, phi = x[..., :modules], np.insert(x[..., modules:], 0, 0.0, axis=-1)
+        halves = [_components(0.5 * share * carried, x) for x in (phi[..., :-1], phi[..., 1:])]
+        (along, before), (along_after, after) = halves
+        turn = np.diff(phi) * bending
+        couples = turn - after * s
+        couples[..., :-1] -= turn[..., 1:] + (before * s)[..., 1:]
+        return np.concatenate([axial * (s - h) - along - along_after, couples], axis=-1)
+
+    x = _loaded(balance, np.concatenate([np.full(modules, h), np.zeros(modules)]))
     phi = np.append(0.0, x[modules:])
     steps = [0.5 * x[:modules] * (f(phi[1:]) + f(phi[:-1])) for f in (np.cos, np.sin)]
     return np.array([np.sum(steps[0]), np.sum(steps[1]), phi[-1]])
-
-
-def _halves_balance(
-    x: np.ndarray, axial: np.ndarray, bending: np.ndarray, h: float, carried: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient and Hessian of springs less loads by x = [s_1 .. s_N, phi_1 .. phi_N]."""
-    n = len(x) // 2
-    s, phi = x[:n], np.append(0.0, x[n:])
-    u = np.stack([np.cos(phi), np.sin(phi)], axis=-1)
-    normal = np.stack([-u[:, 1], u[:, 0]], axis=-1)
-    # Of each module: components of what it carries along and across the plate before and after it.
-    along = [0.5 * np.sum(carried * axes, axis=-1) for axes in (u[:-1], u[1:])]
-    across = [0.5 * np.sum(carried * axes, axis=-1) for axes in (normal[:-1], normal[1:])]
-    turn = np.diff(phi) * bending
-    later = np.append(across[0][1:] * s[1:], 0.0)
-    couples = turn - np.append(turn[1:], 0.0) - across[1] * s - later
-    gradient = np.concatenate([axial * (s - h) - along[0] - along[1], couples])
-    hessian = np.zeros((2 * n, 2 * n))
-    i = np.arange(n)
-    hessian[i, i] = axial
-    hessian[i, n + i] = hessian[n + i, i] = -across[1]
-    hessian[i[1:], n + i[:-1]] = hessian[n + i[:-1], i[1:]] = -across[0][1:]
-    hold = np.append(along[0][1:] * s[1:], 0.0)
-    hessian[n + i, n + i] = bending + np.append(bending[1:], 0.0) + along[1] * s + hold
-    hessian[n + i[1:], n + i[:-1]] = hessian[n + i[:-1], n + i[1:]] = -bending[1:]
-    return gradient, hessian

@@ -6,8 +6,6 @@ are the references that chains of modules are compared with; nothing here knows 
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq, root_scalar
@@ -56,11 +54,7 @@ def static_tip(rod: Rod, tip_force: np.ndarray, gravity: np.ndarray) -> np.ndarr
     for share in np.arange(1, _STAGES + 1) / _STAGES:
         close = moment + 1e-6 * float(np.broadcast_to(rod.EI, 2)[0]) / length
         solution = root_scalar(
-            functools.partial(remaining, share=share),
-            x0=moment,
-            x1=close,
-            method="secant",
-            xtol=1e-14,
+            remaining, args=(share,), x0=moment, x1=close, method="secant", xtol=1e-14
         )
         if not solution.converged:
             raise OctarmError("the static shape of the rod was not found; the load is too large")

@@ -33,12 +33,9 @@ _ENDING = Ending._fields  # arrays that have no row for each instant
 
 
 class Deviation(NamedTuple):
-    """Where an array of `run.npz` and that of the re-run first have other bits.
+    """Where an array of `run.npz` and that of the re-run first have other bits, at time t [s].
 
-    Attributes:
-        row: number of the control instant, at time t [s].
-        place: which number of the row.
-        largest: largest difference of all their numbers.
+    The row is a control instant, the place a number of it; `largest` is the largest difference.
     """
 
     array: str
@@ -72,52 +69,38 @@ def saved_arrays(run: Trajectory) -> dict[str, np.ndarray]:
     return {**dict(run.arrays()), **ending.arrays()}
 
 
-def form_differences(
-    was: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray]
-) -> Iterator[Difference]:
-    """Arrays that only one side has, numbers of rows, kinds and shapes, and what has no rows.
+def array_differences(
+    was: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray], coordinates: Sequence[str]
+) -> tuple[list[Difference], list[Deviation]]:
+    """What differs in form or without rows, and where rows differ, the earliest first.
 
-    Both are rows of shape (T, ...) with the ending, of `stored_arrays` and of `saved_arrays`.
+    Both are rows of shape (T, ...) with the ending, of `stored_arrays` and of `saved_arrays`. Rows
+    are compared of arrays that both sides have in the same form.
     """
+    form, found = list[Difference](), list[Deviation | None]()
     if len(was["t"]) != len(now["t"]):
-        yield Difference("rows", len(was["t"]), len(now["t"]))
+        form.append(Difference("rows", len(was["t"]), len(now["t"])))
     for name in dict.fromkeys((*was, *now)):
         one, other = was.get(name), now.get(name)
         if one is None or other is None:
-            shapes = (ABSENT if x is None else _row_shape(name, x) for x in (one, other))
-            yield Difference(f"shape of {name}", *shapes)
+            forms = (ABSENT if x is None else _row_shape(name, x) for x in (one, other))
+            form.append(Difference(f"shape of {name}", *forms))
         elif name in _ENDING and repr(one.tolist()) != repr(other.tolist()):
             key = f"{name} in {runs.ARRAYS}"
-            yield from compare({key: one.tolist()}, {key: other.tolist()})
+            form += compare({key: one.tolist()}, {key: other.tolist()})
         elif one.dtype.str != other.dtype.str:
-            yield Difference(f"type of {name}", one.dtype.str, other.dtype.str)
-        elif _row_shape(name, one) != _row_shape(name, other):
-            yield Difference(f"shape of {name}", _row_shape(name, one), _row_shape(name, other))
-        elif name not in _ENDING and len(one) != len(was["t"]):
-            yield Difference(f"rows of {name}", len(one), len(other))
+            form.append(Difference(f"type of {name}", one.dtype.str, other.dtype.str))
+        elif (shapes := [_row_shape(name, x) for x in (one, other)])[0] != shapes[1]:
+            form.append(Difference(f"shape of {name}", *shapes))
+        elif name not in _ENDING:
+            if len(one) != len(was["t"]):
+                form.append(Difference(f"rows of {name}", len(one), len(other)))
+            found.append(_deviation(name, one, other, now["t"], coordinates))
+    return form, sorted((d for d in found if d is not None), key=lambda d: d.row)
 
 
 def _row_shape(name: str, array: np.ndarray) -> tuple[int, ...]:
     return array.shape if name in _ENDING or not array.ndim else array.shape[1:]
-
-
-def deviations(
-    was: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray], coordinates: Sequence[str]
-) -> list[Deviation]:
-    """Where arrays that both sides have in the same form differ, the earliest first.
-
-    Both are rows of shape (T, ...) with the ending, of `stored_arrays` and of `saved_arrays`.
-    """
-    differences = (
-        _deviation(name, was[name], now[name], now["t"], coordinates)
-        for name in now
-        if name not in _ENDING
-        and name in was
-        and was[name].dtype.str == now[name].dtype.str
-        and was[name].ndim == now[name].ndim
-        and was[name].shape[1:] == now[name].shape[1:]
-    )
-    return sorted((d for d in differences if d is not None), key=lambda d: d.row)
 
 
 def _deviation(
@@ -167,20 +150,9 @@ def recording_differences(
             if one.type != other.type or len(one) != len(other):
                 yield Difference(place, *(f"{len(x)} rows of {x.type}" for x in (one, other)))
                 continue
-            row = _first_difference(one, other)
+            row = next(i for i in range(len(one)) if not _same(one[i : i + 1], other[i : i + 1]))
             values = ({f"{place}, row {row}": x[row].as_py()} for x in (one, other))
             yield from compare(*values)
-
-
-def _first_difference(was: pa.Array, now: pa.Array) -> int:
-    low, high = 0, len(was)
-    while high - low > 1:
-        middle = (low + high) // 2
-        if _same(was.slice(low, middle - low), now.slice(low, middle - low)):
-            low = middle
-        else:
-            high = middle
-    return low
 
 
 def _same(was: pa.Array, now: pa.Array) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -17,7 +17,12 @@ from octarm.interfaces import Controller
 
 
 class Stability:
-    """The loops of an arm and several controllers, about rest."""
+    """The loops of an arm and several controllers, about rest.
+
+    Attributes:
+        lines: the text.
+        stable: whether all that have a slope are stable.
+    """
 
     def __init__(
         self,
@@ -27,44 +32,37 @@ class Stability:
         groups: Groups | None = None,
     ) -> None:
         """Computes them for a control period [s]; on the plant of groups if they are given."""
-        self._period = period
         plant, on = LinearPlant.of(p), ""
         if groups is not None:
             rest = groups.measured(equilibrium(groups.plant))
             plant = LinearPlant.of(groups.plant, groups.matrix, rest)
             on = f", on a plant of {groups.plant.modules} modules ({groups.layout})"
-        self._lines = [
+        self.lines = [
             f"sampled loop about rest, the model exact{on}",
             f"controller          longest period  over {1e3 * period:g} ms  first to grow beyond",
         ]
         self.stable = True
         for name, controller in controllers.items():
             try:
-                self._lines += self._row(name, plant, controller)
+                loop = Loop(plant, controller)
             except NoSlopeError as error:
-                self._lines.append(f"{name:<18}  {error}")
+                self.lines.append(f"{name:<18}  {error}")
+                continue
+            self.stable &= loop.radius(period) < 1.0
+            self.lines.append(f"{name:<18}  {_row(loop, period)}")
+            if loop.states:
+                held = Loop(plant, controller, learning=False)
+                self.lines.append(f"  its state held    {_row(held, period)}")
         low, high = p.input_bounds(())
         if np.any(low == 0.0) or np.any(high == 0.0):
-            self._lines.append(
+            self.lines.append(
                 "columns that only push, or only pull, give no force of the other sign at rest: "
                 "what is said here holds where they are under load"
             )
 
-    def lines(self) -> Sequence[str]:
-        """The text."""
-        return self._lines
 
-    def _row(self, name: str, plant: LinearPlant, controller: Controller) -> Iterator[str]:
-        loop = Loop(plant, controller)
-        longest = loop.longest_period()
-        self.stable &= loop.radius(self._period) < 1.0
-        yield f"{name:<18}  {_row(loop, longest, self._period)}"
-        if loop.states:
-            held = Loop(plant, controller, learning=False)
-            yield f"  its state held    {_row(held, held.longest_period(), self._period)}"
-
-
-def _row(loop: Loop, longest: float, period: float) -> str:
+def _row(loop: Loop, period: float) -> str:
+    longest = loop.longest_period()
     if longest == 0.0:
         return "no period is short enough"
     if math.isinf(longest):

@@ -49,10 +49,10 @@ class RunCheck(Comparison):
     digests: tuple[str, str, str]
 
     @property
-    def identical(self) -> bool:  # noqa: D102
+    def identical(self) -> bool:
         return not self.deviations and not self.differences and len(set(self.digests)) == 1
 
-    def lines(self) -> list[str]:  # noqa: D102
+    def lines(self) -> list[str]:
         if self.identical:
             recording = ", the recording" if self.recorded else ""
             same = f"{self.rows} control instants, {self.arrays} arrays{recording} and run.json"
@@ -99,12 +99,9 @@ def check_run(
     """Runs again what `run.json` of a run folder says, and compares all that the folder holds.
 
     A run that diverged or was interrupted is repeated up to where it ended. The factory makes the
-    controller from all its gains; the progress is called after every control period.
-
-    Raises:
-        OctarmError: if the folder holds no complete run, or one that cannot be made again.
-        CodeChanged: if code that is not built in is not what it was; nothing is run then.
-        KeyboardInterrupt: if interrupted.
+    controller from all its gains; the progress is called after every control period. Raises
+    OctarmError if the folder holds no complete run, or one that cannot be made again, CodeChanged,
+    before anything is run, if code that is not built in is not what it was, and KeyboardInterrupt.
     """
     description = runs.read_description(folder)
     was = _stored(folder, description)
@@ -123,8 +120,8 @@ def check_run(
     if again.status == "interrupted" and not (interrupted and len(again) == len(was["t"])):
         raise KeyboardInterrupt
     now, written = run_files.saved_arrays(again), runs.written(described)
-    form = [*run_files.form_differences(was, now)]
-    found = run_files.deviations(was, now, environment.physics.coordinates.names)
+    names = environment.physics.coordinates.names
+    form, found = run_files.array_differences(was, now, names)
     stated = {key: value for key, value in description.items() if key != runs.SUMS}
     if found:  # what was measured of another motion is another one anyway
         form = [d for d in form if d.key != f"digest in {runs.ARRAYS}"]
@@ -184,13 +181,8 @@ def _unexplained(
 class EpisodeCheck(Comparison):
     """A row of a sweep's table compared with that of the episode run alone.
 
-    Differences are those of the columns, the checkpoints aside.
-
-    Attributes:
-        label: what the episode is, in words.
-        between: the instants between which the motion parts [s]; None if it does not.
-        gains: of the controller for the nominal arm, where they are not what they were.
-        recorded: run folder of the episode, if there is one.
+    Differences are those of the columns, the checkpoints aside, and of the controller's gains for
+    the nominal arm. The motion parts between two instants [s], if it does.
     """
 
     episode: int
@@ -200,10 +192,10 @@ class EpisodeCheck(Comparison):
     recorded: Path | None
 
     @property
-    def identical(self) -> bool:  # noqa: D102
+    def identical(self) -> bool:
         return self.between is None and not self.differences and not self.gains
 
-    def lines(self) -> list[str]:  # noqa: D102
+    def lines(self) -> list[str]:
         head = f"episode {self.episode} ({self.label})"
         if self.identical:
             same = f"{head}: identical when run alone: digest, checkpoints and all measures"

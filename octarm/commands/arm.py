@@ -103,7 +103,7 @@ def arm(source: Source, loop: LoopOptions, write: Path | None, out: Path | None)
         print("\n".join(summary.lines()))
         stability = loop.of(each.parameters)
         if stability is not None:
-            print("\n".join(stability.lines()))
+            print("\n".join(stability.lines))
             stable &= stability.stable
         if write is not None:
             write_text(write, arm_toml(each))

@@ -138,8 +138,8 @@ class ActiveDisturbances:
         plant = self._changed_plant(step)
         if plant is None:
             return None
-        if step == 0:
-            _check_plant(plant.parameters)
+        if step == 0 and (beyond := _beyond(plant.parameters)):
+            raise OctarmError(beyond)
         if not self._surveyed:
             self._check(plant)
         return plant
@@ -161,7 +161,7 @@ class ActiveDisturbances:
             self._check(plant)
 
     def _check(self, plant: Plant) -> None:
-        if not any(np.any(bad) for *_, bad in _beyond(plant.parameters)):
+        if not _beyond(plant.parameters):
             self.episode.check_arm(plant.parameters)
 
     def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
@@ -176,18 +176,14 @@ class ActiveDisturbances:
         return q, v
 
 
-def _check_plant(p: ArmParameters) -> None:
+def _beyond(p: ArmParameters) -> str:
+    """Which mass or inertia cannot be simulated, a sentence; empty if all can."""
     low, high = _SIMULATED
-    for name, unit, values, bad in _beyond(p):
+    for name, unit, values in (("mass", "kg", p.mass), ("inertia", "kg m^2", p.inertia)):
+        bad = ~((values >= low) & (values <= high))
         if np.any(bad):
-            raise OctarmError(
+            return (
                 f"the disturbed arm has a module with {name} {values[bad].flat[0]:g} {unit}; "
                 f"it must be between {low:g} and {high:g} {unit}"
             )
-
-
-def _beyond(p: ArmParameters) -> list[tuple[str, str, np.ndarray, np.ndarray]]:
-    """Masses and inertias: name, unit, values, and which of them cannot be simulated."""
-    low, high = _SIMULATED
-    parts = ("mass", "kg", p.mass), ("inertia", "kg m^2", p.inertia)
-    return [(*part, ~((part[2] >= low) & (part[2] <= high))) for part in parts]
+    return ""

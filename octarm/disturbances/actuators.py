@@ -22,11 +22,7 @@ from octarm.fields import Amount, Quantity
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Delay(Disturbance):
-    """What passes arrives late.
-
-    Attributes:
-        delay: which need not be whole control periods, nor whole physics steps, shape (...) [s].
-    """
+    """What passes arrives late, by a delay that need not be whole control periods or steps."""
 
     units: ClassVar[Mapping[str, str]] = {"delay": "s"}
     delay: Annotated[Amount, Quantity("s", at_least=0.0, at_most=10.0, usual=(0.0, 0.05))]
@@ -47,7 +43,6 @@ class ActuationDelay(Delay, ActuatorFault):
     name: ClassVar[str] = "actuation-delay"
 
     def start(self, episode: Episode) -> _LateInputs:
-        """The delay in one episode."""
         return _LateInputs(episode.value(self, "delay"), episode.timestep, episode.batch_shape)
 
 
@@ -63,17 +58,12 @@ class _LateInputs(DelayLine):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class DeadZone(ActuatorFault):
-    """No force below the width, and that much less beyond it: tau - clip(tau, +-width).
-
-    Attributes:
-        width: largest |tau| without effect, broadcasts to shape (..., 2N) [N].
-    """
+    """No force below the width, and that much less beyond it: tau - clip(tau, +-width)."""
 
     name: ClassVar[str] = "dead-zone"
     width: Annotated[Amount, Quantity("N", at_least=0.0, each=True, usual=(0.0, 5.0))]
 
     def start(self, episode: Episode) -> ActuatorProcess:
-        """The dead zone in one episode."""
         return functools.partial(_beyond, _columns(self, "width", episode))
 
 
@@ -85,21 +75,15 @@ def _beyond(width: np.ndarray, step: int, tau: np.ndarray) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Saturation(ActuatorFault):
-    """No more force than the limit: clip(tau, -limit, limit).
-
-    Attributes:
-        limit: largest |tau|, may be infinite, broadcasts to shape (..., 2N) [N].
-    """
+    """No more force than the limit: clip(tau, -limit, limit)."""
 
     name: ClassVar[str] = "saturation"
     limit: Annotated[Amount, Quantity("N", at_least=0.0, each=True, unbounded=True)]
 
     def start(self, episode: Episode) -> ActuatorProcess:
-        """The saturation in one episode."""
         return functools.partial(_limited, _columns(self, "limit", episode))
 
     def input_bound(self) -> Amount:
-        """The limit, broadcasts to (..., 2N) [N]; infinite where there is none."""
         return self.limit
 
 
@@ -110,17 +94,12 @@ def _limited(limit: np.ndarray, step: int, tau: np.ndarray) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class SlewLimit(ActuatorFault):
-    """A force that follows tau no faster than the rate, from 0 at the start.
-
-    Attributes:
-        rate: largest change in time, may be infinite, broadcasts to shape (..., 2N) [N/s].
-    """
+    """A force that follows tau no faster than the rate, from 0 at the start."""
 
     name: ClassVar[str] = "slew"
     rate: Annotated[Amount, Quantity("N/s", above=0.0, each=True, unbounded=True)]
 
     def start(self, episode: Episode) -> ActuatorProcess:
-        """The slew limit in one episode."""
         most = _columns(self, "rate", episode) * episode.timestep  # change in a physics step [N]
         return _Follower(functools.partial(_slewed, most))
 
@@ -135,9 +114,6 @@ class Lag(ActuatorFault):
 
     The plant receives over each physics step the value of y at the step's end, exact for an input
     held over the step: y <- tau + exp(-dt / T) (y - tau).
-
-    Attributes:
-        time_constant: T, broadcasts to shape (..., 2N) [s].
     """
 
     name: ClassVar[str] = "lag"
@@ -146,7 +122,6 @@ class Lag(ActuatorFault):
     ]
 
     def start(self, episode: Episode) -> ActuatorProcess:
-        """The lag in one episode."""
         T = _columns(self, "time_constant", episode)
         with np.errstate(divide="ignore", over="ignore"):  # exp(-inf) = 0: no lag
             decay = np.exp(-(episode.timestep / T))
@@ -173,24 +148,17 @@ class _Follower:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class LossOfEffectiveness(ActuatorFault):
-    """Columns that lose a share of their force: (1 - share) tau from the time `at` on.
-
-    Attributes:
-        share: lost, broadcasts to shape (..., 2N), one value a column [1].
-        at: when it is lost, shape (...) [s].
-    """
+    """Columns that lose a share of their force: (1 - share) tau from the time `at` on."""
 
     name: ClassVar[str] = "loss"
     share: Annotated[Amount, Quantity("1", at_least=0.0, at_most=1.0, each=True, usual=(0.0, 1.0))]
     at: Annotated[Amount, Quantity("s", at_least=0.0, at_most=1e9)] = 0.0
 
     def start(self, episode: Episode) -> ActuatorProcess:
-        """The loss in one episode."""
         onset = first_step(episode.value(self, "at"), episode.timestep)[..., None]
         return functools.partial(_weakened, 1.0 - _columns(self, "share", episode), onset)
 
     def events(self) -> Sequence[Event]:
-        """When it is lost."""
         return self.span(self.at)
 
 

@@ -31,13 +31,8 @@ class BandLimitedNoise(Force):
 
     Normal numbers, each held for a while. The rms of each coordinate's force is `ratio` times the
     amplitude of its input signal, see `Episode.input_amplitude`, or `rms` itself. The spectrum is
-    flat at first and has lost half of its density at 0.443 / correlation_time.
-
-    Attributes:
-        ratio: rms over input amplitude, broadcasts to shape (..., 2N) [1].
-        correlation_time: how long a number is held, shape (...) [s].
-        rms: instead of `ratio`, broadcasts to shape (..., 2N) [N], [N m].
-        on: `all`, or coordinates such as `s1+theta2`; no force acts on the others.
+    flat at first and has lost half of its density at 0.443 / correlation_time. It acts `on` all
+    coordinates, or on some such as `s1+theta2`.
     """
 
     name: ClassVar[str] = "noise"
@@ -53,7 +48,6 @@ class BandLimitedNoise(Force):
             raise OctarmError("noise needs either a ratio or an rms, and not both")
 
     def start(self, episode: Episode) -> ForceProcess:
-        """The noise of one episode; the input signal must vary if it is to be a share of that."""
         return functools.partial(_held, episode.noise(self, self._wanted(episode)))
 
     def delivered(self, measured: Measured) -> dict[str, Any]:
@@ -81,7 +75,11 @@ def _held(noise: HeldNoise, step: int, q: np.ndarray) -> np.ndarray:
 
 
 class _PushForce(Force):
-    """A force on joints or tip whose size depends on time alone; see `SineForce.on`."""
+    """A force whose size depends on time alone: from `at` on for a length, which may be infinite.
+
+    It acts `on` coordinates such as `theta1` or `s1+s2`, on `all`, or on `tip-x` or `tip-y`, the
+    tip along an axis of the base frame, x along the hanging arm.
+    """
 
     amplitude: Amount
     at: Amount
@@ -92,9 +90,7 @@ class _PushForce(Force):
         size = self._size(episode.values(self), episode.timestep)
         if self.on not in _TIP:
             return _Push(size, self.on, episode)
-        x, y = _TIP[self.on]
-        push = functools.partial(_along, size, x, y)
-        return TipProcess(push, episode.plant.entries.tip_length)
+        return TipProcess(size, _TIP[self.on], episode.plant.entries.tip_length)
 
     def events(self) -> Sequence[Event]:
         return self.span(self.at, self.length)
@@ -109,16 +105,8 @@ class _PushForce(Force):
 class SineForce(_PushForce):
     """A sine on joints or tip, amplitude sin(2 pi frequency (t - at) + phase).
 
-    Over a physics step it is what it is at its start: a run is of first order in the step.
-
-    Attributes:
-        amplitude: shape (...) [N], or [N m] on a bend.
-        frequency: shape (...), below half of the physics rate [Hz].
-        phase: shape (...) [rad].
-        at: when it begins, shape (...) [s].
-        length: for how long, may be infinite, shape (...) [s].
-        on: coordinates such as `theta1` or `s1+s2`, `all`, or `tip-x`, `tip-y`, a force on the tip
-            along an axis of the base frame, x along the hanging arm.
+    Over a physics step it is what it is at its start: a run is of first order in the step. The
+    frequency must be below half of the physics rate.
     """
 
     name: ClassVar[str] = "sine"
@@ -166,12 +154,7 @@ class PulseForce(_PushForce):
     """A constant force on joints or tip from the time `at` on, for a while.
 
     A physics step that it covers in part gets that part of the force, so that the impulse is
-    amplitude times length for any timestep. See `SineForce` for `on`.
-
-    Attributes:
-        amplitude: shape (...) [N], or [N m] on a bend.
-        at: when it begins, shape (...) [s].
-        length: for how long, may be infinite, shape (...) [s].
+    amplitude times length for any timestep.
     """
 
     name: ClassVar[str] = "pulse"
@@ -183,13 +166,7 @@ class PulseForce(_PushForce):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class StepForce(_PushForce):
-    """A constant force on joints or tip from the time `at` on, to the end.
-
-    Attributes:
-        amplitude: shape (...) [N], or [N m] on a bend.
-        at: when it begins, shape (...) [s].
-        on: as for `SineForce`.
-    """
+    """A constant force on joints or tip from the time `at` on, to the end."""
 
     name: ClassVar[str] = "step"
     amplitude: Size
@@ -197,27 +174,22 @@ class StepForce(_PushForce):
     on: Place = "theta1"
 
 
-def _along(size: Callable[[int], Amount], x: float, y: float, step: int) -> tuple[Amount, Amount]:
-    amount = size(step)
-    return amount * x, amount * y
-
-
 class TipProcess:
     """A force on the tip, wherever that is: a `ForceProcess` that needs the plant's coordinates.
 
-    Attributes:
-        push: at a physics step, along x and y of the base frame, each of shape () or (n,) [N].
-        tip_length: of the plant, shape () or (n,) [m].
+    Its size at a physics step has shape () or (n,) [N], its direction is (x, y) in the base frame,
+    the plant's tip length has shape () or (n,) [m].
     """
 
     def __init__(
-        self, push: Callable[[int], tuple[Amount, Amount]], tip_length: np.ndarray | float
+        self, size: Callable[[int], Amount], direction: tuple[float, float], tip_length: Amount
     ) -> None:
-        self.push, self.tip_length = push, tip_length
+        self._size, self._direction, self._tip_length = size, direction, tip_length
 
     def __call__(self, step: int, q: np.ndarray) -> np.ndarray:
         """The generalised force of a step, q being that of all modules, shapes (..., 2N)."""
-        return tip_force(q, *self.push(step), self.tip_length)
+        size, (x, y) = self._size(step), self._direction
+        return tip_force(q, size * x, size * y, self._tip_length)
 
 
 class _Push:

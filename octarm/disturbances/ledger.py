@@ -218,7 +218,7 @@ class Drawn(Model):
 
     def carried(self) -> tuple[float, float] | None:
         """The mass that the tip carries and from when on [kg], [s]; None if none."""
-        return None if self.load is None else (self.load[0], self.load[1])
+        return self.load
 
     def input_bound(self) -> Amount | None:
         """Bound on |tau| to be drawn, shape () or (2N,) [N]; None if it sets none."""

@@ -33,15 +33,9 @@ Of = Annotated[str, Words(joined=tuple(SCALABLE))]
 class Mismatch(PlantChange):
     """A true arm with other parameters, from the start.
 
-    Attributes:
-        mismatch: mass, inertia and damping are multiplied by 1 + mismatch, stiffness by 1 +
-            mismatch/2, as in `ArmParameters.mismatched`, shape (...) [1].
-        mass: further factor, shape (...) [1].
-        inertia: further factor, shape (...) [1].
-        stiffness: further factor, shape (...) [1].
-        damping: further factor, shape (...) [1].
-        rest_length: factor, shape (...) [1].
-        tilt: angle by which gravity is turned, see `Plant`, shape (...) [rad].
+    By `mismatch` mass, inertia and damping are multiplied by 1 + mismatch, stiffness by 1 +
+    mismatch/2, as in `ArmParameters.mismatched`. The other fields are further factors, and the
+    angle by which gravity is turned, see `Plant`.
     """
 
     name: ClassVar[str] = "mismatch"
@@ -54,7 +48,6 @@ class Mismatch(PlantChange):
     tilt: Angle = 0.0
 
     def start(self, episode: Episode) -> PlantProcess:
-        """The change of one episode."""
         value = episode.values(self)
         full, half = 1.0 + value["mismatch"], 1.0 + value["mismatch"] / 2.0
         common = {"mass": full, "inertia": full, "stiffness": half, "damping": full}
@@ -62,7 +55,6 @@ class Mismatch(PlantChange):
         return _from_the_start(factors, value["tilt"])
 
     def gravity_angle(self) -> float:
-        """The tilt [rad]; 0 if it is not one number."""
         return 0.0 if np.ndim(self.tilt) else float(self.tilt)
 
 
@@ -70,14 +62,10 @@ class Mismatch(PlantChange):
 class RandomMismatch(PlantChange):
     """A true arm with parameters drawn at random, every module and column on its own.
 
-    Each parameter is multiplied by 1 + share u with u uniform in -1 .. 1. The draws are the same
-    for any share. All modules of a group of a finer plant have the draws of the module that the
-    group stands for.
-
-    Attributes:
-        share: of mass, inertia, stiffness and damping, shape (...) [1].
-        rest_length: share of the rest lengths, shape (...) [1].
-        tilt: gravity is turned by at most this angle, shape (...) [rad].
+    Each parameter is multiplied by 1 + share u with u uniform in -1 .. 1, rest lengths by a share
+    of their own, and gravity is turned by the tilt times such a u. The draws are the same for any
+    share. All modules of a group of a finer plant have the draws of the module that the group
+    stands for.
     """
 
     name: ClassVar[str] = "random-mismatch"
@@ -86,7 +74,6 @@ class RandomMismatch(PlantChange):
     tilt: Annotated[Amount, Quantity("rad", at_least=0.0, at_most=np.pi)] = 0.0
 
     def start(self, episode: Episode) -> PlantProcess:
-        """The arms of one episode."""
         n, batch = episode.parameters.modules, episode.batch_shape
         shapes = {name: (2, n)[2 - axes :] for name, axes in SCALABLE.items()} | {"tilt": ()}
         drawn: dict[str, list[np.ndarray]] = {name: [] for name in shapes}
@@ -105,36 +92,26 @@ class RandomMismatch(PlantChange):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class GravityTilt(PlantChange):
-    """Gravity turned in the arm's plane, as on a base that is not level.
-
-    Attributes:
-        angle: from the x axis of the base frame towards its y axis, shape (...) [rad].
-    """
+    """Gravity turned in the arm's plane, as on a base that is not level."""
 
     name: ClassVar[str] = "tilt"
     angle: Angle
 
     def start(self, episode: Episode) -> PlantProcess:
-        """The change of one episode."""
         return _from_the_start({}, episode.value(self, "angle"))
 
     def gravity_angle(self) -> float:
-        """The angle [rad]; 0 if it is not one number."""
         return 0.0 if np.ndim(self.angle) else float(self.angle)
 
 
 def _from_the_start(factors: Mapping[str, Amount], tilt: Amount) -> PlantProcess:
     """Factors on parameters, by name, and a turn of gravity, shape (...) [rad]."""
     changed = functools.partial(_changed, factors, tilt)
-    return PlantProcess(operator.not_, functools.partial(_from_step_0, changed), (changed,))
+    return PlantProcess(operator.not_, changed, [functools.partial(changed, 0)])
 
 
-def _from_step_0(changed: Callable[[Plant], Plant], step: int, plant: Plant) -> Plant:
+def _changed(factors: Mapping[str, Amount], tilt: Amount, step: int, plant: Plant) -> Plant:
     del step
-    return changed(plant)
-
-
-def _changed(factors: Mapping[str, Amount], tilt: Amount, plant: Plant) -> Plant:
     scaled = plant.parameters.scaled(**factors) if factors else plant.parameters
     return Plant(scaled, plant.gravity_angle + tilt)
 
@@ -144,10 +121,6 @@ class Payload(PlantChange):
     """A point mass at the last plate, from a given time on; the tip unless a rigid piece follows.
 
     It has the tip's velocity when it is picked up: there is no impact.
-
-    Attributes:
-        mass: shape (...) [kg].
-        at: when it is picked up, shape (...) [s].
     """
 
     name: ClassVar[str] = "payload"
@@ -155,7 +128,6 @@ class Payload(PlantChange):
     at: Annotated[Amount, Quantity("s", at_least=0.0)] = 0.0
 
     def start(self, episode: Episode) -> PlantProcess:
-        """The load of one episode."""
         value = episode.values(self)
         first = first_step(value["at"], episode.timestep)
         changes = frozenset([0, *np.ravel(first).tolist()])
@@ -164,11 +136,9 @@ class Payload(PlantChange):
         return PlantProcess(changes.__contains__, loaded, ends)
 
     def events(self) -> Sequence[Event]:
-        """When it is picked up."""
         return self.span(self.at)
 
     def carried(self) -> tuple[float, float] | None:
-        """Its mass [kg] and when it is picked up [s], if both are one number."""
         if np.ndim(self.mass) or np.ndim(self.at):
             return None
         return float(self.mass), float(self.at)
@@ -187,13 +157,8 @@ def _loaded(mass: Amount, first: np.ndarray, step: int, plant: Plant) -> Plant:
 class Drift(PlantChange):
     """Parameters that change steadily until they have changed by a limit.
 
-    They are multiplied by 1 + rate t, which stays within 1 - limit and 1 + limit. They change
-    every 10 ms.
-
-    Attributes:
-        rate: shape (...) [1/s].
-        of: what drifts, such as `stiffness` or `stiffness+damping`.
-        limit: shape (...) [1].
+    Those `of`, such as `stiffness+damping`, are multiplied by 1 + rate t, which stays within 1 -
+    limit and 1 + limit. They change every 10 ms.
     """
 
     name: ClassVar[str] = "drift"
@@ -202,7 +167,6 @@ class Drift(PlantChange):
     limit: Share = 0.5
 
     def start(self, episode: Episode) -> PlantProcess:
-        """The drift of one episode."""
         value = episode.values(self)
         ends = np.ones(()), 1.0 + np.sign(value["rate"]) * value["limit"]
         return _drifting(functools.partial(_ramp, **value), self.of, episode, ends)
@@ -216,13 +180,8 @@ def _ramp(t: float, rate: Amount, limit: Amount) -> np.ndarray:
 class CyclicDrift(PlantChange):
     """Parameters that swing about their values.
 
-    They are multiplied by 1 + share sin(2 pi t / period + phase). They change every 10 ms.
-
-    Attributes:
-        share: shape (...) [1].
-        period: shape (...) [s].
-        phase: shape (...) [rad].
-        of: what drifts, such as `stiffness` or `stiffness+damping`.
+    Those `of`, such as `stiffness+damping`, are multiplied by 1 + share sin(2 pi t / period +
+    phase). They change every 10 ms.
     """
 
     name: ClassVar[str] = "cyclic-drift"
@@ -232,7 +191,6 @@ class CyclicDrift(PlantChange):
     of: Of = "stiffness"
 
     def start(self, episode: Episode) -> PlantProcess:
-        """The drift of one episode."""
         value = episode.values(self)
         ends = np.asarray(1.0 - value["share"]), np.asarray(1.0 + value["share"])
         return _drifting(functools.partial(_swing, **value), self.of, episode, ends)

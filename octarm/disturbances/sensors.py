@@ -37,7 +37,6 @@ class MeasurementDelay(Delay, SensorFault):
     instead_of_two: ClassVar[str] = "give the sum of both delays"
 
     def start(self, episode: Episode) -> _LateReadings:
-        """The delay in one episode."""
         return _LateReadings(episode.value(self, "delay"), episode.timestep, episode.batch_shape)
 
 
@@ -79,12 +78,8 @@ class MeasurementNoise(SensorFault):
 
     All coordinates and velocities have their own, independent of one another.
     The realisation belongs to the arm's random stream and to time, see `HeldNoise`: it does not
-    depend on when, or how often, the arm is measured.
-
-    Attributes:
-        rms: of the coordinates, a share of the scale, broadcasts to shape (..., 2N) [1].
-        rate: rms of the velocities over that of the coordinates, shape (...) [1/s].
-        correlation_time: how long a number is held, shape (...) [s].
+    depend on when, or how often, the arm is measured. `rms` is that of the coordinates, and `rate`
+    that of the velocities over it.
     """
 
     name: ClassVar[str] = "measurement-noise"
@@ -93,7 +88,6 @@ class MeasurementNoise(SensorFault):
     correlation_time: Annotated[Amount, Quantity("s", above=0.0, key="time")] = 0.001
 
     def start(self, episode: Episode) -> _Noise:
-        """The noise of one episode, whose correlation time is at least a physics step."""
         scales = np.concatenate(_scaled(self, "rms", episode), axis=-1)
         return _Noise(episode.noise(self, scales))
 
@@ -117,10 +111,8 @@ class _Noise(SensorProcess):
 class Quantisation(SensorFault):
     """Readings rounded to the nearest multiple of a share of the rest length or of 1 rad.
 
-    Attributes:
-        resolution: of the coordinates, a share of the scale, broadcasts to shape (..., 2N) [1].
-        rate: resolution of the velocities over that of the coordinates, shape (...) [1/s]; that of
-            an encoder whose counts are differenced over a time h is 1/h, and 0 leaves them exact.
+    `rate` is the resolution of the velocities over that of the coordinates: that of an encoder
+    whose counts are differenced over a time h is 1/h, and 0 leaves velocities exact.
     """
 
     name: ClassVar[str] = "quantisation"
@@ -128,7 +120,6 @@ class Quantisation(SensorFault):
     rate: Rate = 100.0
 
     def start(self, episode: Episode) -> _Rounding:
-        """The rounding in one episode."""
         return _Rounding(*_scaled(self, "resolution", episode))
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from dataclasses import is_dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -70,17 +71,12 @@ REFERENCES: Declared[Callable[..., Any]] = Declared(
 
 
 def named_reference(name: str, rest: np.ndarray, arm: ArmParameters | None = None) -> Motion:
-    """A reference by name, MODULE:NAME or FILE.py:NAME, and its parameters, about a pose.
+    """A reference such as `sine:amplitude=20deg,frequency=1` about the pose in which an arm hangs.
 
-    Args:
-        name: such as `sine:amplitude=20deg,frequency=1`.
-        rest: the pose in which the arm hangs, shape (..., 2N) [m], [rad].
-        arm: what sizes that are not given are to suit, and what the reference must not break; when
-            None, the nominal arm.
-
-    Raises:
-        OctarmError: for an unknown name, with the known ones, for parameters that are not allowed,
-            for a motion that leaves the limits of the arm, or if what is named makes no motion.
+    The name is one of `REFERENCES`, MODULE:NAME or FILE.py:NAME; `rest` has shape (..., 2N) [m],
+    [rad]. Sizes that are not given suit the arm, the nominal one when None. Raises OctarmError for
+    an unknown name, with the known ones, for parameters that are not allowed, for a motion that
+    leaves the limits of the arm, or if what is named makes no motion.
     """
     word, given = REFERENCES.split(name)
     thing: Any = REFERENCES[word]
@@ -102,8 +98,7 @@ def named_reference(name: str, rest: np.ndarray, arm: ArmParameters | None = Non
 def parameters_of(name: str) -> dict[str, Any]:
     """The parameters of a reference that stand behind its name, by field.
 
-    Raises:
-        OctarmError: for an unknown name or parameter, or a value that is not allowed.
+    Raises OctarmError for an unknown name or parameter, or a value that is not allowed.
     """
     word, text = REFERENCES.split(name)
     thing = REFERENCES[word]
@@ -118,12 +113,7 @@ def parameters_of(name: str) -> dict[str, Any]:
 
 
 def recorded_word(name: str, code: Mapping[str, Code] = BUILT_IN) -> str:
-    """The word for a reference of an experiment; see `octarm.declared.word_of`.
-
-    Raises:
-        OctarmError: for code, or a file of samples, that is not recorded.
-        CodeChanged: if the code or the file is not what it was.
-    """
+    """The word for a reference of an experiment; see `octarm.declared.word_of`, also for errors."""
     head = name.partition(":")[0]
     return name if name not in code and is_built_in(head) else word_of(name, code)
 
@@ -146,8 +136,7 @@ def _suits_an_arm(thing: Any) -> bool:
 
 
 def _kinds(thing: Any) -> dict[str, Any]:
-    dataclass = isinstance(thing, type) and hasattr(thing, "__dataclass_fields__")
-    return field_kinds(thing) if dataclass else {}
+    return field_kinds(thing) if isinstance(thing, type) and is_dataclass(thing) else {}
 
 
 def _usage(name: str, thing: Any) -> str:

@@ -42,7 +42,8 @@ class Hanging(NamedTuple):
 
         Half of the bend at which all modules can be held alike, and 1 rad at most.
         """
-        return np.minimum(1.0, self._each(_held_bend) / (2.0 * _BEND))
+        held = self._each(lambda arm: np.min(np.abs(reach(arm).alike)))
+        return np.minimum(1.0, held / (2.0 * _BEND))
 
     def slide(self) -> np.ndarray:
         """The size of each slide, relative to the nominal arm's, shape () or (..., N) [1].
@@ -56,14 +57,11 @@ class Hanging(NamedTuple):
 
     def pace(self) -> np.ndarray:
         """The size of frequencies near the lowest mode, shape () or (..., 1) [1]; 1 at most."""
-        return np.minimum(1.0, self._each(_lowest_mode) / _LOWEST)
+        slowest = self._each(lambda arm: np.min(np.abs(rates(arm, equilibrium(arm)))))
+        return np.minimum(1.0, slowest / (2.0 * np.pi) / _LOWEST)
 
     def parameters(self) -> ArmParameters:
-        """Those of one arm; the nominal ones when none are given.
-
-        Raises:
-            OctarmError: for arms that differ, or another number of modules than the nominal one's.
-        """
+        """Those of one arm, the nominal ones when none are given; OctarmError for other arms."""
         from octarm.arm.mjcf import nominal_parameters  # which imports MuJoCo
 
         arm = nominal_parameters() if self.arm is None else self.arm
@@ -84,17 +82,8 @@ class Hanging(NamedTuple):
         return np.stack(rows)
 
 
-def _held_bend(arm: ArmParameters) -> float:
-    return float(np.min(np.abs(reach(arm).alike)))
-
-
 def _held_strain(arm: ArmParameters) -> np.ndarray:
     """By how much both columns of each module stretch or shorten it, shape (N,) [1]."""
     force = np.max(np.abs(arm.input_bounds(())), axis=0).reshape(-1, 2).sum(axis=-1)
     axial = np.diagonal(stiffness_matrix(arm))[: arm.modules]
     return force / (axial * arm.rest_length)
-
-
-def _lowest_mode(arm: ArmParameters) -> float:
-    """The slowest rate of the linearised arm at rest, over 2 pi [Hz]."""
-    return float(np.min(np.abs(rates(arm, equilibrium(arm)))) / (2.0 * np.pi))

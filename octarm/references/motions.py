@@ -20,11 +20,7 @@ from octarm.interfaces import Reference
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Fields:
-    """Makes the fields of a motion read-only float arrays.
-
-    Raises:
-        OctarmError: if a field is not finite.
-    """
+    """Makes the fields of a motion read-only float arrays; OctarmError if one is not finite."""
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -81,14 +77,7 @@ class Sine(Fields):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class MultiSine:
-    """The sum of several sines.
-
-    Attributes:
-        tones: at least one; their centers add up too.
-
-    Raises:
-        OctarmError: if there are none.
-    """
+    """The sum of several sines, whose centers add up too; OctarmError if there are none."""
 
     tones: tuple[Sine, ...]
 
@@ -116,10 +105,7 @@ class SmoothStep(Fields):
         start: shape (..., 2N) [m], [rad].
         goal: shape (..., 2N) [m], [rad].
         begin: when the motion begins, broadcasts to (..., 2N) [s].
-        duration: how long it takes, positive, broadcasts to (..., 2N) [s].
-
-    Raises:
-        OctarmError: if the duration is not positive.
+        duration: how long it takes, broadcasts to (..., 2N) [s]; OctarmError unless positive.
     """
 
     start: np.ndarray
@@ -222,15 +208,13 @@ class Spline(Fields):
     """Through given points at given times; at rest before the first and after the last.
 
     For a motion that is known as samples. The velocity and the acceleration of a spline of degree 5
-    are smooth; one of degree 3 has an acceleration that is continuous.
+    are smooth; one of degree 3 has an acceleration that is continuous. Raises OctarmError if a
+    field has a wrong shape, or the times do not rise.
 
     Attributes:
         times: rising, one more of them than the degree at least, shape (K,) [s].
         points: coordinates at these times, shape (K, 2N) [m], [rad].
         degree: 5, or 3, shape ().
-
-    Raises:
-        OctarmError: if a field has a wrong shape, or the times do not rise.
     """
 
     times: np.ndarray

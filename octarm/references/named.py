@@ -39,11 +39,7 @@ class NamedReference(abc.ABC):
 
     @abc.abstractmethod
     def start(self, arm: Hanging) -> Motion:
-        """The motion of an arm, about the pose in which it hangs.
-
-        Raises:
-            OctarmError: if the arm cannot do it.
-        """
+        """The motion about the pose in which an arm hangs; OctarmError if it cannot do that."""
 
 
 def poses(
@@ -56,12 +52,8 @@ def poses(
 ) -> np.ndarray:
     """How far the first modules move from rest, shape (..., 2N) [m], [rad].
 
-    Args:
-        arm: that moves.
-        bends: those of the nominal arm, from the first module on [rad].
-        slides: likewise [m].
-        bend: that of the first module; the one that suits the arm when None [rad].
-        slide: likewise [m].
+    By bends [rad] and slides [m] of the nominal arm, from the first module on, with the bend and
+    slide of the first module that are given, or that suit the arm when None.
     """
     out, n = np.zeros_like(arm.rest, dtype=np.float64), arm.modules
     if bends:
@@ -82,7 +74,7 @@ class BendSine(NamedReference):
     amplitude: Annotated[float | None, BEND] = None
     frequency: Annotated[float, FREQUENCY] = 0.5
 
-    def start(self, arm: Hanging) -> Sine:  # noqa: D102
+    def start(self, arm: Hanging) -> Sine:
         amplitude = poses(arm, bends=(0.35, 0.25), bend=self.amplitude)
         return Sine(center=arm.rest, amplitude=amplitude, frequency=self.frequency)
 
@@ -95,7 +87,7 @@ class SlideSine(NamedReference):
     amplitude: Annotated[float | None, SLIDE] = None
     frequency: Annotated[float, FREQUENCY] = 0.5
 
-    def start(self, arm: Hanging) -> Sine:  # noqa: D102
+    def start(self, arm: Hanging) -> Sine:
         amplitude = poses(arm, slides=(0.02, 0.015), slide=self.amplitude)
         return Sine(center=arm.rest, amplitude=amplitude, frequency=self.frequency)
 
@@ -109,7 +101,7 @@ class ThreeTones(NamedReference):
     slide: Annotated[float | None, SLIDE] = None
     frequency: Annotated[float, FREQUENCY] = 0.3
 
-    def start(self, arm: Hanging) -> MultiSine:  # noqa: D102
+    def start(self, arm: Hanging) -> MultiSine:
         big = poses(
             arm, bends=(0.20, 0.15), slides=(0.008, 0.006), bend=self.amplitude, slide=self.slide
         )
@@ -141,7 +133,7 @@ class FastSine(NamedReference):
     slide: Annotated[float | None, SLIDE] = None
     frequency: Annotated[float | None, FREQUENCY] = None
 
-    def start(self, arm: Hanging) -> MultiSine:  # noqa: D102
+    def start(self, arm: Hanging) -> MultiSine:
         big = poses(
             arm, bends=(0.6, 0.5), slides=(0.015, 0.012), bend=self.amplitude, slide=self.slide
         )
@@ -165,7 +157,7 @@ class Step(NamedReference):
     begin: Annotated[float, LATER] = 0.5
     duration: Annotated[float, TIME] = 1.0
 
-    def start(self, arm: Hanging) -> SmoothStep:  # noqa: D102
+    def start(self, arm: Hanging) -> SmoothStep:
         way = poses(
             arm, bends=(0.35, 0.25), slides=(0.01, 0.01), bend=self.amplitude, slide=self.slide
         )
@@ -180,7 +172,7 @@ class Jump(NamedReference):
     nominal: ClassVar[Sizes] = {"amplitude": 0.2}
     amplitude: Annotated[float | None, BEND] = None
 
-    def start(self, arm: Hanging) -> SetPoint:  # noqa: D102
+    def start(self, arm: Hanging) -> SetPoint:
         return SetPoint(q=arm.rest + poses(arm, bends=(0.2, 0.15), bend=self.amplitude))
 
 
@@ -194,7 +186,7 @@ class RisingSine(NamedReference):
     end_frequency: Annotated[float | None, dataclasses.replace(FREQUENCY, key="to")] = None
     duration: Annotated[float, TIME] = 8.0
 
-    def start(self, arm: Hanging) -> Chirp:  # noqa: D102
+    def start(self, arm: Hanging) -> Chirp:
         first, last = self.start_frequency, self.end_frequency
         return Chirp(
             center=arm.rest,
@@ -209,11 +201,7 @@ class RisingSine(NamedReference):
 class MinimumJerk(NamedReference):
     """Set-points of theta1, and 5/7 of them of theta2, from rest to rest on minimum-jerk quintics.
 
-    Attributes:
-        points: those of theta1, shape () or (K,) [rad]; separated by `/` in a spelling.
-        begin: when the first motion begins [s].
-        duration: of each [s].
-        pause: between two of them [s].
+    The points are separated by `/` in a spelling; duration and pause are those of each.
     """
 
     nominal: ClassVar[Sizes] = {"points": np.array([0.35, -0.35, 0.0])}
@@ -222,7 +210,7 @@ class MinimumJerk(NamedReference):
     duration: Annotated[float, TIME] = 1.0
     pause: Annotated[float, LATER] = 0.5
 
-    def start(self, arm: Hanging) -> SetPoints:  # noqa: D102
+    def start(self, arm: Hanging) -> SetPoints:
         ways = [np.zeros_like(arm.rest)]
         if self.points is None:
             ways += [factor * poses(arm, bends=(0.35, 0.25)) for factor in (1.0, -1.0, 0.0)]

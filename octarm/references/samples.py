@@ -36,7 +36,7 @@ class Samples(NamedReference):
     path: Annotated[str, FileName()]
     spline: Annotated[str, Words(alone=("quintic", "cubic"))] = "quintic"
 
-    def start(self, arm: Hanging) -> Motion:  # noqa: D102
+    def start(self, arm: Hanging) -> Motion:
         file = Path(self.path).expanduser()
         columns = _arrays(file) if file.suffix == ".npz" else _table(file, arm.modules)
         degree = {"quintic": 5, "cubic": 3}[self.spline]

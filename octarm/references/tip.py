@@ -48,7 +48,7 @@ class TipPath(NamedReference):
     period: Annotated[float, TIME] = 3.0
     angle: Annotated[float, Quantity("rad", at_least=-2.0 * np.pi, at_most=2.0 * np.pi)] = 0.0
 
-    def start(self, arm: Hanging) -> Motion:  # noqa: D102
+    def start(self, arm: Hanging) -> Motion:
         p = arm.parameters()
         try:
             spline = self._spline(p, arm.rest, self.size_for(arm))
@@ -106,15 +106,11 @@ class TipPath(NamedReference):
 
 
 def reached(p: ArmParameters, rest: np.ndarray, tips: np.ndarray) -> np.ndarray:
-    """The poses of an arm with its tip at these places, shape (K, 2N) [m], [rad].
+    """The poses of one arm with its tip at these places, shape (K, 2N) [m], [rad].
 
-    Args:
-        p: of one arm.
-        rest: from which springs resist, and where it begins, shape (2N,) [m], [rad].
-        tips: in the base frame, along the hanging arm and across it, shape (K, 2) [m].
-
-    Raises:
-        OctarmError: if the tip does not get there within the limits of the arm and its inputs.
+    It begins at rest, shape (2N,) [m], [rad], from which springs resist. The places are in the base
+    frame, along the hanging arm and across it, shape (K, 2) [m]. Raises OctarmError if the tip does
+    not get there within the limits of the arm and its inputs.
     """
     sizes = np.linalg.svd(_jacobian(p, rest), compute_uv=False)
     if not sizes[1] > _FLAT * sizes[0]:

@@ -14,15 +14,10 @@ REAL = "fiu"  # NumPy's kinds of real numbers
 
 
 def wanted(motion: Motion, t: float, shape: tuple[int, ...]) -> Reference:
-    """What a desired motion wants, which may be a function of the user's.
+    """What a desired motion, which may be a function of the user's, wants at a time t [s].
 
-    Args:
-        motion: the desired motion.
-        t: the time [s].
-        shape: of the coordinates, (..., 2N), to which the answer must broadcast.
-
-    Raises:
-        OctarmError: unless the answer is a Reference of three arrays of finite numbers.
+    Raises OctarmError unless the answer is a Reference of three arrays of finite numbers that
+    broadcast to the shape of the coordinates, (..., 2N).
     """
     answer: Any = motion(t)
     if _plainly_right(answer, shape):
@@ -59,9 +54,7 @@ def _plainly_right(answer: Any, shape: tuple[int, ...]) -> bool:
 
 def _broadcasts(shape: tuple[int, ...], wanted: tuple[int, ...]) -> bool:
     """Whether arms may share coordinates of this shape; an arm has all of its coordinates."""
-    arms = zip(reversed(shape[:-1]), reversed(wanted[:-1]), strict=False)
-    return (
-        shape[-1:] == wanted[-1:]
-        and len(shape) <= len(wanted)
-        and all(n in (1, m) for n, m in arms)
-    )
+    try:
+        return shape[-1:] == wanted[-1:] and np.broadcast_shapes(shape, wanted) == wanted
+    except ValueError:
+        return False

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import mujoco.batch
@@ -19,15 +18,14 @@ import numpy as np
 from dm_control.rl import control
 
 import octarm
-from benchmarks.figures import Row, Settings, clocks
+from benchmarks.figures import Row, Settings, duration_of, ratios, turns
 from controllers import make_controller
 from octarm.arm.mjcf import build_slim_model
 from octarm.interfaces import Instant, Measurement, Reference
 from octarm.metrics.table import SETTLED_AFTER, Metrics
 from octarm.simulation.engines import MUJOCO
-from octarm.simulation.rollout import simulate
 from octarm.sweeps.plan import Plan
-from octarm.sweeps.shards import Observer, begin, run_arms
+from octarm.sweeps.shards import Observe, Observer, begin, run_arms
 from octarm.sweeps.spec_file import parse_spec
 from octarm.sweeps.workers import WorkerProcesses
 
@@ -36,32 +34,26 @@ FASTER = 30.0  # than one arm at a time
 PROCESSES = 2
 DURATION = 10.0  # of the episodes [s]
 TURN = 16  # control periods
-FEWEST = 3  # turns
 _SECONDS = 15.0  # a measurement, by that many of the settings' seconds
 
 
 class Turns(NamedTuple):
-    """Times by `clocks` of a step of an arm, shape (turns, 2) [s].
+    """Times of a step of an arm by `clocks`, shape (turns, 2) [s]."""
 
-    Attributes:
-        sweep: in the sweep, with its share of what a shard needs once.
-        rival: of the rival.
-    """
-
-    sweep: np.ndarray
+    sweep: np.ndarray  # with its share of what a shard needs once
     rival: np.ndarray
 
-    def ratios(self) -> tuple[float, float]:
+    def ratios(self) -> Sequence[float]:
         """Median throughput of the sweep over that of the rival, by both clocks [1]."""
-        wall, computed = np.median(self.rival / self.sweep, axis=0)
-        return float(wall), float(computed)
+        return np.median(self.rival / self.sweep, axis=0).tolist()
 
-    def costs(self) -> tuple[float, float]:
+    def costs(self) -> Sequence[float]:
         """Median time of a step in the sweep and of the rival, by the processor's clock [s]."""
-        return float(np.median(self.sweep[:, 1])), float(np.median(self.rival[:, 1]))
+        return [float(np.median(times[:, 1])) for times in self]
 
 
-Rival = Callable[[str, control.Environment], Callable[[], int]]
+# A call for a law and an environment, and how many steps of an arm it takes.
+Rival = Callable[[str, control.Environment], tuple[Callable[[], object], int]]
 
 
 def closed_loop(settings: Settings) -> list[Row]:
@@ -72,13 +64,10 @@ def closed_loop(settings: Settings) -> list[Row]:
     rows: list[Row] = []
     with WorkerProcesses(PROCESSES) as pool:
         for name, least in TARGETS.items():
-            turns = compare(pool, name, settings, open_loop)
-            wall, computed = turns.ratios()
-            sweep, bare = turns.costs()
-            whole = compare(pool, name, settings, whole_loop)
+            slim, whole = (compare(pool, name, settings, x) for x in (open_loop, whole_loop))
+            sweep, bare = slim.costs()
             rows += [
-                Row(f"{name}, throughput over open loop", wall, "1", at_least=least),
-                Row(f"{name}, by processor time", computed, "1", at_least=least),
+                *ratios(name, "throughput over open loop", slim.ratios(), least),
                 Row(f"{name}, a step of an arm", 1e6 * sweep, "us"),
                 Row(f"{name}, a step of the open loop", 1e6 * bare, "us"),
                 Row(f"{name}, throughput over the whole model", whole.ratios()[0], "1"),
@@ -91,18 +80,13 @@ def closed_loop(settings: Settings) -> list[Row]:
 def one_by_one(settings: Settings) -> list[Row]:
     """A sweep against a plain loop over one arm's environment, in as many processes."""
     rows: list[Row] = []
-    rivals: dict[str, tuple[Rival, float | None]] = {
-        "a plain loop": (plain_loop, None),
-        "one that measures": (measured_loop, FASTER),
-    }
+    rivals = (("a plain loop", plain_loop, None), ("one that measures", measured_loop, FASTER))
     with WorkerProcesses(PROCESSES) as pool:
-        for name, (title, (rival, least)) in itertools.product(TARGETS, rivals.items()):
-            turns = compare(pool, name, settings, rival)
-            wall, computed = turns.ratios()
+        for name, (title, rival, least) in itertools.product(TARGETS, rivals):
+            measured = compare(pool, name, settings, rival)
             rows += [
-                Row(f"{name}, throughput over {title}", wall, "1", at_least=least),
-                Row(f"{name}, by processor time", computed, "1", at_least=least),
-                Row(f"{name}, a step of {title}", 1e6 * turns.costs()[1], "us"),
+                *ratios(name, f"throughput over {title}", measured.ratios(), least),
+                Row(f"{name}, a step of {title}", 1e6 * measured.costs()[1], "us"),
             ]
     return rows
 
@@ -122,97 +106,71 @@ def take_turns(name: str, arms: int, seconds: float, rival: Rival, engine: str) 
     text = f'controller = "{name}"\nepisodes = {arms}\nbatch = {arms}\nduration = {DURATION}\n'
     plan = Plan(parse_spec(f'{text}engine = "{engine}"\n'))
     shard = plan.arms(plan.shards[0])
-    run_arms(plan, shard, make_controller, duration=_step())  # an engine may have to be compiled
-    started = clocks()
-    run_arms(plan, shard, make_controller, duration=_step())
-    once = (clocks() - started) * _step() / (DURATION * arms)
+
+    def begun_and_ended() -> None:
+        run_arms(plan, shard, make_controller, duration=_step())
+
+    begun_and_ended()  # an engine may have to be compiled
+    once = duration_of(begun_and_ended) * _step() / (DURATION * arms)
     environment, controller = begin(plan.spec, shard, make_controller)
     observer = Observer(environment, DURATION)
-    other = rival(name, environment)
-    sweep: list[np.ndarray] = []
-    others: list[np.ndarray] = []
-    periods, end, begun = 0, time.perf_counter() + seconds, clocks()
 
     def observe(instant: Instant) -> None:
-        nonlocal periods, begun
-        # Past the transient, where more is measured.
+        """Past the transient, where more is measured."""
         measurement = instant.measurement._replace(t=instant.measurement.t + SETTLED_AFTER)
         observer(instant._replace(measurement=measurement))
-        periods += 1
-        if periods % TURN:
-            return
-        there = clocks()
-        steps = other()
-        sweep.append((there - begun) / (TURN * arms) + once)
-        others.append((clocks() - there) / steps)
-        if len(sweep) > FEWEST and time.perf_counter() > end:
-            raise _TimeIsUp
-        begun = clocks()
 
-    try:
-        simulate(environment, controller, DURATION, observe)
-    except _TimeIsUp:
-        pass
-    return Turns(np.array(sweep[1:]), np.array(others[1:]))  # the first ones warm up
+    other, steps = rival(name, environment)
+    times = turns(environment, controller, DURATION, observe, other, TURN, seconds)
+    return Turns(times[:, 0] / (TURN * arms) + once, times[:, 1] / steps)
 
 
-class _TimeIsUp(Exception):
-    """Ends a measurement."""
-
-
-def open_loop(name: str, environment: control.Environment) -> Callable[[], int]:
+def open_loop(name: str, environment: control.Environment) -> tuple[Callable[[], object], int]:
     """Steps of the slim model, as many arms, under inputs that do not change."""
     del name
     return _stepping(build_slim_model(), *environment.physics.batch_shape)
 
 
-def whole_loop(name: str, environment: control.Environment) -> Callable[[], int]:
+def whole_loop(name: str, environment: control.Environment) -> tuple[Callable[[], object], int]:
     """The same with the model that runs of one arm have, which can be drawn."""
     del name
     return _stepping(octarm.build_model(), *environment.physics.batch_shape)
 
 
-def _stepping(model: mujoco.MjModel, arms: int) -> Callable[[], int]:
+def _stepping(model: mujoco.MjModel, arms: int) -> tuple[Callable[[], object], int]:
     batch = mujoco.batch.Batch(model, arms, 1)
     batch.bind("qpos")[:] = model.key("hanging").qpos
     batch.bind("ctrl")[:] = np.random.default_rng(0).normal(size=(arms, model.nu))
 
-    def turn() -> int:
+    def turn() -> None:
         for _ in range(TURN):
             batch.step()
-        return TURN * arms
 
-    return turn
+    return turn, TURN * arms
 
 
-def plain_loop(name: str, environment: control.Environment) -> Callable[[], int]:
+def plain_loop(name: str, environment: control.Environment) -> tuple[Callable[[], object], int]:
     """The obvious alternative: dm_control's loop over one arm, with the same controller."""
     del environment
     return _alone(name, lambda instant: None)
 
 
-def measured_loop(name: str, environment: control.Environment) -> Callable[[], int]:
+def measured_loop(name: str, environment: control.Environment) -> tuple[Callable[[], object], int]:
     """The same, and what a sweep measures is taken up at every instant."""
     low, high = environment.physics.input_range()
     metrics = Metrics(control_period=_step(), input_range=(low[0], high[0]))
 
     def observe(instant: Instant) -> None:
-        command = instant.command
-        metrics.update(
-            {
-                "t": np.array([instant.measurement.t + SETTLED_AFTER]),
-                "q": instant.q[None],
-                "q_d": instant.reference.q[None],
-                "tau": instant.tau[None],
-                "force": command.force[None],
-                **{name: signal[None] for name, signal in command.signals.items()},
-            }
-        )
+        row = {
+            "t": instant.measurement.t + SETTLED_AFTER, "q": instant.q, "q_d": instant.reference.q,
+            "tau": instant.tau, "force": instant.command.force, **instant.command.signals,
+        }  # fmt: skip
+        metrics.update({name: np.asarray(value)[None] for name, value in row.items()})
 
     return _alone(name, observe)
 
 
-def _alone(name: str, observe: Callable[[Instant], None]) -> Callable[[], int]:
+def _alone(name: str, observe: Observe) -> tuple[Callable[[], object], int]:
     """Steps of one arm's environment, episode after episode."""
     environment = octarm.load()
     controller = make_controller(name, octarm.nominal_parameters())
@@ -221,7 +179,7 @@ def _alone(name: str, observe: Callable[[Instant], None]) -> Callable[[], int]:
     periods = itertools.cycle(range(math.ceil(DURATION / _step())))
     timestep = state = None
 
-    def turn() -> int:
+    def turn() -> None:
         nonlocal timestep, state
         for period in itertools.islice(periods, count):
             if timestep is None or period == 0:
@@ -234,9 +192,8 @@ def _alone(name: str, observe: Callable[[Instant], None]) -> Callable[[], int]:
             q, v = measurement.q, measurement.v
             timestep = environment.step(tau)
             observe(Instant(measurement, reference, command, q, v, tau, disturbance))
-        return count
 
-    return turn
+    return turn, count
 
 
 def _step() -> float:

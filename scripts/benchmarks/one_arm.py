@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import math
+import functools
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable
 
 import mujoco
+import numpy as np
 
 import octarm
-from benchmarks.figures import Row, Settings
+from benchmarks.figures import Row, Settings, duration_of, turns
 from controllers import make_controller
 from octarm.arm.mjcf import build_slim_model
-from octarm.interfaces import Instant
-from octarm.simulation.rollout import ArmRecorder, simulate
+from octarm.simulation.rollout import ArmRecorder
 
 LAWS = ("afsmc", "smc-boundary")
 TURN = 25  # control periods, and physics steps, in turns
@@ -34,60 +32,27 @@ def one_arm(settings: Settings) -> list[Row]:
             Row(f"{law}, an RK4 step of the slim model", 1e6 * step, "us"),
         ]
         duration = 10.0 * min(1.0, settings.seconds)
-        times = duration / _command(law, duration)
-        rows.append(Row(f"{law}, octarm run, times real time", times, "1", at_least=3.0))
+        with tempfile.TemporaryDirectory() as folder:
+            command = [sys.executable, "-m", "octarm", "run", "--controller", law,
+                       "--duration", str(duration), "--out", f"{folder}/run"]  # fmt: skip
+            quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+            taken = duration_of(functools.partial(subprocess.run, command, check=True, **quiet))[0]
+        rows.append(Row(f"{law}, octarm run, times real time", duration / taken, "1", at_least=3.0))
     return rows
 
 
-def _turns(law: str, seconds: float) -> tuple[float, float]:
-    """A control period and a physics step [s]."""
+def _turns(law: str, seconds: float) -> np.ndarray:
+    """A control period, and a physics step of the slim model, whose arm hangs [s]."""
     arm = octarm.nominal_parameters()
     environment, controller = octarm.load(), make_controller(law, arm.mismatched(-0.3))
-    step = _stepping(build_slim_model(arm))
-    periods, period, bare, begun = 0, math.inf, math.inf, time.perf_counter()
-    end = begun + seconds
-
-    def observe(instant: Instant) -> None:
-        nonlocal periods, period, bare, begun
-        periods += 1
-        if periods % TURN == 0:
-            now = time.perf_counter()
-            period = min(period, (now - begun) / TURN)
-            bare = min(bare, step())
-            begun = time.perf_counter()
-            if begun > end:
-                raise _TimeIsUp
-
-    try:
-        simulate(environment, controller, 1e4, ArmRecorder(environment, lambda rows: None), observe)
-    except _TimeIsUp:
-        pass
-    return period, bare
-
-
-class _TimeIsUp(Exception):
-    """Ends a measurement."""
-
-
-def _stepping(model: mujoco.MjModel) -> Callable[[], float]:
-    """How long a step of this model takes [s], its arm hanging."""
+    model = build_slim_model(arm)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
 
-    def turn() -> float:
-        begun = time.perf_counter()
+    def step() -> None:
         for _ in range(TURN):
             mujoco.mj_step(model, data)
-        return (time.perf_counter() - begun) / TURN
 
-    return turn
-
-
-def _command(law: str, duration: float) -> float:
-    """What `octarm run` takes as a whole process [s]."""
-    with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "octarm", "run", "--controller", law,
-                   "--duration", str(duration), "--out", f"{folder}/run"]  # fmt: skip
-        begun = time.perf_counter()
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        return time.perf_counter() - begun
+    recorder = ArmRecorder(environment, lambda rows: None)
+    times = turns(environment, controller, 1e4, recorder, step, TURN, seconds)
+    return np.min(times[:, :, 0], axis=0) / TURN

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 
 import octarm
-from benchmarks.figures import Row, Settings
+from benchmarks.figures import Row, Settings, duration_of
 from controllers import CONTROLLERS, make_controller
 from octarm.recordings.channels import channels_of
 from octarm.recordings.recording import write_recording
@@ -36,7 +36,8 @@ def recording(settings: Settings) -> list[Row]:
             begun = time.perf_counter()
             run, description = _run(controller, duration)
             taken = time.perf_counter() - begun
-            writing = _median(functools.partial(write_recording, file, run, description))
+            write = functools.partial(write_recording, file, run, description)
+            writing = float(np.median([duration_of(write)[0] for _ in range(_TIMES)]))
             size, share = file.stat().st_size / 1e6, 100.0 * writing / taken
             rows += [
                 Row(f"{controller}, {duration:g} s at 1 kHz, its file", size, "MB", at_most=4.0),
@@ -60,16 +61,6 @@ def _run(controller: str, duration: float) -> tuple[Trajectory, dict[str, Any]]:
     )
     environment, made = experiment.begin(make_controller)
     return perform(environment, made, experiment.announcement(environment, made))
-
-
-def _median(call: Callable[[], object]) -> float:
-    """How long it takes [s]."""
-    times: list[float] = []
-    for _ in range(_TIMES):
-        begun = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - begun)
-    return float(np.median(times))
 
 
 def _stepwise(

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 import octarm
 from benchmarks.figures import Row, Settings
@@ -66,8 +67,6 @@ def memory(settings: Settings) -> list[Row]:
     episodes take ten times as long as those that are run; `--episodes 1000000` measures them.
     """
     many, few = settings.episodes, max(1, settings.episodes // 5)
-    if not Path("/proc/self/stat").exists():
-        return [Row("memory is read from /proc, which is not here", float("nan"), "MB")]
     large, small = peak_memory(many, settings.arms), peak_memory(few, settings.arms)
     million = large + max(0.0, large - small) * (1e6 - many) / max(1, many - few)
     return [
@@ -97,34 +96,19 @@ def peak_memory(episodes: int, arms: int) -> float:
     return peak
 
 
-def _family(ancestor: int) -> Iterator[int]:
-    """Numbers of a process and of those that it started."""
-    parents: dict[int, int] = {}
-    for folder in Path("/proc").iterdir():
-        if folder.name.isdecimal():
-            text = _read(folder / "stat")
-            if text:
-                parents[int(folder.name)] = int(text.rpartition(")")[2].split()[1])
-    members = [ancestor]
-    for member in members:
-        yield member
-        members += [child for child, parent in parents.items() if parent == member]
+def _family(ancestor: int) -> list[psutil.Process]:
+    """A process and those that it started."""
+    with contextlib.suppress(psutil.NoSuchProcess):
+        parent = psutil.Process(ancestor)
+        return [parent, *parent.children(recursive=True)]
+    return []
 
 
-def _held(process: int) -> float:
-    """Resident memory [MB]."""
-    for line in _read(Path(f"/proc/{process}/status")).splitlines():
-        if line.startswith("VmRSS:"):
-            return float(line.split()[1]) * 1024.0 / 1e6
+def _held(process: psutil.Process) -> float:
+    """Resident memory [MB]; none if the process is gone."""
+    with contextlib.suppress(psutil.NoSuchProcess):
+        return process.memory_info().rss / 1e6
     return 0.0
-
-
-def _read(file: Path) -> str:
-    """The text of a file; empty if its process is gone."""
-    try:
-        return file.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return ""
 
 
 def overhead(settings: Settings) -> list[Row]:

@@ -4,55 +4,36 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
 import octarm
 from octarm.reports.statistics import Interval, medians
+from octarm.sweeps.tune_cost import root_mean_square, weight
 from paper import jobs, lyapunov
-from paper.plants import Planted, Search
-from paper.runs import Cost, Request, Series
-from paper.studies import BENDS, MODELS, NOISE, SCALE, TIME, Effort, Sweep, study_of_plants, sweeps
-from paper.variants import Variant
+from paper.runs import Cost, Series
+from paper.studies import COORDINATES, MODULES, NOISE, SCALE, Cell, Effort, Sweep, sweeps
+from paper.variants import ARM, Variant
 
-# What an episode has where its sweep does not say it, in the order of the fields of `Cell`.
-NEUTRAL = {"noise": 0.0, "noise.time": TIME, "payload": 0.0, "actuation-delay": 0.0, "loss": 0.0}
-_METRICS = ("rms_error", "overshoot", "chattering")
-
-
-class Cell(NamedTuple):
-    """Episodes that differ in their seed alone."""
-
-    label: str  # of the variant
-    study: str = "tracking"  # that they belong to
-    reference: str = BENDS  # name
-    mismatch: float = 0.0  # of the nominal model [1]
-    noise: float = 0.0  # its rms over the input's amplitude [1]
-    time: float = TIME  # its correlation time [s]
-    payload: float = 0.0  # [kg]
-    delay: float = 0.0  # of actuation [s]
-    loss: float = 0.0  # of actuation [1]
-    plant: int = 3  # number of modules of the arm that is controlled
-
-    def models(self) -> list[Cell]:
-        """The same with each nominal model of the paper's figures."""
-        return [self._replace(mismatch=model) for model in MODELS]
+# The fields of a cell that differ within a sweep, by the columns of its table.
+FIELDS = {"reference": "reference", "mismatch": "mismatch", "noise": "noise", "noise.time": "time",
+          "payload": "payload", "actuation-delay": "delay", "loss": "loss"}  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Evidence:
     """What was run and measured.
 
-    Quantities of an episode are the metrics `rms_error_s1`, `overshoot_theta1` and so on, and
+    Quantities of an episode are the metrics `rms_error_theta1` [mm], [mrad], `overshoot_theta1` [%]
+    and so on, and
 
     - `error` = sqrt(mean_j (rms_j / A_j)^2), A = 0.0175 m and 0.3 rad: the error of all
-      coordinates as a share of the motion, as tuning has it [1];
+      coordinates as a share of the motion, as tuning has it [%];
     - `chattering` = sqrt(mean_j (chattering_j / W_j)^2), chattering of Q above 50 Hz, W = the arm's
-      weight for slides and times its width for bends: as a share of the weight [1].
+      weight for slides and times its width for bends: as a share of the weight [%].
 
     They are infinite for an episode that diverged.
     """
@@ -63,53 +44,46 @@ class Evidence:
     cells: Mapping[Cell, Mapping[str, np.ndarray]]
     series: Mapping[str, Series]  # runs over time, by name
     outcomes: Sequence[lyapunov.Outcome]  # how Lyapunov functions went
-    periods: Mapping[str, Mapping[str, np.ndarray]]  # by label; see `paper.plants.Search`
+    periods: Mapping[str, Mapping[str, np.ndarray]]  # by label; see `paper.plants.searched`
     costs: Mapping[str, Cost]  # of a controller's step, by name
 
     def has(self, *cells: Cell) -> bool:
         """Whether all these cells were run."""
         return all(cell in self.cells for cell in cells)
 
-    def known(self, cells: Sequence[Cell]) -> list[Cell]:
+    def known(self, cells: Iterable[Cell]) -> list[Cell]:
         """Those of the cells that were run."""
         return [cell for cell in cells if cell in self.cells]
 
-    def values(self, cell: Cell, quantity: str) -> np.ndarray:
-        """A quantity of the episodes of a cell in the order of their seeds, shape (seeds,)."""
-        return self.cells[cell][quantity]
+    def varied(self, start: Cell, field: str) -> list[float]:
+        """The values of a field that were tried in this place, by any variant, rising."""
+        tried = {cell: cell._asdict()[field] for cell in self.cells}
+        return sorted(
+            {x for cell, x in tried.items()
+             if cell == start._replace(**{"label": cell.label, field: x})}
+        )  # fmt: skip
 
     def diverged(self, *cells: Cell) -> tuple[int, int]:
         """How many episodes of cells diverged, and how many there are."""
-        lost = [self.values(cell, "diverged") for cell in cells]
+        lost = [self.cells[cell]["diverged"] for cell in cells]
         return sum(int(x.sum()) for x in lost), sum(map(len, lost))
 
-    def median(self, cell: Cell, quantity: str, factor: float = 1.0) -> Interval:
-        """Median over seeds of a quantity, times a factor, and its 95 % interval."""
-        return Interval(*(factor * x for x in interval(self.values(cell, quantity))))
+    def median(self, cell: Cell, quantity: str = "error") -> Interval:
+        """Median over seeds of a quantity, and its 95 % interval."""
+        return interval(self.cells[cell][quantity])
 
-    def error(self, cell: Cell) -> Interval:
-        """Error of a cell [% of the motion]."""
-        return self.median(cell, "error", 100.0)
-
-    def chattering(self, cell: Cell) -> Interval:
-        """Chattering of a cell [% of the weight]."""
-        return self.median(cell, "chattering", 100.0)
-
-    def mean_error(self, label: str, noise: float) -> Interval:
-        """Error of a variant on theta1 and theta2, mean of the models seed by seed [%]."""
-        return interval(100.0 * self._over_models(label, noise))
-
-    def over(self, label: str, other: str, noise: float) -> Interval:
-        """The error of `mean_error` over that of another variant, seed by seed [1]."""
-        return interval(self._over_models(label, noise) / self._over_models(other, noise))
+    def mean_error(self, cell: Cell, over: str = "") -> Interval:
+        """The error, mean of the models seed by seed [%], or over that of another variant [1]."""
+        return interval(self._over_models(cell) / (self._over_models(cell, over) if over else 1.0))
 
     def ratio(self, cell: Cell, label: str, quantity: str = "error") -> Interval:
         """Median of a quantity over that of another variant in the same place, seed by seed [1].
 
         Where both arms are lost, neither is better: 1.
         """
+        ours, theirs = (self.cells[x][quantity] for x in (cell, cell._replace(label=label)))
         with np.errstate(invalid="ignore", divide="ignore"):
-            shares = self.values(cell, quantity) / self.values(cell._replace(label=label), quantity)
+            shares = ours / theirs
         return interval(np.where(np.isnan(shares), 1.0, shares))
 
     def rank(self, cell: Cell, names: Sequence[str]) -> Interval:
@@ -118,40 +92,31 @@ class Evidence:
         The interval ends where it is better, or worse, than others beyond their own intervals:
         pair by pair, seed by seed.
         """
-        own = self.error(cell).value
-        if not np.isfinite(own):
+        error = self.median(cell).value
+        if not np.isfinite(error):
             return Interval(np.nan, np.nan, np.nan)
         others = [name for name in names if name != cell.label]
         ratios = [self.ratio(cell, name) for name in others]
-        better = sum(self.error(cell._replace(label=name)).value < own for name in others)
+        better = sum(self.median(other).value < error for other in cell.of(others))
         low, high = sum(r.low > 1.0 for r in ratios), sum(not r.high < 1.0 for r in ratios)
         return Interval(1.0 + better, 1.0 + low, 1.0 + high)
 
     def plants(self) -> Iterator[list[Cell]]:
-        """The cells of all laws in each place of the study of plants: plant, period, noise."""
-        places = itertools.product(self.effort.plant_rates, (0.0, NOISE), self.effort.plants)
-        for rate, noise, modules in places:
-            start = Cell("", study_of_plants(rate), noise=noise, plant=modules)
-            cells = [start._replace(label=name) for name in self.effort.plant_labels]
-            if known := self.known(cells):
+        """The cells of all laws in each place of the study of plants: rate, noise, modules."""
+        effort = self.effort
+        for place in itertools.product(effort.plant_rates, (0.0, NOISE), effort.plants):
+            rate, noise, modules = place
+            start = Cell("", "plants", noise=noise, plant=modules, rate=rate)
+            if known := self.known(start.of(effort.plant_labels)):
                 yield known
 
-    def models(self, label: str) -> list[float]:
-        """The model errors with which a variant was run on theta1 and theta2 without noise [1]."""
-        return sorted(c.mismatch for c in self.cells if c == Cell(label, mismatch=c.mismatch))
+    def ranked(self, cells: Iterable[Cell]) -> list[Cell]:
+        """Those that were run, the one with the least error, mean of the models, first."""
+        return sorted(self.known(cells), key=lambda cell: self.mean_error(cell).value)
 
-    def noises(self) -> list[float]:
-        """The strengths of the noise in the study of degradation, rising [1]."""
-        return sorted({cell.noise for cell in self.cells if cell.study == "degradation"})
-
-    def ranked(self, names: Sequence[str], noise: float) -> list[str]:
-        """Those that were run with this noise, the one with the least error first."""
-        known = [name for name in names if self.has(Cell(name, noise=noise))]
-        return sorted(known, key=lambda name: self.mean_error(name, noise).value)
-
-    def _over_models(self, label: str, noise: float) -> np.ndarray:
-        cells = Cell(label, noise=noise).models()
-        return np.mean([self.values(cell, "error") for cell in cells], axis=0)
+    def _over_models(self, cell: Cell, label: str = "") -> np.ndarray:
+        cells = cell._replace(label=label or cell.label).models()
+        return np.mean([self.cells[cell]["error"] for cell in cells], axis=0)
 
 
 def interval(values: np.ndarray) -> Interval:
@@ -160,7 +125,7 @@ def interval(values: np.ndarray) -> Interval:
     The interval has no width where all are the same, since nothing is random there.
     """
     if np.all(values == values[0]):
-        return Interval(float(values[0]), float(values[0]), float(values[0]))
+        return Interval(*[float(values[0])] * 3)
     return Interval(*(float(x[0]) for x in medians(values[:, None], np.arange(len(values)))))
 
 
@@ -169,95 +134,78 @@ def gather(
 ) -> Evidence:
     """Reads what `paper.jobs.run_all` left in a folder.
 
-    Raises:
-        OctarmError: if a sweep is missing.
-        OSError: if another file is.
+    Raises OctarmError if a sweep is missing, and OSError if another file is.
     """
-    tasks = {task: jobs.read_arrays(out, task) for task in jobs.all_tasks(variants, effort)}
-    requests = {task: kept for task, kept in tasks.items() if isinstance(task, Request)}
     cells = measured(list(sweeps(variants, effort)), out / jobs.SWEEPS)
-    for task, kept in tasks.items():
-        if isinstance(task, Planted):
-            cells |= _planted(task, kept)
+    series: dict[str, Series] = {}
+    outcomes: list[lyapunov.Outcome] = []
+    periods: dict[str, Mapping[str, np.ndarray]] = {}
+    for task in jobs.all_tasks(variants, effort):
+        kept = jobs.read_arrays(out, task)
+        if isinstance(task.of, Cell):
+            if "predicted" in kept:
+                periods[task.of.label] = kept
+            else:
+                cells |= _planted(task.of, kept)
+        elif "q" in kept:
+            series[task.name] = Series(**kept)
+        else:
+            outcomes += lyapunov.outcomes(task.of, kept)
     return Evidence(
-        variants=variants,
-        effort=effort,
-        cells=cells,
-        series={one.name: Series(**kept) for one, kept in requests.items() if "q" in kept},
-        outcomes=[
-            outcome
-            for one, kept in requests.items()
-            if one.keep is lyapunov.counts
-            for outcome in lyapunov.outcomes(one, kept)
-        ],
-        periods={t.variant.label: kept for t, kept in tasks.items() if isinstance(t, Search)},
-        costs=costs,
-    )
+        variants=variants, effort=effort, cells=cells, series=series, outcomes=outcomes,
+        periods=periods, costs=costs,
+    )  # fmt: skip
 
 
 def measured(parts: Sequence[Sweep], folder: Path) -> dict[Cell, dict[str, np.ndarray]]:
-    """The quantities of all cells of sweeps; see `Evidence`.
-
-    Raises:
-        OctarmError: if a sweep is not there.
-    """
+    """The quantities of all cells of sweeps, see `Evidence`; OctarmError if one is not there."""
     cells: dict[Cell, dict[str, np.ndarray]] = {}
     for part in parts:
         table = octarm.read_sweep(folder / part.name)
-        columns, seeds = _quantities(table), table["seed"].to_numpy()
+        quantities, seeds = _quantities(table), table["seed"].to_numpy()
         rows: dict[Cell, list[int]] = {}
         for row, cell in enumerate(_cells(part, table)):
             rows.setdefault(cell, []).append(row)
-        for cell, own in rows.items():
-            ordered = sorted(own, key=seeds.__getitem__)
-            cells[cell] = {name: column[ordered] for name, column in columns.items()}
+        for cell, places in rows.items():
+            ordered = sorted(places, key=seeds.__getitem__)
+            cells[cell] = {name: values[ordered] for name, values in quantities.items()}
     return cells
 
 
-def _planted(one: Planted, kept: Mapping[str, np.ndarray]) -> dict[Cell, dict[str, np.ndarray]]:
+def _planted(cell: Cell, kept: Mapping[str, np.ndarray]) -> dict[Cell, dict[str, np.ndarray]]:
     """The cells without and with noise on a plant, of which errors alone are known."""
-    cell = Cell(one.variant.label, study_of_plants(one.rate), plant=one.modules)
-    known = {"error": kept["error"], "diverged": kept["lost"]}
-    known["chattering"] = np.full(len(kept["error"]), np.nan)
+    error = 100.0 * kept["error"]
+    known = {"error": error, "diverged": kept["lost"], "chattering": np.full_like(error, np.nan)}
     return {
-        cell._replace(noise=noise): {name: column[arms] for name, column in known.items()}
+        cell._replace(noise=noise): {name: values[arms] for name, values in known.items()}
         for noise, arms in ((0.0, slice(1)), (NOISE, slice(1, None)))
     }
 
 
-def _cells(part: Sweep, table: pa.Table) -> list[Cell]:
-    columns = [
-        table[name].to_pylist() if name in table.column_names else [value] * table.num_rows
-        for name, value in {"reference": BENDS, "mismatch": 0.0, **NEUTRAL}.items()
-    ]
-    labels = [part.labels[name] for name in table["controller"].to_pylist()]
-    return [
-        Cell(label, part.study, *values) for label, *values in zip(labels, *columns, strict=True)
-    ]
+def _cells(part: Sweep, table: pa.Table) -> Iterator[Cell]:
+    """The cell of each episode."""
+    names = [name for name in FIELDS if name in table.column_names]
+    for row in table.select(["controller", *names]).to_pylist():
+        label, fields = part.labels[row["controller"]], {FIELDS[name]: row[name] for name in names}
+        yield Cell(label, part.study, rate=part.rate, **fields)
 
 
 def _quantities(table: pa.Table) -> dict[str, np.ndarray]:
-    """Those of all episodes of a sweep."""
+    """Those of all episodes of a sweep, and whether they diverged."""
     lost = table["status"].to_numpy() == "diverged"
-    names = coordinates()
-    columns = {
-        f"{metric}_{name}": np.where(lost, np.inf, table[f"{metric}_{name}"].to_numpy())
-        for metric in _METRICS
-        for name in names
-    }
-    true = octarm.nominal_parameters()
-    weight = float(sum(true.mass.tolist())) * float(true.gravity)  # of the arm [N]
-    scales = {
-        "error": ("rms_error", SCALE),
-        "chattering": ("chattering", {"s": weight, "theta": weight * float(true.width[0])}),
-    }
-    for quantity, (metric, scale) in scales.items():
-        shares = [columns[f"{metric}_{name}"] / scale[name.rstrip("123")] for name in names]
-        columns[quantity] = np.sqrt(sum(share * share for share in shares) / len(names))
-    return {**columns, "diverged": lost}
 
+    def columns(metric: str) -> np.ndarray:
+        """Of all coordinates, shape (episodes, 2N)."""
+        rows = [table[f"{metric}_{name}"].to_numpy() for name in COORDINATES]
+        return np.where(lost[:, None], np.inf, np.transpose(rows))
 
-def coordinates() -> list[str]:
-    """Names of the nominal arm's coordinates, in the order of q."""
-    modules = range(1, octarm.nominal_parameters().modules + 1)
-    return [f"{kind}{i}" for kind in ("s", "theta") for i in modules]
+    errors = columns("rms_error")
+    each = {"rms_error": 1e3 * errors, "overshoot": columns("overshoot")}
+    heavy = weight(ARM) * np.repeat([1.0, float(ARM.width[0])], MODULES)
+    return {
+        **{f"{metric}_{name}": column for metric, values in each.items()
+           for name, column in zip(COORDINATES, values.T, strict=True)},
+        "error": 100.0 * root_mean_square(errors / SCALE),
+        "chattering": 100.0 * root_mean_square(columns("chattering") / heavy),
+        "diverged": lost,
+    }  # fmt: skip

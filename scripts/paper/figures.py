@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Iterator, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,16 +12,18 @@ from octarm.palette import look_of
 from octarm.reports import figures as style
 from octarm.reports.figures import INK, Axes, Figure, Picture
 from octarm.reports.statistics import Interval
-from paper import studies, variants
 from paper.claims import worded, words
-from paper.evidence import Cell, Evidence, coordinates
+from paper.evidence import Evidence
 from paper.numbers import percent
-from paper.runs import LONG, Series, name_of
-from paper.studies import BENDS, BEYOND, MODELS, MODULES, MOVING, NOISE, RATES, SLIDES, WRONG
-from paper.variants import CONSEQUENT, CONTROLLERS, INTEGRAL, PROPOSED, SIGN, SMC, by_hand
+from paper.runs import LONG, name_of
+from paper.studies import BENDS, COORDINATES, MODELS, MODULES, MOVING, NOISE, READINGS, SLIDES, Cell
+from paper.variants import CONTROLLERS, INSTEAD, PROPOSED, SMC, by_hand
 
 GRAY = "#5f6b77"
-NAMES = {PROPOSED: "AFSMC (proposed)", SMC: "SMC, boundary layer", SIGN: "SMC, sgn"}
+DOTTED = {"color": GRAY, "linewidth": 0.9, "linestyle": ":"}  # what the paper says, and equality
+ZERO = {"color": INK, "linewidth": 0.6, "zorder": 1}
+OVER_TIME = {"sharex": True, "sharey": "row"}
+NOISES = {"figure-1": 0.0, "figure-2": NOISE}  # of the paper's figures
 
 
 class Look(NamedTuple):
@@ -31,19 +34,10 @@ class Look(NamedTuple):
     marker: str
 
 
-_ABLATIONS = {
-    variants.FIXED_RULES: Look("#3a7ca5", ":", "x"),
-    variants.FIXED_PREMISES: Look("#7a8f1f", "--", "x"),
-    variants.AS_PRINTED: Look("#7d6bd0", ":", "x"),
-    variants.UNGUARDED: Look("#b0413e", "-", "x"),
-    variants.MATCHED: Look("#dd9500", "--", "x"),
-}
-
-
 def look(label: str) -> Look:
     """The look of a variant; hand-set gains have a dashed line."""
-    if label in _ABLATIONS:
-        return _ABLATIONS[label]
+    if label in words()["looks"]:
+        return Look(**words()["looks"][label])
     name = label.removesuffix(by_hand(""))
     color, marker = look_of(name)
     return Look(color, "-" if name == label else (0, (4, 1.5)), marker)
@@ -52,42 +46,40 @@ def look(label: str) -> Look:
 def title_of(label: str) -> str:
     """The name of a variant in a legend."""
     name, comma, rest = label.partition(", ")
-    return NAMES.get(name, name) + comma + rest
+    return words()["legend"].get(name, name) + comma + rest
 
 
 def pictures(evidence: Evidence) -> Iterator[Picture]:
     """All figures that there are numbers for, the README's first."""
     effort, texts = evidence.effort, words()["figures"]
 
-    def drawn(name: str, figure: Figure, caption: str = "", **numbers: Any) -> Picture:
-        text = worded(caption or texts[name], seeds=effort.seeds, **numbers)
-        return style.save_figure(name, text, figure)
+    def drawn(key: str, figure: Figure, name: str = "", **numbers: Any) -> Picture:
+        caption = worded(texts[key]["caption"], seeds=effort.seeds, **numbers)
+        return style.save_figure(name or key, caption, figure)
 
     with style.figure_style():
         yield drawn("paper", _readme(evidence))
-        for reference in effort.readings:
-            ending, joints = studies.READINGS[reference], " and ".join(MOVING[reference])
-            for figure, noise in (("figure-1", 0.0), ("figure-2", NOISE)):
-                shape = _tracking(evidence, reference, noise)
-                yield drawn(f"{figure}-{ending}", shape, texts[figure], joints=joints)
-        kinds = {"overshoot": _overshoot, "ranking": _ranking, "ablations": _ablations}
+        for reference, (key, noise) in product(effort.readings, NOISES.items()):
+            figure, name = _tracking(evidence, reference, noise), f"{key}-{READINGS[reference]}"
+            yield drawn(key, figure, name, joints=" and ".join(MOVING[reference]))
         if any(evidence.plants()):
-            kinds = {"plants": _plants, **kinds}
+            yield drawn("plants", _plants(evidence))
+        yield drawn("overshoot", _curves(evidence, "overshoot"))
+        yield drawn("ranking", _ranking(evidence))
+        yield drawn("ablations", _ablations(evidence))
         if effort.long:
-            kinds |= {"degradation": _degradation, "beyond": _beyond, "rates": _rates}
-            kinds["drift"] = _drift
-        for name, draw in kinds.items():
-            yield drawn(name, draw(evidence))
+            for key in ("degradation", "beyond", "rates"):
+                yield drawn(key, _curves(evidence, key))
+            yield drawn("drift", _drift(evidence))
 
 
 def _tracking(evidence: Evidence, reference: str, noise: float) -> Figure:
     """Motion and error of both joints over time, a column a nominal model."""
     unit = {BENDS: "rad", SLIDES: "m"}[reference]
     joints, labels = MOVING[reference], evidence.effort.labels
-    figure, grid = _panels(2 * len(joints), len(MODELS), 3.1, 1.45, sharex=True, sharey="row")
-    for row, joint in enumerate(joints):
-        motions, errors = grid[2 * row : 2 * row + 2]
-        place = coordinates().index(joint)
+    figure, grid = _panels(2 * len(joints), len(MODELS), 3.1, 1.45, **OVER_TIME)
+    for joint, motions, errors in zip(joints, grid[::2], grid[1::2], strict=True):
+        place = COORDINATES.index(joint)
         for ax, model in zip(motions, MODELS, strict=True):
             series = evidence.series[name_of(labels[0], reference)]
             desired = series.q_d[:, place]
@@ -97,16 +89,8 @@ def _tracking(evidence: Evidence, reference: str, noise: float) -> Figure:
                 _median(ax, label, series.t, series.of(model, noise)[:, :, place])
         motions[0].set_ylabel(f"{joint} [{unit}]")
         errors[0].set_ylabel(f"error [m{unit}]")
-        _draw_errors(errors, evidence, labels, reference, joint, noise)
-        # The errors of the two controllers of the paper stay in view.
-        runs = [evidence.series[name_of(name, reference)] for name in (SMC, PROPOSED)]
-        sizes = [
-            np.abs(_errors(series, model, noise, place)[series.t > 0.5])
-            for series in runs
-            for model in MODELS
-        ]
-        largest = max(float(np.nanpercentile(size, 99.9)) for size in sizes)
-        errors[0].set_ylim(-1.5 * largest, 1.5 * largest)
+        largest = 1.5 * _draw_errors(errors, evidence, labels, reference, joint, noise)
+        errors[0].set_ylim(-largest, largest)
     _finish_times(figure, grid, evidence.effort.duration)
     figure.align_ylabels(grid[:, 0])
     return figure
@@ -114,7 +98,7 @@ def _tracking(evidence: Evidence, reference: str, noise: float) -> Figure:
 
 def _readme(evidence: Evidence) -> Figure:
     """Errors of theta1 over time without and with noise, a column a nominal model."""
-    figure, grid = _panels(2, len(MODELS), 3.3, 1.75, sharex=True, sharey="row")
+    figure, grid = _panels(2, len(MODELS), 3.3, 1.75, **OVER_TIME)
     for row, noise, name in zip(grid, (0.0, NOISE), ("no noise", "40 % noise"), strict=True):
         _draw_errors(row, evidence, (SMC, PROPOSED), BENDS, "theta1", noise)
         row[0].set_ylabel(f"error of theta1 [mrad]\n{name}")
@@ -125,19 +109,22 @@ def _readme(evidence: Evidence) -> Figure:
 def _draw_errors(
     row: Sequence[Axes], evidence: Evidence, labels: Sequence[str], reference: str, joint: str,
     noise: float,
-) -> None:  # fmt: skip
-    """Errors of a joint over time, a panel a nominal model."""
+) -> float:  # fmt: skip
+    """Errors of a joint over time, a panel a nominal model [mrad] or [mm].
+
+    Returns the largest of those of the paper's two controllers, which stay in view.
+    """
+    place, largest = COORDINATES.index(joint), 0.0
     for ax, model in zip(row, MODELS, strict=True):
         for label in labels:
             series = evidence.series[name_of(label, reference)]
-            own = _errors(series, model, noise, coordinates().index(joint))
-            _median(ax, label, series.t, own)
-        _zero_line(ax)
-
-
-def _errors(series: Series, model: float, noise: float, place: int) -> np.ndarray:
-    """Errors of a coordinate of some arms, shape (T, k) [mrad] or [mm]."""
-    return 1e3 * (series.of(model, noise)[:, :, place] - series.q_d[:, place, None])
+            errors = 1e3 * (series.of(model, noise)[:, :, place] - series.q_d[:, place, None])
+            _median(ax, label, series.t, errors)
+            if label in (SMC, PROPOSED):
+                late = np.abs(errors[series.t > 0.5])
+                largest = max(largest, float(np.nanpercentile(late, 99.9)))
+        ax.axhline(0.0, **ZERO)
+    return largest
 
 
 def _finish_times(figure: Figure, grid: np.ndarray, duration: float) -> None:
@@ -148,42 +135,22 @@ def _finish_times(figure: Figure, grid: np.ndarray, duration: float) -> None:
     _legend(figure, grid[0, 0])
 
 
-def _overshoot(evidence: Evidence) -> Figure:
-    readings = [(r, j) for r in MOVING for j in MOVING[r]]
-    figure, grid = _panels(1, len(readings), 2.6, 2.5)
-    models, labels = evidence.models(by_hand(SMC)), (SMC, by_hand(SMC), PROPOSED, by_hand(PROPOSED))
-    for ax, (reference, joint) in zip(grid[0], readings, strict=True):
-        for label in labels:
-            cells = [Cell(label, reference=reference, mismatch=m) for m in models]
-            percents = 100.0 * np.array(models)
-            _curve(evidence, ax, percents, cells, f"overshoot_{joint}", marker=False)
-        _zero_line(ax)
-        ax.axhline(3.0, color=GRAY, linewidth=0.9, linestyle=":")
-        ax.set(title=f"overshoot of {joint} [%]", xlabel="error of the nominal model [%]")
-    _legend(figure, grid[0, 0])
-    return figure
-
-
 def _plants(evidence: Evidence) -> Figure:
     """Errors of all laws: a column a plant, a row a control period."""
-    effort = evidence.effort
-    places = {
-        (cells[0].plant, cells[0].study, cells[0].noise): {cell.label: cell for cell in cells}
-        for cells in evidence.plants()
-    }
-    start = places[effort.plants[0], studies.study_of_plants(effort.plant_rates[0]), NOISE]
-    order = sorted(start, key=lambda name: evidence.error(start[name]).value)
-    shape = len(effort.plant_rates), len(effort.plants)
-    figure, grid = _panels(*shape, 2.3, 0.21 * len(order) + 0.55, sharex=True, sharey=True)
-    for row, rate in zip(grid, effort.plant_rates, strict=True):
-        for ax, modules in zip(row, effort.plants, strict=True):
-            for noise in (NOISE, 0.0):
-                cells = places[modules, studies.study_of_plants(rate), noise]
-                for place, name in enumerate(order):
-                    _plant_mark(ax, name, evidence.error(cells[name]), place, noise)
-            ax.set_title(f"{modules} modules" + (", the model" if modules == MODULES else ""))
-            _named_rows(ax, [title_of(name) for name in order])
-        row[0].set_ylabel(f"control period {1e3 / rate:g} ms")
+    rates, modules = evidence.effort.plant_rates, evidence.effort.plants
+    start = Cell("", "plants", noise=NOISE, plant=modules[0], rate=rates[0])
+    cells = start.of(evidence.effort.plant_labels)
+    order = sorted(cells, key=lambda cell: evidence.median(cell).value)
+    height = 0.21 * len(order) + 0.55
+    figure, grid = _panels(len(rates), len(modules), 2.3, height, sharex=True, sharey=True)
+    for ax, (rate, plant) in zip(grid.flat, product(rates, modules), strict=True):
+        for noise, (place, cell) in product((NOISE, 0.0), enumerate(order)):
+            error = evidence.median(cell._replace(noise=noise, plant=plant, rate=rate))
+            _dot(ax, cell.label, error, place, hollow=not noise, lost=True)
+        ax.set_title(f"{plant} modules" + (", the model" if plant == MODULES else ""))
+        _named_rows(ax, [title_of(cell.label) for cell in order])
+    for ax, rate in zip(grid[:, 0], rates, strict=True):
+        ax.set_ylabel(f"control period {1e3 / rate:g} ms")
     for ax in grid[-1]:
         ax.set_xlabel("error [% of the motion]")
     first = grid[0, 0]
@@ -198,49 +165,36 @@ def _plants(evidence: Evidence) -> Figure:
     return figure
 
 
-def _plant_mark(ax: Axes, name: str, error: Interval, place: int, noise: float) -> None:
-    """An error under noise, full, or without, hollow; a cross at the edge where the arm is lost."""
-    if not np.isfinite(error.value):
-        y, size = place + (0.0 if noise else 0.2), 5 if noise else 3
-        ax.plot(0.96, y, "x", color=look(name).color, markersize=size, markeredgewidth=1.4,
-                transform=ax.get_yaxis_transform())  # fmt: skip
-    else:
-        _dot(ax, name, error, place, hollow=not noise)
-
-
 def _ranking(evidence: Evidence) -> Figure:
-    order = evidence.ranked(CONTROLLERS, NOISE)
+    """Errors of all controllers, a panel a nominal model."""
+    order = evidence.ranked(Cell("", noise=NOISE).of(CONTROLLERS))
     figure, grid = _panels(1, len(MODELS), 3.1, 0.25 * len(order) + 0.6, sharey=True, sharex=True)
     for ax, model in zip(grid[0], MODELS, strict=True):
-        for place, name in enumerate(order):
-            for noise in (NOISE, 0.0):
-                error = evidence.error(Cell(name, mismatch=model, noise=noise))
-                _dot(ax, name, error, place, hollow=not noise)
+        for (place, cell), noise in product(enumerate(order), (NOISE, 0.0)):
+            error = evidence.median(cell._replace(mismatch=model, noise=noise))
+            _dot(ax, cell.label, error, place, hollow=not noise)
         _logarithmic(ax, "x")
         ax.set(title=f"nominal model {percent(model)}", xlabel="error [% of the motion]")
-        _named_rows(ax, order)
+        _named_rows(ax, [cell.label for cell in order])
     grid[0, 0].invert_yaxis()
     return figure
 
 
 def _ablations(evidence: Evidence) -> Figure:
-    labels = [
-        name for name in (CONSEQUENT, SMC, INTEGRAL, *variants.ABLATIONS)
-        if evidence.has(Cell(name, noise=NOISE))
-    ]  # fmt: skip
-    readings = [
-        reference for reference in MOVING
-        if evidence.known([Cell(name, reference=reference, noise=NOISE) for name in labels])
-    ]  # fmt: skip
-    figure, grid = _panels(1, len(readings), 4.6, 0.42 * len(labels) + 0.7, sharey=True)
+    """Errors under noise over those of `afsmc`, a panel for each reading of the joints."""
+    labels = [cell.label for cell in evidence.known(Cell("", noise=NOISE).of(INSTEAD))]
+    places = [Cell("", reference=reference, noise=NOISE) for reference in MOVING]
+    places = [place for place in places if evidence.known(place.of(labels))]
+    figure, grid = _panels(1, len(places), 4.6, 0.42 * len(labels) + 0.7, sharey=True)
     shades = dict(zip(MODELS, (("o", -0.2), ("s", 0.0), ("^", 0.2)), strict=True))
-    for ax, reference in zip(grid[0], readings, strict=True):
-        for place, label in enumerate(labels):
-            for cell in evidence.known(Cell(label, reference=reference, noise=NOISE).models()):
-                marker, shift = shades[cell.mismatch]
-                _dot(ax, label, evidence.ratio(cell, PROPOSED), place + shift, marker)
-        ax.axvline(1.0, color=GRAY, linewidth=0.9, linestyle=":")
-        ax.set(xscale="log", title=", ".join(MOVING[reference]), xlabel="error over that of afsmc")
+    for ax, place in zip(grid[0], places, strict=True):
+        for row, cell in enumerate(place.of(labels)):
+            for each in evidence.known(cell.models()):
+                marker, shift = shades[each.mismatch]
+                _dot(ax, each.label, evidence.ratio(each, PROPOSED), row + shift, marker)
+        ax.axvline(1.0, **DOTTED)
+        title = ", ".join(MOVING[place.reference])
+        ax.set(xscale="log", title=title, xlabel="error over that of afsmc")
         _named_rows(ax, [title_of(label) for label in labels])
         low, high = ax.get_xlim()  # of few decades: numbers without powers
         marks = (0.2, 0.3, 0.5, 0.7, 0.8, 1, 1.2, 1.5, 2, 3, 5, 10, 20)
@@ -252,62 +206,13 @@ def _ablations(evidence: Evidence) -> Figure:
     return figure
 
 
-def _degradation(evidence: Evidence) -> Figure:
-    figure, grid = _panels(1, 2, 4.2, 2.8)
-    noises = evidence.noises()
-    quantities = (("error", "error of all joints [% of the motion]", 100.0),
-                  ("rms_error_theta1", "rms error of theta1 [mrad]", 1e3))  # fmt: skip
-    for ax, (quantity, title, factor) in zip(grid[0], quantities, strict=True):
-        for label in CONTROLLERS:
-            cells = [Cell(label, "degradation", BENDS, WRONG, noise) for noise in noises]
-            _curve(evidence, ax, 100.0 * np.array(noises), cells, quantity, factor)
-        ax.axvline(100.0 * NOISE, color=GRAY, linewidth=0.9, linestyle=":")
-        ax.set(title=title, xlabel="rms of the noise [% of the input's amplitude]")
-        ax.set_ylim(0.0, None)
-    _legend(figure, grid[0, 0])
-    return figure
-
-
-def _beyond(evidence: Evidence) -> Figure:
-    figure, grid = _panels(1, len(BEYOND), 3.3, 2.9)
-    for ax, (name, sort) in zip(grid[0], BEYOND.items(), strict=True):
-        for label in CONTROLLERS:
-            start = Cell(label, "beyond", mismatch=WRONG)
-            cells = [start._replace(**{name: x}) for x in sort.values]
-            _curve(evidence, ax, sort.factor * np.array(sort.values), cells, "error", 100.0)
-        _logarithmic(ax, "y")
-        quantity = "loss of force" if name == "loss" else name
-        ax.set(xlabel=f"{quantity} [{sort.unit}]", title="error [% of the motion]")
-    _legend(figure, grid[0, 0])
-    figure.set_figheight(figure.get_figheight() + 0.3)
-    return figure
-
-
-def _rates(evidence: Evidence) -> Figure:
-    figure, grid = _panels(1, 3, 3.2, 2.6)
-    panels = (("error", NOISE, "error, 40 % noise [% of the motion]"),
-              ("chattering", NOISE, "chattering, 40 % noise [% of weight]"),
-              ("chattering", 0.0, "chattering, no noise [% of weight]"))  # fmt: skip
-    start = Cell(PROPOSED, mismatch=WRONG, noise=NOISE)
-    rates = [r for r in RATES if evidence.has(start._replace(study=studies.study_of_rate(r)))]
-    for ax, (quantity, noise, title) in zip(grid[0], panels, strict=True):
-        for label in (PROPOSED, SMC, variants.TWISTING, SIGN):
-            cells = [Cell(label, studies.study_of_rate(r), BENDS, WRONG, noise) for r in rates]
-            _curve(evidence, ax, np.array(rates), cells, quantity, 100.0)
-        ax.set_xscale("log")
-        _logarithmic(ax, "y")
-        _ticks(ax, rates)
-        ax.set(xlabel="control rate [Hz]", title=title)
-    _legend(figure, grid[0, 0])
-    return figure
-
-
 def _drift(evidence: Evidence) -> Figure:
+    """The gain E of theta1 in long runs, and how many arms are left."""
     figure, grid = _panels(1, 2, 4.2, 2.6)
     gain, left = grid[0]
     for label, name in LONG.items():
         series = evidence.series[name]
-        E = series.E[:, :, coordinates().index("theta1")]
+        E = series.E[:, :, COORDINATES.index("theta1")]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of instants at which no arm is left
             _median(gain, label, series.t, np.where(E > 0.0, E, np.nan), np.nanpercentile)
@@ -327,6 +232,39 @@ def _panels(
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
+def _curves(evidence: Evidence, name: str) -> Figure:
+    """Panels of `words.toml` side by side: medians over a field of cells, a curve a variant.
+
+    A curve has a band of intervals, where they are finite, and is left out unless all was run.
+    """
+    common = {**words()["curves"], **words()["figures"][name]}
+    figure, grid = _panels(1, len(common["panels"]), *common["size"])
+    for ax, own in zip(grid[0], common["panels"], strict=True):
+        panel = {**common, **own}
+        start, field = Cell("", **panel["at"]), panel["over"]
+        values = evidence.varied(start, field)
+        x = panel["unit"] * np.array(values)
+        for label in panel["labels"]:
+            cells = [start._replace(**{"label": label, field: value}) for value in values]
+            if evidence.has(*cells):
+                medians = [evidence.median(cell, panel["of"]) for cell in cells]
+                _curve(ax, label, x, medians, panel["markers"])
+        for axis, value in panel["paper"].items():
+            {"x": ax.axvline, "y": ax.axhline}[axis](value, **DOTTED)
+        if panel["log"] == "xy":
+            ax.set_xscale("log")
+            _ticks(ax, values)
+        if panel["log"]:
+            _logarithmic(ax, "y")
+        elif panel["signed"]:
+            ax.axhline(0.0, **ZERO)
+        else:
+            ax.set_ylim(0.0, None)
+        ax.set(title=panel["title"], xlabel=panel["axis"])
+    _legend(figure, grid[0, 0])
+    return figure
+
+
 def _legend(figure: Figure, ax: Axes) -> None:
     """One legend for all panels, above them."""
     handles, labels = ax.get_legend_handles_labels()
@@ -335,10 +273,6 @@ def _legend(figure: Figure, ax: Axes) -> None:
         list(unique.values()), list(unique), loc="outside upper center", handlelength=2.2,
         ncols=min(len(unique), 5), columnspacing=1.8,
     )  # fmt: skip
-
-
-def _zero_line(ax: Axes) -> None:
-    ax.axhline(0.0, color=INK, linewidth=0.6, zorder=1)
 
 
 def _logarithmic(ax: Axes, which: str) -> None:
@@ -354,45 +288,48 @@ def _ticks(ax: Axes, ticks: Sequence[float]) -> None:
 
 
 def _named_rows(ax: Axes, names: Sequence[str]) -> None:
+    """A name instead of a number at each row of a panel."""
     ax.set_yticks(range(len(names)), names)
     ax.tick_params(axis="y", length=0)
 
 
 def _median(
-    ax: Axes, label: str, t: np.ndarray, own: np.ndarray, percentile: Any = np.percentile
+    ax: Axes, label: str, t: np.ndarray, values: np.ndarray, percentile: Any = np.percentile
 ) -> None:
     """The median of some arms over time, shape (T, k), and a band of 5 to 95 % of them."""
-    low, middle, high = percentile(own, [5.0, 50.0, 95.0], axis=1)
+    low, middle, high = percentile(values, [5.0, 50.0, 95.0], axis=1)
     ax.plot(t, middle, color=look(label).color, label=title_of(label), linewidth=1.1)
-    if own.shape[1] > 1:
+    if values.shape[1] > 1:
         ax.fill_between(t, low, high, color=look(label).color, alpha=0.22, linewidth=0.0)
 
 
-def _curve(
-    evidence: Evidence, ax: Axes, x: np.ndarray, cells: Sequence[Cell], quantity: str,
-    factor: float = 1.0, *, marker: bool = True,
-) -> None:  # fmt: skip
-    """Medians of a variant's cells with a band of intervals, where finite; none if not all ran."""
-    if not evidence.has(*cells):
-        return
-    numbers = np.array([evidence.median(cell, quantity, factor) for cell in cells], dtype=float)
+def _curve(ax: Axes, label: str, x: np.ndarray, medians: Sequence[Interval], markers: bool) -> None:
+    """Medians over x with a band of their intervals, where finite."""
+    numbers = np.array(medians, dtype=float)
     value, low, high = np.where(np.isfinite(numbers), numbers, np.nan).T
-    color, line, mark = look(cells[0].label)
+    color, line, mark = look(label)
     ax.plot(
-        x, value, color=color, linestyle=line, marker=mark if marker else "",
-        label=title_of(cells[0].label), markeredgewidth=0.0,
+        x, value, color=color, linestyle=line, marker=mark if markers else "",
+        label=title_of(label), markeredgewidth=0.0,
     )  # fmt: skip
     if np.any(low < high):
         ax.fill_between(x, low, high, color=color, alpha=0.18, linewidth=0.0)
 
 
 def _dot(
-    ax: Axes, label: str, own: Interval, y: float, marker: str = "o", *, hollow: bool = False
-) -> None:
-    """A median with its interval, sideways; without the latter, hollow, where nothing is random."""
+    ax: Axes, label: str, median: Interval, y: float, marker: str = "o", *, hollow: bool = False,
+    lost: bool = False,
+) -> None:  # fmt: skip
+    """A median with its interval, sideways; hollow without the latter, where nothing is random.
+
+    An infinite one is a cross at the edge where the lost are to be seen.
+    """
     color = look(label).color
-    if hollow:
-        ax.plot(own.value, y, marker, color=color, fillstyle="none")
-    elif np.isfinite(own.value):
-        ax.plot([own.low, own.high], [y, y], color=color, linewidth=1.2)
-        ax.plot(own.value, y, marker, color=color, markersize=5)
+    if lost and not np.isfinite(median.value):
+        ax.plot(0.96, y + 0.2 * hollow, "x", color=color, markersize=3 if hollow else 5,
+                markeredgewidth=1.4, transform=ax.get_yaxis_transform())  # fmt: skip
+    elif hollow:
+        ax.plot(median.value, y, marker, color=color, fillstyle="none")
+    elif np.isfinite(median.value):
+        ax.plot([median.low, median.high], [y, y], color=color, linewidth=1.2)
+        ax.plot(median.value, y, marker, color=color, markersize=5)

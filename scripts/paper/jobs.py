@@ -14,60 +14,53 @@ from tqdm import tqdm
 import octarm
 from controllers import make_controller
 from octarm.files import write_files
+from octarm.simulation.engines import LAGRANGE, usual_engine
 from octarm.sweeps.workers import WorkerProcesses, cores
 from paper import plants, runs
 from paper.runs import Request
-from paper.studies import MODELS, Effort, Sweep, sweeps
+from paper.studies import MODELS, Cell, Effort, Sweep, sweeps
 from paper.variants import CONTROLLERS, Variant
 
 SPECS, SWEEPS, SERIES, RUNS = "specs", "sweeps", "series", "runs"  # folders
-Task = Request | plants.Planted | plants.Search  # whose arrays are kept in a file of its name
 Advance = Callable[[float], object]  # takes simulated seconds that are done
 
 
-class Job(NamedTuple):
-    """Something to be done."""
+class Task(NamedTuple):
+    """Something that is run, of which a file of arrays is kept."""
 
-    seconds: float  # what it simulates [s]
-    do: Callable[[Executor, Advance], None]  # does what is not there yet, on processes
+    name: str  # of the file
+    seconds: float  # what it simulates, or weighs among other tasks [s]
+    perform: Callable[[], Mapping[str, np.ndarray]]
+    of: Request | Cell  # what the arrays are measured of
 
 
 def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers: int = 0) -> None:
-    """Runs what is not there yet.
+    """Runs what is not there yet, on one process a core if the number of workers is 0.
 
-    What is there does not depend on the number of processes, or on how often it was interrupted.
-
-    Args:
-        variants: by label.
-        effort: how much.
-        out: folder.
-        workers: number of processes; one a core when 0.
-
-    Raises:
-        OctarmError: if the folder holds results of other studies.
-        OSError: if it cannot be written.
-        KeyboardInterrupt: if interrupted; what was finished is kept.
+    What is there does not depend on that number, or on how often it was interrupted: what was
+    finished is kept. Raises OctarmError if the folder holds results of other studies, and OSError
+    if it cannot be written.
     """
     for folder in (SPECS, SWEEPS, SERIES, RUNS):
         (out / folder).mkdir(parents=True, exist_ok=True)
-    own = all_tasks(variants, effort)
-    jobs = [Job(sweep.seconds, partial(_sweep, sweep, out)) for sweep in sweeps(variants, effort)]
-    jobs += [Job(task.seconds, partial(_keep, task, out)) for task in own]
+    tasks = all_tasks(variants, effort)
+    jobs = [(sweep.seconds, partial(_sweep, sweep, out)) for sweep in sweeps(variants, effort)]
+    jobs += [(task.seconds, partial(_keep, task, out)) for task in tasks]
     jobs += [
-        Job(8.0 * one.duration, partial(_record, one, model, out))  # what an arm by itself costs
-        for one in own
+        (8.0 * one.duration, partial(_record, one, model, out))  # what an arm alone costs
+        for one in (task.of for task in tasks)
         if isinstance(one, Request) and one.seeds and one.quiet and effort.long
         if one.variant.label in CONTROLLERS
         for model in MODELS
     ]
-    jobs.sort(key=lambda job: -job.seconds)
-    total, count = sum(job.seconds for job in jobs), workers or cores()
+    jobs.sort(key=lambda job: -job[0])
+    total, count = sum(seconds for seconds, _ in jobs), workers or cores()
     with (
         tqdm(total=total, unit=" simulated s", unit_scale=True, disable=None, leave=False) as bar,
         WorkerProcesses(count) as processes,
         ThreadPoolExecutor(count + 1) as threads,
     ):
-        futures = [threads.submit(job.do, processes, bar.update) for job in jobs]
+        futures = [threads.submit(do, processes, bar.update) for _, do in jobs]
         try:
             for future in as_completed(futures):
                 future.result()
@@ -78,9 +71,22 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
 
 
 def all_tasks(variants: Mapping[str, Variant], effort: Effort) -> list[Task]:
-    """All that is run besides sweeps."""
-    kinds = (runs.requests, plants.planted, plants.searches)
-    return list(itertools.chain.from_iterable(kind(variants, effort) for kind in kinds))
+    """All that is run besides sweeps; plants where the engine `lagrange` is installed."""
+    tasks = [Task(x.name, x.seconds, x.perform, x) for x in runs.requests(variants, effort)]
+    if usual_engine() != LAGRANGE:
+        return tasks
+    places = itertools.product(effort.plant_rates, effort.plants, effort.plant_labels)
+    for rate, modules, label in places:
+        name = f"plant-{modules}-{rate:g}-Hz-{label}"
+        # Weighed by what a control period costs for all arms.
+        seconds = plants.DURATION * rate / 200.0 * (1.0 + modules / 10.0)
+        perform = partial(plants.planted, variants[label], modules, rate, effort.seeds)
+        cell = Cell(label, "plants", plant=modules, rate=rate)
+        tasks.append(Task(name, seconds, perform, cell))
+    for label in effort.plant_labels:
+        perform = partial(plants.searched, variants[label], effort.plants)
+        tasks.append(Task(f"periods-{label}", 100.0 * len(effort.plants), perform, Cell(label)))
+    return tasks
 
 
 def _sweep(sweep: Sweep, out: Path, pool: Executor, advance: Advance) -> None:
@@ -94,7 +100,7 @@ def _sweep(sweep: Sweep, out: Path, pool: Executor, advance: Advance) -> None:
 
 
 def _keep(task: Task, out: Path, pool: Executor, advance: Advance) -> None:
-    file, content = _file(out, task), io.BytesIO()
+    file, content = out / SERIES / f"{task.name}.npz", io.BytesIO()
     if not file.is_file():
         np.savez(content, allow_pickle=False, **pool.submit(task.perform).result())
         write_files({file: content.getvalue()})
@@ -108,11 +114,7 @@ def _record(request: Request, model: float, out: Path, pool: Executor, advance: 
     advance(8.0 * request.duration)
 
 
-def _file(out: Path, task: Task) -> Path:
-    return out / SERIES / f"{task.name}.npz"
-
-
 def read_arrays(out: Path, task: Task) -> dict[str, np.ndarray]:
     """What was kept of a run; raises OSError if it is missing."""
-    with np.load(_file(out, task), allow_pickle=False) as file:
+    with np.load(out / SERIES / f"{task.name}.npz", allow_pickle=False) as file:
         return dict(file)

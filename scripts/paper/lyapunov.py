@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-import octarm
 from octarm.interfaces import Rows
 from octarm.lagrange import inverse_dynamics, kinetic_energy
 from paper.studies import SETTLED
+from paper.variants import ARM
 
 if TYPE_CHECKING:
     from paper.runs import Request
@@ -51,16 +51,15 @@ class Outcome(NamedTuple):
 
 def outcomes(request: Request, arrays: Mapping[str, np.ndarray]) -> list[Outcome]:
     """What `counts` gave, arm by arm."""
-    names = [name for name in Outcome._fields if name in arrays]
-    arms = zip(*(arrays[name].tolist() for name in names), strict=True)
     place = request.variant.label, request.reference, request.rate
-    return [Outcome(*place, **dict(zip(names, values, strict=True))) for values in arms]
+    arms = zip(*(arrays[name].tolist() for name in Outcome._fields[len(place) :]), strict=True)
+    return [Outcome(*place, *arm) for arm in arms]
 
 
 def counts(request: Request, rows: Rows) -> dict[str, np.ndarray]:
     """The fields of `Outcome` that differ from arm to arm, each of shape (n,)."""
     gains, s = request.variant.gains, rows["s"]
-    kinetic = kinetic_energy(octarm.nominal_parameters(), rows["q"], s)
+    kinetic = kinetic_energy(ARM, rows["q"], s)
     F = _model_error(request, rows)
     if "E" in rows:
         learnt, covered = _learnt(gains, rows, F)
@@ -88,9 +87,7 @@ def _model_error(request: Request, rows: Rows) -> np.ndarray:
     """F = (D^ - D) q_r'' + .. + G^ - G, shape (T, n, 2N) [N], [N m]."""
     q, v, lambda_ = rows["q"], rows["v"], np.asarray(request.variant.gains["lambda"])
     v_r, a_r = v - rows["s"], rows["wanted_a"] - lambda_ * (v - rows["v_d"])
-    nominal, true = (
-        inverse_dynamics(p, q, v, a_r, v_r) for p in (request.nominal, octarm.nominal_parameters())
-    )
+    nominal, true = (inverse_dynamics(p, q, v, a_r, v_r) for p in (request.nominal, ARM))
     return nominal - true
 
 

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 from octarm.reports.statistics import Interval
 
+Entry = str | int | float | Interval  # of a table; an interval is a median and its 95 % interval
+
 
 class Row(NamedTuple):
     """A number that a verdict rests on."""
@@ -33,34 +35,27 @@ def number(value: float) -> str:
     """Three digits."""
     if not math.isfinite(value):
         return {math.inf: "∞", -math.inf: "-∞"}.get(value, "-")
-    if value == 0.0:
-        return "0"
     size = abs(value)
-    if float(value).is_integer() and size < 1e5:
-        return f"{value:.0f}"
+    if value.is_integer() and size < 1e5:
+        return f"{value + 0.0:.0f}"
     if size >= 1e5 or size < 1e-3:
         return f"{value:.2e}"
     return f"{value:.0f}" if size >= 99.95 else f"{value:#.3g}".rstrip(".")
 
 
-def in_words(entry: str | int | float | Interval) -> str:
-    """An entry of a table; an interval in brackets behind its median."""
-    if isinstance(entry, Interval):
-        return median(entry) + (f" ({spread(entry)})" if spread(entry) else "")
-    return number(entry) if isinstance(entry, float) else str(entry)
-
-
-def median(entry: str | int | float | Interval) -> str:
-    """An entry of a table without its interval."""
-    return number(float(entry.value)) if isinstance(entry, Interval) else in_words(entry)
-
-
-def spread(entry: str | int | float | Interval) -> str:
-    """An interval's ends; empty where it has no width, or there is none."""
+def in_parts(entry: Entry) -> tuple[str, str]:
+    """An entry of a table, and the ends of its interval; empty where it has no width, or none."""
     if not isinstance(entry, Interval):
-        return ""
-    low, high = float(entry.low), float(entry.high)
-    return "" if low == high or math.isnan(low) else f"{number(low)} .. {number(high)}"
+        return number(entry) if isinstance(entry, float) else str(entry), ""
+    value, low, high = map(float, entry)
+    ends = "" if low == high or math.isnan(low) else f"{number(low)} .. {number(high)}"
+    return number(value), ends
+
+
+def in_words(entry: Entry) -> str:
+    """An entry of a table; an interval in brackets behind its median."""
+    value, ends = in_parts(entry)
+    return f"{value} ({ends})" if ends else value
 
 
 def percent(share: float) -> str:
@@ -68,11 +63,9 @@ def percent(share: float) -> str:
     return "exact" if share == 0.0 else f"{100.0 * share:+.0f} %"
 
 
-def span(values: Sequence[float | Interval | Row], unit: str = "") -> str:
-    """The smallest to the largest of some numbers or medians, those that are finite, in words."""
-    numbers = [x.number if isinstance(x, Row) else x for x in values]
-    plain = [float(x.value if isinstance(x, Interval) else x) for x in numbers]
-    finite = [x for x in plain if math.isfinite(x)]
+def span(rows: Sequence[Row], unit: str = "") -> str:
+    """The smallest to the largest of some medians, those that are finite, in words."""
+    finite = [float(row.number.value) for row in rows if math.isfinite(row.number.value)]
     if not finite:
         return "unknown"
     low, high = number(min(finite)), number(max(finite))

@@ -11,11 +11,10 @@ slope, hence no prediction, and is restless at every period: it is asked to trac
 error of at most `TRACKED` instead.
 """
 
-import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,12 +22,14 @@ import octarm
 from octarm.arm.groups import Groups
 from octarm.checks.sampled_loop import LinearPlant, Loop, NoSlopeError
 from octarm.interfaces import Instant
+from octarm.metrics.rows import Size
 from octarm.references import SetPoint
-from octarm.simulation.engines import LAGRANGE, usual_engine
+from octarm.simulation.engines import LAGRANGE
 from octarm.simulation.rollout import simulate
+from octarm.sweeps.tune_cost import root_mean_square
 from paper.runs import noisy_arms
-from paper.studies import BENDS, NOISE, SCALE, Effort
-from paper.variants import Variant
+from paper.studies import BENDS, NOISE, SCALE
+from paper.variants import ARM, Variant
 
 DURATION, COUNTED = 1.5, 0.5  # of a run, and from when on errors count: half a period [s]
 SHORTEST, LONGEST = 1e-5, 0.01  # periods that are looked at [s]
@@ -41,93 +42,19 @@ TRACKED = 0.1  # error of tracking, as a share of the motion [1]
 TRACKING = 1.5, 0.5  # length of a run that is to track, and from when on its errors count [s]
 
 
-class Planted(NamedTuple):
-    """A law on a plant."""
-
-    variant: Variant
-    modules: int  # of the plant
-    rate: float  # of control [Hz]
-    seeds: int  # number of seeds of the noise
-
-    @property
-    def name(self) -> str:
-        """Of the file."""
-        return f"plant-{self.modules}-{self.rate:g}-Hz-{self.variant.label}"
-
-    @property
-    def seconds(self) -> float:
-        """What is simulated, weighed by what a period costs for all arms [s]."""
-        return DURATION * self.rate / 200.0 * (1.0 + self.modules / 10.0)
-
-    @property
-    def noise(self) -> np.ndarray:
-        """Rms over the input's amplitude of each arm, shape (1 + seeds,) [1]."""
-        return np.array([0.0] + [NOISE] * self.seeds)
-
-    def perform(self) -> dict[str, np.ndarray]:
-        """`error`, as a share of the motion, infinite if lost, and `lost`, shapes (1 + seeds,)."""
-        arms = noisy_arms(self.noise, [0, *range(self.seeds)])
-        times = (1.0 / self.rate, DURATION, COUNTED)
-        error, lost = _tracking(self.variant, self.modules, *times, **arms)
-        return {"error": error, "lost": lost}
+def planted(variant: Variant, modules: int, rate: float, seeds: int) -> dict[str, np.ndarray]:
+    """`tracking` of arms without noise and with so many seeds of it at a rate [Hz]."""
+    arms = noisy_arms([0.0] + [NOISE] * seeds, [0, *range(seeds)])
+    return tracking(variant, modules, 1.0 / rate, DURATION, COUNTED, **arms)
 
 
-class Search(NamedTuple):
-    """The longest control periods of a law."""
+def searched(variant: Variant, plants: Sequence[int]) -> dict[str, np.ndarray]:
+    """The longest periods `predicted`, NaN without a slope, and `simulated`, shapes (plants,) [s].
 
-    variant: Variant
-    plants: tuple[int, ...]  # numbers of modules
-
-    @property
-    def name(self) -> str:
-        """Of the file."""
-        return f"periods-{self.variant.label}"
-
-    @property
-    def seconds(self) -> float:
-        """What it weighs among other jobs, in seconds that an arm is simulated [s]."""
-        return 100.0 * len(self.plants)
-
-    def perform(self) -> dict[str, np.ndarray]:
-        """`predicted`, NaN without a slope, and `simulated`, shapes (plants,) [s]."""
-        pairs = [longest_two(self.variant, modules) for modules in self.plants]
-        return dict(zip(("predicted", "simulated"), np.array(pairs).T, strict=True))
-
-
-def planted(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Planted]:
-    """All laws on all plants, where the engine is installed."""
-    places = itertools.product(effort.plant_rates, effort.plants, effort.plant_labels)
-    for rate, modules, label in places if usual_engine() == LAGRANGE else ():
-        yield Planted(variants[label], modules, rate, effort.seeds)
-
-
-def searches(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Search]:
-    """The searches of all laws, where the engine is installed."""
-    for label in effort.plant_labels if usual_engine() == LAGRANGE else ():
-        yield Search(variants[label], tuple(effort.plants))
-
-
-class MeanSquare:
-    """The error of arms over all physics steps: of all coordinates, as a share of the motion."""
-
-    def __init__(self, modules: int, counted: float) -> None:
-        """For arms of so many modules, from an instant on [s]."""
-        self._scale, self._counted = np.repeat(list(SCALE.values()), modules), counted
-        self._sum, self._count = np.zeros(()), 0
-
-    def __call__(self, instant: Instant) -> None:
-        """Takes a control period."""
-        if instant.within and instant.measurement.t >= self._counted - 1e-9:
-            q, q_d = instant.within.q, instant.within.q_d
-            wanted = q_d[:, None] if q_d.ndim < q.ndim else q_d  # the same for all arms
-            with np.errstate(all="ignore"):  # a diverged arm may hold anything
-                shares = (q - wanted) / self._scale
-                self._sum = self._sum + np.sum(np.mean(np.square(shares), axis=-1), axis=0)
-            self._count += len(shares)
-
-    def root(self) -> np.ndarray:
-        """Root of the mean square [1]; infinite if no period counts."""
-        return np.sqrt(self._sum / self._count) if self._count else np.full((), np.inf)
+    The plants are numbers of modules.
+    """
+    pairs = [longest_two(variant, modules) for modules in plants]
+    return dict(zip(("predicted", "simulated"), np.array(pairs).T, strict=True))
 
 
 def longest(bears: Callable[[float], bool], start: float, shortest: float = SHORTEST) -> float:
@@ -138,10 +65,7 @@ def longest(bears: Callable[[float], bool], start: float, shortest: float = SHOR
     good, bad, factor = 0.0, math.inf, 1.2
     period = min(max(start, shortest), LONGEST)
     while not (good and bad / good <= CLOSE):
-        if bears(period):
-            good = period
-        else:
-            bad = period
+        good, bad = (period, bad) if bears(period) else (good, period)
         if good >= LONGEST or bad <= shortest:
             return math.inf if good else 0.0
         if good and math.isfinite(bad):
@@ -154,11 +78,10 @@ def longest(bears: Callable[[float], bool], start: float, shortest: float = SHOR
 
 def longest_two(variant: Variant, modules: int) -> tuple[float, float]:
     """By the spectral radius, infinite where all periods are stable, and in simulation [s]."""
-    arm = octarm.nominal_parameters()
-    groups = Groups.of(arm, modules)
+    groups = Groups.of(ARM, modules)
     plant = LinearPlant.of(groups.plant, groups.matrix)
     try:
-        predicted = Loop(plant, variant.controls(arm)).longest_period()
+        predicted = Loop(plant, variant.controls(ARM)).longest_period()
     except NoSlopeError:
         return math.nan, longest(partial(tracks, variant, modules), 1e-3, SHORTEST_TRACKED)
     return predicted, longest(partial(rests, variant, modules, plant.rest), 0.9 * predicted)
@@ -166,39 +89,49 @@ def longest_two(variant: Variant, modules: int) -> tuple[float, float]:
 
 def rests(variant: Variant, modules: int, rest: np.ndarray, period: float) -> bool:
     """Whether the arm comes to rest at `rest`, shape (2N,), after a tiny step of the reference."""
-    scale = np.repeat(list(SCALE.values()), octarm.nominal_parameters().modules)
-    q: list[np.ndarray] = []
+    environment = _load(SetPoint(q=rest + STEP * SCALE), modules, period)
     duration = min(max(round(LASTING / period), FEWEST), MOST) * period
-    target = SetPoint(q=rest + STEP * scale)
-    if not _run(variant, modules, target, period, duration, lambda now: q.append(now.q)):
+    q: list[np.ndarray] = []
+    simulate(environment, variant.controls(ARM), duration, lambda now: q.append(now.q))
+    if not environment.physics.intact():
         return False
-    restless = np.linalg.norm(np.diff(q, 2, axis=0) / scale, axis=1)
+    restless = np.linalg.norm(np.diff(q, 2, axis=0) / SCALE, axis=1)
     _, early, _, late = (np.sqrt(np.mean(np.square(x))) for x in np.array_split(restless, 4))
     return bool(late <= max(FALLING * early, CALM * STEP))
 
 
 def tracks(variant: Variant, modules: int, period: float) -> bool:
     """Whether the error of the arm under the sine stays small."""
-    return bool(_tracking(variant, modules, period, *TRACKING)[0] <= TRACKED)
+    return bool(tracking(variant, modules, period, *TRACKING)["error"] <= TRACKED)
 
 
-def _tracking(
+def tracking(
     variant: Variant, modules: int, period: float, duration: float, counted: float, **arms: Any
-) -> tuple[np.ndarray, np.ndarray]:
-    """The error of each arm under the sine, infinite if it is lost, and whether it is."""
-    error = MeanSquare(octarm.nominal_parameters().modules, counted)
-    lost = ~_run(variant, modules, BENDS, period, duration, error, **arms)
-    return np.where(lost, np.inf, error.root()), lost
+) -> dict[str, np.ndarray]:
+    """`error`, a share of the motion over all physics steps from an instant on [s], and `lost`.
+
+    The arms are under the sine, n of them or one, shapes (n,) or (); the error of a lost one is
+    infinite.
+    """
+    environment = _load(BENDS, modules, period, **arms)
+    size = Size(environment.physics.q())
+
+    def observe(instant: Instant) -> None:
+        if instant.within and instant.measurement.t >= counted - 1e-9:
+            q, q_d = instant.within.q, instant.within.q_d
+            wanted = q_d if q_d.ndim == q.ndim else q_d[:, None]  # the same for all arms
+            with np.errstate(all="ignore"):  # a diverged arm may hold anything
+                size.update(np.square(q - wanted))
+
+    simulate(environment, variant.controls(ARM), duration, observe)
+    lost = ~np.asarray(environment.physics.intact())
+    error = root_mean_square(size.root() / SCALE)
+    return {"error": np.where(lost, np.inf, error), "lost": lost}
 
 
-def _run(
-    variant: Variant, modules: int, reference: Any, period: float, duration: float,
-    observe: Callable[[Instant], None], **arms: Any,
-) -> np.ndarray:  # fmt: skip
-    """Simulates arms of so many modules under a law; whether each stayed within its limits."""
-    environment = octarm.load(
+def _load(reference: Any, modules: int, period: float, **arms: Any) -> Any:
+    """The environment of arms of so many modules with a control period [s]."""
+    return octarm.load(
         reference, control_period=period, timestep="auto", engine=LAGRANGE, plant_modules=modules,
         **arms,
     )  # fmt: skip
-    simulate(environment, variant.controls(octarm.nominal_parameters()), duration, observe)
-    return np.asarray(environment.physics.intact())

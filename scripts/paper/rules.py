@@ -5,7 +5,7 @@ same joints, the same nominal model and the same noise. SMC is read in both ways
 has: with sgn(s) and with a boundary layer.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
 
@@ -13,12 +13,12 @@ import numpy as np
 
 from octarm.reports.statistics import Interval
 from paper import studies, variants
-from paper.cases import Case
-from paper.evidence import Cell, Evidence, coordinates, interval
+from paper.claims import Case
+from paper.evidence import Evidence, interval
 from paper.lyapunov import Outcome
 from paper.numbers import Row, exact, percent
-from paper.runs import ARMS, name_of
-from paper.studies import BEYOND, MODELS, MOVING, NOISE, RATE, READINGS
+from paper.runs import ARMS, Series, name_of
+from paper.studies import BEYOND, MODELS, MOVING, NOISE, RATE, READINGS, Cell
 from paper.variants import BY_HAND, FIXED_RULES, PROPOSED, SIGN, SMC, TUNED, by_hand, with_gains
 
 OVERSHOOT = 3.0  # of SMC, by the paper [%]
@@ -33,10 +33,17 @@ BETTER = 0.05  # (f), plants: by how much an error must be smaller [1]
 MODERATE = 0.1  # (g): share of the control period [1]
 
 LAWS = {SIGN: "sgn(s)", SMC: "a boundary layer"}  # what "SMC" may be
+RIVALS = {law: f"SMC with {reading}" for law, reading in LAWS.items()}
+OF_WEIGHT, OF_AMPLITUDE = "% of the weight", "% of the amplitude"
+Place = tuple[dict[str, str], Cell]  # in words, and as a cell of the proposed law
 
 
 def overshoot(evidence: Evidence) -> Iterator[Case]:
     """(a): 3 % overshoot with sliding mode, none with the proposed controller."""
+
+    def is_said(ours: float, theirs: float, factor: float) -> bool:
+        return abs(ours) < factor * DIGIT and abs(theirs - OVERSHOOT) < factor * DIGIT
+
     for where, cell in _places(evidence, noises=[0.0]):
         for law, reading in LAWS.items():
             smc = _with(cell, law, where)
@@ -44,80 +51,64 @@ def overshoot(evidence: Evidence) -> Iterator[Case]:
                 ours, theirs = (evidence.median(x, f"overshoot_{joint}").value for x in (cell, smc))
                 rows = [exact("AFSMC overshoot", ours, "%"), exact("SMC overshoot", theirs, "%")]
                 place = {**where, "joint": joint, "SMC": reading}
-                yield Case(place, rows, partial(_overshoot_is_said, ours, theirs))
-
-
-def _overshoot_is_said(ours: float, theirs: float, factor: float) -> bool:
-    return abs(ours) < factor * DIGIT and abs(theirs - OVERSHOOT) < factor * DIGIT
+                yield Case(place, rows, partial(is_said, ours, theirs))
 
 
 def oscillations(evidence: Evidence) -> Iterator[Case]:
     """(b): slight oscillations of SMC under noise, and none of the proposed controller."""
-    of_amplitude = "% of the amplitude"
     for gains, reference in product((TUNED, BY_HAND), evidence.effort.readings):
-        ours = _moved(evidence, with_gains(PROPOSED, gains), reference)
-        for law, reading in LAWS.items():
-            theirs = _moved(evidence, with_gains(law, gains), reference)
-            for joint, model in ours if theirs else ():
-                own, smc = ours[joint, model], theirs[joint, model]
-                where = {
-                    "gains": gains, "joints": READINGS[reference], "joint": joint,
-                    "model": percent(model), "noise": _noise(NOISE), "SMC": reading,
-                }  # fmt: skip
-                with np.errstate(all="ignore"):
-                    size, ratio = interval(smc), interval(own / smc)
-                yield Case(
-                    {**where, "of": "SMC"}, [Row("SMC, rms", size, of_amplitude)],
-                    lambda factor, x=size.value: VISIBLE <= x <= factor * SLIGHT,
-                )  # fmt: skip
-                rows = [
-                    Row("AFSMC, rms", interval(own), of_amplitude),
-                    Row("AFSMC over SMC", ratio),
-                ]
-                yield Case(
-                    {**where, "of": "AFSMC"}, rows,
-                    lambda factor, x=ratio.value: x <= factor * ABSENT,
-                )  # fmt: skip
+        series = {
+            law: evidence.series.get(name_of(with_gains(law, gains), reference))
+            for law in (PROPOSED, *LAWS)
+        }
+        for (law, reading), joint, model in product(LAWS.items(), MOVING[reference], MODELS):
+            if not (ours := series[PROPOSED]) or not (theirs := series[law]):
+                continue
+            where = {
+                "gains": gains, "joints": READINGS[reference], "joint": joint,
+                "model": percent(model), "noise": _noise(NOISE), "SMC": reading,
+            }  # fmt: skip
+            own, smc = (_moved(x, joint, model) for x in (ours, theirs))
+            with np.errstate(all="ignore"):
+                size, ratio = interval(smc), interval(own / smc)
+            rows = [Row("AFSMC, rms", interval(own), OF_AMPLITUDE), Row("AFSMC over SMC", ratio)]
+            slight = partial(_is_between, size.value, VISIBLE, SLIGHT)
+            yield Case({**where, "of": "SMC"}, [Row("SMC, rms", size, OF_AMPLITUDE)], slight)
+            none = partial(_is_between, ratio.value, -np.inf, ABSENT)
+            yield Case({**where, "of": "AFSMC"}, rows, none)
 
 
-def _moved(
-    evidence: Evidence, label: str, reference: str
-) -> Mapping[tuple[str, float], np.ndarray]:
-    """How far noise moves a joint with each model, an entry a seed [% of its amplitude]."""
-    series = evidence.series.get(name_of(label, reference))
-    if series is None:
-        return {}
-    names, amplitudes = coordinates(), 0.5 * np.ptp(series.q_d, axis=0)
-    return {
-        (joint, model): 100.0 * series.moved[arms, place] / amplitudes[place]
-        for joint, model in product(MOVING[reference], MODELS)
-        for place in [names.index(joint)]
-        for arms in [(series.mismatch == model) & (series.noise == NOISE)]
-    }
+def _moved(series: Series, joint: str, model: float) -> np.ndarray:
+    """How far noise moves a joint with this model, an entry a seed [% of its amplitude]."""
+    place = studies.COORDINATES.index(joint)
+    arms = (series.mismatch == model) & (series.noise == NOISE)
+    return 100.0 * series.moved[arms, place] / (0.5 * np.ptp(series.q_d[:, place]))
+
+
+def _is_between(value: float, low: float, high: float, factor: float) -> bool:
+    return bool(low <= value <= factor * high)
 
 
 def chattering(evidence: Evidence) -> Iterator[Case]:
     """(c): chattering is eliminated."""
     for law, name in ((PROPOSED, "sat(s / phi)"), (variants.AS_PRINTED, "sgn(s)")):
         for where, cell in _places(evidence, law, noises=[0.0]):
-            size = evidence.chattering(cell)
+            size = evidence.median(cell, "chattering")
             smc = [
-                Row(f"SMC with {reading}", evidence.chattering(other), "% of the weight")
-                for one, reading in LAWS.items()
-                if evidence.has(other := _with(cell, one, where))
+                Row(name, evidence.median(other, "chattering"), OF_WEIGHT)
+                for rival, name in RIVALS.items()
+                if evidence.has(other := _with(cell, rival, where))
             ]
             yield Case(
                 {**where, "compensation": name},
-                [Row("AFSMC", size, "% of the weight"), *smc],
+                [Row("AFSMC", size, OF_WEIGHT), *smc],
                 lambda factor, x=size.value: bool(x < factor * CHATTERING),
             )
 
 
 def rules(evidence: Evidence) -> Iterator[Case]:
     """(d): adapting the weights of the rules improves tracking."""
-    rivals = {FIXED_RULES: "fixed weights"}
-    for where, cell in _places(evidence):
-        yield from _against(evidence, cell, where, rivals, HELPS)
+    return _against(evidence, _places(evidence), {FIXED_RULES: "fixed weights"}, HELPS)
 
 
 def premises(evidence: Evidence) -> Iterator[Case]:
@@ -126,8 +117,7 @@ def premises(evidence: Evidence) -> Iterator[Case]:
         variants.FIXED_PREMISES: "fixed premises",
         variants.CONSEQUENT: "the law without premises",
     }
-    for where, cell in _places(evidence):
-        yield from _against(evidence, cell, where, rivals, HELPS)
+    return _against(evidence, _places(evidence), rivals, HELPS)
 
 
 def stability(evidence: Evidence) -> Iterator[Case]:
@@ -154,16 +144,16 @@ def _falls(outcome: Outcome, share: float, factor: float) -> bool:
 
 def uncertainty(evidence: Evidence) -> Iterator[Case]:
     """(f): performance under structured and unstructured uncertainty."""
-    rivals = {FIXED_RULES: "the same law without its estimator"}
-    rivals |= {law: f"SMC with {reading}" for law, reading in LAWS.items()}
-    for where, cell in _places(evidence):
-        if cell.mismatch or cell.noise:
-            kind = "noise" if cell.noise else "a wrong model"
-            yield from _against(evidence, cell, {**where, "kind": kind}, rivals, BETTER)
+    places = [
+        ({**where, "kind": "noise" if cell.noise else "a wrong model"}, cell)
+        for where, cell in _places(evidence) if cell.mismatch or cell.noise
+    ]  # fmt: skip
     for where, cell in _places(evidence, study="beyond", noises=[0.0]):
-        for name, value in ((n, x) for n, sort in BEYOND.items() for x in sort.values[1:]):
-            place = {**where, "kind": name, "size": f"{name} {BEYOND[name].written(value)}"}
-            yield from _against(evidence, cell._replace(**{name: value}), place, rivals, BETTER)
+        for name, words, value in ((n, *x) for n, sizes in BEYOND.items() for x in sizes.items()):
+            place = {**where, "kind": name, "size": f"{name} {words}"}
+            places.append((place, cell._replace(**{name: value})))
+    rivals = {FIXED_RULES: "the same law without its estimator", **RIVALS}
+    return _against(evidence, places, rivals, BETTER)
 
 
 def load(evidence: Evidence) -> Iterator[Case]:
@@ -183,15 +173,13 @@ def load(evidence: Evidence) -> Iterator[Case]:
 
 def plants(evidence: Evidence) -> Iterator[Case]:
     """Whether AFSMC is better than SMC when the arm is not its model."""
-    rivals = {law: f"SMC with {reading}" for law, reading in LAWS.items()}
+    places: list[Place] = []
     for cells in evidence.plants():
-        cell = cells[0]._replace(label=PROPOSED)
-        where = {
-            "gains": TUNED, "plant": f"{cell.plant} modules",
-            "period": studies.period_of_plants(cell.study), "noise": _noise(cell.noise),
-        }  # fmt: skip
-        if cell.plant > studies.MODULES:
-            yield from _against(evidence, cell, where, rivals, BETTER)
+        plant, rate, noise = cells[0].plant, cells[0].rate, _noise(cells[0].noise)
+        where = {"gains": TUNED, "plant": f"{plant} modules", "period": f"{1e3 / rate:g} ms"}
+        if plant > studies.MODULES:
+            places.append(({**where, "noise": noise}, cells[0]._replace(label=PROPOSED)))
+    return _against(evidence, places, RIVALS, BETTER)
 
 
 def _places(
@@ -200,7 +188,7 @@ def _places(
     *,
     study: str = "tracking",
     noises: Sequence[float] = (0.0, NOISE),
-) -> Iterator[tuple[dict[str, str], Cell]]:
+) -> Iterator[Place]:
     """The cells of a law with both gain sets, both readings and all models, and where they are."""
     for gains, reference, noise in product((TUNED, BY_HAND), READINGS, noises):
         cell = Cell(with_gains(law, gains), study, reference, noise=noise)
@@ -217,18 +205,14 @@ def _with(cell: Cell, law: str, where: Mapping[str, str]) -> Cell:
 
 
 def _against(
-    evidence: Evidence,
-    cell: Cell,
-    where: Mapping[str, str],
-    rivals: Mapping[str, str],
-    by: float,
+    evidence: Evidence, places: Iterable[Place], rivals: Mapping[str, str], by: float
 ) -> Iterator[Case]:
-    """A case for each rival that was run there: whether the error is smaller, by this share."""
-    for rival, name in rivals.items():
+    """A case for each rival that was run in a place: whether its error is larger, by a share."""
+    for (where, cell), (rival, name) in product(places, rivals.items()):
         if evidence.has(cell, _with(cell, rival, where)):
             ratio = evidence.ratio(cell, with_gains(rival, where["gains"]))
-            place = {**where, "against": name}
-            yield Case(place, [Row("error over that", ratio)], partial(is_better, ratio, by))
+            rows = [Row("error over that", ratio)]
+            yield Case({**where, "against": name}, rows, partial(is_better, ratio, by))
 
 
 def is_better(ratio: Interval, by: float, factor: float) -> bool:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from benchmarks.controller_step import controller_call
 from benchmarks.figures import fastest
 
@@ -27,9 +28,10 @@ from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
 from paper import lyapunov
 from paper.studies import BENDS, MODELS, NOISE, RATE, SEED, SETTLED, TIME, WRONG, Effort
-from paper.variants import CONTROLLERS, PROPOSED, UNGUARDED, Variant
+from paper.variants import ARM, CONTROLLERS, PROPOSED, UNGUARDED, Variant
 
 EVERY = 0.01  # between two instants that figures show [s]
+STRIDE = round(EVERY * RATE)  # the same in control instants
 LONG = {PROPOSED: "long-guarded", UNGUARDED: "long-unguarded"}
 FEWER = 16  # seeds of hand-set gains, which the figures over time do not show
 ARMS = 1024  # side by side, when a step of a controller is timed
@@ -46,12 +48,12 @@ class Request(NamedTuple):
     # What is recorded: fields of the record, `lost`, whether an arm has left its limits, and
     # `wanted_a`, the desired acceleration.
     fields: tuple[str, ...]
-    every: float  # between two instants that are recorded; every control instant if 0 [s]
     # It makes the arrays that are kept from the recorded rows.
     keep: Callable[[Request, Rows], Mapping[str, np.ndarray]]
     mismatches: tuple[float, ...] = MODELS  # model errors [1]
     seeds: int = 0  # number of seeds of the noise; they are those of the sweeps
     quiet: bool = True  # whether there are arms without noise
+    stride: int = 1  # between two control instants that are recorded
     rate: float = RATE  # of control [Hz]
     engine: str = MUJOCO  # that steps the arms
 
@@ -68,7 +70,7 @@ class Request(NamedTuple):
     @property
     def nominal(self) -> octarm.ArmParameters:
         """What the controllers believe, with batch axis (n,)."""
-        return octarm.nominal_parameters().mismatched(self.mismatch)
+        return ARM.mismatched(self.mismatch)
 
     @property
     def seconds(self) -> float:
@@ -83,15 +85,11 @@ class Request(NamedTuple):
             self.reference, control_period=period, timestep=min(period, 1.0 / RATE),
             engine=self.engine, **noisy_arms(self.noise, seeds),
         )  # fmt: skip
-        blocks: list[Arrays] = []
-        recorder = Recorder(
-            lambda rows: blocks.append({name: x.copy() for name, x in rows.items()}),
-            fields=self.fields, stride=max(1, round(self.every / period)),
-        )  # fmt: skip
-        moved = Moved(self, period)
+        blocks: list[Rows] = []
+        whole = 1 + round(self.duration * self.rate) // self.stride
+        recorder = Recorder(blocks.append, rows=whole, fields=self.fields, stride=self.stride)
 
         def observe(instant: Instant) -> None:
-            moved.add(instant)
             lost = ~environment.physics.intact()
             more = {"lost": lost, "wanted_a": np.atleast_2d(instant.reference.a)}
             command = instant.command._replace(signals={**instant.command.signals, **more})
@@ -99,74 +97,47 @@ class Request(NamedTuple):
 
         simulate(environment, self.variant.controls(self.nominal), self.duration, observe)
         recorder.flush()
-        rows = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
-        more = {"diverged_at": environment.physics.diverged_at(), "moved": moved.rms()}
         with np.errstate(all="ignore"):  # a diverged arm may hold anything
-            return {**self.keep(self, rows), **more}
+            kept = self.keep(self, blocks[0])
+        return {**kept, "diverged_at": environment.physics.diverged_at()}
 
 
-def noisy_arms(noise: np.ndarray, seeds: Sequence[int]) -> dict[str, Any]:
+def noisy_arms(noise: npt.ArrayLike, seeds: Sequence[int]) -> dict[str, Any]:
     """What `octarm.load` takes for arms under noise of some strengths, shape (n,), and seeds."""
-    band = BandLimitedNoise(ratio=noise[:, None], correlation_time=TIME)
+    ratio = np.asarray(noise)[:, None]
     return {
-        "batch": len(noise),
-        "disturbances": [band] if noise.any() else [],
+        "batch": len(ratio),
+        "disturbances": [BandLimitedNoise(ratio=ratio, correlation_time=TIME)]
+        if ratio.any()
+        else [],
         "seed": [np.random.SeedSequence(SEED, spawn_key=(i,)) for i in seeds],
     }
 
 
 def requests(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Request]:
     """Those of figures 1 and 2 in both readings, the long ones, those of the Lyapunov functions."""
-    shown: dict[str, Any] = {"fields": ("q", "q_d", "lost", "E"), "every": EVERY, "keep": kept}
+    fields = ("q", "q_d", "lost", "E")
     for label, reference in itertools.product(effort.labels, effort.readings):
         seeds = effort.seeds if label in CONTROLLERS else min(effort.seeds, FEWER)
         name, who = name_of(label, reference), variants[label]
-        yield Request(name, who, reference, effort.duration, **shown, seeds=seeds)
+        yield Request(name, who, reference, effort.duration, fields, kept, seeds=seeds)
     for label, name in LONG.items() if effort.long else ():
         yield Request(
-            name, variants[label], BENDS, effort.long, **shown, mismatches=(WRONG,),
-            seeds=effort.seeds, quiet=False, engine=usual_engine(),
+            name, variants[label], BENDS, effort.long, fields, kept, mismatches=(WRONG,),
+            seeds=effort.seeds, quiet=False, stride=STRIDE, engine=usual_engine(),
         )  # fmt: skip
     places = [(BENDS, rate) for rate in effort.rates]
     places += [(reference, RATE) for reference in effort.readings if reference != BENDS]
     for label, (reference, rate) in itertools.product(effort.lyapunov, places):
         yield Request(
             f"lyapunov-{name_of(label, reference)}-{rate:g}-Hz", variants[label], reference,
-            effort.duration, lyapunov.FIELDS, 0.0, lyapunov.counts, rate=rate,
+            effort.duration, lyapunov.FIELDS, lyapunov.counts, rate=rate,
         )  # fmt: skip
 
 
 def name_of(label: str, reference: str) -> str:
     """The name of the runs of figures 1 and 2."""
     return f"{reference}-{label.replace(', ', '-')}"
-
-
-class Moved:
-    """How far noise moves arms from the one without noise and with the same model.
-
-    Every control instant of the steady regime counts. The noise is held for 10 ms: instants that
-    are 10 ms apart would all see it at the same age.
-    """
-
-    def __init__(self, request: Request, period: float) -> None:
-        """For the arms of a request, with the control period [s]."""
-        self._arms = 1 + request.seeds if request.quiet else 0
-        self._wait, self._count = round(SETTLED / period), 0
-        self._squares: Any = 0.0
-
-    def add(self, instant: Instant) -> None:
-        """Takes one control instant."""
-        self._wait -= 1
-        if self._wait < 0 and self._arms > 1:
-            q = instant.q.reshape(-1, self._arms, instant.q.shape[-1])
-            with np.errstate(all="ignore"):  # a diverged arm may hold anything
-                self._squares = self._squares + np.square(q - q[:, :1])
-            self._count += 1
-
-    def rms(self) -> np.ndarray:
-        """Root of the mean square of each arm and coordinate, shape (n, 2N) [m], [rad]."""
-        squares = np.asarray(self._squares) / max(self._count, 1)
-        return np.sqrt(squares).reshape(-1, squares.shape[-1]) if squares.ndim else np.empty(0)
 
 
 class Series(NamedTuple):
@@ -188,23 +159,34 @@ class Series(NamedTuple):
 
 def kept(request: Request, rows: Rows) -> Arrays:
     """The fields of `Series`, less `diverged_at`."""
-    lost, nothing = rows["lost"][..., None], np.empty(0)
+    few = {name: values[:: STRIDE // request.stride] for name, values in rows.items()}
+    lost = few["lost"][..., None]
     return {
         "t": EVERY * np.arange(len(lost)),
-        "q_d": rows["q_d"][:, 0],
-        "q": np.where(lost, np.nan, rows["q"]),
-        "E": np.where(lost, np.nan, rows["E"]) if "E" in rows else nothing,
+        "q_d": few["q_d"][:, 0],
+        "q": np.where(lost, np.nan, few["q"]),
+        "E": np.where(lost, np.nan, few["E"]) if "E" in few else np.empty(0),
         "mismatch": request.mismatch,
         "noise": request.noise,
+        "moved": moved(request, rows["q"]) if request.quiet else np.empty(0),
     }
 
 
-def record(request: Request, model: float, folder: Path) -> None:
-    """Has `octarm run` write the folder of one arm without noise, with a recording.
+def moved(request: Request, q: np.ndarray) -> np.ndarray:
+    """How far noise moves arms from the one without noise and with the same model.
 
-    Raises:
-        OctarmError: if it does not.
+    It is the rms over all instants of the steady regime, of coordinates at every control instant,
+    shape (T, n, 2N), to shape (n, 2N) [m], [rad]. The noise is held for 10 ms: instants that are
+    10 ms apart would all see it at the same age.
     """
+    steady = q[round(SETTLED * request.rate) :]
+    groups = steady.reshape(len(steady), len(request.mismatches), 1 + request.seeds, q.shape[-1])
+    squares = np.square(groups - groups[:, :, :1])
+    return np.sqrt(np.sum(squares, axis=0) / max(len(steady), 1)).reshape(q.shape[1:])
+
+
+def record(request: Request, model: float, folder: Path) -> None:
+    """Has `octarm run` write the folder of one arm without noise; OctarmError if it does not."""
     variant = request.variant
     command = [sys.executable, "-m", "octarm", "run", "--out", str(folder),
                "--controller", variant.controller, "--reference", request.reference,

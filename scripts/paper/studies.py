@@ -4,17 +4,22 @@ Each becomes specs that `octarm sweep` runs as they stand: with the controllers 
 name, and all their gains. Cells without noise get one seed: nothing in them is random.
 """
 
+from __future__ import annotations
+
 import copy
 import dataclasses
 import math
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import tomlkit
 
+from octarm.arrays import coordinate_names
 from octarm.simulation.engines import usual_engine
+from octarm.sweeps.tune_cost import BEND_SCALE, SLIDE_SCALE
 from paper.variants import Variant
 
 BENDS, SLIDES = "sine", "sine-slides"  # the two readings of "first two links"
@@ -26,24 +31,41 @@ WRONG = -0.3  # the one model error of the studies that vary something else
 NOISE = 0.4  # the paper's: rms over the amplitude of the input signal [1]
 TIME = 0.01  # correlation time of the noise [s]
 RATE = 2000.0  # of control [Hz]
-RATES = (500.0, 1000.0, RATE, 5000.0)  # all that are tried [Hz]
 SETTLED = 2.0  # errors count from here on [s]
 SEED = 0
+COORDINATES = coordinate_names(MODULES)  # in the order of q
+SCALE = np.repeat([SLIDE_SCALE, BEND_SCALE], MODULES)  # A, the motions' mean amplitude [m], [rad]
 
 
-class Beyond(NamedTuple):
-    """Something that the paper does not try: a field of `paper.evidence.Cell`."""
+class Cell(NamedTuple):
+    """Episodes that differ in their seed alone."""
 
-    values: Sequence[float]  # that are tried [SI]
-    unit: str  # in which it is written
-    factor: float  # from SI units to that one
+    label: str  # of the variant
+    study: str = "tracking"  # that they belong to; see `title`
+    reference: str = BENDS  # name
+    mismatch: float = 0.0  # of the nominal model [1]
+    noise: float = 0.0  # its rms over the input's amplitude [1]
+    time: float = TIME  # its correlation time [s]
+    payload: float = 0.0  # [kg]
+    delay: float = 0.0  # of actuation [s]
+    loss: float = 0.0  # of actuation [1]
+    plant: int = MODULES  # number of modules of the arm that is controlled
+    rate: float = RATE  # of control [Hz]
 
-    def written(self, value: float) -> str:
-        """A value in that unit."""
-        return f"{self.factor * value:g} {self.unit}"
+    @property
+    def title(self) -> str:
+        """The study, with the rate where that varies."""
+        if self.study == "plants" or self.rate != RATE:
+            return f"{self.study.replace('tracking', 'rate')}-{self.rate:g}"
+        return self.study if self.time == TIME else "correlation"
 
+    def models(self) -> list[Cell]:
+        """The same with each nominal model of the paper's figures."""
+        return [self._replace(mismatch=model) for model in MODELS]
 
-SCALE = {"s": 0.0175, "theta": 0.3}  # A, the mean amplitude of the motions [m], [rad]
+    def of(self, labels: Iterable[str]) -> list[Cell]:
+        """The same place for each of these variants."""
+        return [self._replace(label=label) for label in labels]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -66,7 +88,7 @@ class Effort:
 
 _STUDIES = tomllib.loads(Path(__file__).with_name("studies.toml").read_text("utf-8"))
 FULL, QUICK = (Effort(name=name, **_STUDIES[name]) for name in ("full", "quick"))
-BEYOND = {name: Beyond(**own) for name, own in _STUDIES["beyond"].items()}
+BEYOND: Mapping[str, Mapping[str, float]] = _STUDIES["beyond"]  # by field of a cell and in words
 
 
 class Sweep(NamedTuple):
@@ -76,6 +98,11 @@ class Sweep(NamedTuple):
     study: str  # that its cells belong to
     content: Mapping[str, Any]  # of the spec
     labels: Mapping[str, str]  # of the variants, by controller
+
+    @property
+    def rate(self) -> float:
+        """Of control [Hz]."""
+        return round(1.0 / self.content.get("control_period", 1.0 / RATE), 6)
 
     @property
     def seconds(self) -> float:
@@ -105,26 +132,10 @@ def _apart(variants: Mapping[str, Variant], labels: Sequence[str]) -> list[dict[
     parts: list[dict[str, str]] = []
     for label in labels:
         name = variants[label].controller
-        part = next((part for part in parts if name not in part), None)
-        if part is None:
-            parts.append(part := {})
-        part[name] = label
+        if all(name in part for part in parts):
+            parts.append({})
+        next(part for part in parts if name not in part)[name] = label
     return parts
-
-
-def study_of_rate(rate: float) -> str:
-    """The study at a control rate [Hz]; the default one is that of the main study."""
-    return "tracking" if rate == RATE else f"rate-{rate:g}"
-
-
-def study_of_plants(rate: float) -> str:
-    """The study of plants of more modules at a control rate [Hz]."""
-    return f"plants-{rate:g}"
-
-
-def period_of_plants(study: str) -> str:
-    """The control period of that study, in words."""
-    return f"{1e3 / float(study.removeprefix('plants-')):g} ms"
 
 
 def _quiet_apart(content: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:

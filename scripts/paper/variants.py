@@ -16,6 +16,7 @@ import numpy as np
 
 import octarm
 from controllers import make_controller
+from octarm.runs.folder import gains_of
 
 CONTROLLERS = (
     "pd", "computed-torque", "fuzzy",
@@ -23,14 +24,22 @@ CONTROLLERS = (
     "fsmc", "afsmc-consequent", "afsmc",
 )  # fmt: skip
 SIGN, SMC, PROPOSED = "smc", "smc-boundary", "afsmc"  # the paper's two, SMC in both its forms
-INTEGRAL, CONSEQUENT, TWISTING = "smc-integral", "afsmc-consequent", "super-twisting"
+INTEGRAL, CONSEQUENT = "smc-integral", "afsmc-consequent"
 FIXED_RULES = "afsmc, eta2 = 0"  # which leaves theta, hence the estimate, at 0
 FIXED_PREMISES = "afsmc, eta3 = eta4 = 0"
 AS_PRINTED = "afsmc, sgn as printed"
 UNGUARDED = "afsmc, no safeguards"
 MATCHED = "smc-boundary, matched slope"
-ABLATIONS = (FIXED_RULES, FIXED_PREMISES, AS_PRINTED, UNGUARDED, MATCHED)
+ABLATIONS = {  # the law, and the gains that are replaced
+    FIXED_RULES: (PROPOSED, {"eta2": 0.0}),
+    FIXED_PREMISES: (PROPOSED, {"eta3": 0.0, "eta4": 0.0}),
+    AS_PRINTED: (PROPOSED, {"phi": 0.0}),
+    UNGUARDED: (PROPOSED, {"safeguards": 0.0}),
+    MATCHED: (SMC, {}),  # by `matched_slope`
+}
+INSTEAD = (CONSEQUENT, SMC, INTEGRAL, *ABLATIONS)  # of `afsmc`, in the table of ablations
 TUNED, BY_HAND = "tuned", "hand-set"  # the two gain sets of every controller
+ARM = octarm.nominal_parameters()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,36 +74,26 @@ def by_hand(name: str) -> str:
 def all_variants(folder: Path | None = None) -> dict[str, Variant]:
     """All variants by label: tuned ones, hand-set ones, ablations of `afsmc` with both gain sets.
 
-    Args:
-        folder: of gain sets NAME.toml to take instead of those shipped; a controller without one
-            has its hand-set gains.
-
-    Raises:
-        OctarmError: if a gain set cannot be read.
+    A folder has gain sets NAME.toml to take instead of those shipped; a controller without one has
+    its hand-set gains. Raises OctarmError if a gain set cannot be read.
     """
     known: dict[str, Variant] = {}
     for gains, name in itertools.product((TUNED, BY_HAND), CONTROLLERS):
-        file = folder / f"{name}.toml" if folder else None
-        gain_set = None if file is None else str(file) if file.is_file() else "recommended"
-        controller = make_controller(
-            name,
-            octarm.nominal_parameters(),
-            gain_set=gain_set if gains == TUNED else "recommended",
-        )
+        file, gain_set = (folder or Path()) / f"{name}.toml", "recommended"
+        if gains == TUNED and (folder is None or file.is_file()):
+            gain_set = str(file) if folder else None
         label = with_gains(name, gains)
-        known[label] = Variant(label=label, controller=name, gains=_gains_of(controller))
-    for gains in (TUNED, BY_HAND):
-        proposed, smc = (known[with_gains(name, gains)] for name in (PROPOSED, SMC))
-        ablations = {
-            FIXED_RULES: {"eta2": 0.0},
-            FIXED_PREMISES: {"eta3": 0.0, "eta4": 0.0},
-            AS_PRINTED: {"phi": 0.0},
-            UNGUARDED: {"safeguards": 0.0},
-            MATCHED: matched_slope(proposed.gains),
-        }
-        for name, changes in ablations.items():
-            label = with_gains(name, gains)
-            known[label] = (smc if name == MATCHED else proposed).changed(label, **changes)
+        fields = gains_of(make_controller(name, ARM, gain_set=gain_set))
+        numbers = {
+            field.rstrip("_"): _number_or_list(np.asarray(value))
+            for field, value in fields.items() if isinstance(value, float | list)
+        }  # fmt: skip
+        known[label] = Variant(label=label, controller=name, gains=numbers)
+    for gains, (name, (law, changes)) in itertools.product((TUNED, BY_HAND), ABLATIONS.items()):
+        label = with_gains(name, gains)
+        if name == MATCHED:
+            changes = matched_slope(known[with_gains(PROPOSED, gains)].gains)
+        known[label] = known[with_gains(law, gains)].changed(label, **changes)
     return known
 
 
@@ -123,16 +122,6 @@ def matched_slope(gains: Mapping[str, Any]) -> dict[str, Any]:
     K = np.max(E_max * np.minimum(z * scale / phi, 1.0) + theta_max * f, axis=0)
     same = {name: gains[name] for name in ("lambda", "K_v")}
     return {**same, "K": _number_or_list(K), "phi": _number_or_list(K / slope)}
-
-
-def _gains_of(controller: Any) -> dict[str, Any]:
-    """The gains that are numbers, by the names under which `make_controller` takes them."""
-    fields = {f.name: getattr(controller, f.name) for f in dataclasses.fields(controller)}
-    return {
-        name.rstrip("_"): _number_or_list(np.asarray(value))
-        for name, value in fields.items()
-        if isinstance(value, float | np.ndarray)
-    }
 
 
 def _number_or_list(gain: np.ndarray) -> Any:
