@@ -19,6 +19,7 @@ from octarm.errors import OctarmError, quoted
 from octarm.formats import Document, Model, read_toml, to_toml
 from octarm.interfaces import NominalModel
 
+CHOICES = ("tuned", "recommended")  # beside the names of files
 SHIPPED = Path(__file__).resolve().parent / "gains"
 
 _FAR = 2.0  # a ratio of the descriptors of two arms beyond which they are not alike

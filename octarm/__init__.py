@@ -29,29 +29,24 @@ if TYPE_CHECKING:
     from octarm.sweeps.store import read_sweep as read_sweep
 
 # Looked up when first used, so that `octarm --help` does not wait for MuJoCo.
-_HOMES = {
-    "load": "simulation.environment",
-    "Command": "interfaces",
-    "Controller": "interfaces",
-    "Measurement": "interfaces",
-    "Reference": "interfaces",
-    "build_model": "arm.mjcf",
-    "nominal_parameters": "arm.mjcf",
-    "ArmParameters": "arm.parameters",
-    "Rod": "arm.rod",
-    "arm_from_rod": "arm.rod",
-    "read_arm": "arm.file",
-    "rollout": "simulation.rollout",
-    "sweep": "sweeps.execute",
-    "Run": "runs.folder",
-    "show": "recordings.cell",
-    "report": "reports.report",
-    "FinishedSweep": "sweeps.episodes",
-    "read_run": "runs.folder",
-    "read_sweep": "sweeps.store",
-    "read_spec": "sweeps.spec_file",
-    "Trajectory": "simulation.trajectory",
+_NAMES = {
+    "arm.file": "read_arm",
+    "arm.mjcf": "build_model nominal_parameters",
+    "arm.parameters": "ArmParameters",
+    "arm.rod": "Rod arm_from_rod",
+    "interfaces": "Command Controller Measurement Reference",
+    "recordings.cell": "show",
+    "reports.report": "report",
+    "runs.folder": "Run read_run",
+    "simulation.environment": "load",
+    "simulation.rollout": "rollout",
+    "simulation.trajectory": "Trajectory",
+    "sweeps.episodes": "FinishedSweep",
+    "sweeps.execute": "sweep",
+    "sweeps.spec_file": "read_spec",
+    "sweeps.store": "read_sweep",
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:

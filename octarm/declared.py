@@ -125,8 +125,9 @@ class Declared(collections.UserDict[str, T]):
         return Spelt(f"{match[1]}:{match[2]}", match[3] or "")
 
     def named_by(self, text: str) -> Spelt:
-        """The word that names something, and its parameters; only references have some here."""
-        return self.split(text) if self.kind == "reference" else Spelt(text, "")
+        """The word that names something, and its parameters, which not all kinds have."""
+        has_parameters = self.kind in ("reference", "disturbance")
+        return self.split(text) if has_parameters else Spelt(text, "")
 
     def code(self, text: str) -> Code | None:
         """Where something comes from; None for what is built in.
@@ -134,28 +135,21 @@ class Declared(collections.UserDict[str, T]):
         Raises OctarmError for a word that means nothing of this kind, FileError for a file of
         samples that cannot be read.
         """
-        word = self.named_by(text).word
-        if word in self and (path := samples_of(text)) is not None:
-            return Code(
-                kind=self.kind, path=absolute(text), sha256=importing.sha256_of(read_bytes(path))
-            )
-        if word in self:
+        word, samples = self.named_by(text).word, samples_of(text)
+        if word not in self:
+            return self._found(word)[1]
+        if samples is None:
             return None
-        thing, path, sha256, distribution = self._found(word)
-        return Code(
-            kind=self.kind,
-            path=path,
-            sha256=sha256,
-            distribution=distribution,
-            declares=self._declares(thing),
-        )
+        sha256 = importing.sha256_of(read_bytes(samples))
+        return Code(kind=self.kind, path=absolute(text), sha256=sha256)
 
-    def check(self, word: str, *more: str) -> None:
+    def check(self, text: str, *more: str) -> None:
         """Raises OctarmError for a word that can mean nothing of this kind; no code is imported.
 
         More names may be known where the word stands.
         """
-        if word not in self:
+        word = self.named_by(text).word
+        if word not in (*self, *more):
             importing.content_of(self._located(word, *more)[0])
 
     def _points(self) -> dict[str, importlib.metadata.EntryPoint]:
@@ -175,8 +169,8 @@ class Declared(collections.UserDict[str, T]):
             raise OctarmError(f"unknown {self.kind} {quoted(word)}{known}")
         return match[1], match[2], point
 
-    def _found(self, word: str) -> tuple[T, str, str, str]:
-        """A thing that is not built in, its import path or file, SHA-256 and distribution."""
+    def _found(self, word: str) -> tuple[T, Code]:
+        """A thing that is not built in, and where it comes from."""
         source, name, point = self._located(word)
         path = f"{source}:{name}"
         module, sha256 = importing.loaded(source)
@@ -188,13 +182,13 @@ class Declared(collections.UserDict[str, T]):
             raise OctarmError(f"{source} holds no {quoted(name)}{hint}") from None
         if lacks := self._check(thing):
             raise OctarmError(f"{path} is no {self.kind} of octarm: it {lacks}")
-        if point is not None and point.dist is not None:
-            return thing, path, sha256, point.dist.name
-        return (
-            thing,
-            path,
-            sha256,
-            "" if source.endswith(".py") else importing.distribution_of(source),
+        installed = None if point is None else point.dist
+        return thing, Code(
+            kind=self.kind,
+            path=path,
+            sha256=sha256,
+            distribution=installed.name if installed else importing.distribution_of(source),
+            declares=self._declares(thing),
         )
 
 
@@ -243,18 +237,18 @@ def named(words: Iterable[tuple[Declared[Any], str]]) -> tuple[list[str], dict[s
     """
     words = list(words)
     codes = [table.code(text) for table, text in words]
-    samples = {code.path for code in codes if code is not None and samples_of(code.path)}
+    paths = {code.path for code in codes if code is not None}
+    spelt = [table.named_by(text) for table, text in words]
+    taken = {word for word, _ in spelt if ":" not in word}
     names: list[str] = []
     known: dict[str, Code] = {}
-    for (table, text), code in zip(words, codes, strict=True):
-        word, rest = table.named_by(text)
+    for (table, _), (word, rest), code in zip(words, spelt, codes, strict=True):
         if code is not None and table.kind == "disturbance":
             word = str(table[word].name)  # by which its random numbers are called
         elif code is not None and ":" in word:
-            others = {c.path for c in codes if c is not None} - {code.path}
-            word = _short(code.path, others, {*table, *(w for _, w in words if ":" not in w)})
-        elif code is not None and code.path in samples:
-            word, rest = _short_samples(code.path, samples), ""
+            word = _short(code.path, paths - {code.path}, {*table, *taken})
+        elif code is not None and samples_of(code.path):
+            word, rest = _short_samples(code.path, paths), ""
         if code is not None and known.setdefault(word, code) != code:
             raise OctarmError(
                 f"{known[word].path} and {code.path} are both called {word}; give one of them "
@@ -278,12 +272,8 @@ def word_of(name: str, code: Mapping[str, Code]) -> str:
             raise OctarmError(f"{quoted(name)} is code that is not recorded with its SHA-256")
         return name
     path, sha256 = code[name].path, code[name].sha256
-    match, samples = _PATH.fullmatch(path), samples_of(path)
     try:
-        if samples is not None:
-            now = importing.sha256_of(read_bytes(samples))
-        else:
-            now = "" if match is None else importing.sha256_of(importing.content_of(match[1]))
+        now = importing.sha256_of(read_bytes(file_of(path)))
     except OctarmError as error:
         raise CodeChanged(f"{name} cannot be run again: {error}") from None
     if now != sha256:
@@ -312,8 +302,8 @@ def _short_samples(path: str, others: set[str]) -> str:
     """`file:` with the name of the file, or with its path where others have the same name."""
 
     def brief(path: str) -> str:
-        file = str(samples_of(path))
-        return path.replace(file, os.path.basename(file), 1)
+        file = samples_of(path)
+        return path if file is None else path.replace(str(file), file.name, 1)
 
     alike = [other for other in others if brief(other) == brief(path)]
     return path if len(alike) > 1 else brief(path)

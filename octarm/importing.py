@@ -104,16 +104,15 @@ def is_module(name: str) -> bool:
 
 
 def _spec(name: str, places: Any) -> Any:
-    for finder in sys.meta_path:
-        spec = finder.find_spec(name, places)
-        if spec is not None:
-            return spec
-    return None
+    found = (finder.find_spec(name, places) for finder in sys.meta_path)
+    return next((spec for spec in found if spec is not None), None)
 
 
-def distribution_of(module: str) -> str:
-    """The installed package that a module belongs to; empty if it is not known."""
-    top = module.partition(".")[0]
+def distribution_of(source: str) -> str:
+    """The installed package that a module belongs to; empty if it is not known, or for a file."""
+    if source.endswith(".py"):
+        return ""
+    top = source.partition(".")[0]
     return next(iter(importlib.metadata.packages_distributions().get(top, ())), "")
 
 

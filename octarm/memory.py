@@ -42,7 +42,8 @@ def check_memory(needed: float, what: str) -> None:
     free = available()
     if needed > free:
         raise OctarmError(
-            f"{what} take about {_size(needed)} of memory, of which {_size(free)} are available"
+            f"{what} take about {needed / 1e9:.3g} GB of memory, of which {free / 1e9:.3g} GB are "
+            "available"
         )
 
 
@@ -59,7 +60,3 @@ def available() -> float:
     if limit != resource.RLIM_INFINITY:
         free = min(free, float(limit - psutil.Process().memory_info().vms))
     return max(0.0, free)
-
-
-def _size(count: float) -> str:
-    return f"{count / 1e9:.3g} GB"

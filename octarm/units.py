@@ -69,12 +69,6 @@ def number(name: str, text: str, unit: str) -> float:
     return float(match[0]) * sizes[given]
 
 
-def has_unit(text: str) -> bool:
-    """Whether a text looks like a number with something behind it."""
-    match = NUMBER.match(text)
-    return match is not None and match.end() < len(text)
-
-
 def closed_up(unit: str) -> str:
     """A unit without what people write differently: `N m`, `N*m` and `Nm` are one."""
     return re.sub(r"[\s·*]", "", unit.replace("²", "^2"))

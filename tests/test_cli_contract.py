@@ -93,7 +93,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--arm": "ARM",
             "--mismatch": "X 0",
         },
-        "gains": {"--gains": "GAINS", "--gain": "NAME:VALUES .."},
+        "gains": {"--gains": "GAINS", "--gain": "NAME:VALUES ..", "--roll-off": "HZ"},
         "simulation": {"--control-period": "S"},
     },
     "compare": {"options": {"--out": "DIR", "--force": ""}},

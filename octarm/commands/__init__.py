@@ -1,1 +1,1 @@
-"""The commands of the command line, an `execute` each."""
+"""The commands of the command line: how each is declared, and what it does."""

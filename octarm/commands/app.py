@@ -6,7 +6,8 @@ import functools
 import importlib.metadata
 import os
 import re
-from collections.abc import Sequence
+import resource
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 from cyclopts import App, Argument, Group, Parameter
@@ -21,8 +22,7 @@ from cyclopts.exceptions import (
     UnusedCliTokensError,
 )
 
-from octarm import units
-from octarm.commands import checks, kinds, many_runs, one_arm, one_run, own
+from octarm.commands import checks, kinds, many_runs, one_run, yours
 from octarm.commands.kinds import SHELLS, Work
 from octarm.commands.pages import arguments_of, commands, is_operand, overview, page, spelling
 from octarm.errors import ExitCode, FileError, OctarmError, closest, printable, quoted
@@ -49,14 +49,10 @@ def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
       octarm completion zsh >> ~/.zshrc
       octarm completion fish > ~/.config/fish/completions/octarm.fish
     """
-
-    def work() -> int:
-        for known in SHELLS:
-            if shell == known:
-                return _show(APP.generate_completion(shell=known) + _AFTER.get(shell, ""))
+    if shell not in SHELLS:
         raise OctarmError(f"unknown shell {quoted(shell)}{closest(shell, SHELLS)}")
-
-    return work
+    script = APP.generate_completion(shell=shell)
+    return functools.partial(print, script + _AFTER.get(shell, ""))
 
 
 for title, functions in {
@@ -65,8 +61,8 @@ for title, functions in {
         *(one_run.plot, one_run.video, one_run.compare),
     ),
     "many runs": (many_runs.sweep, many_runs.report, many_runs.margin, many_runs.tune),
-    "an arm": (one_arm.arm,),
-    "your own": (own.new,),
+    "an arm": (yours.arm,),
+    "your own": (yours.new,),
     "checks": (checks.validate, checks.verify),
     "this machine": (checks.doctor, completion),
 }.items():
@@ -81,8 +77,8 @@ _ADDRESS_SPACE = {"run": 3.5, "record": 3.5, "replay": 3.5, "compare": 3.5}
 _AFTER = {"zsh": "autoload -U +X compinit && compinit\ncompdef _cyclopts_octarm octarm"}
 
 
-def parse(words: Sequence[str]) -> Work:
-    """What a command line asks for, with the modules that it needs imported.
+def parse(words: Sequence[str]) -> Callable[[], int]:
+    """What a command line asks for, with the modules that it needs imported; gives the exit code.
 
     Names and files that there are not are refused by the work, and nothing more is imported then.
 
@@ -102,22 +98,23 @@ def parse(words: Sequence[str]) -> Work:
         raise sentence from None
     if command == APP.help_print:
         name = next(iter(bound.arguments["tokens"]), None)
-        return functools.partial(_show, overview(APP) if name is None else page(APP, name))
-    if command.__module__.startswith("octarm."):
+        work: Work = functools.partial(print, overview(APP) if name is None else page(APP, name))
+    elif command.__module__.startswith("octarm."):
         _check_address_space(words[0])
         try:
-            return command(*bound.args, **bound.kwargs)
+            work = command(*bound.args, **bound.kwargs)
         except OctarmError as error:
-            return functools.partial(_refuse, error)
-    return functools.partial(command, *bound.args, **bound.kwargs)  # the version, words for a shell
+            work = functools.partial(_refuse, error)
+    else:  # the version, words for a shell
+        work = functools.partial(command, *bound.args, **bound.kwargs)
+    return lambda: work() or ExitCode.FINE
 
 
 def _joined(words: Sequence[str]) -> list[str]:
-    """The words, a negative number with a unit, such as -30%, joined to the option before it."""
+    """The words, a negative number, which may be -30%, joined to the option before it."""
     joined: list[str] = []
     for word in words:
-        negative = re.match(r"-\.?\d", word) and joined and joined[-1].startswith("--")
-        if negative and "=" not in joined[-1] and units.has_unit(word):
+        if re.match(r"-\.?\d", word) and joined and re.fullmatch("--[^=]+", joined[-1]):
             joined[-1] += f"={word}"
         else:
             joined.append(word)
@@ -126,10 +123,6 @@ def _joined(words: Sequence[str]) -> list[str]:
 
 def _check_address_space(command: str) -> None:
     """Raises OctarmError if the libraries that a command loads would abort for lack of memory."""
-    try:
-        import resource
-    except ImportError:  # not on POSIX
-        return
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     needed = _ADDRESS_SPACE.get(command, 1.5) + 0.11 * (os.cpu_count() or 1)  # threads have stacks
     if limit != resource.RLIM_INFINITY and limit < 1e9 * needed:
@@ -141,11 +134,6 @@ def _check_address_space(command: str) -> None:
 
 def _refuse(error: OctarmError) -> int:
     raise error
-
-
-def _show(text: str) -> int:
-    print(text)
-    return ExitCode.FINE
 
 
 def _sentence(error: CycloptsError, command: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
 from octarm.arm.summary import ArmSummary
 from octarm.checks.stability import Stability, check_period
+from octarm.commands.options import LoopOptions, SourceOptions
 from octarm.declared import named
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
 from octarm.files import write_files, write_text
@@ -25,84 +27,23 @@ from octarm.files import write_files, write_text
 _ROD = [*(field.name for field in dataclasses.fields(Rod)), "modules", "layout"]
 
 
-@dataclasses.dataclass(frozen=True)
-class LoopOptions:
-    """Which loops are looked at, as the command line has it."""
-
-    controllers: tuple[str, ...]
-    gains: str | None
-    roll_off: float | None
-    period: float | None
-    plant_modules: int | None
-    layout: str
-
-    def of(self, p: ArmParameters) -> Stability | None:
-        """The loops of an arm; None if no controller is given."""
-        if not self.controllers:
-            return None
-        period = physics_step() if self.period is None else self.period
-        check_period(period)
-        short, _ = named((CONTROLLERS, word) for word in self.controllers)
-        given = {} if self.roll_off is None else {"roll_off": self.roll_off}
-        laws = [make_controller(word, p, given, gain_set=self.gains) for word in self.controllers]
-        made = dict(zip(short, laws, strict=True))
-        finer = self.plant_modules and groups_of(p, self.plant_modules, self.layout)
-        return Stability(p, made, period, finer or None)
-
-
-@dataclasses.dataclass(frozen=True)
-class Source:
-    """Which arms are meant, as the command line has it."""
-
-    names: Sequence[str]
-    rod: str | None
-    fitted: int | None
-    layout: str
-
-    def arms(self) -> list[Arm]:
-        """The arms; of fitted ones it prints what error remains.
-
-        Raises:
-            OctarmError: if one of them is none, cannot hang, or cannot be fitted.
-        """
-        given = self._given()
-        return given if self.fitted is None else [self._fit(each, self.fitted) for each in given]
-
-    def _given(self) -> list[Arm]:
-        if self.rod is None:
-            if not self.names:
-                return [Arm(nominal_parameters(), "the nominal arm")]
-            return [read_arm_file(name) for name in self.names]
-        if self.names:
-            raise OctarmError(
-                f"--from-rod is given, and so is {quoted(self.names[0])}; one or the other"
-            )
-        return [_from_rod(self.rod)]
-
-    def _fit(self, given: Arm, modules: int) -> Arm:
-        """The arm of fewer modules that stands best for one."""
-        fit = fit_modules(given.parameters, modules, self.layout)
-        print(
-            f"{printable(given.name)}, fitted by {modules} modules, layout {self.layout}\n{fit}\n"
-        )
-        return Arm(
-            fit.parameters,
-            f"{modules} modules for {given.name}",
-            converted=(f"all numbers fitted to {given.name}, layout {self.layout}",),
-        )
-
-
-def arm(source: Source, loop: LoopOptions, write: Path | None, out: Path | None) -> int:
+def arm(
+    names: Sequence[str],
+    source: SourceOptions,
+    loop: LoopOptions,
+    write: Path | None,
+    out: Path | None,
+) -> int:
     """`octarm arm`: prints what arms are; draws and writes one."""
-    several = source.arms()
+    several = _arms(names, source)
     if (write or out) and len(several) != 1:
         raise OctarmError(f"{len(several)} arms are given; --write and --out take one")
     stable = True
     for each in several:
         summary = ArmSummary.of(each)
         print("\n".join(summary.lines()))
-        stability = loop.of(each.parameters)
-        if stability is not None:
+        if loop.controller:
+            stability = _stability(each.parameters, loop, source.layout)
             print("\n".join(stability.lines))
             stable &= stability.stable
         if write is not None:
@@ -115,7 +56,46 @@ def arm(source: Source, loop: LoopOptions, write: Path | None, out: Path | None)
             print(f"wrote {printable(str(out))}")
         if each is not several[-1]:
             print()
-    return ExitCode.FINE if stable or loop.period is None else ExitCode.CHECK_FAILED
+    return ExitCode.FINE if stable or loop.control_period is None else ExitCode.CHECK_FAILED
+
+
+def _stability(p: ArmParameters, loop: LoopOptions, layout: str) -> Stability:
+    """The loops of an arm."""
+    period = physics_step() if loop.control_period is None else loop.control_period
+    check_period(period)
+    short, _ = named((CONTROLLERS, word) for word in loop.controller)
+    gains = {} if loop.roll_off is None else {"roll_off": loop.roll_off}
+    laws = [make_controller(word, p, gains, gain_set=loop.gains) for word in loop.controller]
+    finer = loop.plant_modules and groups_of(p, loop.plant_modules, layout)
+    return Stability(p, dict(zip(short, laws, strict=True)), period, finer or None)
+
+
+def _arms(names: Sequence[str], source: SourceOptions) -> list[Arm]:
+    """The arms that are meant; of fitted ones it prints what error remains.
+
+    Raises:
+        OctarmError: if one of them is none, cannot hang, or cannot be fitted.
+    """
+    if source.from_rod is None:
+        given = [*map(read_arm_file, names)] or [Arm(nominal_parameters(), "the nominal arm")]
+    elif names:
+        raise OctarmError(f"--from-rod is given, and so is {quoted(names[0])}; one or the other")
+    else:
+        given = [_from_rod(source.from_rod)]
+    if source.fit_modules is None:
+        return given
+    return [_fitted(each, source.fit_modules, source.layout) for each in given]
+
+
+def _fitted(given: Arm, modules: int, layout: str) -> Arm:
+    """The arm of fewer modules that stands best for one."""
+    fit = fit_modules(given.parameters, modules, layout)
+    print(f"{printable(given.name)}, fitted by {modules} modules, layout {layout}\n{fit}\n")
+    return Arm(
+        fit.parameters,
+        f"{modules} modules for {given.name}",
+        converted=(f"all numbers fitted to {given.name}, layout {layout}",),
+    )
 
 
 def _from_rod(text: str) -> Arm:
@@ -130,39 +110,31 @@ def _from_rod(text: str) -> Arm:
                 f"--from-rod has {quoted(item)}; each key is given once, as KEY=VALUE"
             )
         given[key] = value
-    modules, layout = _modules(given.pop("modules", "")), given.pop("layout", "paper")
-    fields: dict[str, Any] = {key: _profile(key, value) for key, value in given.items()}
-    rod = Rod(**fields)
-    p = arm_from_rod(rod, modules, layout)
+    modules, layout = given.pop("modules", ""), given.pop("layout", "paper")
+    if not re.fullmatch(r"[-+]?\d+", modules):
+        what = f"modules {quoted(modules)}" if modules else "no modules"
+        raise OctarmError(f"--from-rod has {what}; it needs modules=N, a whole number")
+    rod = Rod(**{key: _profile(key, value) for key, value in given.items()})
+    p = arm_from_rod(rod, int(modules), layout)
     if violation := cannot_hang(p):
         raise OctarmError(violation)
     numbers = ", ".join(
-        f"{key} = {_spelt(value)}" for key, value in dataclasses.asdict(rod).items()
+        f"{key} = {':'.join(f'{x:g}' for x in np.atleast_1d(value))}"
+        for key, value in dataclasses.asdict(rod).items()
     )
     return Arm(
         p,
-        f"a rod of {modules} modules, layout {layout}",
+        f"a rod of {int(modules)} modules, layout {layout}",
         converted=(f"columns, masses and inertias from a rod with {numbers} in SI units",),
     )
 
 
-def _modules(word: str) -> int:
+def _profile(key: str, word: str) -> Any:
+    """A number, or those at the base and at the tip of a property that tapers."""
     try:
-        return int(word)
-    except ValueError:
-        what = f"modules {quoted(word)}" if word else "no modules"
-        raise OctarmError(f"--from-rod has {what}; it needs modules=N, a whole number") from None
-
-
-def _profile(key: str, word: str) -> float | tuple[float, ...]:
-    try:
-        numbers = tuple(map(float, word.split(":")))
+        base, *tip = map(float, word.split(":"))
     except ValueError:
         raise OctarmError(
             f"--from-rod has {key} {quoted(word)}; it must be a number, or BASE:TIP"
         ) from None
-    return numbers[0] if len(numbers) == 1 else numbers
-
-
-def _spelt(value: Any) -> str:
-    return ":".join(f"{x:g}" for x in np.atleast_1d(value))
+    return (base, *tip) if tip else base

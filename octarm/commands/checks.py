@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 from octarm.commands import kinds
-from octarm.commands.kinds import Work
 from octarm.commands.terminal import surviving_output
 
 
@@ -26,7 +25,7 @@ def validate(
     json: Annotated[Path | None, kinds.file()] = None,
     out: Annotated[Path | None, kinds.DIR] = None,
     force: bool = False,
-) -> Work:
+) -> kinds.Work:
     """Check MuJoCo against the analytic model.
 
     Or, with --controllers, the controllers against their proofs; with --engines, the engines
@@ -64,8 +63,6 @@ def validate(
     from octarm.commands import validate as work
     from octarm.errors import OctarmError
 
-    if arm is not None and (modules != 3 or random_parameters):
-        raise OctarmError("--arm is given, and so are --modules or --random-parameters")
     flags = {"--controllers": controllers, "--engines": engines, "--rod": rod}
     given = [name for name, flag in flags.items() if flag]
     if len(given) > 1:
@@ -76,7 +73,7 @@ def validate(
         if arm is not None:
             raise OctarmError("--arm is given, and so is --rod, which has its own chains")
         job = partial(rods.validate_rod, out, json)
-        return job if json is None and out is None else surviving_output(job)
+        return surviving_output(job) if json or out else job
     if out is not None:
         raise OctarmError("--out is given without --rod, which alone draws figures")
     states = (3000 if controllers else 10_000) if states is None else states
@@ -84,14 +81,14 @@ def validate(
     compare = work.ledger if controllers else of_engines if engines else work.plant
     arms = work.arms(arm, modules, random_parameters, seed)
     job = partial(work.validate, compare, arms, states, seed, json)
-    return job if json is None else surviving_output(job)
+    return surviving_output(job) if json else job
 
 
 def verify(
     *runs: Annotated[Path, kinds.RUN],
     episode: Annotated[tuple[int, ...], kinds.N] = (),
     sample: Annotated[int | None, kinds.COUNT] = None,
-) -> Work:
+) -> kinds.Work:
     """Run again what a folder says was run, and compare every bit.
 
     Of a run folder, run.json, all arrays at all control instants, and the recording; of a sweep,
@@ -115,7 +112,7 @@ def verify(
     return partial(work.verify, runs, episode, sample)
 
 
-def doctor() -> Work:
+def doctor() -> kinds.Work:
     """Say what this machine has for octarm, and what to install.
 
     Versions, processor, graphics, folders. Everything is tried out rather than looked up. Exit code

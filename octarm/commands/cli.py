@@ -32,36 +32,31 @@ def main(arguments: Sequence[str] | None = None, *, begin: Callable[[], None] | 
         begin: called when all is understood and imported, before the work.
     """
     with surviving_errors(), warnings.catch_warnings(action="ignore"):  # of numbers, mostly
-        return _code(arguments, begin)
-
-
-def _code(arguments: Sequence[str] | None, begin: Callable[[], None] | None) -> int:
-    try:
-        check_open_files()
-        _check_controllers()
-        from octarm.commands.app import parse
-
-        work = parse(sys.argv[1:] if arguments is None else arguments)
-        if begin is not None:
-            begin()
-        code = work()
-        sys.stdout.flush()
-        return code or ExitCode.FINE
-    except BrokenPipeError:  # whoever read the output has seen enough
-        silence(sys.stdout)
-        return ExitCode.FINE
-    except KeyboardInterrupt as error:
-        print(printable("; ".join(["octarm: interrupted", *error.args])), file=sys.stderr)
-        return ExitCode.INTERRUPTED
-    except Exception as error:
-        mendable = _mendable(error)
-        sentence = " ".join(str(mendable).split())
-        print(f"octarm: {sentence}", file=sys.stderr)
         try:
+            check_open_files()
+            _check_controllers()
+            from octarm.commands.app import parse
+
+            work = parse(sys.argv[1:] if arguments is None else arguments)
+            if begin is not None:
+                begin()
+            code = work()
             sys.stdout.flush()
-        except OSError:
-            silence(sys.stdout)  # it would fail once more at the very end
-        return mendable.exit_code
+            return code
+        except BrokenPipeError:  # whoever read the output has seen enough
+            silence(sys.stdout)
+            return ExitCode.FINE
+        except KeyboardInterrupt as error:
+            print(printable("; ".join(["octarm: interrupted", *error.args])), file=sys.stderr)
+            return ExitCode.INTERRUPTED
+        except Exception as error:
+            mendable = _mendable(error)
+            print(f"octarm: {' '.join(str(mendable).split())}", file=sys.stderr)
+            try:
+                sys.stdout.flush()
+            except OSError:
+                silence(sys.stdout)  # it would fail once more at the very end
+            return mendable.exit_code
 
 
 def _check_controllers() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
 
 from controllers.gain_sets import unsuited
 from octarm.arm.mjcf import physics_step
@@ -14,22 +13,15 @@ from octarm.errors import printable
 
 def print_unsuited(
     controller: str,
-    gain_set: Any,
+    gain_set: str | None,
     nominal: ArmParameters,
     timestep: float | str | None,
     control_period: float | None,
 ) -> str:
-    """Prints a sentence on gains that were found for another arm or control period.
+    """Prints on stderr, and returns, a sentence on gains that do not suit; it is empty if they do.
 
-    Args:
-        controller: its name.
-        gain_set: see `controllers.gain_sets.gain_set_of`.
-        nominal: what the controller believes of one arm.
-        timestep: physics step [s], `auto`, or None for the usual one.
-        control_period: time between control actions [s]; one physics step when None.
-
-    Returns:
-        The sentence; empty if they suit.
+    The physics step [s] may also be `auto`, or None for the usual one; the control period is one
+    physics step when None.
     """
     step = timestep if isinstance(timestep, float) else physics_step()
     period = step if control_period is None else control_period

@@ -1,4 +1,4 @@
-"""What the declarations of commands are made of: kinds of values, known words and headings.
+"""What the declarations of commands are made of: kinds of values, checks of files, and headings.
 
 A command is declared by a function: its parameters are the options and operands, its docstring has
 the text of the help page. Called, it imports the modules that it needs and returns the work.
@@ -12,25 +12,24 @@ import pkgutil
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 from cyclopts import Group, Parameter, Token
 
 from octarm.errors import OctarmError, closest, quoted
 from octarm.units import ANY, number
 
-if TYPE_CHECKING:
-    from octarm.declared import Declared
-
-Work = Callable[[], int]  # what a command does, once it begins; returns the exit code
+Work = Callable[[], int | None]  # what a command does; returns the exit code, if all is not fine
+Convert = Callable[[str, str], Any]  # from an option and its word to its value
 
 Shell = Literal["bash", "zsh", "fish"]
 SHELLS: tuple[Shell, ...] = get_args(Shell)
 STARTS = ("controller", "disturbance", "reference", "metric", "arm", "experiment")  # of octarm new
 
-
 # Where the words of a kind of value stand that has a list of them.
 _WORDS = {
+    "ARM": "octarm.arm.file:shipped_arms",
+    "GAINS": "controllers.gain_sets:CHOICES",
     "CONTROLLER": "controllers:CONTROLLERS",
     "METRIC": "octarm.metrics.declared:ACCUMULATORS",
     "REFERENCE": "octarm.references:REFERENCES",
@@ -45,67 +44,45 @@ _WORDS = {
 }
 
 
-def known_words(kind: str) -> list[str]:
+def known_words(metavar: str) -> list[str]:
     """The words that a kind of value can be, such as CONTROLLER; imports what holds them."""
-    if kind == "GAINS":
-        return ["tuned", "recommended", *_files()]
-    if kind == "ARM":
-        from octarm.arm.file import shipped_arms
-
-        return [*shipped_arms(), *_files()]
     from octarm.declared import Declared
 
-    words = pkgutil.resolve_name(_WORDS[kind])
-    return words.names() if isinstance(words, Declared) else list(words)
+    found: Any = pkgutil.resolve_name(_WORDS[metavar])
+    table: Any = found() if callable(found) else found
+    words: list[str] = table.names() if isinstance(table, Declared) else [*table]
+    files = sorted(Path().glob("*.toml")) if metavar in ("ARM", "GAINS") else []
+    return [*words, *map(str, files)]
 
 
-def _files() -> list[str]:
-    return list(map(str, sorted(Path().glob("*.toml"))))
+def kind(metavar: str, convert: Convert | None = None) -> Parameter:
+    """A kind of value; without a conversion it is the word as it is.
 
+    A ValueError of the conversion is the sentence that refuses a word. A shell asks the program for
+    the words of a kind that has a list of them.
+    """
 
-def text(metavar: str) -> Parameter:
-    """A kind of value without rules, such as DIR."""
-    return Parameter(metavar=metavar)
+    def converter(hint: Any, tokens: Sequence[Token]) -> Any:
+        assert convert is not None
+        values = [convert(str(token.keyword), token.value) for token in tokens]
+        return tuple(values) if get_origin(hint) is tuple else values[0]
 
-
-def _word(metavar: str) -> Parameter:
-    """A kind of value with known words, which a shell asks the program for."""
-    return Parameter(metavar=metavar, completer=lambda _: known_words(metavar))
+    return Parameter(
+        metavar=metavar,
+        converter=converter if convert is not None else None,
+        completer=(lambda _: known_words(metavar)) if metavar in _WORDS else None,
+    )
 
 
 def _one_of(metavar: str) -> Parameter:
-    """The same, for which there are no other words."""
+    """A kind of value that has no words but those of its list."""
 
     def convert(option: str, word: str) -> str:
         if word not in (known := known_words(metavar)):
             raise OctarmError(f"unknown {metavar.lower()} {quoted(word)}{closest(word, known)}")
         return word
 
-    return _converted(metavar, convert, completer=lambda _: known_words(metavar))
-
-
-def _arm(option: str, word: str) -> str:
-    from octarm.arm.file import read_arm
-
-    read_arm(word)  # raises, before anything that takes longer is imported
-    return word
-
-
-def _duration(option: str, word: str) -> float:
-    seconds = number(option, word, "s")
-    if not seconds > 0.0:
-        raise OctarmError(f"duration is {seconds:g} s; it must be positive")
-    return seconds
-
-
-def _gains(option: str, word: str) -> str:
-    from controllers.gain_sets import gain_set_of, read_gain_set
-
-    if word.endswith(".toml"):
-        read_gain_set(word)
-    elif word not in ("tuned", "recommended"):
-        gain_set_of("", word)  # raises
-    return word
+    return kind(metavar, convert)
 
 
 def check(metavar: str, word: str, *more: str) -> None:
@@ -113,13 +90,7 @@ def check(metavar: str, word: str, *more: str) -> None:
 
     Nothing that takes long is imported for that. More names may be known where the word stands.
     """
-    if metavar == "ARM":
-        _arm("", word)
-    elif word not in more:
-        table: Declared[Any] = pkgutil.resolve_name(_WORDS[metavar])
-        name = table.split(word).word
-        if name not in table and name not in more:
-            table.check(word if table.kind in ("controller", "metric") else name, *more)
+    pkgutil.resolve_name(_WORDS[metavar]).check(word, *more)
 
 
 def _declared(metavar: str, *more: str, known: bool = True) -> Parameter:
@@ -137,24 +108,28 @@ def _declared(metavar: str, *more: str, known: bool = True) -> Parameter:
             check(metavar, word, *more)
         return word
 
-    return _converted(metavar, convert, completer=lambda _: known_words(metavar))
+    return kind(metavar, convert)
 
 
-def _converted(
-    metavar: str,
-    convert: Callable[[str, str], Any],
-    completer: Callable[[Any], list[str]] | None = None,
-) -> Parameter:
-    """A kind of value that an option and a word are converted to; a ValueError is the sentence."""
+def arm(option: str, word: str) -> str:
+    """An arm that is there, before anything that takes longer is imported."""
+    from octarm.arm.file import read_arm
 
-    def converter(hint: Any, tokens: Sequence[Token]) -> Any:
-        values = [convert(str(token.keyword), token.value) for token in tokens]
-        return tuple(values) if get_origin(hint) is tuple else values[0]
-
-    return Parameter(metavar=metavar, converter=converter, completer=completer)
+    read_arm(word)  # raises
+    return word
 
 
-def _real(unit: str, least: float = -math.inf) -> Callable[[str, str], float]:
+def _gains(option: str, word: str) -> str:
+    from controllers.gain_sets import CHOICES, gain_set_of, read_gain_set
+
+    if word.endswith(".toml"):
+        read_gain_set(word)  # of which controller is known later
+    elif word not in CHOICES:
+        gain_set_of("", word)  # raises
+    return word
+
+
+def _real(unit: str, least: float = -math.inf) -> Convert:
     def convert(option: str, word: str) -> float:
         value = number(option, word, unit)
         if least > -math.inf and not least <= value < math.inf:
@@ -166,29 +141,40 @@ def _real(unit: str, least: float = -math.inf) -> Callable[[str, str], float]:
     return convert
 
 
-def _number_as_text(option: str, word: str) -> str:
+def _duration(option: str, word: str) -> float:
+    seconds = number(option, word, "s")
+    if not seconds > 0.0:
+        raise OctarmError(f"duration is {seconds:g} s; it must be positive")
+    return seconds
+
+
+def _step(option: str, word: str) -> float | str:
+    try:
+        return word if word == "auto" else number(option, word, "s")
+    except OctarmError as error:
+        raise OctarmError(str(error).replace("a number", "a number [s] or auto")) from None
+
+
+def _amount(option: str, word: str) -> str:
+    """A number whose unit depends on another option."""
     number(option, word, ANY)
     return word
 
 
-_LARGEST = 2**63 - 1  # that tables and recordings hold
+def whole(least: int, most: int = 2**63 - 1) -> Parameter:
+    """A whole number; the largest one is what tables and recordings hold."""
 
-
-def _whole(least: int, most: int = _LARGEST) -> Callable[[str, str], int]:
     def convert(option: str, word: str) -> int:
         try:
-            number = int(word)
+            count = int(word)
         except ValueError:
             raise ValueError(f"{option} is {quoted(word)}; it must be a whole number") from None
-        if number < least:
-            name = option.strip("-")
-            raise ValueError(f"{name} is {quoted(number)}; it must be at least {least}")
-        if number > most:
-            name = option.strip("-")
-            raise ValueError(f"{name} is {quoted(number)}; it must be at most {most}")
-        return number
+        if not least <= count <= most:
+            bound = f"at least {least}" if count < least else f"at most {most}"
+            raise ValueError(f"{option.strip('-')} is {quoted(count)}; it must be {bound}")
+        return count
 
-    return convert
+    return kind("N", convert)
 
 
 def file(suffix: str = "") -> Parameter:
@@ -202,7 +188,40 @@ def file(suffix: str = "") -> Parameter:
             raise ValueError(f"{word} cannot be written: there is no folder for it")
         return path
 
-    return _converted(f"FILE{suffix}", convert)
+    return kind(f"FILE{suffix}", convert)
+
+
+def _live(hint: Any, tokens: Sequence[Token]) -> list[str]:
+    """HOST:PORT of each token, given that or the URL that rerun says."""
+    addresses: list[str] = []
+    for token in tokens:
+        url = re.fullmatch(r"(?:rerun\+http://)?([\w.-]+:\d{1,5})(?:/proxy/?)?", token.value, re.A)
+        if url is None or int(url[1].rpartition(":")[2]) > 65535:
+            raise ValueError(
+                f"{token.keyword} is {quoted(token.value)}; an address reads HOST:PORT"
+            )
+        addresses.append(url[1])
+    return addresses
+
+
+N, COUNT = whole(0), whole(1)
+X, S, HZ = (kind(*each) for each in (("X", _real("1")), ("S", _real("s")), ("HZ", _real("Hz"))))
+DURATION, SETTLE, STEP = kind("S", _duration), kind("S", _real("s", 0.0)), kind("S", _step)
+AMOUNT = kind("X", _amount)
+RUN, DIR = kind("RUN"), kind("DIR")
+CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
+    _declared, ("CONTROLLER", "REFERENCE", "DISTURBANCE", "METRIC")
+)
+VARIED = _declared("DISTURBANCE", "nominal-mismatch")  # see `octarm.sweeps.margin`
+CALLED = _declared("CONTROLLER", known=False)
+COLUMN = _declared("METRIC", known=False)  # of the table of a sweep
+ACTUATION, INTEGRATOR, ENGINE, LAYOUT, SENSING = map(
+    _one_of, ("ACTUATION", "INTEGRATOR", "ENGINE", "LAYOUT", "SENSING")
+)
+GAINS, ARM = kind("GAINS", _gains), kind("ARM", arm)
+FILE_OR_ARM, SHELL, KIND = map(kind, ("ARM", "SHELL", "KIND"))  # operands: looked at last
+# An option whose value may be left out; the value, if there is one, as a list.
+LIVE = Parameter(metavar="[HOST:PORT]", converter=_live, consume_multiple=(0, 1))
 
 
 def check_free(force: bool, *files: Path | None) -> None:
@@ -229,70 +248,10 @@ def check_runs(*folders: Path, sweeps: bool = False) -> None:
             read_description(folder)
 
 
-def refusal(folder: Path, file: str, what: str) -> Work | None:
-    """What refuses a folder that is not `what`, before anything that takes long is imported."""
-
-    def refuse() -> int:
-        raise OctarmError(f"{folder} is not {what}: it has no {file}")
-
-    return None if os.path.isfile(folder / file) else refuse
-
-
-def whole(least: int, most: int) -> Parameter:
-    """A whole number of what takes a whole machine, or hours, beyond the largest one."""
-    return _converted("N", _whole(least, most))
-
-
-N, COUNT = _converted("N", _whole(0)), _converted("N", _whole(1))
-
-
-def _step(option: str, word: str) -> float | str:
-    if word == "auto":
-        return word
-    try:
-        return number(option, word, "s")
-    except OctarmError as error:
-        raise OctarmError(str(error).replace("a number", "a number [s] or auto")) from None
-
-
-STEP = _converted("S", _step)
-X = _converted("X", _real("1"))
-S = _converted("S", _real("s"))
-DURATION, SETTLE = _converted("S", _duration), _converted("S", _real("s", 0.0))
-HZ = _converted("HZ", _real("Hz"))
-AMOUNT = _converted("X", _number_as_text)  # a number whose unit depends on another option
-RUN, DIR = text("RUN"), text("DIR")
-CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
-    _declared, ("CONTROLLER", "REFERENCE", "DISTURBANCE", "METRIC")
-)
-VARIED = _declared("DISTURBANCE", "nominal-mismatch")  # see `octarm.sweeps.margin`
-CALLED, COLUMN = (
-    _declared("CONTROLLER", known=False),
-    _declared("METRIC", known=False),
-)  # in a sweep
-ACTUATION, INTEGRATOR, ENGINE = map(_one_of, ("ACTUATION", "INTEGRATOR", "ENGINE"))
-LAYOUT = _one_of("LAYOUT")
-SENSING = _one_of("SENSING")
-GAINS = _converted("GAINS", _gains, completer=lambda _: known_words("GAINS"))
-# Operands, which are looked at after all options.
-FILE_OR_ARM, SHELL, KIND = map(_word, ("ARM", "SHELL", "KIND"))
-ARM = _converted("ARM", _arm, completer=lambda _: known_words("ARM"))
-
-
-def _address(option: str, word: str) -> str:
-    """HOST:PORT, given that or the URL that rerun says."""
-    match = re.fullmatch(r"(?:rerun\+http://)?([\w.-]+:\d{1,5})(?:/proxy/?)?", word, re.ASCII)
-    if match is None or int(match[1].rpartition(":")[2]) > 65535:
-        raise ValueError(f"{option} is {quoted(word)}; an address reads HOST:PORT")
-    return match[1]
-
-
-def _live(hint: Any, tokens: Sequence[Token]) -> list[str]:
-    return [_address(str(token.keyword), token.value) for token in tokens]
-
-
-# An option whose value may be left out; the value, if there is one, as a list.
-LIVE = Parameter(metavar="[HOST:PORT]", converter=_live, consume_multiple=(0, 1))
+def check_sweep(folder: Path) -> None:
+    """Raises OctarmError if a folder holds no sweep."""
+    if not os.path.isfile(folder / "manifest.json"):
+        raise OctarmError(f"{folder} is not a sweep: it has no manifest.json")
 
 
 def heading(name: str) -> Parameter:

@@ -6,31 +6,27 @@ import csv
 import dataclasses
 import functools
 import io
-import itertools
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from controllers import CONTROLLERS, make_controller
-from octarm.arm.groups import SUMS
-from octarm.arm.parameters import ArmParameters
 from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
-from octarm.commands.options import ArmOptions, GainOptions
+from octarm.commands.options import ArmOptions, MarginOptions
 from octarm.declared import Code, named, short_name
+from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance, spelling
-from octarm.errors import ExitCode, OctarmError
+from octarm.errors import OctarmError
 from octarm.files import write_text
 from octarm.formats import to_json
-from octarm.interfaces import Controller
 from octarm.metrics.declared import ACCUMULATORS
-from octarm.metrics.table import METRICS
+from octarm.metrics.table import METRICS, Catalogue
 from octarm.references import REFERENCES
 from octarm.runs.versions import host, versions
-from octarm.simulation.engines import check_engine
+from octarm.simulation.engines import check_engine, usual_engine
 from octarm.sweeps.margin import (
     NOMINAL,
     Attempt,
@@ -46,133 +42,99 @@ from octarm.sweeps.margin import (
 )
 from octarm.sweeps.workers import cores
 
+_NEVER_ENOUGH = "no number of seeds has one"
 _NUMBERS = ("margin", "interval_low", "interval_high", "least", "median", "most")
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Settings:
-    """What a margin is sought of and by which runs, as the command line spells it."""
-
-    disturbance: tuple[str, ...]
-    bound: tuple[str, ...]
-    seeds: int
-    share: float
-    metric: tuple[str, ...]
-    model: ArmOptions
-    gain_options: GainOptions
-    reference: str
-    duration: float
-    settle: float
-    timestep: float | str | None
-    control_period: float | None
-    seed: int
-    engine: str
-
-    @property
-    def fixed(self) -> list[str]:
-        """The disturbances that do not vary."""
-        return [text for text in self.disturbance if not is_varied(text)]
-
-    def check(self) -> None:
-        """Raises OctarmError for settings that cannot be meant."""
-        check_engine(self.engine)
-        if not self.bound:
-            raise OctarmError("no bound is given; --bound METRIC:VALUE, such as tip_rms_error:0.01")
-        if not 0.0 < self.share <= 1.0:
-            raise OctarmError(f"share is {self.share:g}; it must be above 0 and at most 1")
-
-    def varied(self, low: str | None, high: str | None) -> Varied:
-        """What varies: the one disturbance without a value."""
-        varying = [text for text in self.disturbance if is_varied(text)]
-        if len(varying) != 1:
-            raise OctarmError(
-                "one --disturbance goes without a value, the one whose largest value is sought; "
-                f"here it is {' and '.join(varying) or 'none'}"
-            )
-        varied = parse_varied(varying[0], low, high)
-        if varied.name == NOMINAL and self.model.mismatch:
-            raise OctarmError(f"--mismatch is given, but {NOMINAL} is what varies")
-        return varied
-
-    def runs(self, controller: str, varied: Varied) -> MarginRuns:
-        """The runs of a controller."""
-        return MarginRuns(
-            factory=functools.partial(_controller, controller, self.gain_options),
-            varied=varied,
-            bounds=[parse_bound(text) for text in self.bound],
-            disturbances=[parse_disturbance(text) for text in self.fixed],
-            mismatch=self.model.mismatch,
-            nominal=self.model.factors(),
-            reference=self.reference,
-            duration=self.duration,
-            settle=self.settle,
-            timestep=self.timestep,
-            control_period=self.control_period,
-            engine=self.engine,
-            parameters=self.model.true_arm(),
-            plant_modules=self.model.plant_modules,
-            layout=self.model.layout,
-            sensing=self.model.sensing,
-            seed=self.seed,
-            threads=cores(),
-            catalogue=METRICS.extended(ACCUMULATORS[word] for word in self.metric),
-        )
-
-    def named(self, controllers: Sequence[str]) -> tuple[dict[str, str], dict[str, Code]]:
-        """Short names by word, and the code of what is not built in."""
-        varied = (DISTURBANCES.split(text).word for text in self.disturbance)
-        words = [
-            *((CONTROLLERS, word) for word in controllers),
-            (REFERENCES, self.reference),
-            *((DISTURBANCES, word) for word in varied if word != NOMINAL),
-            *((ACCUMULATORS, word) for word in self.metric),
-        ]
-        names, code = named(words)
-        return dict(zip((word for _, word in words), names, strict=True)), code
-
-
-def margin(
-    controllers: Sequence[str],
-    settings: Settings,
-    models: Sequence[ArmOptions],
-    low: str | None,
-    high: str | None,
-    csv_file: Path | None,
-    json_file: Path | None,
-) -> int:
+def margin(controllers: Sequence[str], options: MarginOptions) -> None:
     """`octarm margin`: how much each controller bears on each arm, as a table."""
     if not controllers:
         raise OctarmError("no controller is given; octarm run --help names them")
-    settings.check()
-    varied = settings.varied(low, high)
-    short, code = settings.named(controllers)
-    of_arms = [dataclasses.replace(settings, model=model) for model in models]
-    pairs = list(itertools.product(of_arms, dict.fromkeys(controllers)))
-    for each, word in pairs:
-        gains, step = each.gain_options.gains, each.timestep
-        print_unsuited(short_name(word), gains, each.model.both()[1], step, each.control_period)
+    varied, metrics = _checked(options)
+    words = [(CONTROLLERS, word) for word in dict.fromkeys(controllers)]
+    more = [(DISTURBANCES, word) for word in options.disturbance if word != NOMINAL]
+    more += [(ACCUMULATORS, word) for word in options.metric]
+    names, code = named([*words, (REFERENCES, options.reference), *more])
+    pairs = [(model, *each) for model in options.models for each in zip(words, names, strict=False)]
+    for model, (_, word), _ in pairs:
+        gains, step = options.gain_options.gains, options.timestep
+        print_unsuited(short_name(word), gains, model.both()[1], step, options.control_period)
     runs = [
-        (short[word], each, each.runs(word, varied).rehearse(each.seeds)) for each, word in pairs
+        (name, model.arm, _runs(options, model, word, varied, metrics).rehearse(options.seeds))
+        for model, (_, word), name in pairs
     ]
     rows: list[Mapping[str, Any]] = []
-    for name, each, run in runs:
-        found = _row(name, _search(name, run, each.seeds), each.share, varied)
-        rows.append({**found, "arm": each.model.arm or ""})
+    for name, arm, run in runs:
+        row = _row(name, _search(name, run, options.seeds), options.share, varied)
+        rows.append({**row, "arm": arm or ""})
         if len(rows) == 1:  # not before it is known that there is something to say
-            print("\n".join(_heading(settings, models, varied, short[settings.reference])))
-        if len(models) > 1 and [row["arm"] for row in rows].count(each.model.arm) == 1:
-            print(f"{each.model.arm}:")
+            print("\n".join(_heading(options, varied, names[len(words)])))
+        if len(options.models) > 1 and [row["arm"] for row in rows].count(arm) == 1:
+            print(f"{arm}:")
         print(_line(rows[-1], varied), flush=True)
-    _print_notes(rows, varied, settings)
-    if csv_file is not None:
-        write_text(csv_file, _csv(rows))
-    if json_file is not None:
-        write_text(json_file, to_json(_report(settings, models, varied, rows, code)))
-    return ExitCode.FINE
+    _print_notes(rows, varied, options)
+    if options.csv is not None:
+        write_text(options.csv, _csv(rows))
+    if options.json is not None:
+        write_text(options.json, to_json(_report(options, varied, rows, code)))
 
 
-def _controller(name: str, options: GainOptions, nominal: ArmParameters) -> Controller:
-    return make_controller(name, nominal, options.values(), gain_set=options.gains)
+def _checked(options: MarginOptions) -> tuple[Varied, Catalogue]:
+    """What varies, the one disturbance without a value, and what is measured.
+
+    Raises:
+        OctarmError: for options that cannot be meant.
+    """
+    check_engine(options.engine or usual_engine())
+    if not options.bound:
+        raise OctarmError("no bound is given; --bound METRIC:VALUE, such as tip_rms_error:0.01")
+    if not 0.0 < options.share <= 1.0:
+        raise OctarmError(f"share is {options.share:g}; it must be above 0 and at most 1")
+    varying = [text for text in options.disturbance if is_varied(text)]
+    if len(varying) != 1:
+        raise OctarmError(
+            "one --disturbance goes without a value, the one whose largest value is sought; "
+            f"here it is {' and '.join(varying) or 'none'}"
+        )
+    varied = parse_varied(varying[0], options.low, options.high)
+    if varied.name == NOMINAL and options.model.mismatch:
+        raise OctarmError(f"--mismatch is given, but {NOMINAL} is what varies")
+    return varied, METRICS.extended(ACCUMULATORS[word] for word in options.metric)
+
+
+def _fixed(options: MarginOptions) -> list[Disturbance]:
+    """The disturbances that do not vary."""
+    return [parse_disturbance(text) for text in options.disturbance if not is_varied(text)]
+
+
+def _runs(
+    options: MarginOptions, model: ArmOptions, controller: str, varied: Varied, metrics: Catalogue
+) -> MarginRuns:
+    """The runs of a controller on an arm."""
+    gains = options.gain_options
+    return MarginRuns(
+        factory=functools.partial(
+            make_controller, controller, gains=gains.values(), gain_set=gains.gains
+        ),
+        varied=varied,
+        bounds=[parse_bound(text) for text in options.bound],
+        disturbances=_fixed(options),
+        mismatch=model.mismatch,
+        nominal=model.factors(),
+        reference=options.reference,
+        duration=options.duration,
+        settle=options.settle,
+        timestep=options.timestep,
+        control_period=options.control_period,
+        engine=options.engine or usual_engine(),
+        parameters=model.true_arm(),
+        plant_modules=model.plant_modules,
+        layout=model.layout,
+        sensing=model.sensing,
+        seed=options.seed,
+        threads=cores(),
+        catalogue=metrics,
+    )
 
 
 def _search(name: str, run: MarginRuns, seeds: int) -> Brackets:
@@ -207,27 +169,25 @@ def _row(name: str, brackets: Brackets, share: float, varied: Varied) -> dict[st
     }
 
 
-def _heading(
-    settings: Settings, models: Sequence[ArmOptions], varied: Varied, reference: str
-) -> list[str]:
+def _heading(options: MarginOptions, varied: Varied, reference: str) -> list[str]:
     """What the table is of."""
     unit = "" if varied.unit == "1" else f" [{varied.unit}]"
-    bounds = " and ".join(settings.bound).replace(":", " <= ")
-    around = [f"{reference}, {settings.duration:g} s"]
-    model = settings.model
+    bounds = " and ".join(options.bound).replace(":", " <= ")
+    model = options.model
+    around = [f"{reference}, {options.duration:g} s"]
     around += [f"nominal model wrong by {model.mismatch:g}"] if model.mismatch else []
     around += [f"of the nominal model {factor}" for factor in model.nominal]
-    arms = [each.arm for each in models if each.arm is not None]
-    around += [f"the arm{'s' * (len(arms) > 1)} {', '.join(arms)}"] if arms else []
+    several = "s" * (len(options.arm) > 1)
+    around += [f"the arm{several} {', '.join(options.arm)}"] if options.arm else []
     around += [*model.parameter]
     if model.plant_modules is not None:
-        read = "" if model.sensing == SUMS else f", read by {model.sensing}"
+        read = "" if model.sensing == "groups" else f", read by {model.sensing}"
         around += [f"a plant of {model.plant_modules} modules, {model.layout}{read}"]
-    around += [f"gain {gain}" for gain in settings.gain_options.gain]
-    if corner := settings.gain_options.roll_off:
+    around += [f"gain {gain}" for gain in options.gain_options.gain]
+    if corner := options.gain_options.roll_off:
         around += [f"roll-off {corner:g} Hz"]
-    around += [spelling(parse_disturbance(text)) for text in settings.fixed]
-    seeds = f"{settings.share:.0%} of {settings.seeds} seeds"
+    around += map(spelling, _fixed(options))
+    seeds = f"{options.share:.0%} of {options.seeds} seeds"
     return [
         f"largest {varied.name}{unit} of {varied.low:g} .. {varied.high:g} at which {seeds} have "
         f"{bounds}",
@@ -255,9 +215,9 @@ def _spelt(value: float, varied: Varied) -> str:
     return f"{value:.4g}"
 
 
-def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, settings: Settings) -> None:
+def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, options: MarginOptions) -> None:
     """What a reader of the table has to know."""
-    seeds = settings.seeds
+    seeds = options.seeds
     ends = [row[key] for row in rows for key in _NUMBERS]
     if math.inf in ends:
         print(f"> {varied.high:g}: the bound is met there, too; a further --high finds the margin")
@@ -266,7 +226,11 @@ def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, settings: Se
     if any(row["alike"] for row in rows):
         print("no interval: nothing random acts, all seeds are the same; --disturbance noise:0.4?")
     if not all(row["alike"] for row in rows):
-        _print_missing_ends(settings.share, seeds)
+        for end, needed in zip(("lower", "upper"), seeds_needed(options.share), strict=True):
+            if needed > seeds:
+                enough = f"it needs {needed} seeds" if needed < math.inf else _NEVER_ENOUGH
+                missing = f"no {end} end of a 95 % interval at {options.share:.0%}"
+                print(f"?: {seeds} seeds have {missing}; {enough}")
     print(
         "taken for granted between the values that were tried: what breaks the bound breaks it "
         "further on, too"
@@ -277,16 +241,6 @@ def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, settings: Se
                 f"* {row['controller']}: not so, {row['met_again']} of {seeds} seeds meet "
                 "the bound again further on; the margin is that of the first failure"
             )
-
-
-def _print_missing_ends(share: float, seeds: int) -> None:
-    """Which ends of intervals the seeds cannot carry, and how many could."""
-    for end, needed in zip(("lower", "upper"), seeds_needed(share), strict=True):
-        if needed > seeds:
-            enough = (
-                f"it needs {needed} seeds" if needed < math.inf else "no number of seeds has one"
-            )
-            print(f"?: {seeds} seeds have no {end} end of a 95 % interval at {share:.0%}; {enough}")
 
 
 def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -301,21 +255,22 @@ def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _report(
-    settings: Settings,
-    models: Sequence[ArmOptions],
+    options: MarginOptions,
     varied: Varied,
     rows: Sequence[Mapping[str, Any]],
     code: Mapping[str, Code],
 ) -> dict[str, Any]:
     """Everything, for a JSON file."""
-    limits = {key: getattr(varied, key) for key in ("name", "low", "high", "unit")}
-    given = dataclasses.asdict(settings)
-    given |= given.pop("model") | given.pop("gain_options") | {"arm": [m.arm for m in models]}
+    given = dataclasses.asdict(options)
+    given |= given.pop("model") | given.pop("gain_options")
+    given["engine"] = options.engine or usual_engine()
+    for name in ("low", "high", "csv", "json", "force"):  # of the table, and where it is written
+        del given[name]
     return {
-        "varied": limits,
-        "settings": given,
+        "varied": {key: getattr(varied, key) for key in ("name", "low", "high", "unit")},
+        "settings": {**given, "arm": list(options.arm or (None,))},
         "controllers": list(rows),
         "code": {name: each.model_dump() for name, each in code.items()},
-        "versions": versions(settings.engine, code),
+        "versions": versions(given["engine"], code),
         "host": host(),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -9,7 +10,8 @@ from jinja2 import Template
 
 from octarm.commands.kinds import STARTS
 from octarm.disturbances.spelling import DISTURBANCES
-from octarm.errors import ExitCode, FileError, OctarmError, closest, printable, quoted
+from octarm.errors import OctarmError, closest, printable, quoted
+from octarm.files import write_text
 
 _FILES = Path(__file__).resolve().parent / "starts"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*([_-][A-Za-z0-9]+)*")
@@ -23,7 +25,7 @@ _NEXT = {
 }
 
 
-def new(kind: str, name: str) -> int:
+def new(kind: str, name: str) -> None:
     """`octarm new`: writes a file into the working folder."""
     if kind not in STARTS:
         raise OctarmError(f"unknown kind {quoted(kind)}{closest(kind, STARTS)}")
@@ -45,20 +47,10 @@ def new(kind: str, name: str) -> int:
         "name": hyphened,
         "column": "_".join(words).lower(),
     }
-    text = start.read_text(encoding="utf-8")
-    _write(Path(named["file"]), Template(text, keep_trailing_newline=True).render(named))
+    if os.path.lexists(named["file"]):
+        raise OctarmError(f"{named['file']} exists; choose another name, or remove it")
+    template = Template(start.read_text(encoding="utf-8"), keep_trailing_newline=True)
+    write_text(named["file"], template.render(named))
     word = f"./{named['file']}:{named['Name']}"
     print(f"wrote {printable(named['file'])}")
     print(f"try it: {_NEXT[kind].format(word=word, **named)}")
-    return ExitCode.FINE
-
-
-def _write(file: Path, text: str) -> None:
-    """Writes a file that is not there yet."""
-    try:
-        with open(file, "x", encoding="utf-8") as out:
-            out.write(text)
-    except FileExistsError:
-        raise OctarmError(f"{file} exists; choose another name, or remove it") from None
-    except OSError as error:
-        raise FileError(f"{file} cannot be written: {error.strerror}") from None

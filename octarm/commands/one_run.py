@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from octarm.commands import kinds
-from octarm.commands.kinds import Work
 from octarm.commands.options import NOMINAL_ARM, USUAL_GAINS, ArmOptions, GainOptions
 from octarm.commands.terminal import surviving_output
 from octarm.errors import OctarmError
+
+if TYPE_CHECKING:
+    from octarm.runs.experiment import Experiment
 
 
 def run(
@@ -34,7 +37,7 @@ def run(
     force: Annotated[bool, kinds.OUTPUT] = False,
     view: Annotated[bool, kinds.OUTPUT] = False,
     live: Annotated[list[str] | None, kinds.LIVE, kinds.OUTPUT] = None,
-) -> Work:
+) -> kinds.Work:
     """Run one controller on the arm and record it.
 
     Writes a run folder: run.rrd (the recording), run.npz (all arrays), run.json (what was run).
@@ -96,22 +99,18 @@ def run(
         if view or len(live) > 1:
             raise OctarmError("--live is given with --view, or twice; one viewer shows a run")
         os.environ.setdefault("RUST_LOG", "off")  # a viewer that goes away is said by octarm
-    from octarm.commands.words import named_words
-
     gains, (true, nominal) = gain_options.values(), model.both()
     from octarm.commands import run as work
-    from octarm.disturbances.spelling import parse_disturbance
-    from octarm.runs.experiment import Experiment
 
     def job() -> int:
-        names, code = named_words(controller, reference, disturbance, metric)
-        experiment = Experiment(
-            controller=names[0],
+        what = _experiment(
+            controller,
+            reference,
+            disturbance,
+            metric,
             gains=gains,
             nominal=nominal,
             parameters=true,
-            reference=names[1],
-            disturbances=tuple(map(parse_disturbance, disturbance)),
             seed=seed,
             duration=duration,
             settle=settle,
@@ -123,10 +122,9 @@ def run(
             plant_modules=model.plant_modules,
             layout=model.layout,
             sensing=model.sensing,
-            code=code,
         )
         url = None if live is None else "".join(live)
-        return work.run(experiment, gain_options.gains, out, view, url)
+        return work.run(what, gain_options.gains, out, view, url)
 
     return surviving_output(job)
 
@@ -139,10 +137,9 @@ def view(
     seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
     arm: Annotated[str | None, kinds.ARM, kinds.MODEL] = None,
     mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0,
-    gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None,
-    gain: Annotated[tuple[str, ...], kinds.text("NAME:VALUES"), kinds.GAIN] = (),
+    gain_options: GainOptions = USUAL_GAINS,
     control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
-) -> Work:
+) -> kinds.Work:
     """Watch the arm in MuJoCo's viewer, moved by a controller.
 
     In a window of dm_control, where the arm can be pushed: the space bar starts and stops, F1 shows
@@ -156,8 +153,7 @@ def view(
         seed: seed of all that is random
         arm: the true arm and the controller's model of it, a file or an arm that comes with octarm
         mismatch: error of the controller's model
-        gains: tuned, recommended, or a file; tuned ones when not given
-        gain: one gain in SI
+        gain_options: see `octarm.commands.options`
         control_period: time between control actions [s]; one physics step when not given
 
     Examples:
@@ -166,29 +162,24 @@ def view(
     """
     from octarm.recordings.viewer import check_display
 
-    def job() -> int:
+    def job() -> None:
         check_display("octarm run and octarm video need none")
         os.environ["MUJOCO_GL"] = "glfw"  # before anything imports MuJoCo
         from octarm.commands import view as work
-        from octarm.commands import words
-        from octarm.disturbances.spelling import parse_disturbance
-        from octarm.runs.experiment import Experiment
 
-        names, code = words.named_words(controller, reference, disturbance, ())
-        true = words.true_arm((), arm)
-        experiment = Experiment(
-            controller=names[0],
-            gains=words.gain_values(gain),
-            nominal=true.mismatched(mismatch),
+        true, nominal = ArmOptions(arm=arm, mismatch=mismatch).both()
+        what = _experiment(
+            controller,
+            reference,
+            disturbance,
+            gains=gain_options.values(),
+            nominal=nominal,
             parameters=true,
-            reference=names[1],
-            disturbances=tuple(map(parse_disturbance, disturbance)),
             seed=seed,
             duration=1.0,  # of a run; the window stays open
             control_period=control_period,
-            code=code,
         )
-        return work.view(experiment, gains)
+        work.view(what, gain_options.gains)
 
     return job
 
@@ -199,7 +190,7 @@ def replay(
     time: Annotated[float | None, kinds.S] = None,
     web: bool = False,
     force: bool = False,
-) -> Work:
+) -> kinds.Work:
     """Open recorded runs in the rerun viewer.
 
     One run folder, two of them side by side with the difference of their errors, or a sweep folder,
@@ -223,14 +214,14 @@ def replay(
     from octarm.commands import replay as work
 
     job = partial(work.replay, runs, screenshot, time, web)
-    return job if screenshot is None else surviving_output(job)
+    return surviving_output(job) if screenshot else job
 
 
 def compare(
     *runs: Annotated[Path, kinds.RUN],
     out: Annotated[Path, kinds.DIR] = Path("comparison"),
     force: bool = False,
-) -> Work:
+) -> kinds.Work:
     """Put two runs or more into one page and one recording.
 
     First in what they differ, then their metrics and their errors over time. Runs that had
@@ -247,9 +238,9 @@ def compare(
       octarm compare runs/a runs/b runs/c --out comparison-of-gains
     """
     kinds.check_free(force, out / "comparison.html", out / "comparison.rrd")
-    from octarm.commands import compare as work
+    from octarm.commands import redraw as work
 
-    return surviving_output(partial(work.compare, runs, out))
+    return surviving_output(work.compare, runs, out)
 
 
 def record(
@@ -258,7 +249,7 @@ def record(
     *,
     out: Annotated[Path | None, kinds.file(".rrd")] = None,
     force: bool = False,
-) -> Work:
+) -> kinds.Work:
     """Rebuild the recording of a run from its arrays.
 
     The recording is made of run.npz and run.json alone.
@@ -275,7 +266,7 @@ def record(
     kinds.check_runs(run)
     from octarm.commands import redraw as work
 
-    return surviving_output(partial(work.record, run, out))
+    return surviving_output(work.record, run, out)
 
 
 def plot(
@@ -284,7 +275,7 @@ def plot(
     *,
     out: Annotated[Path | None, kinds.DIR] = None,
     force: bool = False,
-) -> Work:
+) -> kinds.Work:
     """Draw the standard figures of a run, as PNG and SVG.
 
     Args:
@@ -300,7 +291,7 @@ def plot(
     kinds.check_runs(run)
     from octarm.commands import redraw as work
 
-    return surviving_output(partial(work.plot, run, out))
+    return surviving_output(work.plot, run, out)
 
 
 def video(
@@ -313,7 +304,7 @@ def video(
     rate: Annotated[float, kinds.HZ] = 30.0,
     speed: Annotated[float, kinds.X] = 1.0,
     force: bool = False,
-) -> Work:
+) -> kinds.Work:
     """Film a run with MuJoCo's renderer.
 
     It needs no display, but one of the libraries EGL and OSMesa; octarm doctor tells.
@@ -339,7 +330,35 @@ def video(
     from octarm.commands import redraw as work
 
     size = (width, height)
-    return surviving_output(partial(work.video, run, out, size=size, rate=rate, speed=speed))
+    return surviving_output(work.video, run, out, size=size, rate=rate, speed=speed)
+
+
+def _experiment(
+    controller: str,
+    reference: str,
+    disturbances: Sequence[str],
+    metrics: Sequence[str] = (),
+    **others: Any,
+) -> Experiment:
+    """The experiment that words name, with short names and the code of what is not built in."""
+    from controllers import CONTROLLERS
+    from octarm.declared import named
+    from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
+    from octarm.metrics.declared import ACCUMULATORS
+    from octarm.references import REFERENCES
+    from octarm.runs.experiment import Experiment
+
+    words = [(CONTROLLERS, controller), (REFERENCES, reference)]
+    words += [(DISTURBANCES, text) for text in disturbances]
+    words += [(ACCUMULATORS, word) for word in metrics]
+    names, code = named(words)
+    return Experiment(
+        controller=names[0],
+        reference=names[1],
+        disturbances=tuple(map(parse_disturbance, disturbances)),
+        code=code,
+        **others,
+    )
 
 
 def _sibling(folder: Path, ending: str) -> Path:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import inspect
+import pkgutil
 import textwrap
-from collections.abc import Iterator
 from typing import Any, get_origin
 
 from cyclopts import App, Argument, Parameter
@@ -14,6 +14,12 @@ from octarm.commands.kinds import known_words
 _WIDTH = 80  # also where a page is piped
 _COLUMN = 24  # where the text on an option begins
 _LISTED = ("CONTROLLER", "REFERENCE", "SHELL", "KIND")  # whose words stand in the text
+# Where the texts are made that stand below the examples.
+_TEXTS = {
+    "{limits}": "controllers:limits_text",
+    "{references}": "octarm.references.catalogue:help_text",
+    "{disturbances}": "octarm.disturbances.spelling:help_text",
+}
 _OVERVIEW = """\
 usage: octarm COMMAND [OPTIONS]
 
@@ -55,22 +61,14 @@ def page(app: App, name: str) -> str:
     usage = "".join(f" {spelling(a)}" + f" [{spelling(a)} ..]" * is_repeatable(a) for a in operands)
     lines = [f"usage: octarm {name}{usage} [OPTIONS]"]
     for paragraph in paragraphs:
-        lines += ["", _filled(paragraph)]
+        words = " ".join(paragraph.split())
+        lines += ["", textwrap.fill(words, _WIDTH, break_on_hyphens=False)]
     for title in dict.fromkeys(title for a in arguments for title in _titles(a.parameter)):
         lines += ["", f"{title}:"]
-        lines += [line for a in arguments if title in _titles(a.parameter) for line in _entry(a)]
-    if "{disturbances}" in examples:
-        from octarm.disturbances.spelling import help_text
-
-        examples = examples.replace("{disturbances}", help_text())
-    if "{references}" in examples:
-        from octarm.references.catalogue import help_text as references_text
-
-        examples = examples.replace("{references}", references_text())
-    if "{limits}" in examples:
-        from controllers import limits_text
-
-        examples = examples.replace("{limits}", limits_text() or "  none")
+        lines += [_entry(a) for a in arguments if title in _titles(a.parameter)]
+    for mark, place in _TEXTS.items():
+        if mark in examples:
+            examples = examples.replace(mark, pkgutil.resolve_name(place)() or "  none")
     return "\n".join([*lines, "", "examples:", examples.rstrip()])
 
 
@@ -106,7 +104,7 @@ def spelling(argument: Argument) -> str:
     return str(argument.parameter.metavar) if is_operand(argument) else argument.name
 
 
-def _entry(argument: Argument) -> Iterator[str]:
+def _entry(argument: Argument) -> str:
     """The lines on an argument: its spelling, what it is for, its words and its default."""
     value = argument.parameter.metavar or ""
     parts = [argument.parameter.help or ""]
@@ -119,19 +117,7 @@ def _entry(argument: Argument) -> Iterator[str]:
     elif isinstance(default, int | float | str) and not isinstance(default, bool):
         shown = default if isinstance(default, str) else f"{default:g}"
         parts.append(f"(default:\xa0{shown})")
+    lines = textwrap.wrap(" ".join(parts), _WIDTH - _COLUMN, break_on_hyphens=False)
+    text = textwrap.indent("\n".join(lines), " " * _COLUMN).replace("\xa0", " ")
     head = "  " + (value if is_operand(argument) else f"{argument.name} {value}".rstrip())
-    lines = [
-        line.replace("\xa0", " ")
-        for line in textwrap.wrap(
-            " ".join(" ".join(parts).split(" ")), _WIDTH - _COLUMN, break_on_hyphens=False
-        )
-    ]
-    if len(head) > _COLUMN - 2:
-        yield head
-        head = ""
-    yield head.ljust(_COLUMN) + lines[0]
-    yield from (" " * _COLUMN + line for line in lines[1:])
-
-
-def _filled(paragraph: str) -> str:
-    return textwrap.fill(" ".join(paragraph.split()), _WIDTH, break_on_hyphens=False)
+    return f"{head}\n{text}" if len(head) > _COLUMN - 2 else head.ljust(_COLUMN) + text.lstrip()

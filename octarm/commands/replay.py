@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from octarm.commands.redraw import rows_of, say_partial
-from octarm.errors import ExitCode, OctarmError, printable
+from octarm.errors import OctarmError, printable
 from octarm.recordings import viewer
 from octarm.recordings.comparison import write_comparison
 from octarm.recordings.recording import write_recording
@@ -22,7 +22,7 @@ _SWEEP = "manifest.json"  # a folder with it is a sweep
 _MOST = 32  # recordings of a sweep that are opened at once
 
 
-def replay(folders: Sequence[Path], screenshot: Path | None, time: float | None, web: bool) -> int:
+def replay(folders: Sequence[Path], screenshot: Path | None, time: float | None, web: bool) -> None:
     """`octarm replay`: the viewer on runs, or a picture of it."""
     if screenshot is not None and web:
         raise OctarmError("--screenshot and --web exclude each other")
@@ -33,7 +33,6 @@ def replay(folders: Sequence[Path], screenshot: Path | None, time: float | None,
             viewer.serve(files, lambda url: print(f"open {url}   (Ctrl-C ends it)", flush=True))
         else:
             viewer.open_viewer(files)
-    return ExitCode.FINE
 
 
 def _picture(files: Sequence[Path], screenshot: Path, time: float | None) -> None:

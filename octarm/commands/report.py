@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from octarm.errors import ExitCode, OctarmError, printable
+from octarm.errors import OctarmError, printable
 from octarm.files import write_files
 from octarm.formats import read_toml
 from octarm.reports import report as reports
@@ -26,7 +26,7 @@ PAGE = "report.html"
 FIGURES = "figures"
 
 
-def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Path | None) -> int:
+def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Path | None) -> None:
     """`octarm report`: a page, tables and figures on a sweep."""
     folder = out or sweep / "report"
     _check_place(folder, sweep)
@@ -42,10 +42,9 @@ def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Pat
     _write(folder, page(numbers, remarked, drawn, source), files, drawn)
     _print_summary(numbers, remarked)
     print(f"wrote {printable(str(folder / PAGE))}")
-    return ExitCode.FINE
 
 
-def columns(sweep: Path | None) -> int:
+def columns(sweep: Path | None) -> None:
     """`octarm report --columns`: what the columns of a table mean, a row each."""
     spec = parse_spec('controller = "smc"') if sweep is None else open_sweep(sweep)[0].spec
     rows = [("column", "unit", "better", "meaning")]
@@ -58,7 +57,6 @@ def columns(sweep: Path | None) -> int:
     for row in rows:
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=False))
         print(printable("  ".join([*cells, row[3]])))
-    return ExitCode.FINE
 
 
 def _check_place(out: Path, sweep: Path) -> None:
@@ -80,8 +78,7 @@ def _write(out: Path, text: str, files: dict[str, str], drawn: list[Picture]) ->
     """
     contents = {out / name: content.encode() for name, content in files.items()}
     for picture in drawn:
-        contents[out / FIGURES / f"{picture.name}.svg"] = picture.svg.encode()
-        contents[out / FIGURES / f"{picture.name}.png"] = picture.png
+        contents |= picture.files(out / FIGURES)
     page_bytes = text.encode(errors="backslashreplace")  # names of files may be any bytes
     write_files({**contents, out / PAGE: page_bytes})
     earlier = [out / name for name in TABLES]

@@ -67,6 +67,5 @@ def _draw(out: Path, result: Study) -> None:
     ]
     files: dict[Path, bytes] = {}
     for picture in pictures(MODULES, errors, panels, rod_motion.DURATION):
-        files[out / f"{picture.name}.svg"] = picture.svg.encode()
-        files[out / f"{picture.name}.png"] = picture.png
+        files |= picture.files(out)
     write_files(files)

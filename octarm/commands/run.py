@@ -9,9 +9,9 @@ import itertools
 import shlex
 import sys
 import time
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 from dm_control.rl import control
 from tqdm import tqdm
 
@@ -19,9 +19,8 @@ from controllers import make_controller
 from octarm.arm.modes import growth_rate
 from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
-from octarm.commands.summary import Swing, summary
+from octarm.commands.summary import summary
 from octarm.declared import short_name, word_of
-from octarm.disturbances.episode import Disturbance
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.recordings import viewer
 from octarm.recordings.live import LiveRecording
@@ -58,10 +57,19 @@ def _run(
     label = short_name(word_of(experiment.controller, experiment.code))
     far = print_unsuited(label, gain_set, experiment.nominal, None, period)
     periods = whole_periods(experiment.duration, period)
-    for sentence in late_events(experiment.disturbances, experiment.duration):
-        print(f"octarm: {sentence}", file=sys.stderr)
+    for event in (event for each in experiment.disturbances for event in each.events()):
+        if event.text and event.at >= experiment.duration:
+            print(
+                f"octarm: {event.text} begins at {event.at:g} s, and the run ends at "
+                f"{experiment.duration:g} s before it",
+                file=sys.stderr,
+            )
     out = out or _dated_folder(experiment.controller)
-    started, swing = time.perf_counter(), Swing()
+
+    def say(sentence: str) -> None:
+        tqdm.write(f"octarm: {sentence}", file=sys.stderr)  # above the bar
+
+    started, ends = time.perf_counter(), list[np.ndarray]()  # of the reference, block by block
     with new_bar(total=periods, unit=" periods") as bar:
         trajectory, description = run_into(
             out,
@@ -70,11 +78,12 @@ def _run(
             announced,
             recording=run_recording,
             progress=bar.update,
-            keep=swing.add,
-            live=None if url is None else LiveRecording(url, announced, _say),
+            keep=lambda rows: ends.extend([rows["q_d"].min(axis=0), rows["q_d"].max(axis=0)]),
+            live=None if url is None else LiveRecording(url, announced, say),
         )
     elapsed = time.perf_counter() - started
-    print(summary(len(trajectory), swing.amplitude(), description, elapsed, experiment.code))
+    amplitude = 0.5 * np.ptp(ends, axis=0)
+    print(summary(len(trajectory), amplitude, description, elapsed, experiment.code))
     print(f"wrote {printable(str(out))}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt(f"{out} holds the run up to t = {trajectory.t[-1]:.6g} s")
@@ -88,17 +97,6 @@ def _run(
     else:
         print(f"see it: octarm replay {printable(shlex.quote(str(out)))}")
     return ExitCode.FINE
-
-
-def late_events(disturbances: Sequence[Disturbance], duration: float) -> Iterator[str]:
-    """What begins after a run of this duration [s], a sentence each."""
-    for disturbance in disturbances:
-        for event in disturbance.events():
-            if event.text and event.at >= duration:
-                yield (
-                    f"{event.text} begins at {event.at:g} s, and the run ends at {duration:g} s "
-                    "before it"
-                )
 
 
 def _advice(far: str, environment: control.Environment) -> str:
@@ -129,10 +127,6 @@ def _view(folder: Path) -> None:
         print(f"the viewer did not open: {error}")
         name = printable(shlex.quote(str(folder)))
         print(f"a picture: octarm replay {name} --screenshot picture.png")
-
-
-def _say(sentence: str) -> None:
-    tqdm.write(f"octarm: {sentence}", file=sys.stderr)  # above the bar
 
 
 def _dated_folder(controller: str) -> Path:

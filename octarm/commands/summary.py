@@ -10,30 +10,11 @@ import numpy as np
 from octarm.arm.groups import SUMS
 from octarm.declared import BUILT_IN, Code
 from octarm.disturbances.ledger import in_words
-from octarm.interfaces import Rows
 from octarm.metrics.declared import declared_metrics
 from octarm.metrics.metric import SETTLED_AFTER, unsettled
 from octarm.metrics.table import METRICS
 
 _HEADINGS = ("rms", "peak", "rms/amplitude", "overshoot", "chattering", "reached s=0")
-
-
-class Swing:
-    """How far the desired coordinates go, of a run that is seen block by block."""
-
-    def __init__(self) -> None:
-        """Of a run without rows yet."""
-        self._low: np.ndarray | float = np.inf
-        self._high: np.ndarray | float = -np.inf
-
-    def add(self, rows: Rows) -> None:
-        """Takes up further rows."""
-        self._low = np.minimum(self._low, rows["q_d"].min(axis=0))
-        self._high = np.maximum(self._high, rows["q_d"].max(axis=0))
-
-    def amplitude(self) -> np.ndarray:
-        """Half of the way from the smallest to the largest, shape (2N,) [m], [rad]."""
-        return 0.5 * np.subtract(self._high, self._low)
 
 
 def summary(

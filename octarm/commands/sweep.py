@@ -15,6 +15,7 @@ import numpy as np
 from controllers import CONTROLLERS, make_controller
 from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
+from octarm.commands.options import SweepOptions
 from octarm.declared import short_name, word_of
 from octarm.errors import ExitCode, OctarmError, printable, sentence_of
 from octarm.formats import read_toml
@@ -38,34 +39,18 @@ _MEASURE = "tip_rms_error"  # by it episodes are worst and median ones, too
 _RECORDED = 2000  # [byte] a control period; from 1000 without signals to 4000 with rules
 
 
-@dataclasses.dataclass(frozen=True)
-class Options:
-    """What a sweep is run with: the spec's file, the folder to write, workers or a cluster.
-
-    `wait` is how long a cluster may have no worker [s]. The engine takes the place of the spec's.
-    """
-
-    spec: Path
-    out: Path | None
-    workers: int | None
-    resume: bool
-    cluster: str | None
-    wait: float
-    engine: str | None = None
-    force: bool = False
-
-
-def sweep(options: Options) -> int:
+def sweep(file: Path, options: SweepOptions) -> int:
     """`octarm sweep`: runs a spec into a folder."""
-    spec = _checked_spec(options)
+    spec = _checked_spec(file, options)
     if options.resume and options.force:
         raise OctarmError("--resume and --force exclude each other")
     if options.out is None:
         raise OctarmError("there is no folder to write to; give --out DIR, or --dry-run")
     if options.resume and not (options.out.is_dir() and any(options.out.iterdir())):
         raise OctarmError(f"there is nothing in {options.out} to go on with by --resume")
-    _run(spec, options, options.out)
-    alike = _record(spec, options, options.out)
+    again = _resume(file, options)
+    _run(spec, options, options.out, again)
+    alike = _record(spec, options.out, again)
     _print_summary(options.out)
     alike &= _engines_agree(spec, options.out)
     print(f"wrote {printable(str(options.out))}/  (spec.toml, manifest.json, episodes/*.parquet)")
@@ -73,9 +58,9 @@ def sweep(options: Options) -> int:
     return ExitCode.FINE if alike else ExitCode.CHECK_FAILED
 
 
-def dry_run(options: Options) -> int:
+def dry_run(file: Path, options: SweepOptions) -> None:
     """`octarm sweep --dry-run`: prints what the sweep will take."""
-    spec = _checked_spec(options)
+    spec = _checked_spec(file, options)
     workers = options.workers or cores()
     if spec.timestep == AUTO:
         spec = with_step(spec, probes=True)
@@ -105,18 +90,17 @@ def dry_run(options: Options) -> int:
         print(f"octarm sweep will refuse it: {error}")
     if expected.shards < workers:
         print(f"a batch below {spec.batch} would make more shards, for all {workers} workers")
-    return ExitCode.FINE
 
 
-def _checked_spec(options: Options) -> SweepSpec:
+def _checked_spec(file: Path, options: SweepOptions) -> SweepSpec:
     """The spec, whose controllers can be made and whose recorded episodes there are."""
-    spec = read_spec(options.spec)
+    spec = read_spec(file)
     if options.engine is not None:
         spec = dataclasses.replace(spec, engine=options.engine)
     check_engine(spec.engine)
     for name in spec.controllers:
         keys = ("gain_set", name) if name in spec.gain_sets else ("grid", "controller")
-        with _in_file(options.spec, *(("gains", name) if name in spec.gains else keys)):
+        with _in_file(file, *(("gains", name) if name in spec.gains else keys)):
             code = None if name in spec.code else CONTROLLERS.code(name)
             if code is not None:  # an entry point of an installed package
                 spec = dataclasses.replace(spec, code={**spec.code, name: code}, text="")
@@ -130,7 +114,7 @@ def _checked_spec(options: Options) -> SweepSpec:
     plan = Plan(spec)
     for episode in spec.record:
         if isinstance(episode, int):
-            with _in_file(options.spec, "record", "episodes"):
+            with _in_file(file, "record", "episodes"):
                 plan.episode(episode)
     return spec
 
@@ -144,7 +128,7 @@ def _in_file(file: Path, *keys: str) -> Generator[None]:
         raise read_toml(file).error(str(error), *keys) from None
 
 
-def _record(spec: SweepSpec, options: Options, out: Path) -> bool:
+def _record(spec: SweepSpec, out: Path, again: str) -> bool:
     """Records the episodes that the spec selects; whether they are what the table says."""
     if not spec.record:
         return True
@@ -166,7 +150,7 @@ def _record(spec: SweepSpec, options: Options, out: Path) -> bool:
                 done, selection.reasons, make_controller, begin=begin, progress=bar.update
             )
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"all rows are there; {_resume(options)} goes on") from None
+            raise KeyboardInterrupt(f"all rows are there; {again} goes on") from None
     for sentence in different.values():
         print(f"octarm: {printable(sentence)}", file=sys.stderr)
     names = [f"{episode} ({', '.join(why)})" for episode, why in selection.reasons.items()]
@@ -174,8 +158,8 @@ def _record(spec: SweepSpec, options: Options, out: Path) -> bool:
     return not different
 
 
-def _run(spec: SweepSpec, options: Options, out: Path) -> None:
-    """The sweep, with a bar on its progress."""
+def _run(spec: SweepSpec, options: SweepOptions, out: Path, again: str) -> None:
+    """The sweep, with a bar on its progress; `again` is the command that goes on with it."""
     plan = Plan(spec)
     with _pool(options, plan) as (executor, in_flight), ProgressBar(spec) as bar:
         try:
@@ -192,18 +176,18 @@ def _run(spec: SweepSpec, options: Options, out: Path) -> None:
                 say=bar.say,
             )
         except KeyboardInterrupt as interrupt:
-            raise KeyboardInterrupt(*interrupt.args, _resume(options)) from None
+            raise KeyboardInterrupt(*interrupt.args, again) from None
         except OSError as error:
             reason = sentence_of(error)
-            raise OctarmError(f"{reason}; finished shards are kept: {_resume(options)}") from None
+            raise OctarmError(f"{reason}; finished shards are kept: {again}") from None
 
 
 @contextlib.contextmanager
-def _pool(options: Options, plan: Plan) -> Generator[tuple[Executor, int | Callable[[], int]]]:
+def _pool(options: SweepOptions, plan: Plan) -> Generator[tuple[Executor, int | Callable[[], int]]]:
     """The executor that was asked for, and how many shards it should be given at a time."""
     workers = options.workers or cores()
     if options.cluster is not None:
-        with dask_cluster(options.cluster, workers, options.wait) as cluster:
+        with dask_cluster(options.cluster, workers, options.wait_for_workers) as cluster:
             yield cluster
         return
     workers = min(workers, len(plan.shards))
@@ -236,11 +220,13 @@ def _engines_agree(spec: SweepSpec, folder: Path) -> bool:
     return bool(np.all(difference <= engine_check.LIMIT))
 
 
-def _resume(options: Options) -> str:
-    words = ["octarm", "sweep", str(options.spec), "--out", str(options.out)]
+def _resume(file: Path, options: SweepOptions) -> str:
+    """The command line that goes on with the sweep."""
+    words = ["octarm", "sweep", str(file), "--out", str(options.out)]
     words += ["--workers", str(options.workers)] if options.workers else []
     words += ["--cluster", options.cluster] if options.cluster else []
-    words += ["--wait-for-workers", f"{options.wait:g}"] if options.wait != WAIT else []
+    wait = options.wait_for_workers
+    words += ["--wait-for-workers", f"{wait:g}"] if wait != WAIT else []
     words += ["--engine", options.engine] if options.engine else []
     return shlex.join([*words, "--resume"])
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import resource
 import sys
 from collections.abc import Callable, Generator
-from typing import TextIO
+from typing import Any, TextIO
 
 from octarm.errors import OctarmError
 
@@ -23,7 +24,7 @@ def repair_streams() -> None:
     The next files that a program opens would have the numbers of closed ones, and what is printed
     would be written into them. Of output and errors, one stands in for the other.
     """
-    closed = [number for number in range(3) if not _is_open(number)]
+    closed = [number for number in range(3) if not os.path.exists(f"/dev/fd/{number}")]
     for _ in closed:
         os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
     for number, other in ((1, 2), (2, 1)):
@@ -37,22 +38,13 @@ def repair_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _is_open(number: int) -> bool:
-    try:
-        os.fstat(number)
-    except OSError:
-        return False
-    return True
-
-
 def check_open_files() -> None:
     """Raises OctarmError if the system lets this process open too few files to do anything."""
-    try:
-        import resource
-    except ImportError:  # not on POSIX
-        return
     limit, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    needed = _open_files() + _FILES
+    try:
+        needed = len(os.listdir("/dev/fd")) + _FILES
+    except OSError:  # no further file can be opened
+        needed = 3 + _FILES
     if not 0 <= limit < needed:  # a negative number stands for no limit
         return
     if 0 <= most < needed:
@@ -62,23 +54,18 @@ def check_open_files() -> None:
     resource.setrlimit(resource.RLIMIT_NOFILE, (needed, most))
 
 
-def _open_files() -> int:
-    try:
-        return len(os.listdir("/dev/fd"))
-    except OSError:  # there is none, or no further file can be opened
-        return 3
-
-
-def surviving_output(work: Callable[[], int]) -> Callable[[], int]:
-    """Work whose results are in files, so that it goes on although standard output fails.
+def surviving_output(
+    work: Callable[..., int | None], *arguments: Any, **options: Any
+) -> Callable[[], int | None]:
+    """Work with its arguments whose results are in files: it goes on although output fails.
 
     What a standard output that is full does not take goes to standard error; whoever has closed a
     pipe has seen enough.
     """
 
-    def survivor() -> int:
+    def survivor() -> int | None:
         with contextlib.redirect_stdout(_Stream(sys.stdout, sys.stderr)):
-            return work()
+            return work(*arguments, **options)
 
     return survivor
 

@@ -18,10 +18,10 @@ from controllers.gain_sets import GainSet, shortest
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
 from octarm.bars import bar as new_bar
-from octarm.commands.options import NOMINAL_ARM, USUAL_GAINS, ArmOptions, GainOptions
+from octarm.commands.options import USUAL_GAINS, GainOptions, TuneOptions
 from octarm.declared import Code, lacking, short_name
 from octarm.disturbances.spelling import parse_disturbance
-from octarm.errors import ExitCode, OctarmError, printable
+from octarm.errors import OctarmError, printable
 from octarm.files import write_text
 from octarm.interfaces import Tunable
 from octarm.simulation.engines import usual_engine
@@ -32,58 +32,61 @@ from octarm.sweeps.tune_cost import FORMULA, LARGEST, Examination, Rig
 from octarm.sweeps.workers import WorkerProcesses, cores
 
 
-@dataclasses.dataclass(frozen=True)
-class Options:
-    """What `octarm tune` is given besides the controller, as the command line has it."""
-
-    out: Path
-    seconds: float
-    seed: int
-    resume: bool
-    force: bool
-    engine: str | None
-    model: ArmOptions = NOMINAL_ARM
-    gains: GainOptions = USUAL_GAINS
-    reference: str | None = None
-    disturbances: tuple[str, ...] = ()
-    workers: int | None = None
-
-    @property
-    def rig(self) -> Rig:
-        """What gains are tried on."""
-        engine, model = usual_engine() if self.engine is None else self.engine, self.model
-        given = model.arm is not None or model.parameter
-        return Rig(
-            engine,
-            model.plant_modules,
-            model.layout,
-            model.sensing,
-            model.true_arm() if given else None,
-            self.reference,
-            tuple(map(parse_disturbance, self.disturbances)),
-            model.mismatch,
-            model.factors(),
+def tune(controller: str, options: TuneOptions) -> None:
+    """`octarm tune`: gains for one controller, as a TOML file."""
+    assert options.out is not None
+    out, budget, rig = options.out, Budget.within(options.budget), _rig(options)
+    rig.check()
+    if misses := lacking(CONTROLLERS[controller], knobs=[], scales=[]):
+        raise OctarmError(
+            f"{short_name(controller)} {misses}; a controllers.law.Law has it, and "
+            "octarm.interfaces.Tunable says what it answers"
         )
+    if options.force and not options.resume:
+        state_file(out).unlink(missing_ok=True)
+    tuned = _search(controller, out, budget, rig, options)
+    origin = {
+        "command": _command(controller, options),
+        "date": datetime.date.today(),
+        "seed": options.seed,
+        "budget": options.budget,
+        **rig.settings(),
+    }
+    name, code, start = short_name(controller), CONTROLLERS.code(controller), _start(options)
+    write_text(out, gain_set(name, rig.arm(), origin, budget, tuned, code, start).to_toml())
+    state_file(out).unlink(missing_ok=True)
+    _print_summary(name, budget, tuned, start)
+    print(f"wrote {printable(str(out))}")
+    gains, word = (printable(shlex.quote(str(each))) for each in (out, controller))
+    print(f"try it: octarm run --controller {word} --gains {gains}")
 
-    @property
-    def start(self) -> str:
-        """What the gains are called that the search begins around."""
-        return "recommended" if self.gains == USUAL_GAINS else "start"
 
-    def factory(self, controller: str) -> Callable[..., Tunable]:
-        """What makes a controller from its nominal model and gains, those not given as at first."""
-        return functools.partial(
-            _with_gains, controller, self.gains.gains or "recommended", self.gains.values()
-        )
+def _rig(options: TuneOptions) -> Rig:
+    """What gains are tried on."""
+    model = options.model
+    given = model.arm is not None or model.parameter
+    return Rig(
+        options.engine or usual_engine(),
+        model.plant_modules,
+        model.layout,
+        model.sensing,
+        model.true_arm() if given else None,
+        options.reference,
+        tuple(map(parse_disturbance, options.disturbance)),
+        model.mismatch,
+        model.factors(),
+    )
 
-    def command(self, controller: str) -> str:
-        """The command line that finds the same gains."""
-        words = ["octarm", "tune", controller, "--budget", f"{self.seconds:g}"]
-        words += ["--seed", str(self.seed)]
-        words += ["--engine", self.engine] if self.engine is not None else []
-        words += ["--reference", self.reference] if self.reference is not None else []
-        words += [f"--disturbance={each}" for each in self.disturbances]
-        return shlex.join([*words, *self.model.command(), *self.gains.command()])
+
+def _start(options: TuneOptions) -> str:
+    """What the gains are called that the search begins around."""
+    return "recommended" if options.gain_options == USUAL_GAINS else "start"
+
+
+def _factory(controller: str, gains: GainOptions) -> Callable[..., Tunable]:
+    """What makes a controller from its nominal model and gains, those not given as at first."""
+    gain_set = gains.gains or "recommended"
+    return functools.partial(_with_gains, controller, gain_set, gains.values())
 
 
 def _with_gains(
@@ -96,46 +99,30 @@ def _with_gains(
     return make_controller(controller, nominal, {**begun, **gains}, gain_set=gain_set)
 
 
-def tune(controller: str, options: Options) -> int:
-    """`octarm tune`: gains for one controller, as a TOML file."""
-    out, budget, rig = options.out, Budget.within(options.seconds), options.rig
-    rig.check()
-    _check_knobs(controller)
-    if options.force and not options.resume:
-        state_file(out).unlink(missing_ok=True)
-    tuned = _search(controller, budget, options)
-    origin = {
-        "command": options.command(controller),
-        "date": datetime.date.today(),
-        "seed": options.seed,
-        "budget": options.seconds,
-        **rig.settings(),
-    }
-    name, code = short_name(controller), CONTROLLERS.code(controller)
-    write_text(out, gain_set(name, rig.arm(), origin, budget, tuned, code, options.start).to_toml())
-    state_file(out).unlink(missing_ok=True)
-    _print_summary(name, budget, tuned, options.start)
-    print(f"wrote {printable(str(out))}")
-    gains, word = (printable(shlex.quote(str(each))) for each in (out, controller))
-    print(f"try it: octarm run --controller {word} --gains {gains}")
-    return ExitCode.FINE
+def _command(controller: str, options: TuneOptions) -> str:
+    """The command line that finds the same gains."""
+    words = ["octarm", "tune", controller, "--budget", f"{options.budget:g}"]
+    words += ["--seed", str(options.seed)]
+    words += ["--engine", options.engine] if options.engine is not None else []
+    words += ["--reference", options.reference] if options.reference is not None else []
+    words += [f"--disturbance={each}" for each in options.disturbance]
+    return shlex.join([*words, *options.model.command(), *options.gain_options.command()])
 
 
-def _search(controller: str, budget: Budget, options: Options) -> Tuned:
+def _search(controller: str, out: Path, budget: Budget, rig: Rig, options: TuneOptions) -> Tuned:
     """The search, with a bar on its progress and its state on disk."""
-    out, resume = options.out, options.resume
-    factory, nominal = options.factory(controller), options.rig.arm()
+    factory, nominal = _factory(controller, options.gain_options), rig.arm()
     space = Space(factory(nominal, {}), nominal.modules)
-    depends_on = settings(controller, space, budget, options.seed, options.rig)
+    depends_on = settings(controller, space, budget, options.seed, rig)
     code = CONTROLLERS.code(controller)
     depends_on |= {} if code is None else {"code": code.sha256}
     file = StateFile(state_file(out), depends_on)
-    if file.path.exists() and not resume:
+    if file.path.exists() and not options.resume:
         raise OctarmError(
             f"{file.path} keeps a search that was interrupted; go on with it by --resume, or "
             "begin it anew by --force"
         )
-    state = file.read() if resume else None
+    state = file.read() if options.resume else None
     workers = options.workers or cores()
     pool = WorkerProcesses(workers) if workers > 1 else contextlib.nullcontext()
     bar = new_bar(total=budget.seconds, unit=" simulated s", unit_scale=True)
@@ -153,23 +140,14 @@ def _search(controller: str, budget: Budget, options: Options) -> Tuned:
                 state=state,
                 keep=keep,
                 progress=bar.update,
-                rig=options.rig,
+                rig=rig,
                 workers=processes,
             )
     except KeyboardInterrupt:
         if not file.path.exists():
             raise KeyboardInterrupt("nothing was written") from None
         more = shlex.join(["--out", str(out), "--resume"])
-        raise KeyboardInterrupt(f"go on by: {options.command(controller)} {more}") from None
-
-
-def _check_knobs(controller: str) -> None:
-    """Raises OctarmError for a law that does not say what tuning may turn."""
-    if misses := lacking(CONTROLLERS[controller], knobs=[], scales=[]):
-        raise OctarmError(
-            f"{short_name(controller)} {misses}; a controllers.law.Law has it, and "
-            "octarm.interfaces.Tunable says what it answers"
-        )
+        raise KeyboardInterrupt(f"go on by: {_command(controller, options)} {more}") from None
 
 
 def state_file(out: Path) -> Path:
@@ -257,14 +235,9 @@ def _print_summary(controller: str, budget: Budget, tuned: Tuned, start: str) ->
         print(f"  {name:<10} of {trial.duration:>4g} s {means}")
     lost = [s for s, cost in zip(budget.long.scenarios, tuned.long, strict=True) if cost >= LARGEST]
     for scenario in lost:
-        print(f"  lost: {_words(scenario)}")
+        print(f"  lost: {', '.join(f'{name} {x}' for name, x in _unusual(scenario).items())}")
     if tuned.at_bounds:
         print(f"  as small or large as allowed: {', '.join(tuned.at_bounds)}")
-
-
-def _words(scenario: Scenario) -> str:
-    """A scenario in words."""
-    return ", ".join(f"{name} {value}" for name, value in _unusual(scenario).items())
 
 
 def _unusual(scenario: Scenario) -> dict[str, Any]:

@@ -7,12 +7,12 @@ import functools
 from dm_control import viewer
 
 from controllers import make_controller
-from octarm.errors import ExitCode, OctarmError
+from octarm.errors import OctarmError
 from octarm.runs.experiment import Experiment
 from octarm.simulation.policy import Policy
 
 
-def view(experiment: Experiment, gain_set: str | None) -> int:
+def view(experiment: Experiment, gain_set: str | None) -> None:
     """`octarm view`: the arm in dm_control's viewer, moved by a controller."""
     factory = functools.partial(make_controller, gain_set=gain_set)
     environment, controller = experiment.begin(factory)
@@ -23,4 +23,3 @@ def view(experiment: Experiment, gain_set: str | None) -> int:
         if type(error).__name__ not in ("GLFWError", "FatalError", "RuntimeError"):
             raise
         raise OctarmError(f"the window cannot be opened: {error}") from None
-    return ExitCode.FINE

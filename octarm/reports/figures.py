@@ -55,6 +55,11 @@ class Picture(NamedTuple):
         """The figure to stand in a page."""
         return inline_svg(self.svg, self.name.replace(".", "-"), self.caption)
 
+    def files(self, folder: Path) -> dict[Path, bytes]:
+        """What to write into a folder: the figure in both formats."""
+        ending = {".svg": self.svg.encode(), ".png": self.png}
+        return {folder / f"{self.name}{end}": content for end, content in ending.items()}
+
 
 @contextlib.contextmanager
 def figure_style() -> Generator[None]:

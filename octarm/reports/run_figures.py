@@ -62,8 +62,7 @@ def write_figures(
         warnings.simplefilter("ignore")  # a number without end is drawn as none
         for name, figure in _Drawing(run, description).figures():
             picture = save_figure(name, "", figure)
-            drawn[Path(folder) / f"{name}.svg"] = picture.svg.encode()
-            drawn[Path(folder) / f"{name}.png"] = picture.png
+            drawn |= picture.files(Path(folder))
     write_files(drawn)
     return list(drawn)
 

@@ -1,0 +1,76 @@
+"""The commands on what is your own: arm, new."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+from octarm.commands import kinds
+from octarm.commands.options import ARM_ITSELF, NO_LOOP, LoopOptions, SourceOptions
+from octarm.commands.terminal import surviving_output
+
+
+def arm(
+    *arms: Annotated[str, kinds.FILE_OR_ARM],
+    source: SourceOptions = ARM_ITSELF,
+    write: Annotated[Path | None, kinds.file(".toml"), kinds.OUTPUT] = None,
+    out: Annotated[Path | None, kinds.file(".png"), kinds.OUTPUT] = None,
+    force: Annotated[bool, kinds.OUTPUT] = False,
+    loop: LoopOptions = NO_LOOP,
+) -> kinds.Work:
+    r"""Say what the numbers of an arm mean.
+
+    Prints how it hangs, its modes with frequencies and damping ratios, the longest stable physics
+    step, the largest bends that the input range allows, and how well its matrices are conditioned.
+
+    With --controller also whether the sampled loop about rest is stable: the longest control
+    period, and what grows first beyond it. Nothing is simulated for that. Exit code 1 if a loop is
+    unstable at --control-period.
+
+    Args:
+        arms: files NAME.toml with numbers and their units, or arms that come with octarm; the
+            nominal arm when none is given
+        source: see `octarm.commands.options`
+        write: write the arm to this file, in SI units
+        out: draw the arm into this file
+        force: replace files that are there
+        loop: see `octarm.commands.options`
+
+    Examples:
+      octarm arm my-arm.toml --out my-arm.png
+      octarm arm --from-rod length=.36,EA=240,EI=.384:.2,modules=15 --write rod.toml
+      octarm arm --from-rod modules=30 --fit-modules 3 --write fitted.toml
+      octarm arm eth --controller smc-boundary --controller afsmc \
+        --control-period 0.001
+      octarm arm --controller afsmc --plant-modules 15 --roll-off 60
+    """
+    kinds.check_free(force, write, out)
+    for word in arms:
+        kinds.arm("", word)
+    from octarm.commands import arm as work
+
+    return surviving_output(work.arm, arms, source, loop, write, out)
+
+
+def new(
+    kind: Annotated[str, kinds.KIND], name: Annotated[str, kinds.kind("NAME")], /
+) -> kinds.Work:
+    """Write a commented file to start from, which runs as it is.
+
+    Into the working folder, as NAME.py with a class of this name, or NAME.toml. A file that is
+    there already stays as it is. What you make of it needs no place in octarm: every command takes
+    FILE.py:NAME, or MODULE:NAME of an installed package.
+
+    Args:
+        kind: what it is to be
+        name: of your own, such as my-law
+
+    Examples:
+      octarm new controller my-law
+      octarm new disturbance soft-wall
+      octarm new experiment first
+    """
+    from octarm.commands import new as work
+
+    return partial(work.new, kind, name)
