@@ -34,12 +34,14 @@ from controllers.sliding_mode import SlidingMode as SlidingMode
 from controllers.super_twisting import SuperTwisting as SuperTwisting
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
+from octarm.arm.roll_off import RolledOff
 from octarm.arrays import read_only
 from octarm.declared import Declared, lacking, short_name
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import NominalModel, Tunable
 
 _MISSING = dataclasses.MISSING
+_ROLL_OFF = GainField("corner of the roll-off of the force", "1/s")
 
 
 def _lacks(thing: Any) -> str:
@@ -83,8 +85,8 @@ def check_gains(controller: str, gains: Iterable[str]) -> None:
 
 
 def _gain_names(law: Any) -> dict[str, str]:
-    """The fields of a controller that are gains, by how users spell them."""
-    names = [field.name for field in dataclasses.fields(law) if field.init]
+    """The fields of a controller that are gains, by how users spell them, and `roll_off`."""
+    names = ["roll_off", *(field.name for field in dataclasses.fields(law) if field.init)]
     return {spelled(name): name for name in names if name != "nominal"}
 
 
@@ -102,7 +104,8 @@ def make_controller(
         nominal: the model of the arm; parameters stand for the analytic model with them.
         gains: by name in SI, each a number or an array that broadcasts to (..., 2N), unless its
             field says otherwise; those of the gain set where not given. `lambda` stands for
-            `lambda_`.
+            `lambda_`. Every law takes `roll_off`, a corner [Hz] beyond which its force is rolled
+            off, see `octarm.arm.roll_off`.
         gain_set: `tuned`, `recommended`, or a file NAME.toml of `octarm tune`, or what such a file
             holds; tuned gains where there are any, else recommended ones, when not given. They are
             scaled by the nominal model.
@@ -118,8 +121,11 @@ def make_controller(
             raise OctarmError(f"{name} comes without tuned gains; `octarm tune` finds some")
         gain_set = "recommended" if gain_set is None else gain_set
     model = LagrangeModel(nominal) if isinstance(nominal, ArmParameters) else nominal
-    given, declared = dict(gains or {}), gain_fields(law)
-    fields = _gain_names(law)
+    given, declared = dict(gains or {}), {"roll_off": _ROLL_OFF, **gain_fields(law)}
+    fields, known = (
+        _gain_names(law),
+        {field.name for field in dataclasses.fields(law) if field.init},
+    )
     starting: dict[str, Any] = {
         gain: declared[field].start(model)
         for gain, field in fields.items()
@@ -134,6 +140,7 @@ def make_controller(
             starting.pop(gain, None)
     check_gains(word, {**starting, **given})
     values: dict[str, Any] = {fields[gain]: value for gain, value in {**starting, **given}.items()}
+    corner = None if "roll_off" in known else values.pop("roll_off", None)
     if not issubclass(law, Law):  # which checks its gains itself
         for each in dataclasses.fields(law):
             if each.name in values:
@@ -142,10 +149,11 @@ def make_controller(
     needed = [f.name for f in dataclasses.fields(law) if f.init and _default(f) is _MISSING]
     if missing := [spelled(f) for f in needed if f not in values and f != "nominal"]:
         raise OctarmError(f"{name} needs the gain {missing[0]}; it recommends no value")
-    if any(field.name == "nominal" and field.init for field in dataclasses.fields(law)):
-        values["nominal"] = model
-    made: Any = law(**values)
-    return made
+    made: Any = law(**values, **({"nominal": model} if "nominal" in known else {}))
+    if corner is None:
+        return made
+    corner = _ROLL_OFF.checked("roll_off", corner, model)
+    return RolledOff(law=made, roll_off=corner, scale=np.asarray(_ROLL_OFF.scaled(1.0, model)))
 
 
 def _checked(

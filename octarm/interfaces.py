@@ -129,9 +129,9 @@ class Instant(NamedTuple):
 # k consecutive control instants as named fields, each of shape (k, ...): `t`, `q`, `v`, `q_d`,
 # `v_d`, `tau`, `force` and `disturbance` as in `Instant`, `plant_q` and `plant_tip` where there are
 # any, the controller's signals by name, and `q_measured` and `v_measured` where one arm is recorded
-# while sensors act. Those of `WITHIN` have shape (k, m, ...) for the m physics steps of a control
-# period, see `Within`; but for `received` they are there only if m > 1, since for m = 1 they are
-# `q`, `q_d` and `plant_tip`.
+# whose sensors do not read q and v. Those of `WITHIN` have shape (k, m, ...) for the m physics
+# steps of a control period, see `Within`; but for `received` they are there only if m > 1, since
+# for m = 1 they are `q`, `q_d` and `plant_tip`.
 # The arrays are read-only for whoever gets them, and their memory may be used again afterwards.
 Rows = Mapping[str, np.ndarray]
 WITHIN = ("received", "q_steps", "q_d_steps", "plant_tip_steps")

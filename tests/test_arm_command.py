@@ -188,6 +188,20 @@ def test_it_says_whether_loops_are_stable():
     said("arm", "--controller", "pd", *slow, code=1)
 
 
+def test_it_says_so_of_a_finer_plant_and_of_a_roll_off():
+    words = ["--controller", "smc-boundary", "--gains", "recommended"]
+    plant = [*words, "--plant-modules", "9", "--layout", "centred", "--control-period", "0.0005"]
+    text = said("arm", *plant, "--roll-off", "60")  # in Hz
+    assert "the model exact, on a plant of 9 modules (centred)" in text
+    held = [
+        float(re.search(r"^smc-boundary +([\d.]+) ms", x, re.M)[1])
+        for x in (text, said("arm", *plant, code=1), said("arm", *words))
+    ]
+    assert held[0] > 2.0 * held[1] and held[2] > 5.0 * held[1]
+    assert "roll_off holds 0" in said("arm", *words, "--roll-off", "0", code=2)
+    assert "must be a multiple" in said("arm", *words, "--plant-modules", "10", code=2)
+
+
 # Arms in other commands
 
 

@@ -41,8 +41,9 @@ SHARED = {
         "--parameter": "NAME:VALUES ..",
         "--plant-modules": "N",
         "--layout": "LAYOUT paper",
+        "--sensing": "SENSING groups",
     },
-    "gains": {"--gains": "GAINS", "--gain": "NAME:VALUES .."},
+    "gains": {"--gains": "GAINS", "--gain": "NAME:VALUES ..", "--roll-off": "HZ"},
 }
 SHARED_MODEL = SHARED["the arm, and the model that the controller believes"]
 OPTIONS: dict[str, dict[str, dict[str, str]]] = {
@@ -56,7 +57,9 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
         "stability of the sampled loop": {
             "--controller": "CONTROLLER ..",
             "--gains": "GAINS",
+            "--roll-off": "HZ",
             "--control-period": "S",
+            "--plant-modules": "N",
         },
     },
     "run": {
@@ -92,7 +95,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--arm": "ARM",
             "--mismatch": "X 0",
         },
-        "gains": {"--gains": "GAINS", "--gain": "NAME:VALUES .."},
+        "gains": {"--gains": "GAINS", "--gain": "NAME:VALUES ..", "--roll-off": "HZ"},
         "simulation": {"--control-period": "S"},
     },
     "compare": {"options": {"--out": "DIR", "--force": ""}},
@@ -170,6 +173,8 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
         "options": {
             "--controllers": "",
             "--engines": "",
+            "--plant-modules": "N",
+            "--layout": "LAYOUT paper",
             "--arm": "ARM",
             "--rod": "",
             "--modules": "N 3",
@@ -458,6 +463,7 @@ BAD_INPUT = [
     "run --arm eht",
     "run --engine lagrang",
     "run --layout central",
+    "run --sensing plate",
     "run --parameter wdith:1",
     "run --nominal mas:1",
     "run --gains tuend",

@@ -41,6 +41,47 @@ def test_every_law_is_compared_under_every_disturbance():
     assert all(check.measured < 1e-12 and check.high == 1e-9 for check in table.checks)
 
 
+@pytest.mark.parametrize("law", ["pd", "super-twisting"])
+def test_engines_are_compared_on_all_modules_of_a_finer_plant(
+    law: str, monkeypatch: pytest.MonkeyPatch
+):
+    """They agree on it, and a module inside a group that is off by 1e-5 shows."""
+    options = {"duration": 0.02, "plant_modules": 9, "layout": "centred"}
+    table = engines.compare_engines(P, make_controller, [law], ["super-twisting"], **options)
+    assert table.passed and "on a plant of 9 modules (centred)" in table.title
+    assert table.checks[0].measured < 1e-12
+    real = analytic.PlantRows.write
+
+    def wrong(self, p, gravity_angle=0.0):
+        softer = np.where(np.arange(9) == 4, 1.0 - 1e-5, 1.0)
+        return real(self, p.scaled(stiffness=softer), gravity_angle)
+
+    monkeypatch.setattr(analytic.PlantRows, "write", wrong)
+    again = engines.compare_engines(P, make_controller, [law], ["super-twisting"], **options)
+    assert not again.passed
+
+
+def test_the_command_rolls_forces_off_on_a_finer_plant(monkeypatch: pytest.MonkeyPatch, capsys):
+    from octarm.commands import validate
+
+    asked: list[dict] = []
+    real = validate.compare_engines
+
+    def short(arm, make, laws, switching, **options):
+        asked.append(options | {"law": make("pd", arm)})
+        return real(arm, make, ["pd"], switching, **(options | {"duration": 0.005}))
+
+    monkeypatch.setattr(validate, "compare_engines", short)
+    assert main(["validate", "--engines", "--plant-modules", "9", "--layout", "centred"]) == 0
+    assert "on a plant of 9 modules (centred)" in capsys.readouterr().out
+    assert asked[0]["plant_modules"] == 9 and asked[0]["layout"] == "centred"
+    assert asked[0]["law"].roll_off == pytest.approx(62.6, rel=1e-3)
+    assert main(["validate", "--plant-modules", "9"]) == 2
+    assert "is given without --engines" in capsys.readouterr().err
+    assert main(["validate", "--engines", "--plant-modules", "10"]) == 2
+    assert "must be a multiple of the arm's 3" in capsys.readouterr().err
+
+
 def test_each_arm_has_one_disturbance_of_its_own():
     for i, disturbance in enumerate(engines.one_each()):
         values = next(x for x in vars(disturbance).values() if isinstance(x, np.ndarray)).ravel()

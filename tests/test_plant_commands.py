@@ -45,16 +45,19 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "lagrange"])
-def test_a_run_says_which_plant_it_was_and_comes_out_again(engine: str, capsys):
+@pytest.mark.parametrize(("engine", "sensing"), [("mujoco", "groups"), ("lagrange", "plates")])
+def test_a_run_says_which_plant_it_was_and_comes_out_again(engine: str, sensing: str, capsys):
     acting = ["--disturbance", "noise:0.4", "--disturbance", "pulse:1,on=tip-x,length=1"]
     of_plant = ["--plant-modules", "15", "--layout", "centred", "--engine", engine]
-    assert main([*SHORT, *of_plant, *acting]) == 0
+    assert main([*SHORT, *of_plant, *acting, "--sensing", sensing]) == 0
     out = capsys.readouterr().out
-    assert "smc-boundary on sine, a plant of 15 modules (centred): " in out
+    read = "" if sensing == "groups" else ", read by plates"
+    assert f"smc-boundary on sine, a plant of 15 modules (centred{read}): " in out
     run, description = runs.read_run(Path("a"))
     groups = Groups.of(ARM, 15, "centred")
     assert description["plant"]["modules"] == 15 and description["plant"]["layout"] == "centred"
+    assert description["plant"]["sensing"] == sensing
+    assert ("q_measured" in run.signals) == (sensing == "plates")
     given = description["plant"]["map"]
     np.testing.assert_array_equal(given["matrix"], groups.matrix)
     np.testing.assert_array_equal(given["offset"], groups.offset)
@@ -63,7 +66,7 @@ def test_a_run_says_which_plant_it_was_and_comes_out_again(engine: str, capsys):
     assert main(["verify", "a"]) == 0
     assert "identical" in capsys.readouterr().out
     changed = json.loads(Path("a/run.json").read_text())
-    changed["plant"]["layout"] = "paper"
+    changed["plant"] |= {"layout": "paper"} if sensing == "groups" else {"sensing": "groups"}
     Path("a/run.json").write_text(json.dumps(changed))
     assert main(["verify", "a"]) == 1
 
@@ -89,6 +92,7 @@ def test_a_recording_has_the_true_curve_beside_the_believed_one():
         (("--plant-modules", "10"), "the plant is to have 10 modules; it must be a multiple of"),
         (("--plant-modules", "0"), "plant-modules is 0; it must be at least 1"),
         (("--layout", "centred"), "plant_modules must say of how many"),
+        (("--sensing", "plates"), "sensing is 'plates', that of a plant of more modules"),
         (("--plant-modules", "9", "--layout", "papr"), "unknown layout 'papr', did you mean 'pa"),
         (("--plant-modules", "30"), "timestep is 0.0001 s; the fastest mode of the arm decays at"),
     ],
@@ -164,6 +168,27 @@ def test_sizes_of_the_plant_are_an_axis_of_sweeps(engine: str):
             apart = whole["engine_difference"].drop_null().to_pylist()
             assert all(x < 1e-9 for x in apart)
     assert parse_spec(spec.to_toml()) == spec
+
+
+def test_what_is_read_is_an_axis_of_sweeps():
+    text = """controller = "pd"\nduration = 0.02\ntimestep = 2e-4\nengine = "lagrange"
+plant_modules = 9\n[grid]\nsensing = ["groups", "plates"]\n[disturbance]\npayload = 0.1\n"""
+    spec = parse_spec(text)
+    plan, digests = Plan(spec), []
+    assert plan.episodes == 2 and parse_spec(spec.to_toml()) == spec
+    for shard, sensing in enumerate(("groups", "plates")):
+        table = run_shard(spec, shard, FACTORY)
+        assert table["sensing"].to_pylist() == [sensing]
+        options = {"plant_modules": 9, "timestep": 2e-4, "engine": "lagrange", "sensing": sensing}
+        alone = comparable(run_arms(plan, plan.episode(shard), FACTORY))
+        assert alone.equals(comparable(table))
+        digests += table["digest"].to_pylist()
+        assert load(**options).physics.groups.sensing == sensing
+    assert digests[0] != digests[1]
+    with pytest.raises(OctarmError, match=r"line 2: sensing is 'plates', that of a plant of more"):
+        parse_spec('controller = "pd"\nsensing = "plates"\n')
+    with pytest.raises(OctarmError, match=r"unknown.*plate|plate.*groups"):
+        parse_spec('controller = "pd"\nplant_modules = 9\nsensing = "plate"\n')
 
 
 def test_a_step_that_is_too_long_for_one_plant_of_a_sweep_is_refused():

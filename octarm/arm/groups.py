@@ -18,6 +18,8 @@ the unloaded groups those of the modules: half an element for the last one.
 Forces act on the plant by virtual work: Q_M does the work Q_M^T v_M, hence Q_N = B^T Q_M, which is
 a tension and a moment through each group, one muscle on each side. Input forces give
 Q_N = B^T F_coeff(q_M) tau. The motors on the columns of the plant exert it exactly.
+
+What is read of q_M are these sums, or what plates between groups say, see `octarm.arm.plates`.
 """
 
 from __future__ import annotations
@@ -32,9 +34,11 @@ from octarm.arm.kinematics import last_axis, tip
 from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.arm.rod import LAYOUTS, check_layout
 from octarm.arrays import Entry
-from octarm.errors import OctarmError
+from octarm.errors import OctarmError, closest, quoted
 
 PAPER, CENTRED = LAYOUTS
+SENSINGS = ("groups", "plates")  # what is read: sums over groups, or arcs between their plates
+SUMS, PLATES = SENSINGS
 
 _Rows = Sequence[tuple[slice | np.ndarray, np.ndarray | None]]  # of a matrix, see `_rows`
 
@@ -49,6 +53,7 @@ class Groups:
         layout: of the chain, `paper` or `centred`.
         matrix: B, shape (2M, 2N) [1].
         offset: shape (..., 2M) [m], [rad].
+        sensing: what is read of q_M, one of `SENSINGS`.
     """
 
     arm: ArmParameters
@@ -56,15 +61,20 @@ class Groups:
     layout: str
     matrix: np.ndarray
     offset: np.ndarray
+    sensing: str = SUMS
 
     @classmethod
-    def of(cls, arm: ArmParameters, modules: int, layout: str = PAPER) -> Groups:
+    def of(
+        cls, arm: ArmParameters, modules: int, layout: str = PAPER, sensing: str = SUMS
+    ) -> Groups:
         """The plant of N modules, in a layout, that the arm of M stands for.
 
-        Its batch axes are the arm's. Raises OctarmError for another layout, or an N that is no
-        multiple of M up to 100.
+        Its batch axes are the arm's. Raises OctarmError for another layout or sensing, or an N that
+        is no multiple of M up to 100.
         """
         check_layout(layout)
+        if sensing not in SENSINGS:
+            raise OctarmError(f"unknown sensing {quoted(sensing)}{closest(sensing, SENSINGS)}")
         groups = arm.modules
         if not groups <= modules <= MOST_MODULES or modules % groups:
             raise OctarmError(
@@ -81,7 +91,7 @@ class Groups:
         if layout == CENTRED:
             sums_of_rest = _product(_rows(slides), plant.rest_length)
             offset[..., :groups] = arm.rest_length - sums_of_rest
-        return cls(arm, plant, layout, matrix, offset)
+        return cls(arm, plant, layout, matrix, offset, sensing)
 
     def measured(self, q: np.ndarray) -> np.ndarray:
         """q_M of the plant's coordinates, shapes (..., 2M) and (..., 2N) [m], [rad]."""
@@ -90,6 +100,10 @@ class Groups:
     def rates(self, v: np.ndarray) -> np.ndarray:
         """v_M of the plant's velocities, shapes (..., 2M) and (..., 2N) [m/s], [rad/s]."""
         return _product(self._sums, v)
+
+    def along(self, lengths: np.ndarray) -> np.ndarray:
+        """What each group has of lengths along the slides, shapes (..., M) and (..., N) [m]."""
+        return _product(self._slides, lengths)
 
     def spread(self, change: np.ndarray) -> np.ndarray:
         """The least change of q_N that changes q_M so, shapes (..., 2N) and (..., 2M)."""
@@ -127,8 +141,20 @@ class Groups:
         return np.repeat(values, self.plant.modules // self.arm.modules, axis=-1)
 
     @functools.cached_property
+    def beyond(self) -> np.ndarray:
+        """How far each group's plate is from where `along` ends, shape (..., M) [m].
+
+        In the layout `centred` the last one ends with the rigid piece behind the last hinge.
+        """
+        return np.cumsum(self.offset[..., : self.arm.modules], axis=-1)
+
+    @functools.cached_property
     def _sums(self) -> _Rows:
         return _rows(self.matrix)
+
+    @functools.cached_property
+    def _slides(self) -> _Rows:
+        return _rows(self.matrix[: self.arm.modules, : self.plant.modules])
 
     @functools.cached_property
     def _shares(self) -> _Rows:
@@ -144,19 +170,25 @@ class Groups:
         return self.plant.tip_length - self.arm.tip_length
 
 
-def groups_of(arm: ArmParameters, plant_modules: int | None, layout: str) -> Groups | None:
+def groups_of(
+    arm: ArmParameters, plant_modules: int | None = None, layout: str = PAPER, sensing: str = SUMS
+) -> Groups | None:
     """The groups of a plant of so many modules, if that is another one than the arm itself.
 
     Raises:
-        OctarmError: if there is no such plant, or a layout is given without a number of modules.
+        OctarmError: if there is no such plant, or its layout or its sensing is given without a
+            number of modules.
     """
-    groups = Groups.of(arm, arm.modules if plant_modules is None else plant_modules, layout)
-    if plant_modules is None and layout != PAPER:
-        raise OctarmError(
-            f"layout is {layout!r}, that of a plant of more modules; plant_modules must say of how "
-            "many"
-        )
-    return None if layout == PAPER and groups.plant.modules == arm.modules else groups
+    modules = arm.modules if plant_modules is None else plant_modules
+    groups = Groups.of(arm, modules, layout, sensing)
+    for name, value, usual in (("layout", layout, PAPER), ("sensing", sensing, SUMS)):
+        if plant_modules is None and value != usual:
+            raise OctarmError(
+                f"{name} is {value!r}, that of a plant of more modules; plant_modules must say of "
+                "how many"
+            )
+    the_arm = modules == arm.modules and (layout, sensing) == (PAPER, SUMS)
+    return None if the_arm else groups
 
 
 def _halved_at_borders(sums: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 All arms of a law are in one batch: one arm without disturbance, and one for each disturbance, of
 which the others have the neutral value. What is compared are the true coordinates, angles at the
-lever l/2.
+lever l/2; of a plant of more modules, those of all its modules.
 
 Where a law switches on sgn(s), rounding decides once s is so close to zero that the engines find
 another sign, or another size by a percent, and they part: such an arm is compared up to that
@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
+from octarm.arm.groups import PAPER, groups_of
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.mechanics import levers
 from octarm.disturbances.episode import Disturbance
@@ -25,6 +26,7 @@ from octarm.interfaces import Controller, Instant
 from octarm.simulation.engines import ENGINES, check_engine
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import simulate
+from octarm.simulation.steps import AUTO
 from octarm.tolerances import Check, CheckTable, run_checks
 
 ALLOWED = 1e-9  # distance [m]
@@ -39,8 +41,8 @@ class Motion(NamedTuple):
 
     Attributes:
         t: time, shape (T,) [s].
-        q: true coordinates, shape (T, n, 2N) [m], [rad].
-        read: what was read of them, likewise.
+        q: true coordinates of all modules, shape (T, n, 2N) [m], [rad].
+        read: what was read of the model's modules, shape (T, n, 2M).
         s: the sliding variable, shape (T, n, 2N) [m/s], [rad/s]; ones for a law without one.
     """
 
@@ -58,24 +60,37 @@ def compare_engines(
     *,
     duration: float = 10.0,
     seed: int = 0,
+    plant_modules: int | None = None,
+    layout: str = PAPER,
     progress: Callable[[str], None] | None = None,
 ) -> CheckTable:
     """A check for each law: how far the engines are apart under any of the disturbances.
 
     `make` gives a law by its name and the nominal model; `switching` are those that switch on
-    sgn(s). Runs have a duration [s]. The progress is called with the name of each part before it
-    starts. Raises OctarmError if an engine is not installed.
+    sgn(s). Runs have a duration [s]. The plant has as many modules as said in that layout, or is
+    the arm itself. The progress is called with the name of each part before it starts. Raises
+    OctarmError if an engine is not installed, or there is no such plant.
     """
     for engine in ENGINES:
         check_engine(engine)
+    groups = groups_of(parameters, plant_modules, layout)
+    lever = levers(parameters if groups is None else groups.plant)
 
     def checks(law: str) -> Iterator[Check]:
         controller = make(law, parameters.mismatched(-0.1))
-        one, two = (_motion(name, parameters, controller, duration, seed) for name in ENGINES)
-        yield _check(law, one, two, levers(parameters), law in switching)
+        one, two = (
+            _motion(controller, duration, parameters=parameters, engine=name, seed=seed, **plant)
+            for name in ENGINES
+        )
+        yield _check(law, one, two, lever, law in switching)
 
+    plant: dict[str, Any] = {}
+    on = ""
+    if groups is not None:
+        plant = {"plant_modules": plant_modules, "layout": layout, "timestep": AUTO}
+        on = f"on a plant of {plant_modules} modules ({layout}), "
     title = (
-        f"MuJoCo {mujoco.__version__} against the engine lagrange, in closed loop under "
+        f"MuJoCo {mujoco.__version__} against the engine lagrange, in closed loop {on}under "
         f"{len(DISTURBANCES)} disturbances, {duration:g} s, seed {seed}"
     )
     rows = run_checks({law: checks(law) for law in laws}, progress)
@@ -95,22 +110,15 @@ def one_each() -> list[Disturbance]:
     return listed
 
 
-def _motion(
-    engine: str, arm: ArmParameters, controller: Controller, duration: float, seed: int
-) -> Motion:
-    environment = load(
-        "sine",
-        parameters=arm,
-        disturbances=one_each(),
-        batch=len(DISTURBANCES) + 1,
-        seed=seed,
-        engine=engine,
-    )
+def _motion(controller: Controller, duration: float, **loaded: Any) -> Motion:
+    """A run in an environment that is loaded with all disturbances, and with what is given."""
+    environment = load("sine", disturbances=one_each(), batch=len(DISTURBANCES) + 1, **loaded)
     rows: list[tuple[float, np.ndarray, np.ndarray, np.ndarray]] = []
 
     def observe(instant: Instant) -> None:
         s = instant.command.signals.get("s", np.ones_like(instant.q))
-        rows.append((instant.measurement.t, instant.q, instant.measurement.q, s))
+        q = instant.q if instant.plant_q is None else instant.plant_q
+        rows.append((instant.measurement.t, q, instant.measurement.q, s))
 
     simulate(environment, controller, duration, observe)
     return Motion(*map(np.array, zip(*rows, strict=True)))

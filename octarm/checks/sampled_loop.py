@@ -15,6 +15,7 @@ for any motion about rest, and sufficient for small ones. States of the law that
 such as the centres of rules that have learnt nothing, are left out: they do not move.
 
 A plant of more modules than the model is measured by q_model = B q, and Q = B^T Q_model acts on it.
+Where the law's force is rolled off, see `octarm.arm.roll_off`, the filter's force is a state, too.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from scipy.linalg import expm
 from octarm.arm import lagrange
 from octarm.arm.modes import state_matrix
 from octarm.arm.parameters import ArmParameters
+from octarm.arm.roll_off import RolledOff
 from octarm.arrays import coordinate_names
 from octarm.errors import OctarmError
 from octarm.interfaces import Controller, Measurement, Reference
@@ -244,12 +246,21 @@ def loop_matrix(plant: LinearPlant, law: LinearLaw, period: float) -> np.ndarray
     return np.block([[phi + gamma @ law.F @ plant.M, gamma @ law.C], [law.R @ plant.M, law.S]])
 
 
+def _rolled_off(law: LinearLaw, decay: np.ndarray) -> LinearLaw:
+    """A law and the roll-off of its force f = a f + (1 - a) Q, which is a further state."""
+    n, k = law.C.shape
+    a = np.broadcast_to(decay, n)[:, None]
+    F, C = (1.0 - a) * law.F, np.hstack([(1.0 - a) * law.C, a * np.eye(n)])
+    S = np.hstack([law.S, np.zeros((k, n))])
+    return LinearLaw(F, C, np.vstack([law.R, F]), np.vstack([S, C]))
+
+
 class Loop:
     """A plant and a law, at any control period.
 
     Attributes:
         plant: what is controlled.
-        states: number of states of the law that show in Q.
+        states: number of states of the law that show in Q, but for those of a roll-off.
     """
 
     def __init__(
@@ -257,10 +268,13 @@ class Loop:
     ) -> None:
         """The loop; `NoSlopeError` if the law has no derivative at rest.
 
-        Unless it is learning, the law's state stays what it is after a first call at rest.
+        Unless it is learning, the law's state stays what it is after a first call at rest; that of
+        a roll-off moves all the same.
         """
         self.plant = plant
-        self._law: Callable[[float], LinearLaw] = lambda T: linear_law(controller, plant.rest, T)
+        self._filter = controller if isinstance(controller, RolledOff) else None
+        inner = controller if self._filter is None else self._filter.law
+        self._law: Callable[[float], LinearLaw] = lambda T: linear_law(inner, plant.rest, T)
         first = self._law(1e-3)
         self.states = len(first.S) if learning else 0
         if not self.states:  # what has no state does not depend on the time between calls
@@ -270,7 +284,10 @@ class Loop:
 
     def matrix(self, period: float) -> np.ndarray:
         """`loop_matrix` for a control period [s], shape (m + k, m + k)."""
-        return loop_matrix(self.plant, self._law(period), period)
+        law = self._law(period)
+        if self._filter is not None:
+            law = _rolled_off(law, self._filter.decay(period))
+        return loop_matrix(self.plant, law, period)
 
     def radius(self, period: float) -> float:
         """The spectral radius at a control period [s]; the loop is stable where it is below 1."""

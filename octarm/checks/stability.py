@@ -7,6 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from octarm.arm.groups import Groups
+from octarm.arm.lagrange import equilibrium
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.summary import milliseconds
 from octarm.checks.sampled_loop import LONGEST, LinearPlant, Loop, NoSlopeError, first_mode
@@ -23,15 +25,23 @@ class Stability:
     """
 
     def __init__(
-        self, p: ArmParameters, controllers: Mapping[str, Controller], period: float
+        self,
+        p: ArmParameters,
+        controllers: Mapping[str, Controller],
+        period: float,
+        groups: Groups | None = None,
     ) -> None:
-        """Computes them for a control period [s]."""
+        """Computes them for a control period [s]; on the plant of groups if they are given."""
+        plant, on = LinearPlant.of(p), ""
+        if groups is not None:
+            rest = groups.measured(equilibrium(groups.plant))
+            plant = LinearPlant.of(groups.plant, groups.matrix, rest)
+            on = f", on a plant of {groups.plant.modules} modules ({groups.layout})"
         self.lines = [
-            "sampled loop about rest, the model exact",
+            f"sampled loop about rest, the model exact{on}",
             f"controller          longest period  over {1e3 * period:g} ms  first to grow beyond",
         ]
         self.stable = True
-        plant = LinearPlant.of(p)
         for name, controller in controllers.items():
             try:
                 loop = Loop(plant, controller)

@@ -13,6 +13,7 @@ import numpy as np
 from controllers import CONTROLLERS, make_controller
 from octarm.arm.file import Arm, arm_toml, cannot_hang, read_arm_file
 from octarm.arm.fit import fit_modules
+from octarm.arm.groups import groups_of
 from octarm.arm.mjcf import nominal_parameters, physics_step
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
@@ -42,7 +43,7 @@ def arm(
         summary = ArmSummary.of(each)
         print("\n".join(summary.lines()))
         if loop.controller:
-            stability = _stability(each.parameters, loop)
+            stability = _stability(each.parameters, loop, source.layout)
             print("\n".join(stability.lines))
             stable &= stability.stable
         if write is not None:
@@ -58,13 +59,15 @@ def arm(
     return ExitCode.FINE if stable or loop.control_period is None else ExitCode.CHECK_FAILED
 
 
-def _stability(p: ArmParameters, loop: LoopOptions) -> Stability:
+def _stability(p: ArmParameters, loop: LoopOptions, layout: str) -> Stability:
     """The loops of an arm."""
     period = physics_step() if loop.control_period is None else loop.control_period
     check_period(period)
     short, _ = named((CONTROLLERS, word) for word in loop.controller)
-    laws = [make_controller(word, p, gain_set=loop.gains) for word in loop.controller]
-    return Stability(p, dict(zip(short, laws, strict=True)), period)
+    gains = {} if loop.roll_off is None else {"roll_off": loop.roll_off}
+    laws = [make_controller(word, p, gains, gain_set=loop.gains) for word in loop.controller]
+    finer = loop.plant_modules and groups_of(p, loop.plant_modules, layout)
+    return Stability(p, dict(zip(short, laws, strict=True)), period, finer or None)
 
 
 def _arms(names: Sequence[str], source: SourceOptions) -> list[Arm]:

@@ -14,6 +14,8 @@ def validate(
     *,
     controllers: bool = False,
     engines: bool = False,
+    plant_modules: Annotated[int | None, kinds.COUNT] = None,
+    layout: Annotated[str, kinds.LAYOUT] = "paper",
     arm: Annotated[str | None, kinds.ARM] = None,
     rod: bool = False,
     modules: Annotated[int, kinds.whole(1, 60)] = 3,
@@ -35,6 +37,8 @@ def validate(
             says, and that the misprints of the paper are noticed
         engines: check instead that mujoco and lagrange move the arm alike for 10 s, with every
             controller and under every disturbance; it takes minutes
+        plant_modules: of --engines: on a plant of so many modules, as octarm run has it, for 1 s
+        layout: of that plant
         arm: check this arm, a file NAME.toml or one that comes with octarm, instead of the nominal
             one
         rod: check instead how chains of 1 to 40 modules converge to the extensible rod that they
@@ -51,6 +55,7 @@ def validate(
     Examples:
       octarm validate --modules 5 --json report.json
       octarm validate --controllers
+      octarm validate --engines --plant-modules 9 --layout centred
       octarm validate --rod --out convergence
     """
     kinds.check_free(force, json, out and out / "convergence.png")
@@ -62,8 +67,8 @@ def validate(
     given = [name for name, flag in flags.items() if flag]
     if len(given) > 1:
         raise OctarmError(f"{' and '.join(given)} are given; one check at a time")
-    if arm is not None and (modules != 3 or random_parameters):
-        raise OctarmError("--arm is given, and so are --modules or --random-parameters")
+    if not engines and (plant_modules is not None or layout != "paper"):
+        raise OctarmError("--plant-modules or --layout is given without --engines, which takes it")
     if rod:
         if arm is not None:
             raise OctarmError("--arm is given, and so is --rod, which has its own chains")
@@ -72,7 +77,8 @@ def validate(
     if out is not None:
         raise OctarmError("--out is given without --rod, which alone draws figures")
     states = (3000 if controllers else 10_000) if states is None else states
-    compare = work.ledger if controllers else work.engines if engines else work.plant
+    of_engines = partial(work.engines, plant_modules=plant_modules, layout=layout)
+    compare = work.ledger if controllers else of_engines if engines else work.plant
     arms = work.arms(arm, modules, random_parameters, seed)
     job = partial(work.validate, compare, arms, states, seed, json)
     return surviving_output(job) if json else job

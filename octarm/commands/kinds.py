@@ -39,6 +39,7 @@ _WORDS = {
     "ENGINE": "octarm.simulation.engines:ENGINES",
     "START": "octarm.simulation.start:STARTS",
     "LAYOUT": "octarm.arm.rod:LAYOUTS",
+    "SENSING": "octarm.arm.groups:SENSINGS",
     "SHELL": "octarm.commands.kinds:SHELLS",
     "KIND": "octarm.commands.kinds:STARTS",
 }
@@ -228,8 +229,8 @@ CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
 VARIED = _declared("DISTURBANCE", "nominal-mismatch")  # see `octarm.sweeps.margin`
 CALLED = _declared("CONTROLLER", known=False)
 COLUMN = _declared("METRIC", known=False)  # of the table of a sweep
-ACTUATION, INTEGRATOR, ENGINE, LAYOUT, START = map(
-    _one_of, ("ACTUATION", "INTEGRATOR", "ENGINE", "LAYOUT", "START")
+ACTUATION, INTEGRATOR, ENGINE, LAYOUT, SENSING, START = map(
+    _one_of, ("ACTUATION", "INTEGRATOR", "ENGINE", "LAYOUT", "SENSING", "START")
 )
 GAINS, ARM = kind("GAINS", _gains), kind("ARM", arm)
 FILE_OR_ARM, SHELL, KIND = map(kind, ("ARM", "SHELL", "KIND"))  # operands: looked at last

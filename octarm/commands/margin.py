@@ -130,6 +130,7 @@ def _runs(
         parameters=model.true_arm(),
         plant_modules=model.plant_modules,
         layout=model.layout,
+        sensing=model.sensing,
         seed=options.seed,
         threads=cores(),
         catalogue=metrics,
@@ -180,8 +181,11 @@ def _heading(options: MarginOptions, varied: Varied, reference: str) -> list[str
     around += [f"the arm{several} {', '.join(options.arm)}"] if options.arm else []
     around += [*model.parameter]
     if model.plant_modules is not None:
-        around += [f"a plant of {model.plant_modules} modules, {model.layout}"]
+        read = "" if model.sensing == "groups" else f", read by {model.sensing}"
+        around += [f"a plant of {model.plant_modules} modules, {model.layout}{read}"]
     around += [f"gain {gain}" for gain in options.gain_options.gain]
+    if corner := options.gain_options.roll_off:
+        around += [f"roll-off {corner:g} Hz"]
     around += map(spelling, _fixed(options))
     seeds = f"{options.share:.0%} of {options.seeds} seeds"
     return [

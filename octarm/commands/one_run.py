@@ -129,6 +129,7 @@ def run(
             layout=model.layout,
             start=start,
             start_share=start_share,
+            sensing=model.sensing,
         )
         url = None if live is None else "".join(live)
         return work.run(what, gain_options.gains, out, view, url)

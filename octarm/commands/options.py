@@ -33,6 +33,8 @@ class ModelOptions:
         plant_modules: modules of the true arm, a multiple of the model's: a chain of the same rod,
             of which the controller knows groups; the model's modules when not given
         layout: of such a chain: paper, or centred with hinges in the middle of elements
+        sensing: what is read of it: groups for sums over groups of modules, or plates for arcs
+            between the plates that end them
     """
 
     mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0
@@ -40,6 +42,7 @@ class ModelOptions:
     parameter: Annotated[tuple[str, ...], kinds.kind("NAME:VALUES"), kinds.MODEL] = ()
     plant_modules: Annotated[int | None, kinds.COUNT, kinds.MODEL] = None
     layout: Annotated[str, kinds.LAYOUT, kinds.MODEL] = "paper"
+    sensing: Annotated[str, kinds.SENSING, kinds.MODEL] = "groups"
 
     def of(self, arm: str | None) -> ArmOptions:
         """The same options of an arm."""
@@ -112,10 +115,12 @@ class GainOptions:
             hand), or a file NAME.toml of octarm tune; tuned ones, in octarm tune recommended
             ones, when not given
         gain: one gain in SI, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
+        roll_off: corner of a roll-off of the force that the controller asks for [Hz]
     """
 
     gains: Annotated[str | None, kinds.GAINS, kinds.GAIN] = None
     gain: Annotated[tuple[str, ...], kinds.kind("NAME:VALUES"), kinds.GAIN] = ()
+    roll_off: Annotated[float | None, kinds.HZ, kinds.GAIN] = None
 
     def values(self, *controllers: str) -> Mapping[str, Any]:
         """The gains that are given one by one, by name [SI].
@@ -132,7 +137,7 @@ class GainOptions:
                 )
         for controller in controllers:
             check_gains(controller, gains)
-        return gains
+        return gains if self.roll_off is None else {**gains, "roll_off": self.roll_off}
 
     def command(self) -> list[str]:
         """The words of a command line that give the same options."""
@@ -268,7 +273,7 @@ class SourceOptions:
             damping_time [s] and gravity [m/s^2]; BASE:TIP for a property that tapers
         fit_modules: go on with the arm of so many modules that stands best for this one, and say
             what error remains in statics, modes and transients
-        layout: of the fitted modules, paper or centred
+        layout: of the fitted modules, and of the plant of --plant-modules: paper or centred
     """
 
     from_rod: Annotated[str | None, kinds.kind("KEY=VALUE,.."), kinds.SOURCE] = None
@@ -284,12 +289,16 @@ class LoopOptions:
     Attributes:
         controller: look at the loop with this controller
         gains: its gains, as in octarm run
+        roll_off: corner beyond which its force is rolled off, as in octarm run [Hz]
         control_period: time between control actions [s]; 0.0005 when not given
+        plant_modules: modules of the true arm, as in octarm run
     """
 
     controller: Annotated[tuple[str, ...], kinds.CONTROLLER, kinds.LOOP] = ()
     gains: Annotated[str | None, kinds.GAINS, kinds.LOOP] = None
+    roll_off: Annotated[float | None, kinds.HZ, kinds.LOOP] = None
     control_period: Annotated[float | None, kinds.S, kinds.LOOP] = None
+    plant_modules: Annotated[int | None, kinds.COUNT, kinds.LOOP] = None
 
 
 ARMS, SEARCH, SHARDS = MarginOptions(), TuneOptions(), SweepOptions()

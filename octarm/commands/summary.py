@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from octarm.arm.groups import SUMS
 from octarm.declared import BUILT_IN, Code
 from octarm.disturbances.ledger import in_words
 from octarm.metrics.declared import declared_metrics
@@ -35,7 +36,10 @@ def summary(
     rate = 1.0 / description["control_period"]
     simulated = rows * description["control_period"]
     plant = description.get("plant")
-    on = f", a plant of {plant['modules']} modules ({plant['layout']})" if plant else ""
+    on = ""
+    if plant:
+        read = "" if plant["sensing"] == SUMS else f", read by {plant['sensing']}"
+        on = f", a plant of {plant['modules']} modules ({plant['layout']}{read})"
     lines = [
         f"{description['controller']['name']} on {description['reference']['name']}{on}: "
         f"{simulated:g} s at {rate:g} Hz, done in {elapsed:.1f} s"

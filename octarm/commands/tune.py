@@ -69,6 +69,7 @@ def _rig(options: TuneOptions) -> Rig:
         options.engine or usual_engine(),
         model.plant_modules,
         model.layout,
+        model.sensing,
         model.true_arm() if given else None,
         options.reference,
         tuple(map(parse_disturbance, options.disturbance)),

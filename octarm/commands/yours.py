@@ -43,6 +43,7 @@ def arm(
       octarm arm --from-rod modules=30 --fit-modules 3 --write fitted.toml
       octarm arm eth --controller smc-boundary --controller afsmc \
         --control-period 0.001
+      octarm arm --controller afsmc --plant-modules 15 --roll-off 60
     """
     kinds.check_free(force, write, out)
     for word in arms:

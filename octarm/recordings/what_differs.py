@@ -104,7 +104,7 @@ def _aspects(description: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     for key, value in description.get("reference", {}).items():
         yield "reference" if key == "name" else f"reference's {key}", value
     plant: Mapping[str, Any] = description.get("plant", {})
-    for key in ("modules", "layout"):
+    for key in ("modules", "layout", "sensing"):
         yield f"plant's {key}", plant.get(key)
     for key in _SETTINGS:
         yield key, description.get(key, USUAL.get(key))

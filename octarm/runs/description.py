@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat
 
+from octarm.arm.groups import SUMS
 from octarm.declared import Code
 from octarm.disturbances.ledger import Drawn
 from octarm.formats import Array, Model
@@ -40,6 +41,7 @@ class Plant(_Table):
 
     modules: Annotated[int, Field(ge=1)]
     layout: str
+    sensing: str = SUMS
 
 
 class _Coordinate(_Table):

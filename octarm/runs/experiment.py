@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from dm_control.rl import control
 
-from octarm.arm.groups import PAPER, Groups
+from octarm.arm.groups import PAPER, SUMS, Groups
 from octarm.arm.parameters import ArmParameters
 from octarm.declared import Code, word_of
 from octarm.disturbances.episode import Disturbance
@@ -100,6 +100,7 @@ class Experiment:
     layout: str = PAPER
     start: str = REST
     start_share: float = SHARE
+    sensing: str = SUMS
     code: Mapping[str, Code] = dataclasses.field(default_factory=dict[str, Code])
 
     def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
@@ -125,6 +126,7 @@ class Experiment:
             layout=self.layout,
             start=self.start,
             start_share=self.start_share,
+            sensing=self.sensing,
         )
         controller = word_of(self.controller, self.code)
         return environment, factory(controller, self.nominal, self.gains)
@@ -172,7 +174,7 @@ class Experiment:
         if groups is None:
             return {}
         matrix, offset = groups.matrix.tolist(), groups.offset.tolist()
-        table = {"modules": self.plant_modules, "layout": self.layout}
+        table = {"modules": self.plant_modules, "layout": self.layout, "sensing": self.sensing}
         return {"plant": table | {"map": {"matrix": matrix, "offset": offset}}}
 
     @classmethod
@@ -207,6 +209,7 @@ class Experiment:
             code=inputs.code,
             plant_modules=plant and plant.modules,
             layout=plant.layout if plant else PAPER,
+            sensing=plant.sensing if plant else SUMS,
             **numbers,
         )
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from octarm import formats
 from octarm.arm.parameters import ArmParameters
+from octarm.arm.roll_off import fields_of
 from octarm.arrays import plain
 from octarm.errors import OctarmError
 from octarm.files import write_text
@@ -35,8 +36,8 @@ NAMED = ("versions", "host")  # keys whose values may differ between a run and i
 
 def gains_of(controller: Controller) -> dict[str, Any]:
     """A controller's gains, ready for JSON: its fields but the nominal model."""
-    fields = describe_fields(controller)
-    return {name: value for name, value in fields.items() if name != "nominal"}
+    fields = fields_of(controller).items()
+    return {name: _plain(value) for name, value in fields if name != "nominal"}
 
 
 def describe_fields(thing: Any) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 from dm_control.rl import control
 
 from octarm.arm.actuation import ACTUATIONS
-from octarm.arm.groups import PAPER, groups_of
+from octarm.arm.groups import PAPER, SUMS, groups_of
 from octarm.arm.mjcf import build_model, build_slim_model, nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance, Episode
@@ -57,6 +57,7 @@ def load(
     engine: str = MUJOCO,
     plant_modules: int | None = None,
     layout: str = PAPER,
+    sensing: str = SUMS,
     start: str = REST,
     start_share: float = SHARE,
     flat_observation: bool = False,
@@ -99,6 +100,8 @@ def load(
             that stands for the same rod, of which the sums over N groups are measured and moved;
             see `octarm.arm.groups`. The arm itself when not given.
         layout: of that plant, `paper` or `centred`.
+        sensing: what is read of it: `groups`, the sums, or `plates`, arcs between sensors, see
+            `octarm.arm.plates`. True coordinates, errors and forces are those of the sums.
         start: of an episode: `rest`, the arm hangs still; `random`, at a place that is drawn for
             each episode and arm, and still; `moving`, with a drawn velocity, too.
         start_share: share of what the inputs reach within which it is drawn, above 0 and at most 1;
@@ -136,7 +139,7 @@ def load(
         )
     if plant_modules is not None:
         plant_modules = whole_number("plant_modules", plant_modules, 1)
-    groups = groups_of(true, plant_modules, layout)
+    groups = groups_of(true, plant_modules, layout, sensing)
     plant = true if groups is None else groups.plant
     if batch is not None:
         check_batch(batch, plant.modules)

@@ -169,7 +169,7 @@ def _observed(
 class ArmRecorder(Recorder):
     """Records one arm, however long it runs: all fields of every instant, with what was read.
 
-    `q_measured` and `v_measured`, the readings, are there when sensors act.
+    `q_measured` and `v_measured`, the readings, are there when they are not `q` and `v`.
     """
 
     def __init__(
@@ -200,8 +200,7 @@ class ArmRecorder(Recorder):
         """The recorded fields of one instant, and what the digest is made of."""
         row = super().row(instant)
         row[_STATE] = self._physics.integration_state()
-        active = self._physics.active
-        if active is not None and active.sensors:
+        if not self._physics.reads_truth():
             self.add_field(row, "q_measured", instant.measurement.q)
             self.add_field(row, "v_measured", instant.measurement.v)
         return row

@@ -17,8 +17,9 @@ import mujoco
 import numpy as np
 from dm_control.rl import control
 
+from octarm.arm import plates
 from octarm.arm.actuation import Actuation
-from octarm.arm.groups import Groups
+from octarm.arm.groups import SUMS, Groups
 from octarm.arm.limits import Limits
 from octarm.arm.mjcf import PlantFields, paper_order, rest_of
 from octarm.arm.parameters import ArmParameters
@@ -128,6 +129,16 @@ class AnyPhysics(control.Physics):
         """Generalised velocities, shape (..., 2N) [m/s], [rad/s]."""
         v = self.plant_v()
         return v if self.groups is None else self.groups.rates(v)
+
+    def readings(self) -> tuple[np.ndarray, np.ndarray]:
+        """`q` and `v` as sensors without faults read them, each of shape (..., 2N)."""
+        q, v = self.plant_q(), self.plant_v()
+        return (q, v) if self.groups is None else plates.readings(self.groups, q, v)
+
+    def reads_truth(self) -> bool:
+        """Whether what is read is `q` and `v`."""
+        faulty = self.active is not None and bool(self.active.sensors)
+        return not faulty and (self.groups is None or self.groups.sensing == SUMS)
 
     def plant_q(self) -> np.ndarray:
         """Coordinates of all modules of the plant, shape (..., 2N) [m], [rad]."""
@@ -247,7 +258,7 @@ class AnyPhysics(control.Physics):
         """Starts an episode under these disturbances, the arms standing where they were placed."""
         self.active = active
         self._write(active.plant(self._steps))
-        active.record(0, self.q(), self.v())
+        active.record(0, *self.readings())
         if self.watch is not None:
             self.watch(self)
 
@@ -277,7 +288,7 @@ class AnyPhysics(control.Physics):
             self._advance()
             self._steps += 1
             if self.active is not None and self.active.sensors:
-                self.active.record(self._steps, self.q(), self.v())
+                self.active.record(self._steps, *self.readings())
             if self.watch is not None:
                 self.watch(self)
             self._check_limits()

@@ -157,7 +157,7 @@ class TrackingTask(control.Task):
         q, v, q_d, v_d and a_d have shape (..., 2N), tip_position has shape (..., 2); see `load`.
         """
         desired, active = self._desired, physics.active
-        q, v = physics.q(), physics.v()
+        q, v = physics.readings()
         if active is not None and active.sensors:  # nothing acts before the first episode
             q, v = active.sensed(physics.steps(), q, v)
             tip = self._seeming_tip(q)

@@ -91,6 +91,7 @@ class FinishedSweep:
             layout=arms.layout,
             start=spec.start,
             start_share=spec.start_share,
+            sensing=arms.sensing,
             code=spec.code,
         )
 

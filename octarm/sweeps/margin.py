@@ -19,7 +19,7 @@ import numpy.typing as npt
 from dm_control.rl import control
 from scipy.stats import binom
 
-from octarm.arm.groups import PAPER
+from octarm.arm.groups import PAPER, SUMS
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance
@@ -297,6 +297,7 @@ class MarginRuns:
     parameters: ArmParameters = dataclasses.field(default_factory=nominal_parameters)
     plant_modules: int | None = None
     layout: str = PAPER
+    sensing: str = SUMS
     seed: int = 0
     threads: int = 1
     catalogue: Catalogue = dataclasses.field(default_factory=lambda: METRICS)
@@ -368,6 +369,7 @@ class MarginRuns:
             parameters=self.parameters,
             plant_modules=self.plant_modules,
             layout=self.layout,
+            sensing=self.sensing,
         )
         mismatch = values if self.varied.name == NOMINAL else self.mismatch
         believed = self.parameters.mismatched(mismatch).scaled(**self.nominal)

@@ -15,14 +15,14 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from octarm.arm.groups import PAPER, groups_of
+from octarm.arm.groups import PAPER, SUMS, groups_of
 from octarm.disturbances.episode import Disturbance, PlantChange
 from octarm.disturbances.streams import stream
 from octarm.errors import OctarmError
 from octarm.fields import Amount, Quantity, field_kinds
 from octarm.memory import check_memory
 from octarm.simulation.steps import AUTO, StepError, check_arms, fitting_step, steps_of
-from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec
+from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SENSING, SweepSpec
 
 _MOST_EPISODES = 10**15
 _MOST_SHARDS = 100_000
@@ -52,6 +52,7 @@ class Arms:
     arm: str = ""
     plant_modules: int | None = None
     layout: str = PAPER
+    sensing: str = SUMS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -153,6 +154,7 @@ class Plan:
             arm=values.get(ARM, ""),
             plant_modules=values.get(PLANT_MODULES),
             layout=values.get(LAYOUT, PAPER),
+            sensing=values.get(SENSING, SUMS),
         )
 
     def episode(self, number: int) -> Arms:

@@ -26,7 +26,7 @@ from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
 from octarm.sweeps.engine_check import COLUMN, TipPaths, checked_episodes
 from octarm.sweeps.plan import Arms, Plan
-from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec
+from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SENSING, SweepSpec
 from octarm.sweeps.spec_file import unit_of
 
 Observe = Callable[[Instant], object]
@@ -138,6 +138,7 @@ def begin(
         layout=arms.layout,
         start=spec.start,
         start_share=spec.start_share,
+        sensing=arms.sensing,
     )
     nominal = arm.mismatched(arms.mismatch)
     return environment, spec.controller(arms.controller, nominal, factory)
@@ -253,6 +254,7 @@ _TEXTS = {
     "reference": ("the desired motion", ""),
     ARM: ("the true arm", ""),
     LAYOUT: ("layout of the plant", ""),
+    SENSING: ("what is read of the plant", ""),
     PLANT_MODULES: ("modules of the plant", "1"),
     "mismatch": ("error of the controller's model", "1"),
     COLUMN: ("how far the tip was from where MuJoCo has it; null if not run again", "m"),

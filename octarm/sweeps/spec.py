@@ -26,7 +26,8 @@ from octarm.simulation.engines import MUJOCO
 from octarm.simulation.start import REST, SHARE
 
 Value = float | str
-ARM, PLANT_MODULES, LAYOUT = "arm", "plant_modules", "layout"
+ARM, PLANT_MODULES, LAYOUT, SENSING = "arm", "plant_modules", "layout", "sensing"
+PLANT = (LAYOUT, PLANT_MODULES, SENSING)
 
 
 def which(disturbance: str) -> tuple[str, int]:
@@ -51,8 +52,8 @@ class Axis:
     """Something that varies in a sweep.
 
     Attributes:
-        name: of its column: controller, reference, arm, mismatch, plant_modules, layout, or a
-            disturbance such as `noise`, with the key, `noise.time`, when it is not the
+        name: of its column: controller, reference, arm, mismatch, plant_modules, layout, sensing,
+            or a disturbance such as `noise`, with the key, `noise.time`, when it is not the
             disturbance's first one.
         values: all of them, numbers or words; the smallest and the largest one when it is drawn.
         method: how it is drawn for each seed, the same for every controller and grid cell:

@@ -3,17 +3,16 @@
 At the top stand `seed`, `episodes` (seeds in each cell), `duration`, `settle` (when metrics of the
 steady regime begin), `timestep` (or `"auto"`), `control_period` [s], `actuation`, `integrator`,
 `engine`, `batch`, `start` and `start_share` (where episodes begin, as in `octarm.load`) and
-`gain_set`, and `controller`, `reference`, `mismatch`, `plant_modules` and
-`layout` (of a plant of more modules, see `octarm.arm.groups`) where they have one value. The tables
-are:
+`gain_set`, and `controller`, `reference`, `mismatch`, `plant_modules`, `layout` and `sensing` (of a
+plant of more modules, see `octarm.arm.groups`) where they have one value. The tables are:
 
-- `[grid]`: `controller`, `reference`, `mismatch`, `plant_modules` and `layout` as lists;
+- `[grid]`: `controller`, `reference`, `mismatch`, `plant_modules`, `layout`, `sensing` as lists;
 - `[grid.disturbance]`: lists of values of disturbances, spelt as on the command line: `noise` for
   the value that goes without a key there, `noise.time` for one with a key;
 - `[random]` with `mismatch`, and `[random.disturbance]`: what is drawn for each seed,
   `payload = { low = 0.0, high = 0.2, method = "sobol" }`; `uniform` is the usual method;
 - `[disturbance]`: what is the same in all episodes, `noise.time = 0.01`;
-- `[gains.NAME]`: gains of a controller [SI];
+- `[gains.NAME]`: gains of a controller [SI], also `roll_off`, see `octarm.arm.roll_off` [Hz];
 - `[arm]`: the arm, as in a file of one (`octarm.arm.file`), instead of `arm = "my-arm.toml"`;
 - `[record]`: `episodes`, a list of numbers, `"worst"`, `"median"` and `"diverged"`.
 
@@ -44,6 +43,7 @@ import pydantic
 from pydantic import AfterValidator, Field, FiniteFloat
 
 from octarm.arm.actuation import ACTUATIONS
+from octarm.arm.groups import SENSINGS
 from octarm.arm.modes import INTEGRATORS, LONGEST_STEP, SHORTEST_STEP
 from octarm.arm.parameters import MOST_MODULES
 from octarm.arm.rod import LAYOUTS
@@ -77,6 +77,7 @@ def _step(value: float | str) -> float | str:
 Distinct = AfterValidator(_distinct)
 Mismatch = Annotated[float, Field(gt=-1.0, le=1e6)]
 Layout = Annotated[str, one_of(LAYOUTS)]
+Sensing = Annotated[str, one_of(SENSINGS)]
 Modules = Annotated[int, Field(ge=1, le=MOST_MODULES)]
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 Step = Annotated[float | str, AfterValidator(_step)]
@@ -121,6 +122,7 @@ class Grid(Model):
     mismatch: Annotated[Array[Mismatch], Distinct] | None = None
     plant_modules: Annotated[Array[Modules], Distinct] | None = None
     layout: Annotated[Array[Layout], Distinct] | None = None
+    sensing: Annotated[Array[Sensing], Distinct] | None = None
     arm: Annotated[Array[str], Distinct] | None = None
     disturbance: dict[str, Any] = Field(default_factory=dict)
 
@@ -180,6 +182,7 @@ class SpecFile(Model):
     mismatch: Mismatch | None = None
     plant_modules: Modules | None = None
     layout: Layout | None = None
+    sensing: Sensing | None = None
     gain_set: str | dict[str, str | GainFile] | None = None
     grid: Grid = Grid()
     random: Random = Random()

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, cast
 
 from octarm.arm.file import arm_of, read_arm
-from octarm.arm.groups import PAPER, groups_of
+from octarm.arm.groups import groups_of
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.declared import Code, short_name, word_of
@@ -22,7 +22,7 @@ from octarm.errors import FileError, OctarmError, closest, quoted
 from octarm.fields import Words, field_defaults, field_keys, field_kinds
 from octarm.formats import Array, Document, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
-from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SETTINGS, Axis, SweepSpec, keys_of, which
+from octarm.sweeps.spec import ARM, PLANT, PLANT_MODULES, SETTINGS, Axis, SweepSpec, keys_of, which
 from octarm.sweeps.spec_code import with_names
 from octarm.sweeps.spec_content import GAIN_SETS, Bounds, Distinct, GainFile, Number, SpecFile
 from octarm.units import number
@@ -39,7 +39,7 @@ _UNITS = {
     ("grid", "mismatch"): "1",
     ("random", "mismatch"): "1",
 }
-_MORE = (ARM, LAYOUT, PLANT_MODULES)  # axes that only some sweeps have
+_MORE = (ARM, *PLANT)  # axes that only some sweeps have
 _OWN = ("controller", "reference", *_MORE, "mismatch")  # in their order, slowest first
 
 
@@ -195,17 +195,15 @@ def _other_files(content: SpecFile, arms: Iterable[str]) -> bool:
 def _check_plants(
     document: Document, content: SpecFile, axes: Sequence[Axis], arms: Mapping[str, ArmParameters]
 ) -> None:
-    values = {axis.name: axis.values for axis in axes}
-    sizes: Any = values.get(PLANT_MODULES, (None,))
-    layouts: Any = values.get(LAYOUT, (PAPER,))
-    name = PLANT_MODULES if PLANT_MODULES in values else LAYOUT
-    once = content.layout if name == LAYOUT else content.plant_modules
+    given: dict[str, Any] = {axis.name: axis.values for axis in axes if axis.name in PLANT}
+    plants = [dict(zip(given, plant, strict=True)) for plant in itertools.product(*given.values())]
     several = [*arms.values()] or [nominal_parameters()]
-    for arm, (modules, layout) in itertools.product(several, itertools.product(sizes, layouts)):
+    for arm, plant in itertools.product(several, plants):
         try:
-            groups_of(arm, modules, layout)
+            groups_of(arm, **plant)
         except OctarmError as error:
-            keys = ("grid", name) if once is None else (name,)
+            name = PLANT_MODULES if PLANT_MODULES in given else next(iter(given))
+            keys = (name,) if name in document.content else ("grid", name)
             raise document.error(str(error), *keys) from None
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
+from octarm.arm.roll_off import fields_of
 from octarm.errors import OctarmError
 from octarm.files import write_text
 from octarm.formats import Model, read_json, to_json
@@ -100,10 +101,9 @@ def gains_of(controller: Controller) -> dict[str, np.ndarray]:
 
     Arrays have shape (), or that in which the controller holds them, mostly (2N,).
     """
-    values = {f.name: getattr(controller, f.name) for f in dataclasses.fields(controller)}  # pyright: ignore
     return {
         name.rstrip("_"): np.asarray(value)
-        for name, value in values.items()
+        for name, value in fields_of(controller).items()
         if isinstance(value, float | np.ndarray)
     }
 

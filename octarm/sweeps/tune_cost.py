@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from octarm.arm.groups import PAPER, groups_of
+from octarm.arm.groups import PAPER, SUMS, groups_of
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
@@ -120,6 +120,7 @@ class Rig:
     engine: str = dataclasses.field(default_factory=usual_engine)
     plant_modules: int | None = None
     layout: str = PAPER
+    sensing: str = SUMS
     parameters: ArmParameters | None = None
     reference: str | None = None
     disturbances: tuple[Disturbance, ...] = ()
@@ -133,13 +134,14 @@ class Rig:
     def check(self) -> None:
         """Raises OctarmError if there is no such engine or plant."""
         check_engine(self.engine)
-        groups_of(self.arm(), self.plant_modules, self.layout)
+        groups_of(self.arm(), self.plant_modules, self.layout, self.sensing)
 
     def settings(self) -> dict[str, Any]:
         """What the result depends on, ready for JSON and TOML."""
         numbers: dict[str, Any] = {"engine": self.engine}
         if self.plant_modules is not None:
             numbers |= {"plant_modules": self.plant_modules, "layout": self.layout}
+            numbers["sensing"] = self.sensing
         if self.parameters is not None:
             numbers["arm"] = self.parameters.to_dict()
         more = {
@@ -227,6 +229,7 @@ def _costs(
         engine=rig.engine,
         plant_modules=rig.plant_modules,
         layout=rig.layout,
+        sensing=rig.sensing,
     )
     damping = each([scenario.damping for scenario in scenarios])[:, None, None]
     nominal = true.mismatched(each([scenario.mismatch for scenario in scenarios]))
