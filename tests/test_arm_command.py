@@ -194,7 +194,7 @@ def test_it_says_so_of_a_finer_plant_and_of_a_roll_off():
     text = said("arm", *plant, "--roll-off", "60")  # in Hz
     assert "the model exact, on a plant of 9 modules (centred)" in text
     held = [
-        float(re.search(r"^smc-boundary +([\d.]+) ms", x, re.M)[1])
+        float(re.findall(r"^smc-boundary +([\d.]+) ms", x, re.M)[0])
         for x in (text, said("arm", *plant, code=1), said("arm", *words))
     ]
     assert held[0] > 2.0 * held[1] and held[2] > 5.0 * held[1]

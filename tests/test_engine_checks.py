@@ -1,6 +1,7 @@
 """That the engines agree: what a sweep and `octarm validate --engines` say about it."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -67,9 +68,10 @@ def test_the_command_rolls_forces_off_on_a_finer_plant(monkeypatch: pytest.Monke
     asked: list[dict] = []
     real = validate.compare_engines
 
-    def short(arm, make, laws, switching, **options):
+    def short(arm, make, laws, switching, **options: Any):
         asked.append(options | {"law": make("pd", arm)})
-        return real(arm, make, ["pd"], switching, **(options | {"duration": 0.005}))
+        options["duration"] = 0.005
+        return real(arm, make, ["pd"], switching, **options)
 
     monkeypatch.setattr(validate, "compare_engines", short)
     assert main(["validate", "--engines", "--plant-modules", "9", "--layout", "centred"]) == 0

@@ -199,9 +199,8 @@ def test_faulty_sensors_read_the_plates():
 def test_sums_are_read_unless_asked_otherwise():
     options: dict[str, Any] = {"plant_modules": 9, "timestep": 1e-4, "engine": "lagrange"}
     law = make_controller("smc-boundary", ARM)
-    one, other = (
-        rollout(load(**options, **more), law, 0.02) for more in ({}, {"sensing": "groups"})
-    )
+    one = rollout(load(**options), law, 0.02)
+    other = rollout(load(**options, sensing="groups"), law, 0.02)
     assert one.digest == other.digest and "q_measured" not in one.signals
     np.testing.assert_array_equal(one.q, Groups.of(ARM, 9).measured(one.signals["plant_q"]))
 

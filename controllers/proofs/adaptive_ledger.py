@@ -268,7 +268,7 @@ def membership(law: AdaptiveLaw, s: np.ndarray, now: Adapted) -> np.ndarray:
     if not law.normalised:
         return np.exp(exponents)
     # Far from all rules all mu would be 0 in floating point; their shares would not.
-    mu = np.exp(exponents - np.max(exponents.real, axis=-1, keepdims=True))
+    mu = np.exp(exponents - np.max(np.real(exponents), axis=-1, keepdims=True))
     return mu / np.sum(mu, axis=-1, keepdims=True)
 
 
