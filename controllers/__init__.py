@@ -86,7 +86,7 @@ def check_gains(controller: str, gains: Iterable[str]) -> None:
 
 def _gain_names(law: Any) -> dict[str, str]:
     """The fields of a controller that are gains, by how users spell them, and `roll_off`."""
-    names = ["roll_off", *(field.name for field in dataclasses.fields(law) if field.init)]
+    names = [*(field.name for field in dataclasses.fields(law) if field.init), "roll_off"]
     return {spelled(name): name for name in names if name != "nominal"}
 
 

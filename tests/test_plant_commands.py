@@ -270,7 +270,7 @@ def test_tuning_tries_the_plant():
 
 @pytest.mark.slow
 def test_a_gain_file_says_for_which_plant_its_gains_are(capsys):
-    options = ["--budget", "1152", "--plant-modules", "6", "--layout", "centred", "--out", "g.toml"]
+    options = ["--budget", "1224", "--plant-modules", "6", "--layout", "centred", "--out", "g.toml"]
     assert main(["tune", "pd", *options]) == 0
     text = Path("g.toml").read_text()
     assert "plant_modules = 6" in text and 'layout = "centred"' in text

@@ -115,10 +115,10 @@ def test_every_column_says_what_it_means(
     assert max(map(len, lines)) <= 100
     again = " ".join(" ".join(lines).split())
     assert all(METRICS[name].text in again for name in ("overshoot", "chattering", "work"))
-    monkeypatch.setenv("COLUMNS", "150")
-    assert main(["report", "--columns"]) == 0
+    with monkeypatch.context() as wide:
+        wide.setenv("COLUMNS", "150")
+        assert main(["report", "--columns"]) == 0
     assert 100 < max(map(len, capsys.readouterr().out.splitlines())) <= 150
-    monkeypatch.delenv("COLUMNS")
     Path("spec.toml").write_text('duration = 0.01\nepisodes = 1\ncontroller = "pd"\n')
     assert main(["sweep", "spec.toml", "--out", "s", "--workers", "1"]) == 0
     table = octarm.read_sweep("s")

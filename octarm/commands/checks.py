@@ -67,6 +67,8 @@ def validate(
     given = [name for name, flag in flags.items() if flag]
     if len(given) > 1:
         raise OctarmError(f"{' and '.join(given)} are given; one check at a time")
+    if arm is not None and (modules != 3 or random_parameters):
+        raise OctarmError("--arm is given, and so are --modules or --random-parameters")
     if not engines and (plant_modules is not None or layout != "paper"):
         raise OctarmError("--plant-modules or --layout is given without --engines, which takes it")
     if rod:
