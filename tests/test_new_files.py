@@ -10,7 +10,7 @@ import test_controller_contract as contract
 
 import octarm
 from octarm.commands import cli
-from octarm.commands.kinds import STARTS
+from octarm.commands.kinds import NEW_FILES
 from octarm.sweeps.spec_file import read_spec
 
 
@@ -19,7 +19,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize("kind", STARTS)
+@pytest.mark.parametrize("kind", NEW_FILES)
 def test_a_file_is_commented_short_and_never_written_over(kind: str, capsys):
     assert cli.main(["new", kind, "My-law_2b"]) == 0
     (file,) = Path().iterdir()

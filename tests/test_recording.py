@@ -23,7 +23,7 @@ from recordings import (
 from octarm.arm.lagrange import positions
 from octarm.arm.mjcf import world_position
 from octarm.errors import OctarmError
-from octarm.recordings.blueprints import Plots
+from octarm.recordings.blueprints import Plots, reach
 from octarm.recordings.channels import channels_of
 from octarm.recordings.recording import run_recording, write_recording
 from octarm.recordings.rrd import last_instant, telling_instant
@@ -341,3 +341,13 @@ def test_a_rerun_that_is_switched_off_is_an_error(tmp_path, monkeypatch):
     with pytest.raises(OctarmError, match="cannot be recorded"):
         record(tmp_path, swinging())
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("size", [1e-4, 0.97, 1.0, 4.4, 4.7, 9.3, 55.0, 123.0])
+def test_an_axis_about_zero_has_three_labels(size: float):
+    """The viewer labels multiples of the power of ten of which at most ten are in sight."""
+    end = reach(size)
+    assert end is not None and size < end < 2.5 * size
+    step = 10.0 ** np.ceil(np.log10(2.0 * end / 10.5))
+    assert 2 * np.floor(end / step) + 1 >= 3
+    assert reach(0.0) is None and reach(np.inf) is None

@@ -24,7 +24,8 @@ Convert = Callable[[str, str], Any]  # from an option and its word to its value
 
 Shell = Literal["bash", "zsh", "fish"]
 SHELLS: tuple[Shell, ...] = get_args(Shell)
-STARTS = ("controller", "disturbance", "reference", "metric", "arm", "experiment")  # of octarm new
+# What octarm new writes a file of.
+NEW_FILES = ("controller", "disturbance", "reference", "metric", "arm", "experiment")
 
 # Where the words of a kind of value stand that has a list of them.
 _WORDS = {
@@ -41,7 +42,7 @@ _WORDS = {
     "LAYOUT": "octarm.arm.rod:LAYOUTS",
     "SENSING": "octarm.arm.groups:SENSINGS",
     "SHELL": "octarm.commands.kinds:SHELLS",
-    "KIND": "octarm.commands.kinds:STARTS",
+    "KIND": "octarm.commands.kinds:NEW_FILES",
 }
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from jinja2 import Template
 
-from octarm.commands.kinds import STARTS
+from octarm.commands.kinds import NEW_FILES
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError, closest, printable, quoted
 from octarm.files import write_text
@@ -27,8 +27,8 @@ _NEXT = {
 
 def new(kind: str, name: str) -> None:
     """`octarm new`: writes a file into the working folder."""
-    if kind not in STARTS:
-        raise OctarmError(f"unknown kind {quoted(kind)}{closest(kind, STARTS)}")
+    if kind not in NEW_FILES:
+        raise OctarmError(f"unknown kind {quoted(kind)}{closest(kind, NEW_FILES)}")
     if not _NAME.fullmatch(name):
         raise OctarmError(
             f"name is {quoted(name)}; it must be letters and digits, joined by - or _, such as "

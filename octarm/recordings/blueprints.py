@@ -6,6 +6,7 @@ disturbed. They differ in the tabs that exist, and in the one that is open.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -26,6 +27,7 @@ EVENTS = {"begins": [224, 138, 60], "ends": [255, 90, 95]}  # of a disturbance, 
 _EACH = rr.components.AggregationPolicy.Off  # both ends of a line are at one instant
 _LEGEND = 8  # series at most that a legend can name
 _FAR = 2.0  # times the largest value; a bound beyond that is written, not drawn
+_ABOUT_ZERO = ("error", "s", "disturbance")  # channels whose plots have zero in the middle
 _SHORT = 64  # letters of a title that leaves room for more
 _LANE = 0.045  # height of a lane of the state timeline [of the window]
 
@@ -46,6 +48,19 @@ class Curves(NamedTuple):
     names: Sequence[str]
     colors: Any
     width: float = 1.5
+
+
+def reach(size: float) -> float | None:
+    """The end of an axis from -end to end with three labels at least; None for no finite size.
+
+    The viewer labels multiples of a power of ten, of that which leaves room for them: with more
+    than ten in sight, of the next one.
+    """
+    if not 0.0 < size < math.inf:
+        return None
+    end = 1.08 * size
+    power = 10.0 ** math.floor(math.log10(end))
+    return end if end <= 5.0 * power else 10.4 * power
 
 
 class Plots:
@@ -132,7 +147,17 @@ class Plots:
             entity, path = f"bounds/{name}", f".{part or 'all'}[]"
             curves.append(Curves(entity, path, names, [_BOUND] * count, 1.0))
             title = f"{title}   grey: {bound.word}"
-        return self.view(title, *curves, legend=legend)
+        return self.view(title, *curves, legend=legend, largest=self._reach(name, part))
+
+    def _reach(self, name: str, part: str) -> float | None:
+        """How far the axis of a plot about zero goes; None where the viewer is to choose."""
+        if self._largest is None or name not in _ABOUT_ZERO:
+            return None
+        channel = self.channels[name]
+        sizes = [self._largest[name][channel.parts[part]]]
+        if channel.bound is not None and not self._far(name, part):
+            sizes.append(np.abs(channel.bound.lines(channel.parts[part])))
+        return reach(channel.recorded(part)[0] * float(np.max(np.concatenate(sizes))))
 
     def empty(self, name: str, part: str) -> bool:
         """Whether there is nothing but zeros to be seen."""

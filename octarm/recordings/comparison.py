@@ -11,7 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from octarm.errors import OctarmError
-from octarm.recordings.blueprints import Layout, Plots
+from octarm.recordings.blueprints import Layout, Plots, reach
 from octarm.recordings.notes import markdown_table
 from octarm.recordings.recording import RunRecording
 from octarm.recordings.rrd import Path, rerun_errors, rrd_file, structures, times
@@ -140,7 +140,7 @@ class _Layout:
                 f"error of {part} in {name}{unit}",
                 plots.curves("error", part),
                 legend=name == "A",
-                largest=1.05 * largest if largest < 1e6 else None,
+                largest=reach(largest) if largest < 1e6 else None,
             )
 
     def _larger(self, part: str) -> Iterator[Any]:
