@@ -23,7 +23,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 def test_a_file_is_commented_short_and_never_written_over(kind: str, capsys):
     assert cli.main(["new", kind, "My-law_2b"]) == 0
     (file,) = Path().iterdir()
-    assert file.name == f"my_law_2b.{'toml' if kind in ('arm', 'experiment') else 'py'}"
+    assert file.name == ("my-law-2b.toml" if kind in ("arm", "experiment") else "my_law_2b.py")
     assert f"wrote {file.name}" in capsys.readouterr().out
     text = file.read_text()
     assert "{{" not in text and text.count("#") >= (1 if kind == "metric" else 2)

@@ -28,7 +28,7 @@ from octarm.palette import look_of
 from octarm.reports.charts import pictures
 from octarm.reports.comparisons import compare, partners
 from octarm.reports.consistency import remarks
-from octarm.reports.figures import inline_svg
+from octarm.reports.figures import inline_svg, panels_of
 from octarm.reports.frame import read_episodes
 from octarm.reports.page import Tables, number
 from octarm.reports.statistics import adjusted, binomial
@@ -596,3 +596,10 @@ def test_one_seed_a_cell_has_a_median_and_no_ends(tmp_path, capsys):
     assert main(["report", str(write_sweep(tmp_path / "s", columns(seeds=1)))]) == 0
     out = capsys.readouterr().out
     assert "nan" not in out and re.search(r"^better .* [\d.]+$", out, re.MULTILINE)
+
+
+def test_a_panel_has_three_ticks_at_least():
+    _, (panel,) = panels_of(1, 1.75)
+    panel.plot([0.0, 1.0], [-0.38, 0.88])
+    low, high = panel.get_ylim()
+    assert sum(low <= tick <= high for tick in panel.get_yticks()) >= 3

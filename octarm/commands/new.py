@@ -41,11 +41,12 @@ def new(kind: str, name: str) -> None:
             f"{hyphened} cannot be the name of a disturbance: it is built in, or ends in a number"
         )
     (start,) = _FILES.glob(f"{kind}.*")
+    suffix, column = Path(start.stem).suffix, "_".join(words).lower()
     named = {
-        "file": f"{'_'.join(words).lower()}{Path(start.stem).suffix}",
+        "file": f"{column if suffix == '.py' else hyphened}{suffix}",
         "Name": "".join(word[0].upper() + word[1:] for word in words),
         "name": hyphened,
-        "column": "_".join(words).lower(),
+        "column": column,
     }
     if os.path.lexists(named["file"]):
         raise OctarmError(f"{named['file']} exists; choose another name, or remove it")

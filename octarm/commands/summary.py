@@ -75,7 +75,7 @@ def _table(
             f"{1e3 * metrics['peak_error'][j]:.3g}",
             _cell(share, ".3f", " %"),
             _cell(metrics["overshoot"][j], "+.2f", " %"),
-            _cell(metrics["chattering"][j], ".2g", f" m{force}", 1e3),
+            _cell(metrics["chattering"][j], ".3g", f" m{force}", 1e3),
             _cell(reached[j] if reached else None, ".4g", " s"),
         )
         row = "".join(f"{cell:>{w}}" for cell, w in zip(cells, width, strict=True))

@@ -15,7 +15,7 @@ import numpy as np
 from markupsafe import Markup, escape
 from matplotlib.axis import XAxis, YAxis
 from matplotlib.figure import Figure as NewFigure
-from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
 
 from octarm.palette import COLORS as COLORS
 from octarm.palette import MARKERS as MARKERS
@@ -110,6 +110,8 @@ def panels_of(
     grid = figure.subplots(rows, columns, squeeze=False, **options)
     for ax in grid.flat[count:]:
         ax.remove()
+    for ax in grid.flat[:count]:
+        ax.yaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], min_n_ticks=3))
     return figure, list(grid.flat[:count])
 
 
