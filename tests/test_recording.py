@@ -345,9 +345,9 @@ def test_a_rerun_that_is_switched_off_is_an_error(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("size", [1e-4, 0.97, 1.0, 4.4, 4.7, 9.3, 55.0, 123.0])
 def test_an_axis_about_zero_has_three_labels(size: float):
-    """The viewer labels multiples of the power of ten of which at most ten are in sight."""
+    """The viewer labels multiples of the power of ten of which at most nine are in sight."""
     end = reach(size)
-    assert end is not None and size < end < 2.5 * size
-    step = 10.0 ** np.ceil(np.log10(2.0 * end / 10.5))
+    assert end is not None and size < end < 2.6 * size
+    step = 10.0 ** np.ceil(np.log10(2.0 * end / 8.9))
     assert 2 * np.floor(end / step) + 1 >= 3
     assert reach(0.0) is None and reach(np.inf) is None

@@ -54,13 +54,13 @@ def reach(size: float) -> float | None:
     """The end of an axis from -end to end with three labels at least; None for no finite size.
 
     The viewer labels multiples of a power of ten, of that which leaves room for them: with more
-    than ten in sight, of the next one.
+    than nine in sight, of the next one.
     """
     if not 0.0 < size < math.inf:
         return None
     end = 1.08 * size
     power = 10.0 ** math.floor(math.log10(end))
-    return end if end <= 5.0 * power else 10.4 * power
+    return end if end <= 4.4 * power else 10.4 * power
 
 
 class Plots:

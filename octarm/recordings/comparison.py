@@ -119,7 +119,7 @@ class _Layout:
         tabs += [rrb.Horizontal(*pages, name="notes")]
         columns = math.ceil(math.sqrt(len(arms))) if len(arms) > 3 else len(arms)
         row = rrb.Grid(*arms, grid_columns=columns)
-        return Layout(rrb.Vertical(row, rrb.Tabs(*tabs, active_tab=1), row_shares=[1.15, 1]))
+        return Layout(rrb.Vertical(row, rrb.Tabs(*tabs, active_tab=1), row_shares=[0.75, 1]))
 
     @staticmethod
     def _rows(name: str, rows: Mapping[str, Sequence[Any]]) -> Any:
