@@ -34,11 +34,11 @@ from controllers.sliding_mode import SlidingMode as SlidingMode
 from controllers.super_twisting import SuperTwisting as SuperTwisting
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
-from octarm.arm.roll_off import RolledOff
 from octarm.arrays import read_only
 from octarm.declared import Declared, lacking, short_name
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import NominalModel, Tunable
+from octarm.roll_off import RolledOff
 
 _MISSING = dataclasses.MISSING
 _ROLL_OFF = GainField("corner of the roll-off of the force", "1/s")
@@ -105,7 +105,7 @@ def make_controller(
         gains: by name in SI, each a number or an array that broadcasts to (..., 2N), unless its
             field says otherwise; those of the gain set where not given. `lambda` stands for
             `lambda_`. Every law takes `roll_off`, a corner [Hz] beyond which its force is rolled
-            off, see `octarm.arm.roll_off`.
+            off, see `octarm.roll_off`.
         gain_set: `tuned`, `recommended`, or a file NAME.toml of `octarm tune`, or what such a file
             holds; tuned gains where there are any, else recommended ones, when not given. They are
             scaled by the nominal model.
@@ -122,10 +122,8 @@ def make_controller(
         gain_set = "recommended" if gain_set is None else gain_set
     model = LagrangeModel(nominal) if isinstance(nominal, ArmParameters) else nominal
     given, declared = dict(gains or {}), {"roll_off": _ROLL_OFF, **gain_fields(law)}
-    fields, known = (
-        _gain_names(law),
-        {field.name for field in dataclasses.fields(law) if field.init},
-    )
+    fields = _gain_names(law)
+    known = {field.name for field in dataclasses.fields(law) if field.init}
     starting: dict[str, Any] = {
         gain: declared[field].start(model)
         for gain, field in fields.items()

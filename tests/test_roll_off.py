@@ -13,12 +13,12 @@ from controllers import CONTROLLERS, make_controller
 from octarm.arm.groups import Groups
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import nominal_parameters
-from octarm.arm.roll_off import RolledOff, fields_of
 from octarm.checks.sampled_loop import LinearPlant, Loop, linear_law
 from octarm.commands.cli import main
 from octarm.errors import OctarmError
 from octarm.interfaces import Command, Measurement, Reference
 from octarm.references import SetPoint
+from octarm.roll_off import RolledOff, fields_of
 from octarm.runs.folder import gains_of
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout, simulate

@@ -15,7 +15,7 @@ for any motion about rest, and sufficient for small ones. States of the law that
 such as the centres of rules that have learnt nothing, are left out: they do not move.
 
 A plant of more modules than the model is measured by q_model = B q, and Q = B^T Q_model acts on it.
-Where the law's force is rolled off, see `octarm.arm.roll_off`, the filter's force is a state, too.
+Where the law's force is rolled off, see `octarm.roll_off`, the filter's force is a state, too.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from scipy.linalg import expm
 from octarm.arm import lagrange
 from octarm.arm.modes import state_matrix
 from octarm.arm.parameters import ArmParameters
-from octarm.arm.roll_off import RolledOff
 from octarm.arrays import coordinate_names
 from octarm.errors import OctarmError
 from octarm.interfaces import Controller, Measurement, Reference
+from octarm.roll_off import RolledOff
 
 SHORTEST, LONGEST = 1e-6, 0.2  # control periods that are looked at [s]
 _FACTOR = 1.1  # between periods that are tried

@@ -14,12 +14,12 @@ import numpy as np
 
 from octarm import formats
 from octarm.arm.parameters import ArmParameters
-from octarm.arm.roll_off import fields_of
 from octarm.arrays import plain
 from octarm.errors import OctarmError
 from octarm.files import write_text
 from octarm.html import notebook_cell
 from octarm.interfaces import Controller
+from octarm.roll_off import fields_of
 from octarm.runs.archive import read_blocks
 from octarm.runs.description import Description
 from octarm.simulation.trajectory import Trajectory

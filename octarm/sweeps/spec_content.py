@@ -12,7 +12,7 @@ plant of more modules, see `octarm.arm.groups`) where they have one value. The t
 - `[random]` with `mismatch`, and `[random.disturbance]`: what is drawn for each seed,
   `payload = { low = 0.0, high = 0.2, method = "sobol" }`; `uniform` is the usual method;
 - `[disturbance]`: what is the same in all episodes, `noise.time = 0.01`;
-- `[gains.NAME]`: gains of a controller [SI], also `roll_off`, see `octarm.arm.roll_off` [Hz];
+- `[gains.NAME]`: gains of a controller [SI], also `roll_off`, see `octarm.roll_off` [Hz];
 - `[arm]`: the arm, as in a file of one (`octarm.arm.file`), instead of `arm = "my-arm.toml"`;
 - `[record]`: `episodes`, a list of numbers, `"worst"`, `"median"` and `"diverged"`.
 

@@ -23,11 +23,11 @@ import numpy as np
 from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
-from octarm.arm.roll_off import fields_of
 from octarm.errors import OctarmError
 from octarm.files import write_text
 from octarm.formats import Model, read_json, to_json
 from octarm.interfaces import Controller, Knob, Tunable
+from octarm.roll_off import fields_of
 from octarm.runs import versions as origin
 from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, UNSEEN, Examination, Rig, costs
 
