@@ -17,7 +17,7 @@ import numpy as np
 
 from octarm.arrays import entry, read_only
 from octarm.errors import OctarmError, closest, quoted
-from octarm.units import number
+from octarm.units import Range
 
 Amount = float | np.ndarray
 _SEPARATOR = re.compile(r"/(?=[-+.\di])")  # between numbers; units hold a / before a letter
@@ -25,15 +25,10 @@ _NEXT_KEY = re.compile(r",(?=[a-z][a-z0-9-]*=)")  # behind a file, in whose name
 
 
 @dataclasses.dataclass(frozen=True)
-class Quantity:
+class Quantity(Range):
     """What a field of numbers may be; used as `Annotated[Amount, Quantity(...)]`.
 
     Attributes:
-        unit: for people; "1" for a ratio.
-        at_least: smallest value allowed.
-        above: a value below all that are allowed.
-        at_most: largest value allowed.
-        below: a value above all that are allowed.
         each: whether coordinates may have values of their own, on the last axis; otherwise only
             arms may.
         unbounded: whether infinity is allowed.
@@ -42,11 +37,6 @@ class Quantity:
             one should do no harm.
     """
 
-    unit: str
-    at_least: float = -np.inf
-    above: float = -np.inf
-    at_most: float = np.inf
-    below: float = np.inf
     each: bool = False
     unbounded: bool = False
     key: str = ""
@@ -55,19 +45,8 @@ class Quantity:
     def check(self, name: str, value: Any) -> Amount:
         """A float, or a read-only array of the shape of the value; `name` is for errors."""
         array = read_only(name, value, unbounded=self.unbounded)
-        for bound, words, good in (
-            (self.at_least, "at least", array >= self.at_least),
-            (self.above, "above", array > self.above),
-            (self.at_most, "at most", array <= self.at_most),
-            (self.below, "below", (array < self.below) | (self.below == np.inf)),
-        ):
-            if not np.all(good):
-                unit = "" if self.unit == "1" else f" {self.unit}"
-                worst = array[~good].flat[0]
-                spelt = f"; in degrees it is spelt {worst:g}deg" if self.unit == "rad" else ""
-                raise OctarmError(
-                    f"{name} is {worst:g}{unit}; it must be {words} {bound:g}{unit}{spelt}"
-                )
+        if not np.all(good := self.allows(array)):
+            self.check_bounds(name, array[~good].flat[0].item())
         return entry(array)
 
 
@@ -187,7 +166,7 @@ def parsed_fields(
 def _value(whole: str, key: str, value: str, kind: Any) -> Amount | str:
     if not isinstance(kind, Quantity):
         return value
-    numbers = [number(f"{key} of {whole}", part, kind.unit) for part in _SEPARATOR.split(value)]
+    numbers = [kind.parse(f"{key} of {whole}", part) for part in _SEPARATOR.split(value)]
     if len(numbers) > 1 and not kind.each:
         raise OctarmError(f"{whole} gives {key} {len(numbers)} numbers; it takes one")
     return numbers[0] if len(numbers) == 1 else np.array(numbers)

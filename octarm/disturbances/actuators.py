@@ -61,7 +61,9 @@ class DeadZone(ActuatorFault):
     """No force below the width, and that much less beyond it: tau - clip(tau, +-width)."""
 
     name: ClassVar[str] = "dead-zone"
-    width: Annotated[Amount, Quantity("N", at_least=0.0, each=True, usual=(0.0, 5.0))]
+    width: Annotated[
+        Amount, Quantity("N", at_least=0.0, plausible=1e4, each=True, usual=(0.0, 5.0))
+    ]
 
     def start(self, episode: Episode) -> ActuatorProcess:
         return functools.partial(_beyond, _columns(self, "width", episode))
@@ -78,7 +80,7 @@ class Saturation(ActuatorFault):
     """No more force than the limit: clip(tau, -limit, limit)."""
 
     name: ClassVar[str] = "saturation"
-    limit: Annotated[Amount, Quantity("N", at_least=0.0, each=True, unbounded=True)]
+    limit: Annotated[Amount, Quantity("N", at_least=0.0, plausible=1e6, each=True, unbounded=True)]
 
     def start(self, episode: Episode) -> ActuatorProcess:
         return functools.partial(_limited, _columns(self, "limit", episode))
@@ -97,7 +99,7 @@ class SlewLimit(ActuatorFault):
     """A force that follows tau no faster than the rate, from 0 at the start."""
 
     name: ClassVar[str] = "slew"
-    rate: Annotated[Amount, Quantity("N/s", above=0.0, each=True, unbounded=True)]
+    rate: Annotated[Amount, Quantity("N/s", above=0.0, plausible=1e8, each=True, unbounded=True)]
 
     def start(self, episode: Episode) -> ActuatorProcess:
         most = _columns(self, "rate", episode) * episode.timestep  # change in a physics step [N]
@@ -118,7 +120,7 @@ class Lag(ActuatorFault):
 
     name: ClassVar[str] = "lag"
     time_constant: Annotated[
-        Amount, Quantity("s", at_least=0.0, each=True, key="time", usual=(0.0, 0.2))
+        Amount, Quantity("s", at_least=0.0, plausible=10.0, each=True, key="time", usual=(0.0, 0.2))
     ]
 
     def start(self, episode: Episode) -> ActuatorProcess:

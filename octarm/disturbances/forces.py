@@ -19,9 +19,9 @@ from octarm.fields import PHASE, Amount, Quantity, Words
 
 _TIP = {"tip-x": (1.0, 0.0), "tip-y": (0.0, 1.0)}  # directions in the base frame
 
-Size = Annotated[Amount, Quantity("N or N m", usual=(0.0, 5.0))]
-Start = Annotated[Amount, Quantity("s", at_least=0.0)]
-Length = Annotated[Amount, Quantity("s", above=0.0, unbounded=True)]
+Size = Annotated[Amount, Quantity("N or N m", plausible=1e4, usual=(0.0, 5.0))]
+Start = Annotated[Amount, Quantity("s", at_least=0.0, plausible=3600.0)]
+Length = Annotated[Amount, Quantity("s", above=0.0, plausible=3600.0, unbounded=True)]
 Place = Annotated[str, Words(alone=("all", *_TIP), coordinates=True)]
 
 
@@ -37,9 +37,13 @@ class BandLimitedNoise(Force):
 
     name: ClassVar[str] = "noise"
     units: ClassVar[Mapping[str, str]] = {"hold": "s", "corner": "Hz"}
-    ratio: Annotated[Amount | None, Quantity("1", at_least=0.0, each=True, usual=(0.0, 5.0))] = None
-    correlation_time: Annotated[Amount, Quantity("s", above=0.0, key="time")] = 0.01
-    rms: Annotated[Amount | None, Quantity("N or N m", at_least=0.0, each=True)] = None
+    ratio: Annotated[
+        Amount | None, Quantity("1", at_least=0.0, plausible=20.0, each=True, usual=(0.0, 5.0))
+    ] = None
+    correlation_time: Annotated[Amount, Quantity("s", above=0.0, plausible=10.0, key="time")] = 0.01
+    rms: Annotated[Amount | None, Quantity("N or N m", at_least=0.0, plausible=1e4, each=True)] = (
+        None
+    )
     on: Annotated[str, Words(alone=("all",), coordinates=True)] = "all"
 
     def __post_init__(self) -> None:

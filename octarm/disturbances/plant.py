@@ -23,6 +23,7 @@ SCALABLE = {"mass": 1, "inertia": 1, "stiffness": 2, "damping": 2, "rest_length"
 
 _GRID = 0.01  # [s]; parameters that drift stay as they are for so long, whatever the physics step
 
+MISMATCH = Quantity("1", above=-1.0, at_most=1e6, plausible=10.0, usual=(0.0, 3.0))
 Factor = Annotated[Amount, Quantity("1", above=0.0, at_most=1e6)]
 Share = Annotated[Amount, Quantity("1", at_least=0.0, below=1.0, usual=(0.0, 0.95))]
 Angle = Annotated[Amount, Quantity("rad", at_least=-np.pi, at_most=np.pi, usual=(0.0, 1.5))]
@@ -39,7 +40,7 @@ class Mismatch(PlantChange):
     """
 
     name: ClassVar[str] = "mismatch"
-    mismatch: Annotated[Amount, Quantity("1", above=-1.0, at_most=1e6, usual=(0.0, 3.0))] = 0.0
+    mismatch: Annotated[Amount, MISMATCH] = 0.0
     mass: Factor = 1.0
     inertia: Factor = 1.0
     stiffness: Factor = 1.0
@@ -124,8 +125,8 @@ class Payload(PlantChange):
     """
 
     name: ClassVar[str] = "payload"
-    mass: Annotated[Amount, Quantity("kg", at_least=0.0, usual=(0.0, 1.0))]
-    at: Annotated[Amount, Quantity("s", at_least=0.0)] = 0.0
+    mass: Annotated[Amount, Quantity("kg", at_least=0.0, plausible=20.0, usual=(0.0, 1.0))]
+    at: Annotated[Amount, Quantity("s", at_least=0.0, plausible=3600.0)] = 0.0
 
     def start(self, episode: Episode) -> PlantProcess:
         value = episode.values(self)
@@ -162,7 +163,7 @@ class Drift(PlantChange):
     """
 
     name: ClassVar[str] = "drift"
-    rate: Annotated[Amount, Quantity("1/s", usual=(0.0, 0.5))]
+    rate: Annotated[Amount, Quantity("1/s", plausible=10.0, usual=(0.0, 0.5))]
     of: Of = "stiffness"
     limit: Share = 0.5
 
@@ -186,7 +187,7 @@ class CyclicDrift(PlantChange):
 
     name: ClassVar[str] = "cyclic-drift"
     share: Share
-    period: Annotated[Amount, Quantity("s", at_least=10.0 * _GRID)] = 10.0
+    period: Annotated[Amount, Quantity("s", at_least=10.0 * _GRID, plausible=3600.0)] = 10.0
     phase: Annotated[Amount, PHASE] = 0.0
     of: Of = "stiffness"
 

@@ -20,6 +20,7 @@ from octarm.disturbances.episode import Episode, SensorFault, SensorProcess
 from octarm.disturbances.streams import DelayLine, HeldNoise
 from octarm.fields import Amount, Quantity
 
+Share = Annotated[Amount, Quantity("1", at_least=0.0, plausible=2.0, each=True, usual=(0.0, 0.05))]
 Rate = Annotated[Amount, Quantity("1/s", at_least=0.0)]
 
 _FINEST = 1e-18  # [m], [rad] and per second: steps finer than this are beyond a float anyway
@@ -83,7 +84,7 @@ class MeasurementNoise(SensorFault):
     """
 
     name: ClassVar[str] = "measurement-noise"
-    rms: Annotated[Amount, Quantity("1", at_least=0.0, each=True, usual=(0.0, 0.05))]
+    rms: Share
     rate: Rate = 100.0
     correlation_time: Annotated[Amount, Quantity("s", above=0.0, key="time")] = 0.001
 
@@ -116,7 +117,7 @@ class Quantisation(SensorFault):
     """
 
     name: ClassVar[str] = "quantisation"
-    resolution: Annotated[Amount, Quantity("1", at_least=0.0, each=True, usual=(0.0, 0.05))]
+    resolution: Share
     rate: Rate = 100.0
 
     def start(self, episode: Episode) -> _Rounding:
