@@ -13,12 +13,11 @@ gains.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from controllers.adaptive_fuzzy import AdaptiveConsequents as AdaptiveConsequents
 from controllers.adaptive_fuzzy import AdaptiveFuzzy as AdaptiveFuzzy
@@ -39,9 +38,11 @@ from octarm.declared import Declared, lacking, short_name
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import NominalModel, Tunable
 from octarm.roll_off import RolledOff
+from octarm.units import ANY
 
 _MISSING = dataclasses.MISSING
-_ROLL_OFF = GainField("corner of the roll-off of the force", "1/s")
+_ANY_GAIN = GainField("what a law does not declare", ANY)
+_ROLL_OFF = GainField("corner of the roll-off of the force", "Hz")
 
 
 def _lacks(thing: Any) -> str:
@@ -75,13 +76,26 @@ def limits_text() -> str:
     return "\n".join(f"  {name}: up to {text}" for name, text in limits.items() if text)
 
 
-def check_gains(controller: str, gains: Iterable[str]) -> None:
-    """Raises OctarmError for an unknown controller, or a gain of a name that it does not have."""
-    fields = _gain_names(CONTROLLERS[controller])
+def gains_in_si(controller: str, gains: Mapping[str, Any]) -> dict[str, Any]:
+    """Gains with numbers [SI] in place of texts such as "15/s".
+
+    Raises OctarmError for an unknown controller, a gain that it does not have, or a text that is
+    no number in the unit of the gain.
+    """
+    law = CONTROLLERS[controller]
+    fields, declared = _gain_names(law), _declared(law)
     for gain in gains:
         if gain not in fields:
             label = short_name(controller)
             raise OctarmError(f"{label} has no gain {quoted(gain)}{closest(gain, fields)}")
+    return {
+        gain: declared.get(fields[gain], _ANY_GAIN).in_si(gain, value)
+        for gain, value in gains.items()
+    }
+
+
+def _declared(law: Any) -> dict[str, GainField]:
+    return {"roll_off": _ROLL_OFF, **gain_fields(law)}
 
 
 def _gain_names(law: Any) -> dict[str, str]:
@@ -93,7 +107,7 @@ def _gain_names(law: Any) -> dict[str, str]:
 def make_controller(
     name: str,
     nominal: ArmParameters | NominalModel,
-    gains: Mapping[str, npt.ArrayLike] | None = None,
+    gains: Mapping[str, Any] | None = None,
     *,
     gain_set: str | Path | Mapping[str, Any] | None = None,
 ) -> Tunable:
@@ -103,9 +117,9 @@ def make_controller(
         name: of a built-in controller or of an installed package's, MODULE:NAME, or FILE.py:NAME.
         nominal: the model of the arm; parameters stand for the analytic model with them.
         gains: by name in SI, each a number or an array that broadcasts to (..., 2N), unless its
-            field says otherwise; those of the gain set where not given. `lambda` stands for
-            `lambda_`. Every law takes `roll_off`, a corner [Hz] beyond which its force is rolled
-            off, see `octarm.roll_off`.
+            field says otherwise, or texts such as "15/s"; those of the gain set where not given.
+            `lambda` stands for `lambda_`. Every law takes `roll_off`, a corner [Hz] beyond which
+            its force is rolled off, see `octarm.roll_off`.
         gain_set: `tuned`, `recommended`, or a file NAME.toml of `octarm tune`, or what such a file
             holds; tuned gains where there are any, else recommended ones, when not given. They are
             scaled by the nominal model.
@@ -121,7 +135,7 @@ def make_controller(
             raise OctarmError(f"{name} comes without tuned gains; `octarm tune` finds some")
         gain_set = "recommended" if gain_set is None else gain_set
     model = LagrangeModel(nominal) if isinstance(nominal, ArmParameters) else nominal
-    given, declared = dict(gains or {}), {"roll_off": _ROLL_OFF, **gain_fields(law)}
+    given, declared = dict(gains or {}), _declared(law)
     fields = _gain_names(law)
     known = {field.name for field in dataclasses.fields(law) if field.init}
     starting: dict[str, Any] = {
@@ -136,8 +150,8 @@ def make_controller(
     for gain, field in fields.items():
         if field in declared and declared[field].replaced_by in given:
             starting.pop(gain, None)
-    check_gains(word, {**starting, **given})
-    values: dict[str, Any] = {fields[gain]: value for gain, value in {**starting, **given}.items()}
+    wanted = gains_in_si(word, {**starting, **given})
+    values: dict[str, Any] = {fields[gain]: value for gain, value in wanted.items()}
     corner = None if "roll_off" in known else values.pop("roll_off", None)
     if not issubclass(law, Law):  # which checks its gains itself
         for each in dataclasses.fields(law):

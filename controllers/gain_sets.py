@@ -40,6 +40,7 @@ class GainSet(Model):
         controller: its name.
         gains: by the names under which `make_controller` takes them, as numbers or lists, in the
             scales of the nominal model. Lists are in the order of q, of any number of modules.
+            Texts with a unit, such as "15/s" or a list of them, are in SI for any arm.
         arm: the `descriptors` of the arm that they were tuned for, and the longest
             `control_period`, in multiples of its time scale [1].
     """

@@ -16,8 +16,8 @@ import dataclasses
 import functools
 import inspect
 import typing
-from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,7 @@ from controllers.scaling import along, unit
 from octarm.arrays import read_only
 from octarm.errors import OctarmError, quoted
 from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
+from octarm.units import is_like_a_number, number
 
 Gain = np.ndarray | float
 
@@ -75,6 +76,23 @@ class GainField:
         array = along(array, nominal.modules, nominal.coordinates)
         fits = array.ndim == 0 or array.shape[-1] in (1, nominal.coordinates)
         return array * unit(self.units, nominal) if fits else array
+
+    def in_si(self, name: str, value: Any) -> Any:
+        """The gain with numbers [SI] in place of texts such as "15/s", one or a list.
+
+        Of a list the first half are those of slides; a word stays as it is. Raises OctarmError for
+        a number with the unit of another quantity.
+        """
+        units = self.units.split(", ")
+        if isinstance(value, str):
+            return number(name, value, " or ".join(units)) if is_like_a_number(value) else value
+        if not isinstance(value, list | tuple):
+            return value
+        listed = cast("Sequence[Any]", value)
+        return [
+            number(name, x, units[i * len(units) // len(listed)]) if isinstance(x, str) else x
+            for i, x in enumerate(listed)
+        ]
 
     def checked(self, name: str, value: Any, nominal: NominalModel) -> Any:
         """The gain as a read-only float array, of shape (), (..., 1) or (..., 2N).

@@ -67,10 +67,10 @@ def dimension_of(units: str) -> Dimension:
     """What a gain's units say, such as "N s/m, N m s/rad": those of a slide come first.
 
     A product is spelt by spaces and slashes, from left to right, with powers such as s^2, brackets
-    and sqrt(..). Raises OctarmError for another unit than N, m, rad, s, kg and 1, or another
-    spelling.
+    and sqrt(..). Raises OctarmError for another unit than N, m, rad, s, Hz, kg and 1, or
+    another spelling.
     """
-    words = re.findall(r"[A-Za-z]+|\d+|\S", units.partition(",")[0])
+    words = re.findall(r"[A-Za-z]+|\d+|\S", units.partition(",")[0].replace("Hz", "1/s"))
     dimension = _product(words, units)
     if words:
         raise _unreadable(units)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import re
@@ -46,6 +47,18 @@ NUMBER = re.compile(r"\s*[-+]?(?:inf|(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![\w
 _LETTERS = str.maketrans("%/1^2()", "aaaaaaa")  # signs that units are made of, too
 # Units that are meant where a number of the SI would be far too large.
 _SMALLER = {"1": "%", "kg": "g", "m": "mm", "s": "ms", "rad": "deg", "1/s": "%/s"}
+
+
+def is_like_a_number(text: str) -> bool:
+    """Whether a text begins as a number does, with a unit behind it or not."""
+    return NUMBER.match(text) is not None or text.strip().casefold() == "nan"
+
+
+def is_bare(text: str) -> bool:
+    """Whether a text is a number without a unit."""
+    with contextlib.suppress(ValueError):
+        return not math.isnan(float(text))
+    return False
 
 
 def number(name: str, text: str, unit: str) -> float:
@@ -174,3 +187,10 @@ class Range:
 
     def _with_space(self) -> str:
         return "" if self.unit == "1" else f" {self.unit}"
+
+
+# What the command line and specs take as well as Python: the error of a model in all parameters,
+# a share, and a control period.
+MISMATCH = Range("1", above=-1.0, at_most=1e6, plausible=10.0)
+SHARE = Range("1", above=0.0, at_most=1.0)
+PERIOD = Range("s", plausible=0.5)

@@ -130,7 +130,7 @@ def test_no_two_arms_and_episodes_have_a_stream_in_common():
 
 
 def test_a_reset_that_fails_does_not_count():
-    environment = load(disturbances=[parse_disturbance("payload:1e300")])
+    environment = load(disturbances=[parse_disturbance("payload:1e300kg")])
     for _ in range(2):
         with pytest.raises(OctarmError, match="has a module with mass"):
             environment.reset()

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 
+import numpy as np
 import pytest
 
+from controllers import make_controller
+from octarm.arm.mjcf import nominal_parameters
+from octarm.commands.options import ArmOptions
 from octarm.disturbances.spelling import parse_disturbance, spelling
 from octarm.errors import OctarmError
+from octarm.fields import Quantity
+from octarm.references import parameters_of
 from octarm.sweeps.margin import parse_bound, parse_varied
 from octarm.sweeps.spec_file import parse_spec
 from octarm.units import ANY, number
@@ -65,6 +72,10 @@ def test_a_margin_is_sought_between_numbers_with_units():
     assert (varied.low, varied.high) == (0.0, 0.06)
     assert parse_bound("tip_rms_error:10mm") == ("tip_rms_error", 0.01)
     assert parse_bound("rms_error_theta1:2deg")[1] == pytest.approx(math.radians(2.0))
+    heavy = parse_varied("payload:at=1", None, "100kg")  # meant
+    assert heavy.high == 100.0 and heavy.of(np.ones(1))
+    with pytest.raises(OctarmError, match="high is 100 kg; it must be at most 20 kg unless"):
+        parse_varied("payload", None, "100")
     with pytest.raises(OctarmError, match="'5kg'; its unit must be m, cm, mm or um"):
         parse_bound("tip_rms_error:5kg")
     with pytest.raises(OctarmError, match="high is '60g'; its unit must be s, ms, us or min"):
@@ -100,3 +111,107 @@ def test_a_spec_takes_units():
         parse_spec(SPEC.replace("4000 ms", "4 kg"))
     with pytest.raises(OctarmError, match=r"line 8: grid.disturbance.noise is '40x'; its unit"):
         parse_spec(SPEC.replace("40%", "40x"))
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("tilt:200deg", "angle of 'tilt:200deg' is 200deg; it must be at most 180deg"),
+        ("payload:-50g", "mass of 'payload:-50g' is -50g; it must be at least 0 kg"),
+        ("actuation-delay:20000ms", "is 20000ms; it must be at most 10000ms"),
+        ("loss:0/0/150%/0/0/0", "is 150%; it must be at most 100%"),
+        ("noise:.4,time=-1 ms", "is -1 ms; it must be above 0 s"),
+    ],
+)
+def test_an_error_repeats_the_value_as_it_was_typed(text: str, sentence: str):
+    with pytest.raises(OctarmError, match=re.escape(sentence)):
+        parse_disturbance(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence", "exact"),
+    [
+        ("payload:100", "is 100 kg; it must be at most 20 kg .*, did you mean 100g", "100kg"),
+        ("noise:40", "is 40; it must be at most 20 .*, did you mean 40%", "4000%"),
+        ("lag:60", "is 60 s; it must be at most 10 s .*, did you mean 60ms", "60s"),
+        ("step:1e9", r"is 1e\+09 N or N m; it must be at most 10000 N or N m .*1e\+09N$", "1e9N"),
+        ("step:-1e9", r"it must be at least -10000 N or N m", "-1e9N"),
+        ("mismatch:30", "it must be at most 10 .*, did you mean 30%", "3000%"),
+        ("drift:20", "is 20 1/s; .* at most 10 1/s unless .* 20/s, did you mean 20%/s", "20/s"),
+    ],
+)
+def test_a_size_that_is_not_plausible_needs_its_unit(text: str, sentence: str, exact: str):
+    with pytest.raises(OctarmError, match=sentence):
+        parse_disturbance(text)
+    name = text.partition(":")[0]
+    assert parse_disturbance(f"{name}:{exact}")
+    table = f"[disturbance]\n{name} = {text.partition(':')[2]}"
+    with pytest.raises(OctarmError, match=f"line 4: .*{sentence}"):
+        parse_spec(f"[grid]\ncontroller = ['pd']\n{table}")
+
+
+def test_what_is_not_allowed_may_have_been_meant_in_a_smaller_unit():
+    for text, meant in (("loss:40", "40%"), ("actuation-delay:60", "60ms")):
+        with pytest.raises(OctarmError, match=f"did you mean {meant}"):
+            parse_disturbance(text)
+    with pytest.raises(OctarmError, match="in degrees it is spelt 90deg"):
+        parse_disturbance("tilt:90")
+    with pytest.raises(OctarmError, match="did you mean 20mm"):
+        parameters_of("sine-slides:20")
+    with pytest.raises(OctarmError, match="did you mean -30%"):
+        nominal_parameters().mismatched(-30.0)
+
+
+def test_a_field_of_a_user_states_what_is_plausible():
+    gust = Quantity("N", plausible=50.0)
+    assert gust.parse("gust", "40") == 40.0 and gust.parse("gust", "60N") == 60.0
+    with pytest.raises(OctarmError, match="gust is 60 N; it must be at most 50 N unless"):
+        gust.parse("gust", "60")
+    assert Quantity("furlong").parse("way", "1e9") == 1e9
+    assert Quantity("furlong").parse("way", "3 furlong") == 3.0
+
+
+def test_gains_have_units():
+    def gain(law: str, name: str, value: object) -> np.ndarray:
+        made = make_controller(law, nominal_parameters(), {name: value})
+        return np.asarray(getattr(made, {"lambda": "lambda_"}.get(name, name)))
+
+    assert gain("smc", "lambda", "15/s") == 15.0
+    assert gain("smc-boundary", "phi", "3deg/s") == pytest.approx(math.radians(3.0))
+    assert gain("super-twisting", "k_1", "3N/sqrt(m/s)") == 3.0
+    assert gain("pd", "roll_off", "20Hz") == 20.0
+    assert gain("smc", "uncertainty", "30%") == 0.3
+    listed = ["1.6N", "1000mN", 0.8, "400 N mm", "0.25Nm", 0.03]
+    np.testing.assert_allclose(gain("smc", "K", listed), [1.6, 1.0, 0.8, 0.4, 0.25, 0.03])
+    with pytest.raises(OctarmError, match="K is .*; its unit must be N, mN or kN"):
+        gain("smc", "K", ["1.6N m", 1, 1, 1, 1, 1])
+    with pytest.raises(OctarmError, match="lambda is '15N'; its unit must be 1/s or %/s"):
+        gain("smc", "lambda", "15N")
+    spec = parse_spec("[grid]\ncontroller = ['pd']\n[gains.pd]\nK_p = '5 N/mm'")
+    assert np.all(spec.controller("pd", nominal_parameters(), make_controller).K_p == 5000.0)
+
+
+def test_a_file_of_gains_may_hold_some_in_si():
+    content = {"controller": "pd", "gains": {"K_p": 1.0, "K_d": "8 N s/m"}, "arm": {}}
+    made = make_controller("pd", nominal_parameters(), gain_set=content)
+    assert np.all(made.K_d == 8.0) and not np.all(made.K_p == 1.0)
+
+
+def test_parameters_of_the_arm_have_units():
+    options = ArmOptions(
+        parameter=("mass:300g,250g,200g", "input_range:-12N,inf", "stiffness:1.2N/mm"),
+        nominal=("mass:70%",),
+    )
+    true, nominal = options.both()
+    np.testing.assert_allclose(true.mass, [0.3, 0.25, 0.2])
+    np.testing.assert_allclose(nominal.mass, 0.7 * true.mass)
+    assert np.all(true.stiffness == 1200.0) and np.ravel(true.input_range)[0] == -12.0
+    for word, sentence in (
+        ("mass:300,250,200", "mass of --parameter is 300 kg; .* did you mean 300g"),
+        ("mass:3s", "its unit must be kg or g"),
+        ("mass:30,25,20g", "each number needs its unit"),
+    ):
+        with pytest.raises(OctarmError, match=sentence):
+            ArmOptions(parameter=(word,)).true_arm()
+    with pytest.raises(OctarmError, match="mass of --nominal is '70g'; its unit must be %"):
+        ArmOptions(nominal=("mass:70g",)).factors()

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from octarm.arrays import Entry, entry, plain, read_only, split
 from octarm.errors import OctarmError, closest, quoted
+from octarm.units import MISMATCH, Range
 
 MOST_MODULES = 100
 
@@ -29,6 +30,21 @@ _RULES: dict[str, tuple[int, float, bool]] = {
     "rest_angle": (1, -np.inf, True),
     "backbone_stiffness": (2, 0.0, True),
     "backbone_damping": (2, 0.0, True),
+}
+# What numbers without batch axes are, for people.
+PARAMETERS = {
+    "mass": Range("kg", plausible=100.0),
+    "inertia": Range("kg m^2"),
+    "width": Range("m", plausible=10.0),
+    "stiffness": Range("N/m"),
+    "damping": Range("N s/m"),
+    "rest_length": Range("m", plausible=10.0),
+    "gravity": Range("m/s^2"),
+    "tip_length": Range("m", plausible=10.0),
+    "input_range": Range("N", plausible=1e6),
+    "rest_angle": Range("rad", plausible=2.0 * np.pi),
+    "backbone_stiffness": Range("N/m or N m/rad"),
+    "backbone_damping": Range("N s/m or N m s/rad"),
 }
 _MOSTLY_ZERO = ("rest_angle", "backbone_stiffness", "backbone_damping")
 # What a factor on a parameter multiplies as well.
@@ -236,10 +252,11 @@ class ArmParameters:
         Raises OctarmError unless mismatch is above -1 and at most 1e6.
         """
         wrong = np.asarray(mismatch, dtype=np.float64)
-        good = (wrong > -1.0) & (wrong <= 1e6)
-        if not np.all(good):
+        if not np.all(good := MISMATCH.allows(wrong)):
+            worst = wrong[~good].flat[0].item()
             raise OctarmError(
-                f"mismatch is {wrong[~good].flat[0]:g}; it must be above -1 and at most 1e+06"
+                f"mismatch is {worst:g}; it must be above -1 and at most 1e+06"
+                f"{MISMATCH.meant(worst)}"
             )
         factor = (1.0 + wrong)[..., None]
         half = (1.0 + wrong / 2.0)[..., None, None]

@@ -6,7 +6,6 @@ the text of the help page. Called, it imports the modules that it needs and retu
 
 from __future__ import annotations
 
-import math
 import os
 import pkgutil
 import re
@@ -16,8 +15,9 @@ from typing import Any, Literal, get_args, get_origin
 
 from cyclopts import Group, Parameter, Token
 
+from octarm import units
 from octarm.errors import OctarmError, closest, quoted
-from octarm.units import ANY, number
+from octarm.units import ANY, Range, number
 
 Work = Callable[[], int | None]  # what a command does; returns the exit code, if all is not fine
 Convert = Callable[[str, str], Any]  # from an option and its word to its value
@@ -131,20 +131,17 @@ def _gains(option: str, word: str) -> str:
     return word
 
 
-def _real(unit: str, least: float = -math.inf) -> Convert:
+def _within(of: Range) -> Convert:
     def convert(option: str, word: str) -> float:
-        value = number(option, word, unit)
-        if least > -math.inf and not least <= value < math.inf:
-            raise ValueError(
-                f"{option} is {quoted(word)}; it must be at least {least:g} and finite"
-            )
+        value = of.parse(option, word)
+        of.check_bounds(option, value)
         return value
 
     return convert
 
 
 def _duration(option: str, word: str) -> float:
-    seconds = number(option, word, "s")
+    seconds = Range("s", above=0.0).parse(option, word)
     if not seconds > 0.0:
         raise OctarmError(f"duration is {seconds:g} s; it must be positive")
     return seconds
@@ -153,20 +150,21 @@ def _duration(option: str, word: str) -> float:
 def _step(option: str, word: str) -> float | str:
     if word == "auto":
         return word
+    from octarm.arm.modes import LONGEST_STEP, SHORTEST_STEP, check_step
+
     try:
-        seconds = number(option, word, "s")
+        seconds = Range("s", SHORTEST_STEP, at_most=LONGEST_STEP).parse(option, word)
     except OctarmError as error:
         raise OctarmError(str(error).replace("a number", "a number [s] or auto")) from None
-    from octarm.arm.modes import check_step
-
     check_step(seconds)
     return seconds
 
 
 def _share(option: str, word: str) -> float:
-    share = number(option, word, "1")
-    if not 0.0 < share <= 1.0:
-        raise OctarmError(f"{option} is {quoted(word)}; it must be above 0 and at most 1")
+    share, name = number(option, word, "1"), option.strip("-").replace("-", "_")
+    if not units.SHARE.allows(share):
+        meant = units.SHARE.meant(share)
+        raise OctarmError(f"{name} is {word}; it must be above 0 and at most 1{meant}")
     return share
 
 
@@ -220,8 +218,10 @@ def _live(hint: Any, tokens: Sequence[Token]) -> list[str]:
 
 
 N, COUNT = whole(0), whole(1)
-X, S, HZ = (kind(*each) for each in (("X", _real("1")), ("S", _real("s")), ("HZ", _real("Hz"))))
-DURATION, SETTLE, STEP = kind("S", _duration), kind("S", _real("s", 0.0)), kind("S", _step)
+X, S, HZ = (kind(each, Range(unit).parse) for each, unit in (("X", "1"), ("S", "s"), ("HZ", "Hz")))
+DURATION, STEP = kind("S", _duration), kind("S", _step)
+SETTLE = kind("S", _within(Range("s", at_least=0.0, at_most=1e9)))
+MISMATCH, PERIOD = kind("X", units.MISMATCH.parse), kind("S", units.PERIOD.parse)
 AMOUNT, SHARE = kind("X", _amount), kind("X", _share)
 RUN, DIR = kind("RUN"), kind("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(

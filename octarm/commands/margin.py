@@ -88,8 +88,6 @@ def _checked(options: MarginOptions) -> tuple[Varied, Catalogue]:
     check_engine(options.engine or usual_engine())
     if not options.bound:
         raise OctarmError("no bound is given; --bound METRIC:VALUE, such as tip_rms_error:0.01")
-    if not 0.0 < options.share <= 1.0:
-        raise OctarmError(f"share is {options.share:g}; it must be above 0 and at most 1")
     varying = [text for text in options.disturbance if is_varied(text)]
     if len(varying) != 1:
         raise OctarmError(

@@ -31,7 +31,7 @@ def run(
     model: ArmOptions = NOMINAL_ARM,
     gain_options: GainOptions = USUAL_GAINS,
     timestep: Annotated[float | str | None, kinds.STEP, kinds.SIMULATION] = None,
-    control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
+    control_period: Annotated[float | None, kinds.PERIOD, kinds.SIMULATION] = None,
     actuation: Annotated[str, kinds.ACTUATION, kinds.SIMULATION] = "f-coeff",
     integrator: Annotated[str, kinds.INTEGRATOR, kinds.SIMULATION] = "rk4",
     engine: Annotated[str, kinds.ENGINE, kinds.SIMULATION] = "mujoco",
@@ -144,9 +144,9 @@ def view(
     disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = (),
     seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
     arm: Annotated[str | None, kinds.ARM, kinds.MODEL] = None,
-    mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0,
+    mismatch: Annotated[float, kinds.MISMATCH, kinds.MODEL] = 0.0,
     gain_options: GainOptions = USUAL_GAINS,
-    control_period: Annotated[float | None, kinds.S, kinds.SIMULATION] = None,
+    control_period: Annotated[float | None, kinds.PERIOD, kinds.SIMULATION] = None,
 ) -> kinds.Work:
     """Watch the arm in MuJoCo's viewer, moved by a controller.
 

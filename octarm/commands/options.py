@@ -14,6 +14,7 @@ from cyclopts import Parameter
 
 from octarm.commands import kinds
 from octarm.errors import OctarmError, closest, quoted
+from octarm.units import Range, is_bare, is_like_a_number
 
 if TYPE_CHECKING:
     from octarm.arm.parameters import ArmParameters
@@ -27,8 +28,8 @@ class ModelOptions:
     Attributes:
         mismatch: error of the controller's model: mass, inertia and damping times 1 + X,
             stiffness times 1 + X/2
-        nominal: a further factor on a parameter of the controller's model, e.g. mass:0.7
-        parameter: a parameter of the true arm and of the model, e.g. mass:0.3,0.25,0.2 [kg], or
+        nominal: a further factor on a parameter of the controller's model, e.g. mass:70%
+        parameter: a parameter of the true arm and of the model, e.g. mass:300g,250g,200g, or
             input_range:-12,12 for the lowest and highest force of the columns [N]
         plant_modules: modules of the true arm, a multiple of the model's: a chain of the same rod,
             of which the controller knows groups; the model's modules when not given
@@ -37,7 +38,7 @@ class ModelOptions:
             between the plates that end them
     """
 
-    mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0
+    mismatch: Annotated[float, kinds.MISMATCH, kinds.MODEL] = 0.0
     nominal: Annotated[tuple[str, ...], kinds.kind("NAME:FACTOR"), kinds.MODEL] = ()
     parameter: Annotated[tuple[str, ...], kinds.kind("NAME:VALUES"), kinds.MODEL] = ()
     plant_modules: Annotated[int | None, kinds.COUNT, kinds.MODEL] = None
@@ -114,7 +115,8 @@ class GainOptions:
         gains: those to start from, scaled by the controller's model: tuned, recommended (set by
             hand), or a file NAME.toml of octarm tune; tuned ones, in octarm tune recommended
             ones, when not given
-        gain: one gain in SI, e.g. lambda:15 or K:1.6,1.0,0.8,0.4,0.25,0.03 in the order of q
+        gain: one gain in SI or with its unit, e.g. lambda:15/s or K:1.6,1.0,0.8,0.4,0.25,0.03 in
+            the order of q
         roll_off: corner of a roll-off of the force that the controller asks for [Hz]
     """
 
@@ -123,11 +125,11 @@ class GainOptions:
     roll_off: Annotated[float | None, kinds.HZ, kinds.GAIN] = None
 
     def values(self, *controllers: str) -> Mapping[str, Any]:
-        """The gains that are given one by one, by name [SI].
+        """The gains that are given one by one, by name: numbers [SI] and texts with a unit.
 
         Raises OctarmError if one does not read so, or one of the controllers does not have it.
         """
-        from controllers import check_gains
+        from controllers import gains_in_si
 
         gains = _named_values("--gain", self.gain)
         for item, value in zip(self.gain, gains.values(), strict=True):
@@ -136,7 +138,7 @@ class GainOptions:
                     f"--gain is {quoted(item)}; a gain is one number, or one a coordinate"
                 )
         for controller in controllers:
-            check_gains(controller, gains)
+            gains_in_si(controller, gains)
         return gains if self.roll_off is None else {**gains, "roll_off": self.roll_off}
 
     def command(self) -> list[str]:
@@ -144,6 +146,7 @@ class GainOptions:
         return _spelt(self)
 
 
+FACTOR = Range("1")
 ANY_MODEL, NOMINAL_ARM, USUAL_GAINS = ModelOptions(), ArmOptions(), GainOptions()
 
 
@@ -181,7 +184,7 @@ class MarginOptions:
     low: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None
     high: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None
     seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 36
-    share: Annotated[float, kinds.X, kinds.SOUGHT] = 0.9
+    share: Annotated[float, kinds.SHARE, kinds.SOUGHT] = 0.9
     metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.SOUGHT] = ()
     arm: Annotated[tuple[str, ...], kinds.ARM, kinds.MODEL] = ()
     model: ModelOptions = ANY_MODEL
@@ -190,7 +193,7 @@ class MarginOptions:
     duration: Annotated[float, kinds.DURATION, kinds.RUNS] = 6.0
     settle: Annotated[float, kinds.SETTLE, kinds.RUNS] = 2.0
     timestep: Annotated[float | str | None, kinds.STEP, kinds.RUNS] = None
-    control_period: Annotated[float | None, kinds.S, kinds.RUNS] = None
+    control_period: Annotated[float | None, kinds.PERIOD, kinds.RUNS] = None
     seed: Annotated[int, kinds.N, kinds.RUNS] = 0
     engine: Annotated[str | None, kinds.ENGINE, kinds.RUNS] = None
     csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None
@@ -297,7 +300,7 @@ class LoopOptions:
     controller: Annotated[tuple[str, ...], kinds.CONTROLLER, kinds.LOOP] = ()
     gains: Annotated[str | None, kinds.GAINS, kinds.LOOP] = None
     roll_off: Annotated[float | None, kinds.HZ, kinds.LOOP] = None
-    control_period: Annotated[float | None, kinds.S, kinds.LOOP] = None
+    control_period: Annotated[float | None, kinds.PERIOD, kinds.LOOP] = None
     plant_modules: Annotated[int | None, kinds.COUNT, kinds.LOOP] = None
 
 
@@ -318,34 +321,45 @@ def _spelt(options: ArmOptions | GainOptions) -> list[str]:
 
 def _parameters(option: str, items: Sequence[str]) -> dict[str, Any]:
     """Values by parameter of an arm; raises OctarmError for an unknown one."""
-    from octarm.arm.parameters import ArmParameters
+    from octarm.arm.parameters import PARAMETERS
 
     values = _named_values(option, items)
-    known = [field.name for field in dataclasses.fields(ArmParameters)]
-    for name in values:
-        if name not in known:
-            raise OctarmError(f"unknown parameter {quoted(name)}{closest(name, known)}")
+    for name, value in values.items():
+        if name not in PARAMETERS:
+            raise OctarmError(f"unknown parameter {quoted(name)}{closest(name, PARAMETERS)}")
+        kind = PARAMETERS[name] if option == "--parameter" else FACTOR
+        values[name] = _converted(f"{name} of {option}", value, kind)
     return values
 
 
-def _named_values(option: str, items: Sequence[str]) -> dict[str, Any]:
-    """Each NAME:VALUES as a number, numbers with `,` between them, or rows with `;` between them.
+def _converted(name: str, value: Any, kind: Range) -> Any:
+    """Texts as numbers, and lists of them."""
+    if isinstance(value, str):
+        return kind.parse(name, value)
+    sizes = [x for x in value if isinstance(x, str) and x.strip("-+ ") not in ("0", "inf")]
+    if kind.unit != "1" and len({*map(is_bare, sizes)}) > 1:
+        raise OctarmError(
+            f"{name} is {quoted(','.join(value))}; each number needs its unit, or none"
+        )
+    return [_converted(name, x, kind) for x in value]
 
-    Raises OctarmError if an item has no name, or its values are not numbers.
+
+def _named_values(option: str, items: Sequence[str]) -> dict[str, Any]:
+    """Each NAME:VALUES as a text, texts with `,` between them, or rows with `;` between them.
+
+    Raises OctarmError if an item has no name, or its values are not numbers, with a unit or not.
     """
     values: dict[str, Any] = {}
     for item in items:
         name, _, text = item.partition(":")
         if name in values:
             raise OctarmError(f"{option} gives {name} twice")
-        try:
-            rows = [[float(x) for x in row.split(",")] for row in text.split(";")]
-            if any(len(row) != len(rows[0]) for row in rows):
-                raise ValueError
-        except ValueError:
+        rows = [row.split(",") for row in text.split(";")]
+        alike = all(len(row) == len(rows[0]) for row in rows)
+        if not alike or not all(map(is_like_a_number, (x for row in rows for x in row))):
             raise OctarmError(
                 f"{option} is {quoted(item)}; it must read NAME:NUMBER, NAME:A,B,C or NAME:A,B;C,D"
-            ) from None
+            )
         row = rows if len(rows) > 1 else rows[0]
         values[name] = row[0] if len(rows[0]) == len(rows) == 1 else row
     return values

@@ -17,13 +17,13 @@ import numpy as np
 from octarm.disturbances.episode import Episode, Event, Plant, PlantChange, PlantProcess
 from octarm.disturbances.streams import NEVER, first_step, periods_begun
 from octarm.fields import PHASE, Amount, Quantity, Words
+from octarm.units import MISMATCH
 
 # The parameters that have factors, and how many axes each has after the batch axes.
 SCALABLE = {"mass": 1, "inertia": 1, "stiffness": 2, "damping": 2, "rest_length": 1}
 
 _GRID = 0.01  # [s]; parameters that drift stay as they are for so long, whatever the physics step
 
-MISMATCH = Quantity("1", above=-1.0, at_most=1e6, plausible=10.0, usual=(0.0, 3.0))
 Factor = Annotated[Amount, Quantity("1", above=0.0, at_most=1e6)]
 Share = Annotated[Amount, Quantity("1", at_least=0.0, below=1.0, usual=(0.0, 0.95))]
 Angle = Annotated[Amount, Quantity("rad", at_least=-np.pi, at_most=np.pi, usual=(0.0, 1.5))]
@@ -40,7 +40,7 @@ class Mismatch(PlantChange):
     """
 
     name: ClassVar[str] = "mismatch"
-    mismatch: Annotated[Amount, MISMATCH] = 0.0
+    mismatch: Annotated[Amount, Quantity(**vars(MISMATCH), usual=(0.0, 3.0))] = 0.0
     mass: Factor = 1.0
     inertia: Factor = 1.0
     stiffness: Factor = 1.0

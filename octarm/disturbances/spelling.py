@@ -96,16 +96,17 @@ _BUILT_IN: dict[str, type[Disturbance]] = {
 DISTURBANCES: Declared[type[Disturbance]] = Declared("disturbance", _BUILT_IN, _lacks, _declares)
 
 
-def parse_disturbance(text: str) -> Disturbance:
+def parse_disturbance(text: str, **given: Any) -> Disturbance:
     """A disturbance from its spelling on the command line.
 
     VALUE is that of the first field; a field that may differ between coordinates takes one number
     for each of them as well, separated by `/`, as in `loss:0/0/0.5/0/0/0`. A number may have a
-    unit, as in `payload:100g,at=500ms`.
+    unit, as in `payload:100g,at=500ms`. Further fields may be `given` by name.
     """
     word, rest = DISTURBANCES.split(text)
     cls = DISTURBANCES[word]
-    values: dict[str, Any] = parsed_fields(cls.name, text, rest, field_kinds(cls), _usage(cls))
+    fields = parsed_fields(cls.name, text, rest, field_kinds(cls), _usage(cls))
+    values: dict[str, Any] = {**fields, **given}
     if not values or not field_kinds(cls).keys() <= values.keys() | field_defaults(cls).keys():
         raise OctarmError(f"{quoted(text)} is incomplete; it must read {_usage(cls)}")
     return cls(**values)

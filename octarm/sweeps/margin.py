@@ -33,7 +33,7 @@ from octarm.simulation.engines import usual_engine
 from octarm.simulation.environment import load
 from octarm.sweeps.progress import arm_seconds
 from octarm.sweeps.shards import measure
-from octarm.units import ANY, number
+from octarm.units import ANY, MISMATCH, number
 
 _POINTS = 3  # values that are tried within a gap at a time
 _SMALLEST = 1e-5  # gap, in shares of the way, that is never made smaller
@@ -234,13 +234,9 @@ def parse_varied(text: str, low: float | str | None, high: float | str | None) -
     usual = usual_range(name)
     if usual is None and None in (low, high):
         raise OctarmError(f"{name} has no usual range; give --low, a value to bear, and --high")
-    of_value = "1" if name == NOMINAL else first_field(DISTURBANCES[name])[1].unit
+    field, kind = ("", MISMATCH) if name == NOMINAL else first_field(DISTURBANCES[name])
     low, high = (
-        number(end, given, of_value)
-        if isinstance(given, str)
-        else default
-        if given is None
-        else given
+        kind.parse(end, given) if isinstance(given, str) else default if given is None else given
         for end, given, default in zip(
             ("low", "high"), (low, high), usual or (math.nan, math.nan), strict=True
         )
@@ -253,9 +249,8 @@ def parse_varied(text: str, low: float | str | None, high: float | str | None) -
         for value in (low, high):
             nominal_parameters().mismatched(value)  # raises
         return Varied(name=name, low=low, high=high)
-    texts = [f"{name}:{value!r}{',' + rest if rest else ''}" for value in (low, high)]
-    at_low, _ = (parse_disturbance(text) for text in texts)
-    return Varied(name=at_low.name, low=low, high=high, unit=of_value, disturbance=at_low)
+    at_low, _ = (parse_disturbance(text, **{field: value}) for value in (low, high))
+    return Varied(name=at_low.name, low=low, high=high, unit=kind.unit, disturbance=at_low)
 
 
 def usual_range(name: str) -> tuple[float, float] | None:

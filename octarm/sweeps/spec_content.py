@@ -12,7 +12,8 @@ plant of more modules, see `octarm.arm.groups`) where they have one value. The t
 - `[random]` with `mismatch`, and `[random.disturbance]`: what is drawn for each seed,
   `payload = { low = 0.0, high = 0.2, method = "sobol" }`; `uniform` is the usual method;
 - `[disturbance]`: what is the same in all episodes, `noise.time = 0.01`;
-- `[gains.NAME]`: gains of a controller [SI], also `roll_off`, see `octarm.roll_off` [Hz];
+- `[gains.NAME]`: gains of a controller in SI, or with a unit, `"15/s"`; also `roll_off`, see
+  `octarm.roll_off` [Hz];
 - `[arm]`: the arm, as in a file of one (`octarm.arm.file`), instead of `arm = "my-arm.toml"`;
 - `[record]`: `episodes`, a list of numbers, `"worst"`, `"median"` and `"diverged"`.
 
@@ -54,6 +55,7 @@ from octarm.metrics.metric import SETTLED_AFTER
 from octarm.simulation.engines import ENGINES, MUJOCO
 from octarm.simulation.start import REST, SHARE, STARTS
 from octarm.simulation.steps import AUTO
+from octarm.units import is_like_a_number
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
 METHODS = ("uniform", "sobol")
@@ -74,6 +76,12 @@ def _step(value: float | str) -> float | str:
     return value
 
 
+def _number_text(text: str) -> str:
+    if not is_like_a_number(text):
+        raise ValueError("a number")
+    return text
+
+
 Distinct = AfterValidator(_distinct)
 Mismatch = Annotated[float, Field(gt=-1.0, le=1e6)]
 Layout = Annotated[str, one_of(LAYOUTS)]
@@ -82,7 +90,8 @@ Modules = Annotated[int, Field(ge=1, le=MOST_MODULES)]
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 Step = Annotated[float | str, AfterValidator(_step)]
 Number = Annotated[float, pydantic.AllowInfNan(True)]
-Gain = float | list[float]
+GainText = Annotated[str, AfterValidator(_number_text)]  # in which unit, its controller knows
+Gain = float | GainText | list[float | GainText]
 
 
 # What users mean by keys that there are not.

@@ -19,25 +19,25 @@ from octarm.arm.parameters import ArmParameters
 from octarm.declared import Code, short_name, word_of
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import FileError, OctarmError, closest, quoted
-from octarm.fields import Words, field_defaults, field_keys, field_kinds
+from octarm.fields import field_defaults, field_keys, field_kinds
 from octarm.formats import Array, Document, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
 from octarm.sweeps.spec import ARM, PLANT, PLANT_MODULES, SETTINGS, Axis, SweepSpec, keys_of, which
 from octarm.sweeps.spec_code import with_names
 from octarm.sweeps.spec_content import GAIN_SETS, Bounds, Distinct, GainFile, Number, SpecFile
-from octarm.units import number
+from octarm.units import MISMATCH, PERIOD, Range
 
 _LIKE_A_NUMBER = re.compile(r"\s*[-+.]{0,2}\d")  # how a number begins, with a unit or not
 # The units of what is no field of a disturbance; numbers may be texts with another unit.
 _UNITS = {
-    ("duration",): "s",
-    ("settle",): "s",
-    ("timestep",): "s",
-    ("control_period",): "s",
-    ("start_share",): "1",
-    ("mismatch",): "1",
-    ("grid", "mismatch"): "1",
-    ("random", "mismatch"): "1",
+    ("duration",): Range("s"),
+    ("settle",): Range("s"),
+    ("timestep",): Range("s"),
+    ("control_period",): PERIOD,
+    ("start_share",): Range("1"),
+    ("mismatch",): MISMATCH,
+    ("grid", "mismatch"): MISMATCH,
+    ("random", "mismatch"): MISMATCH,
 }
 _MORE = (ARM, *PLANT)  # axes that only some sweeps have
 _OWN = ("controller", "reference", *_MORE, "mismatch")  # in their order, slowest first
@@ -62,14 +62,14 @@ def parse_spec(text: str, file: str = "spec.toml") -> SweepSpec:
 def _spec(document: Document) -> SweepSpec:
     kept = document.content.get("code", {})  # of which no code is imported
     document = with_names(document)
-    for keys, unit in _UNITS.items():
-        document = _in_si(document, unit, *keys)
+    for keys, kind in _UNITS.items():
+        document = _in_si(document, kind, *keys)
     content = document.read(SpecFile)
     for place in (("disturbance",), ("grid", "disturbance"), ("random", "disturbance")):
         for field, keys in list(_fields(document, content.code, *place)):
-            unit = unit_of(field, content.code)
-            if unit is not None:
-                document = _in_si(document, unit, *keys)
+            kind = range_of(field, content.code)
+            if kind is not None:
+                document = _in_si(document, kind, *keys)
     axes, drawn = _axes(document, content)
     arms = _arms(document, content, axes)
     _check_plants(document, content, axes, arms)
@@ -102,8 +102,14 @@ def _spec(document: Document) -> SweepSpec:
     return spec
 
 
-def _in_si(document: Document, unit: str, *keys: str) -> Document:
-    """The document with numbers in place of texts such as "40%" at a key, if there are some."""
+def _in_si(document: Document, kind: Range, *keys: str) -> Document:
+    """The document with numbers in place of texts such as "40%" at a key, if there are some.
+
+    The spec that a sweep keeps of several files, which has tables of them, is not doubted.
+    """
+    kept = {"code", "arms"} & document.content.keys() or isinstance(
+        document.content.get("gain_set"), dict
+    )
     table: Any = document.content
     for key in keys:
         if not isinstance(table, dict) or key not in table:
@@ -117,10 +123,12 @@ def _in_si(document: Document, unit: str, *keys: str) -> Document:
             between = {"low", "high"}
             items = cast(dict[str, Any], value).items()
             return {key: converted(x) if key in between else x for key, x in items}
-        if not isinstance(value, str) or not _LIKE_A_NUMBER.match(value):
-            return value
         try:
-            return number(".".join(keys), value, unit)
+            if isinstance(value, str) and _LIKE_A_NUMBER.match(value):
+                return kind.parse(".".join(keys), value)
+            if isinstance(value, int | float) and not kept:
+                kind.check_plausible(".".join(keys), value)
+            return value
         except OctarmError as error:
             raise document.error(str(error), *keys) from None
 
@@ -240,12 +248,18 @@ def _own_axis(name: str, document: Document, content: SpecFile) -> Axis | None:
 
 def unit_of(axis: Axis, code: Mapping[str, Code]) -> str | None:
     """The unit of a field of a disturbance; None if it is of words."""
+    kind = range_of(axis, code)
+    return None if kind is None else kind.unit
+
+
+def range_of(axis: Axis, code: Mapping[str, Code]) -> Range | None:
+    """What a field of a disturbance may be, as far as it is known; None if it is of words."""
     kind = which(axis.disturbance)[0]
     if kind in code:
         said = {field["field"]: field for field in code[kind].declares.values()}[axis.field]
-        return str(said["unit"]) if said["number"] else None
+        return Range(str(said["unit"])) if said["number"] else None
     declared = field_kinds(DISTURBANCES[kind])[axis.field]
-    return None if isinstance(declared, Words) else declared.unit
+    return declared if isinstance(declared, Range) else None
 
 
 def _fields(
