@@ -7,7 +7,7 @@ costs: a search that goes on from a file ends with the same bits.
 
 What learns or integrates may do well for a while and drift away later. So the best of the last
 generation, and the hand-set gains, are tried for longer and under other noise; the best there wins.
-These last trials, and all costs that are stated, are made on MuJoCo, whatever engine the search has.
+These last trials, and all costs in the result, are MuJoCo's, whatever engine the search has.
 """
 
 from __future__ import annotations
