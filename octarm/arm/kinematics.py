@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from octarm.arrays import Entry, cos_sin, entry, join, split
+from octarm.arrays import Entry, added_up, cos_sin, entry, join, split
 
 
 def positions(q: np.ndarray) -> np.ndarray:
@@ -137,8 +137,7 @@ def tip(q: np.ndarray) -> tuple[Entry, Entry]:
         share = 2.0 / (1.0 + half * half)
         along, across = np.concatenate([s[:1], s[1:] * (share - 1.0)]), s[1:] * (share * half)
         across = np.concatenate([np.zeros_like(s[:1]), across])
-        x, y = (np.add.accumulate(part, axis=0)[-1].T for part in (along, across))
-        return x, y
+        return added_up(along, 0).T, added_up(across, 0).T
     entries = split(q)
     x, y, phi = entries[0], 0.0, 0.0
     for i, theta in enumerate(entries[n:-1], 1):
