@@ -53,7 +53,7 @@ class Plant(NamedTuple):
         """Those of the arms from this number on."""
         p, angle = self
         p = p.arm(slice(first, None)) if p.batch_shape else p
-        return Plant(p, angle if isinstance(angle, float) else angle[first:])
+        return Plant(p, angle[first:] if isinstance(angle, np.ndarray) and angle.ndim else angle)
 
 
 class Event(NamedTuple):
