@@ -487,6 +487,21 @@ BAD_INPUT = [
     "video runs/x",
     "verify runs/x",
     "validate --arm eht",
+    "run --disturbance noise:abc",
+    "run --disturbance tilt:200deg",
+    "run --disturbance payload:100",
+    "run --reference sine:amplitude=7",
+    "run --reference file:nowhere.csv",
+    "view --disturbance payload:100",
+    "margin smc --bound nope",
+    "margin smc --disturbance payload --bound nope:1",
+    "margin smc --disturbance payload:1 --bound tip_rms_error:1mm",
+    "margin smc --disturbance payload --high 100 --bound tip_rms_error:1mm",
+    "margin smc",
+    "tune smc --budget 200",
+    "tune smc --disturbance lag:60",
+    "compare nope",
+    "compare nope nope",
 ]
 
 

@@ -183,7 +183,7 @@ def test_gains_have_units():
     assert gain("smc", "uncertainty", "30%") == 0.3
     listed = ["1.6N", "1000mN", 0.8, "400 N mm", "0.25Nm", 0.03]
     np.testing.assert_allclose(gain("smc", "K", listed), [1.6, 1.0, 0.8, 0.4, 0.25, 0.03])
-    with pytest.raises(OctarmError, match="K is .*; its unit must be N, mN or kN"):
+    with pytest.raises(OctarmError, match=r"K is .*; its unit must be N, mN or kN"):
         gain("smc", "K", ["1.6N m", 1, 1, 1, 1, 1])
     with pytest.raises(OctarmError, match="lambda is '15N'; its unit must be 1/s or %/s"):
         gain("smc", "lambda", "15N")

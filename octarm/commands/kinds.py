@@ -22,6 +22,8 @@ from octarm.units import ANY, Range, number
 Work = Callable[[], int | None]  # what a command does; returns the exit code, if all is not fine
 Convert = Callable[[str, str], Any]  # from an option and its word to its value
 
+GENERATION = 1224.0  # [s] that one generation of octarm tune simulates
+
 Shell = Literal["bash", "zsh", "fish"]
 SHELLS: tuple[Shell, ...] = get_args(Shell)
 # What octarm new writes a file of.
@@ -95,6 +97,26 @@ def check(metavar: str, word: str, *more: str) -> None:
     pkgutil.resolve_name(_WORDS[metavar]).check(word, *more)
 
 
+def check_numbers(metavar: str, text: str, *, varied: bool) -> None:
+    """Raises OctarmError for parameters that a built-in disturbance or reference cannot have.
+
+    The first number of one that is to be `varied` may be missing.
+    """
+    if metavar == "DISTURBANCE":
+        from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
+        from octarm.disturbances.varied import is_varied
+
+        built_in = DISTURBANCES.split(text).word in DISTURBANCES
+        if built_in and not (varied and is_varied(text)):
+            parse_disturbance(text)
+    elif metavar == "REFERENCE":
+        from octarm.references import REFERENCES, parameters_of
+
+        if REFERENCES.split(text).word in REFERENCES:
+            REFERENCES.code(text)  # raises for a file that is not there
+            parameters_of(text)
+
+
 def _declared(metavar: str, *more: str, known: bool = True) -> Parameter:
     """A name, or an import path or file of a user's own; see `octarm.declared`.
 
@@ -108,6 +130,7 @@ def _declared(metavar: str, *more: str, known: bool = True) -> Parameter:
         word = absolute(word)
         if known:
             check(metavar, word, *more)
+            check_numbers(metavar, word, varied=bool(more))
         return word
 
     return kind(metavar, convert)
@@ -168,6 +191,24 @@ def _share(option: str, word: str) -> float:
     return share
 
 
+def _bound(option: str, word: str) -> str:
+    from octarm.metrics.declared import parse_bound
+
+    parse_bound(word)  # raises
+    return word
+
+
+def _budget(option: str, word: str) -> float:
+    """The message is that of `octarm.sweeps.tune.Budget`, which takes long to import."""
+    seconds = number(option, word, "s")
+    if not GENERATION <= seconds <= 1e8:
+        raise OctarmError(
+            f"budget is {seconds:g} s; it must be at least {GENERATION:g} s, one generation, "
+            "and finite, at most 1e+08 s"
+        )
+    return seconds
+
+
 def _amount(option: str, word: str) -> str:
     """A number whose unit depends on another option."""
     number(option, word, ANY)
@@ -223,6 +264,7 @@ DURATION, STEP = kind("S", _duration), kind("S", _step)
 SETTLE = kind("S", _within(Range("s", at_least=0.0, at_most=1e9)))
 MISMATCH, PERIOD = kind("X", units.MISMATCH.parse), kind("S", units.PERIOD.parse)
 AMOUNT, SHARE = kind("X", _amount), kind("X", _share)
+BOUND, BUDGET = kind("METRIC:VALUE", _bound), kind("S", _budget)
 RUN, DIR = kind("RUN"), kind("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
     _declared, ("CONTROLLER", "REFERENCE", "DISTURBANCE", "METRIC")

@@ -114,6 +114,8 @@ def margin(*controllers: Annotated[str, kinds.CALLED], options: MarginOptions = 
     for word in controllers:
         kinds.check("CONTROLLER", word)
     options.gain_options.values(*controllers)  # raises
+    if controllers:
+        options.varied()  # raises
     for model in options.models:
         model.both()  # raises
     from octarm.commands import margin as work

@@ -26,7 +26,7 @@ from octarm.metrics.declared import ACCUMULATORS
 from octarm.metrics.table import METRICS, Catalogue
 from octarm.references import REFERENCES
 from octarm.runs.versions import host, versions
-from octarm.simulation.engines import check_engine, usual_engine
+from octarm.simulation.engines import usual_engine
 from octarm.sweeps.margin import (
     NOMINAL,
     Attempt,
@@ -36,7 +36,6 @@ from octarm.sweeps.margin import (
     is_varied,
     margin_of,
     parse_bound,
-    parse_varied,
     search,
     seeds_needed,
 )
@@ -50,7 +49,8 @@ def margin(controllers: Sequence[str], options: MarginOptions) -> None:
     """`octarm margin`: how much each controller bears on each arm, as a table."""
     if not controllers:
         raise OctarmError("no controller is given; octarm run --help names them")
-    varied, metrics = _checked(options)
+    varied = options.varied()
+    metrics = METRICS.extended(ACCUMULATORS[word] for word in options.metric)
     words = [(CONTROLLERS, word) for word in dict.fromkeys(controllers)]
     more = [(DISTURBANCES, word) for word in options.disturbance if word != NOMINAL]
     more += [(ACCUMULATORS, word) for word in options.metric]
@@ -77,27 +77,6 @@ def margin(controllers: Sequence[str], options: MarginOptions) -> None:
         write_text(options.csv, _csv(rows))
     if options.json is not None:
         write_text(options.json, to_json(_report(options, varied, rows, code)))
-
-
-def _checked(options: MarginOptions) -> tuple[Varied, Catalogue]:
-    """What varies, the one disturbance without a value, and what is measured.
-
-    Raises:
-        OctarmError: for options that cannot be meant.
-    """
-    check_engine(options.engine or usual_engine())
-    if not options.bound:
-        raise OctarmError("no bound is given; --bound METRIC:VALUE, such as tip_rms_error:0.01")
-    varying = [text for text in options.disturbance if is_varied(text)]
-    if len(varying) != 1:
-        raise OctarmError(
-            "one --disturbance goes without a value, the one whose largest value is sought; "
-            f"here it is {' and '.join(varying) or 'none'}"
-        )
-    varied = parse_varied(varying[0], options.low, options.high)
-    if varied.name == NOMINAL and options.model.mismatch:
-        raise OctarmError(f"--mismatch is given, but {NOMINAL} is what varies")
-    return varied, METRICS.extended(ACCUMULATORS[word] for word in options.metric)
 
 
 def _fixed(options: MarginOptions) -> list[Disturbance]:

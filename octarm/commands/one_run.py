@@ -246,6 +246,9 @@ def compare(
       octarm compare runs/a runs/b runs/c --out comparison-of-gains
     """
     kinds.check_free(force, out / "comparison.html", out / "comparison.rrd")
+    kinds.check_runs(*runs)
+    if len(runs) < 2:
+        raise OctarmError(f"octarm compare needs two runs or more; {len(runs)} given")
     from octarm.commands import redraw as work
 
     return surviving_output(work.compare, runs, out)

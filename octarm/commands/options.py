@@ -18,6 +18,7 @@ from octarm.units import Range, is_bare, is_like_a_number
 
 if TYPE_CHECKING:
     from octarm.arm.parameters import ArmParameters
+    from octarm.disturbances.varied import Varied
 
 
 @Parameter(name="*")
@@ -180,7 +181,7 @@ class MarginOptions:
     """
 
     disturbance: Annotated[tuple[str, ...], kinds.VARIED, kinds.SOUGHT] = ()
-    bound: Annotated[tuple[str, ...], kinds.kind("METRIC:VALUE"), kinds.SOUGHT] = ()
+    bound: Annotated[tuple[str, ...], kinds.BOUND, kinds.SOUGHT] = ()
     low: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None
     high: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None
     seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 36
@@ -204,6 +205,31 @@ class MarginOptions:
     def models(self) -> list[ArmOptions]:
         """The options of each arm."""
         return [self.model.of(name) for name in self.arm or (None,)]
+
+    def varied(self) -> Varied:
+        """What varies, the one disturbance without a value.
+
+        Raises OctarmError for options that cannot be meant.
+        """
+        from octarm.disturbances.varied import NOMINAL, is_varied, parse_varied
+        from octarm.metrics.declared import check_measures
+        from octarm.simulation.engines import check_engine, usual_engine
+
+        check_engine(self.engine or usual_engine())
+        if not self.bound:
+            raise OctarmError("no bound is given; --bound METRIC:VALUE, such as tip_rms_error:0.01")
+        if not self.metric:  # which may have any name
+            check_measures(bound.partition(":")[0] for bound in self.bound)
+        varying = [text for text in self.disturbance if is_varied(text)]
+        if len(varying) != 1:
+            raise OctarmError(
+                "one --disturbance goes without a value, the one whose largest value is sought; "
+                f"here it is {' and '.join(varying) or 'none'}"
+            )
+        varied = parse_varied(varying[0], self.low, self.high)
+        if varied.name == NOMINAL and self.model.mismatch:
+            raise OctarmError(f"--mismatch is given, but {NOMINAL} is what varies")
+        return varied
 
 
 @Parameter(name="*")
@@ -230,7 +256,7 @@ class TuneOptions:
     model: ArmOptions = NOMINAL_ARM
     gain_options: GainOptions = USUAL_GAINS
     out: Annotated[Path | None, kinds.file(".toml")] = None
-    budget: Annotated[float, kinds.S] = 16000.0
+    budget: Annotated[float, kinds.BUDGET] = 16000.0
     seed: Annotated[int, kinds.N] = 0
     resume: bool = False
     force: bool = False

@@ -48,8 +48,6 @@ def compare(folders: Sequence[Path], out: Path) -> None:
     from octarm.recordings.comparison import check_comparable, write_comparison
     from octarm.reports.run_comparison import RunComparison
 
-    if len(folders) < 2:
-        raise OctarmError(f"octarm compare needs two runs or more; {len(folders)} given")
     if out.exists() and not out.is_dir():
         raise OctarmError(f"{out} is not a folder; choose another --out")
     runs = [rows_of(folder) for folder in folders]

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
 from octarm.declared import Code, Declared, lacking, word_of
-from octarm.errors import printable, quoted
+from octarm.errors import OctarmError, closest, printable, quoted
 from octarm.formats import Document
 from octarm.metrics.metric import Accumulator, Metric
 from octarm.metrics.table import METRICS, Catalogue
+from octarm.units import ANY, number
 
 
 def _lacks(thing: Any) -> str:
@@ -67,3 +69,23 @@ def declared_metrics(code: Mapping[str, Code]) -> dict[str, Metric]:
             metric = Document(each.path, known_keys).read(Metric)
             known.setdefault(name, metric._replace(text=printable(metric.text, 200)))
     return known
+
+
+def parse_bound(text: str) -> tuple[str, float]:
+    """A metric and what its absolute value may be at most, from METRIC:VALUE."""
+    metric, _, value = text.partition(":")
+    if not value:
+        raise OctarmError(f"bound is {quoted(text)}; it must read METRIC:VALUE")
+    declared = [m for name, m in METRICS.items() if f"{metric}_".startswith(f"{name}_")]
+    unit = " or ".join(declared[-1].units) if declared else ANY  # a user's own may have any
+    limit = number(f"bound of {metric}", value, unit)
+    if not 0.0 < limit < math.inf:
+        raise OctarmError(f"bound of {metric} is {limit:g}; it must be positive and finite")
+    return metric, limit
+
+
+def check_measures(names: Iterable[str]) -> None:
+    """Raises OctarmError for a column that no run of a built-in metric has."""
+    for name in names:
+        if not any(f"{name}_".startswith(f"{known}_") for known in METRICS):
+            raise OctarmError(f"there is no measure {quoted(name)}{closest(name, METRICS)}")
