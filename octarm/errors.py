@@ -99,6 +99,12 @@ def sentence_of(error: OSError) -> str:
     return f"{error.filename or 'standard output'}: {error.strerror}"
 
 
+def similar(word: str, known: Iterable[str]) -> str:
+    """The end of an error sentence: the most similar of many known words, if there is one."""
+    match = difflib.get_close_matches(word, [*known], n=1)
+    return f", did you mean {quoted(match[0])}?" if match else ""
+
+
 def closest(word: object, known: Iterable[str], meant: str = "") -> str:
     """The end of an error sentence: what a misspelt word may have meant, and the known ones.
 

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Generator, Mapping
 from pathlib import Path
 
-from octarm.errors import FileError, quoted
+from octarm.errors import FileError, quoted, similar
 from octarm.interrupts import held_interrupts
 
 _PART = ".{}.new.part"  # the name that a file has until it is whole
@@ -169,7 +169,15 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
     try:
         return Path(path).read_bytes()
     except OSError as error:
-        raise FileError(f"{path} cannot be read: {error.strerror}") from None
+        raise unreadable(path, error) from None
+
+
+def unreadable(path: str | os.PathLike[str], error: OSError) -> FileError:
+    """What to raise for a file that cannot be read; it names one of a similar name, if any."""
+    path, meant = Path(path), ""
+    if error.errno == errno.ENOENT and path.parent.is_dir():
+        meant = similar(path.name, (file.name for file in path.parent.glob(f"*{path.suffix}")))
+    return FileError(f"{path} cannot be read: {error.strerror}{meant}")
 
 
 @contextlib.contextmanager

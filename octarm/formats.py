@@ -27,6 +27,7 @@ import pydantic
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from octarm.errors import FileError, OctarmError, closest, quoted
+from octarm.files import unreadable
 
 FORMAT = 3  # version of the formats of run.json and manifest.json
 _LARGEST = 10**300  # whole number; larger ones are no floats
@@ -240,7 +241,7 @@ def _text(path: Path) -> str:
     except OSError as error:
         if isinstance(error, FileError):
             raise
-        raise FileError(f"{path} cannot be read: {error.strerror}") from None
+        raise unreadable(path, error) from None
     except UnicodeDecodeError:
         raise FileError(f"{path} is not a text file in UTF-8") from None
     except ValueError:  # a zero byte

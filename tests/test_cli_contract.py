@@ -90,6 +90,8 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--reference": "REFERENCE sine",
             "--disturbance": "DISTURBANCE ..",
             "--seed": "N 0",
+            "--start": "START rest",
+            "--start-share": "X 0.1",
         },
         "the arm, and the model that the controller believes": {
             "--arm": "ARM",
@@ -152,6 +154,8 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--timestep": "S",
             "--control-period": "S",
             "--seed": "N 0",
+            "--start": "START rest",
+            "--start-share": "X 0.1",
             "--engine": "ENGINE",
         },
         "output": {"--csv": "FILE", "--json": "FILE", "--force": ""},

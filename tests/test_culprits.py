@@ -56,7 +56,7 @@ BAD_ARGUMENTS = {
     "unknown reference 'sin', did you mean 'sine'": {"reference": "sin"},
     "disturbances is 'noise:0.1'; it must be a list": {"disturbances": "noise:0.1"},
     "disturbances is Payload": {"disturbances": parse_disturbance("payload:0.1")},
-    "disturbances holds 'noise:0.1'; it must be": {"disturbances": ["noise:0.1"]},
+    "disturbances holds 0.1; it must be": {"disturbances": [0.1]},
     "disturbances is None; it must be": {"disturbances": None},
     "parameters is {'mass': 1}; it must be ArmParameters": {"parameters": {"mass": 1}},
     "timestep is 'x'; it must be a number": {"timestep": "x"},

@@ -109,6 +109,8 @@ def _runs(
         layout=model.layout,
         sensing=model.sensing,
         seed=options.seed,
+        start=options.start,
+        start_share=options.start_share,
         threads=cores(),
         catalogue=metrics,
     )
@@ -122,7 +124,8 @@ def _search(name: str, run: MarginRuns, seeds: int) -> Brackets:
         def attempt(arms: np.ndarray, shares: np.ndarray) -> Attempt:
             bar.total = (bar.total or 0.0) + len(arms) * run.duration
             values = run.varied.at(np.array([shares.min(), shares.max()]))
-            bar.set_postfix_str(f"{len(arms)} arms, {values[0]:.4g} .. {values[1]:.4g}")
+            ends = " .. ".join(_number(x, run.varied) for x in values)
+            bar.set_postfix_str(f"{len(arms)} arms, {ends}")
             return counted(arms, shares)
 
         return search(attempt, seeds)
@@ -148,11 +151,12 @@ def _row(name: str, brackets: Brackets, share: float, varied: Varied) -> dict[st
 
 def _heading(options: MarginOptions, varied: Varied, reference: str) -> list[str]:
     """What the table is of."""
-    unit = "" if varied.unit == "1" else f" [{varied.unit}]"
+    unit = " [%]" if varied.unit == "1" else f" [{varied.unit}]"
+    ends = " .. ".join(_number(x, varied) for x in (varied.low, varied.high))
     bounds = " and ".join(options.bound).replace(":", " <= ")
     model = options.model
     around = [f"{reference}, {options.duration:g} s"]
-    around += [f"nominal model wrong by {model.mismatch:g}"] if model.mismatch else []
+    around += [f"nominal model wrong by {100.0 * model.mismatch:+g} %"] if model.mismatch else []
     around += [f"of the nominal model {factor}" for factor in model.nominal]
     several = "s" * (len(options.arm) > 1)
     around += [f"the arm{several} {', '.join(options.arm)}"] if options.arm else []
@@ -166,8 +170,7 @@ def _heading(options: MarginOptions, varied: Varied, reference: str) -> list[str
     around += map(spelling, _fixed(options))
     seeds = f"{options.share:.0%} of {options.seeds} seeds"
     return [
-        f"largest {varied.name}{unit} of {varied.low:g} .. {varied.high:g} at which {seeds} have "
-        f"{bounds}",
+        f"largest {varied.name}{unit} of {ends} at which {seeds} have {bounds}",
         f"({'; '.join(around)})",
         f"{'controller':<18}{'margin':>10}  {'95 % interval':<24}{'least':>10}{'median':>10}"
         f"{'most':>10}",
@@ -188,8 +191,13 @@ def _spelt(value: float, varied: Varied) -> str:
     if math.isnan(value):
         return "?"
     if math.isinf(value):
-        return f"> {varied.high:g}" if value > 0.0 else "fails"
-    return f"{value:.4g}"
+        return f"> {_number(varied.high, varied)}" if value > 0.0 else "fails"
+    return _number(value, varied)
+
+
+def _number(value: float, varied: Varied) -> str:
+    """A value in the unit of the table, in which shares are percentages."""
+    return f"{100.0 * value if varied.unit == '1' else value:.4g}"
 
 
 def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, options: MarginOptions) -> None:
@@ -197,9 +205,10 @@ def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, options: Mar
     seeds = options.seeds
     ends = [row[key] for row in rows for key in _NUMBERS]
     if math.inf in ends:
-        print(f"> {varied.high:g}: the bound is met there, too; a further --high finds the margin")
+        high = _number(varied.high, varied)
+        print(f"> {high}: the bound is met there, too; a further --high finds the margin")
     if -math.inf in ends:
-        print(f"fails: the bound is broken at {varied.low:g} already")
+        print(f"fails: the bound is broken at {_number(varied.low, varied)} already")
     if any(row["alike"] for row in rows):
         print("no interval: nothing random acts, all seeds are the same; --disturbance noise:0.4?")
     if not all(row["alike"] for row in rows):

@@ -143,6 +143,8 @@ def view(
     reference: Annotated[str, kinds.REFERENCE, kinds.EXPERIMENT] = "sine",
     disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = (),
     seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
+    start: Annotated[str, kinds.START, kinds.EXPERIMENT] = "rest",
+    start_share: Annotated[float, kinds.SHARE, kinds.EXPERIMENT] = 0.1,
     arm: Annotated[str | None, kinds.ARM, kinds.MODEL] = None,
     mismatch: Annotated[float, kinds.MISMATCH, kinds.MODEL] = 0.0,
     gain_options: GainOptions = USUAL_GAINS,
@@ -159,6 +161,8 @@ def view(
         reference: the desired motion
         disturbance: NAME:VALUE[,KEY=VALUE..], what acts on the arm; see octarm run --help
         seed: seed of all that is random
+        start: where episodes begin: rest, random or moving
+        start_share: share of what the inputs reach within which the start is drawn
         arm: the true arm and the controller's model of it, a file or an arm that comes with octarm
         mismatch: error of the controller's model
         gain_options: see `octarm.commands.options`
@@ -184,6 +188,8 @@ def view(
             nominal=nominal,
             parameters=true,
             seed=seed,
+            start=start,
+            start_share=start_share,
             duration=1.0,  # of a run; the window stays open
             control_period=control_period,
         )

@@ -173,6 +173,8 @@ class MarginOptions:
         timestep: physics step [s], or auto for one that suits the fastest mode of all arms
         control_period: time between control actions [s]
         seed: seed of all that is random
+        start: where runs begin, as in octarm run: rest, random or moving
+        start_share: share of what the inputs reach within which the start is drawn
         engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
             given
         csv: also write the table to this file
@@ -196,6 +198,8 @@ class MarginOptions:
     timestep: Annotated[float | str | None, kinds.STEP, kinds.RUNS] = None
     control_period: Annotated[float | None, kinds.PERIOD, kinds.RUNS] = None
     seed: Annotated[int, kinds.N, kinds.RUNS] = 0
+    start: Annotated[str, kinds.START, kinds.RUNS] = "rest"
+    start_share: Annotated[float, kinds.SHARE, kinds.RUNS] = 0.1
     engine: Annotated[str | None, kinds.ENGINE, kinds.RUNS] = None
     csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None
     json: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -110,6 +110,11 @@ def parse_disturbance(text: str, **given: Any) -> Disturbance:
     if not values or not field_kinds(cls).keys() <= values.keys() | field_defaults(cls).keys():
         raise OctarmError(f"{quoted(text)} is incomplete; it must read {_usage(cls)}")
     return cls(**values)
+
+
+def made_of(listed: Sequence[str | Disturbance]) -> list[Disturbance]:
+    """Disturbances, of which some are spelt as in `parse_disturbance`."""
+    return [parse_disturbance(each) if isinstance(each, str) else each for each in listed]
 
 
 def spelling(disturbance: Disturbance) -> str:

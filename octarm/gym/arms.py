@@ -14,7 +14,6 @@ from octarm.arm.file import read_arm
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance
-from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import OctarmError
 from octarm.interfaces import Controller, Measurement, Motion, Reference
 from octarm.simulation.arguments import commanded
@@ -76,14 +75,13 @@ class Setting:
         if not 0.0 < residual <= 1.0:
             raise OctarmError(f"residual is {residual:g}; it must be above 0 and at most 1")
         given = [disturbances] if isinstance(disturbances, str | Disturbance) else disturbances
-        active = [parse_disturbance(d) if isinstance(d, str) else d for d in given]
         true = nominal_parameters() if arm is None else arm
         true = read_arm(true) if isinstance(true, str) else true
         if isinstance(controller, str):
             controller = make_controller(controller, true.mismatched(mismatch), gain_set=gain_set)
         self.controller, self.share = controller, 1.0 if controller is None else residual
         self._options = options
-        self._options |= {"reference": reference, "disturbances": active, "parameters": true}
+        self._options |= {"reference": reference, "disturbances": given, "parameters": true}
 
     def environment(self, batch: int | None) -> control.Environment:
         """One arm, or a batch."""

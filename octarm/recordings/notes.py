@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
+from octarm.arm.parameters import PARAMETERS
 from octarm.errors import printable
 from octarm.metrics.declared import code_of, declared_metrics
 from octarm.recordings.channels import coordinates_of
@@ -29,14 +30,7 @@ curve, the red line follows its tip, and the grey line the end of arcs of consta
 desired coordinates."""
 
 
-_UNITS = {
-    "mass": "kg",
-    "inertia": "kg m^2",
-    "stiffness": "N/m",
-    "damping": "N s/m",
-    "gravity": "m/s^2",
-    "gravity_angle": "rad",
-}
+_UNITS = {name: kind.unit for name, kind in PARAMETERS.items()} | {"gravity_angle": "rad"}
 _SIGNAL_UNITS = {"forces": "N, N m", "the inputs": "N", "the readings": "m, rad, m/s, rad/s"}
 
 

@@ -7,6 +7,7 @@ import string
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from octarm.arm.parameters import PARAMETERS
 from octarm.recordings import titles
 from octarm.recordings.notes import in_words
 from octarm.runs.description import USUAL
@@ -24,7 +25,7 @@ class Difference(NamedTuple):
     """Something in which runs differ.
 
     Attributes:
-        name: of it, with its unit if it is a time.
+        name: of it, with its unit, if that is known.
         values: in words, one for each run.
         of_the_task: whether it belongs to what a controller has to do rather than to how it does
             it. Runs that differ in that cannot be ranked by their errors.
@@ -72,8 +73,7 @@ def differences(descriptions: Sequence[Mapping[str, Any]]) -> list[Difference]:
         task = not name.startswith(_OF_THE_LAW)
         if name in ("seed", "spawn_key"):
             task = any(each.get("disturbances") or "start" in each for each in descriptions)
-        unit = f" [{_UNITS[name]}]" if name in _UNITS else ""
-        differing.append(Difference(name.replace("_", " ") + unit, texts, task))
+        differing.append(Difference(name.replace("_", " ") + _unit(name), texts, task))
     return differing
 
 
@@ -92,6 +92,14 @@ def labels(count: int) -> list[str]:
     return list(itertools.islice(itertools.chain.from_iterable(words), count))
 
 
+def _unit(name: str) -> str:
+    """The unit of a setting, or of a parameter of the arm or of its model, in brackets."""
+    whose, _, parameter = name.partition(" ")
+    kind = PARAMETERS.get(parameter) if whose in ("arm's", "model's") else None
+    unit = kind.unit if kind else _UNITS.get(name, "")
+    return unit and f" [{unit}]"
+
+
 def _aspects(description: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """What a run was made of, by name."""
     controller = description.get("controller", {})
@@ -99,7 +107,8 @@ def _aspects(description: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     if (status := description.get("status", "ok")) not in ("ok", "diverged"):
         yield "end", status  # of a run that is there in part
     for entry in description.get("disturbances", []):
-        asked = {key: value for key, value in entry["asked"].items() if value is not None}
+        units = {key: f"{key} [{unit}]" for key, unit in titles.units_of(entry).items() if unit}
+        asked = {units.get(k, k): x for k, x in entry["asked"].items() if x is not None}
         yield f"disturbance {entry['name']}", asked
     for key, value in description.get("reference", {}).items():
         yield "reference" if key == "name" else f"reference's {key}", value

@@ -91,6 +91,24 @@ class RunComparison(Compared):
             if name in known:
                 yield name, list(self._rows(name, known[name]))
 
+    def ranking(self) -> Iterator[str]:
+        """Which run is the best in each metric, a line each; none where runs are not ranked.
+
+        Of a metric with several numbers, such as one a coordinate, in how many of them.
+        """
+        for name, rows in self._numbers() if self.ranked else ():
+            best = [[x for x, cell in zip(self.names, row[2:], strict=True) if cell.kind == "best"]
+                    for row in rows]  # fmt: skip
+            told = [names for names in best if 0 < len(names) < len(self.names)]
+            counts = {x: sum(x in names for names in told) for x in self.names}
+            words = [
+                f"{x} is best" + (f" in {n} of {len(rows)}" if len(rows) > 1 else "")
+                for x, n in counts.items()
+                if n
+            ]
+            if words or any(best):
+                yield f"{name.replace('_', ' ')}: {', '.join(words) or 'alike'}"
+
     def _rows(self, name: str, metric: Metric) -> Iterator[list[Cell]]:
         """A row for each coordinate or input, or one for the arm."""
         of, units = self._coordinates.names, self._coordinates.units

@@ -15,7 +15,7 @@ import numpy as np
 from octarm import formats
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import plain
-from octarm.errors import OctarmError
+from octarm.errors import OctarmError, similar
 from octarm.files import write_text
 from octarm.html import notebook_cell
 from octarm.interfaces import Controller
@@ -127,6 +127,9 @@ def read_description(folder: Path) -> dict[str, Any]:
         files = folder.glob(f"*/{DESCRIPTION}") if os.path.isdir(folder) else ()
         inside = sorted(file.parent.name for file in files)
         runs = f"; the runs in it are {_listed(inside)}" if inside else ""
+        if not os.path.lexists(folder):
+            beside = folder.parent.glob(f"*/{DESCRIPTION}")
+            runs = similar(folder.name, (file.parent.name for file in beside))
         raise OctarmError(f"{folder} is not a run folder: it has no {DESCRIPTION}{runs}")
     document = formats.read_json(path)
     if "controller" not in document.content:

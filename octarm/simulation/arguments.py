@@ -18,10 +18,7 @@ from octarm.interfaces import Command
 from octarm.references import REAL, REFERENCES
 from octarm.simulation.stepping import AnyPhysics
 
-_DISTURBANCES = (
-    "a list of disturbances, such as [parse_disturbance('noise:0.1')] of "
-    "octarm.disturbances.spelling"
-)
+_DISTURBANCES = "a list of disturbances, such as ['noise:10%'], or of those of octarm.disturbances"
 
 
 def whole_number(name: str, value: Any, at_least: int, at_most: int | None = None) -> int:
@@ -60,7 +57,7 @@ def check_load(reference: Any, disturbances: Any, parameters: Any, seed: Any, **
     if isinstance(disturbances, str) or not isinstance(disturbances, Sequence):
         raise OctarmError(f"disturbances is {quoted(disturbances)}; it must be {_DISTURBANCES}")
     for item in cast("Sequence[object]", disturbances):
-        if not isinstance(item, Disturbance):
+        if not isinstance(item, str | Disturbance):
             raise OctarmError(f"disturbances holds {quoted(item)}; it must be {_DISTURBANCES}")
     if parameters is not None and not isinstance(parameters, ArmParameters):
         raise OctarmError(f"parameters is {quoted(parameters)}; it must be ArmParameters")

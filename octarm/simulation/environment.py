@@ -13,6 +13,7 @@ from octarm.arm.groups import PAPER, SUMS, groups_of
 from octarm.arm.mjcf import build_model, build_slim_model, nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance, Episode
+from octarm.disturbances.spelling import made_of
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Motion
 from octarm.memory import check_batch, check_steps
@@ -44,7 +45,7 @@ _DURATION = 10.0  # of an episode for which nothing else is asked [s]
 def load(
     reference: str | Motion = "sine",
     *,
-    disturbances: Sequence[Disturbance] = (),
+    disturbances: Sequence[str | Disturbance] = (),
     parameters: ArmParameters | None = None,
     batch: int | None = None,
     timestep: float | str | None = None,
@@ -76,7 +77,8 @@ def load(
         reference: a name of `octarm.references.REFERENCES`, which may have parameters behind it,
             `sine:amplitude=0.2,frequency=1`, or a function of time that gives the desired
             coordinates, velocities and accelerations.
-        disturbances: what acts on the arm that the controller does not know.
+        disturbances: what acts on the arm that the controller does not know, made or spelt as on
+            the command line, `noise:40%`.
         parameters: the true arm; the nominal one when not given. The arms of a batch may have
             their own, with batch axis (n,).
         batch: number of arms n; one arm without the batch axis when not given.
@@ -123,6 +125,7 @@ def load(
     if not isinstance(timestep, str):
         times["timestep"] = timestep
     check_load(reference, disturbances, parameters, seed, **times)
+    made = made_of(disturbances)
     batch = None if batch is None else whole_number("batch", batch, 1)
     threads = whole_number("threads", threads, 1, _MOST_THREADS)
     check_engine(engine)
@@ -148,7 +151,7 @@ def load(
         if timestep != AUTO:
             raise OctarmError(f"timestep is {timestep!r}; it must be a number [s], or {AUTO!r}")
         axes = () if batch is None else (batch,)
-        steps = steps_of(true, disturbances, seeds, axes, integrator, groups)
+        steps = steps_of(true, made, seeds, axes, integrator, groups)
         timestep, control_period = fitting_step(float(np.min(steps)), control_period)
     forces = ACTUATIONS[actuation](true.widths)
     if engine == LAGRANGE:
@@ -186,7 +189,7 @@ def load(
     )
     task = TrackingTask(
         episode,
-        disturbances,
+        made,
         margin=[_MARGINS[unit] for unit in physics.coordinates.units],
         period=period,
         periods=whole_periods(_DURATION if duration is None else duration, period),

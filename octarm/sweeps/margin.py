@@ -36,6 +36,7 @@ from octarm.metrics.metric import SETTLED_AFTER, unsettled
 from octarm.metrics.table import METRICS, Catalogue
 from octarm.simulation.engines import usual_engine
 from octarm.simulation.environment import load
+from octarm.simulation.start import REST, SHARE
 from octarm.sweeps.progress import arm_seconds
 from octarm.sweeps.shards import measure
 
@@ -208,6 +209,8 @@ class MarginRuns:
     layout: str = PAPER
     sensing: str = SUMS
     seed: int = 0
+    start: str = REST
+    start_share: float = SHARE
     threads: int = 1
     catalogue: Catalogue = dataclasses.field(default_factory=lambda: METRICS)
     progress: Callable[[float], object] = lambda seconds: None
@@ -279,6 +282,8 @@ class MarginRuns:
             plant_modules=self.plant_modules,
             layout=self.layout,
             sensing=self.sensing,
+            start=self.start,
+            start_share=self.start_share,
         )
         mismatch = values if self.varied.name == NOMINAL else self.mismatch
         believed = self.parameters.mismatched(mismatch).scaled(**self.nominal)
