@@ -20,11 +20,13 @@ from octarm.arm.modes import growth_rate
 from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
 from octarm.commands.summary import summary
-from octarm.declared import short_name, word_of
+from octarm.declared import samples_of, short_name, word_of
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.recordings import viewer
 from octarm.recordings.live import LiveRecording
 from octarm.recordings.recording import run_recording
+from octarm.references import recorded_word
+from octarm.references.samples import samples_end
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
@@ -62,6 +64,15 @@ def _run(
             print(
                 f"octarm: {event.text} begins at {event.at:g} s, and the run ends at "
                 f"{experiment.duration:g} s before it",
+                file=sys.stderr,
+            )
+    file = samples_of(recorded_word(experiment.reference, experiment.code))
+    if file is not None:
+        ends_at = samples_end(file, experiment.parameters.modules)
+        if ends_at < experiment.duration * (1.0 - 1e-9):
+            print(
+                f"octarm: the samples of {printable(str(file))} end at {ends_at:.4g} s, and the "
+                f"run at {experiment.duration:g} s: from then on the arm is to rest there",
                 file=sys.stderr,
             )
     out = out or _dated_folder(experiment.controller)

@@ -19,7 +19,7 @@ from octarm.recordings import heat_map
 from octarm.recordings.channels import Channel, has_energy, has_sliding
 from octarm.recordings.scene import Scene, input_colors
 from octarm.recordings.shapes import module_colors
-from octarm.recordings.titles import title_of
+from octarm.recordings.titles import short_title_of
 
 _BOUND = [150, 156, 166]
 _BACKGROUND = [13, 15, 19]
@@ -269,8 +269,8 @@ def blueprint(
         "notes",
     )
     opened = next(name for name in by_priority if name in tabs)
-    title = title_of(description)
-    left: Any = scene.view(f"{title}   pale: desired" if len(title) < _SHORT else title)
+    title = short_title_of(description, _SHORT)  # all of it stands in the notes
+    left: Any = scene.view(f"{title}   pale: desired")
     if lanes:
         height = _LANE * (lanes + 2)
         states = plots.states("state", "states/**", "- states/each/**")

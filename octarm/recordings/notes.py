@@ -59,7 +59,8 @@ def notes_of(description: Mapping[str, Any]) -> dict[str, str]:
     parts.append(f"## What is drawn\n\n{' '.join(remark.split())}")
     pages = {"notes": "\n\n".join(parts)}
     if description.get("disturbances"):
-        entries = map(_ledger, description["disturbances"])
+        code = description.get("code", {})
+        entries = [_ledger(entry, code) for entry in description["disturbances"]]
         pages["ledger"] = "\n\n".join(["# Disturbances", *entries])
     return pages
 
@@ -87,9 +88,9 @@ def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in cells)
 
 
-def _ledger(entry: Mapping[str, Any]) -> str:
+def _ledger(entry: Mapping[str, Any], code: Mapping[str, Any]) -> str:
     """What a disturbance was asked to do and what was delivered, as a table with units."""
-    units = {name: "" if unit == "1" else unit for name, unit in units_of(entry).items()}
+    units = {name: "" if unit == "1" else unit for name, unit in units_of(entry, code).items()}
     rows = [
         ["asked", name, in_words(value), units.get(name, "")]
         for name, value in entry["asked"].items()
@@ -104,9 +105,12 @@ def _ledger(entry: Mapping[str, Any]) -> str:
         rows.append(["delivered", name, in_words(value), unit])
     if not delivered:
         rows.append(["delivered", "not known yet" if delivered is None else "nothing", "", ""])
-    rows = [[first, name.replace("_", " "), *rest] for first, name, *rest in rows]
-    heading = printable(disturbance_of(entry), LONGEST)
-    return f"## {heading}\n\n{markdown_table(['', '', '', 'unit'], rows)}"
+    rows = [
+        [first, name.replace("_", " ") + (f" [{unit}]" if unit else ""), value]
+        for first, name, value, unit in rows
+    ]
+    heading = printable(disturbance_of(entry, code), LONGEST)
+    return f"## {heading}\n\n{markdown_table(['', '', ''], rows)}"
 
 
 def _signal_unit(entry: Mapping[str, Any], name: str) -> str:

@@ -46,6 +46,17 @@ def title_of(description: Mapping[str, Any]) -> str:
     return printable(", ".join(parts), LONGEST)
 
 
+def short_title_of(description: Mapping[str, Any], letters: int) -> str:
+    """The same in so many letters: without sizes if it is longer, and cut if that is, too."""
+    title = title_of(description)
+    if len(title) > letters:
+        title = re.sub(r" \([^)]*\)", "", title, count=1)  # of the desired motion
+    if len(title) > letters:
+        acting = [str(entry["name"]) for entry in description.get("disturbances", [])]
+        title = ", ".join([title.partition(", ")[0], *acting])
+    return title if len(title) <= letters else f"{title[: letters - 2]} …"
+
+
 def wrapped(title: str, letters: int) -> str:
     """A title in lines of at most so many letters, each number beside its unit."""
     for unit in ("%", "g", "ms", "s", "Hz", "rad"):
@@ -56,19 +67,21 @@ def wrapped(title: str, letters: int) -> str:
 
 def conditions_of(description: Mapping[str, Any]) -> list[str]:
     """What makes the run harder than one without any of it: disturbances, plant, start, model."""
-    parts = [disturbance_of(entry) for entry in description.get("disturbances", [])]
+    code = description.get("code", {})
+    parts = [disturbance_of(entry, code) for entry in description.get("disturbances", [])]
     plant = description.get("plant")
     parts += [f"a plant of {plant['modules']} modules"] if plant else []
     parts += [f"{description['start']} start"] if "start" in description else []
     return parts + _model_error(description)
 
 
-def disturbance_of(entry: Mapping[str, Any]) -> str:
-    """An entry of `run.json` in words, such as `payload 100 g at 3 s`."""
+def disturbance_of(entry: Mapping[str, Any], code: Mapping[str, Any]) -> str:
+    """An entry of `run.json` in words, such as `payload 100 g at 3 s`, and the code of the run."""
     asked, cls = entry["asked"], class_of(entry)
     usual = field_defaults(cls) if cls else {}
-    given = [x for x in units_of(entry) if asked.get(x) not in (None, [], usual.get(x))]
-    size = amount(asked[given[0]], units_of(entry)[given[0]]) if given else ""
+    units = units_of(entry, code)
+    given = [x for x in units if asked.get(x) not in (None, [], usual.get(x))]
+    size = amount(asked[given[0]], units[given[0]]) if given else ""
     at = f"at {amount(asked['at'], 's')}" if asked.get("at") else ""
     return " ".join(filter(None, (str(entry["name"]), size, at)))
 
@@ -81,7 +94,8 @@ def events_of(description: Mapping[str, Any]) -> list[tuple[float, str, str]]:
     events: list[tuple[float, str, str]] = []
     disturbances = disturbances_of(description)
     for entry in description.get("disturbances", []):
-        text = disturbance_of({**entry, "asked": {**entry["asked"], "at": None}})
+        entry_now = {**entry, "asked": {**entry["asked"], "at": None}}
+        text = disturbance_of(entry_now, description.get("code", {}))
         for event in disturbances[entry["name"]].events():
             events.append((event.at, entry["name"], text if event.text else ""))
     return sorted(events)
@@ -92,15 +106,18 @@ def class_of(entry: Mapping[str, Any]) -> Any:
     return DISTURBANCES.get(re.sub(r"-\d+$", "", str(entry["name"])))
 
 
-def units_of(entry: Mapping[str, Any]) -> dict[str, str]:
+def units_of(entry: Mapping[str, Any], code: Mapping[str, Any]) -> dict[str, str]:
     """The units of the numbers that a disturbance was asked for, by name; its size comes first.
 
-    They are unknown of a disturbance that is not built in, whose code is not imported.
+    Of a disturbance that is not built in they are those that the `code` of the run declares, which
+    is not imported.
     """
     cls = class_of(entry)
     if cls is None:
+        declared = code.get(re.sub(r"-\d+$", "", str(entry["name"])), {}).get("declares", {})
+        units = {said.get("field"): str(said.get("unit", "")) for said in declared.values()}
         sizes = entry["asked"].items()
-        return {name: "" for name, x in sizes if isinstance(x, int | float | list)}
+        return {n: units.get(n, "") for n, x in sizes if isinstance(x, int | float | list)}
     kinds = field_kinds(cls)
     return {name: kind.unit for name, kind in kinds.items() if isinstance(kind, Quantity)}
 

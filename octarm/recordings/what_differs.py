@@ -106,8 +106,11 @@ def _aspects(description: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     yield "controller", controller.get("name")
     if (status := description.get("status", "ok")) not in ("ok", "diverged"):
         yield "end", status  # of a run that is there in part
+    code = description.get("code", {})
     for entry in description.get("disturbances", []):
-        units = {key: f"{key} [{unit}]" for key, unit in titles.units_of(entry).items() if unit}
+        units = {
+            key: f"{key} [{unit}]" for key, unit in titles.units_of(entry, code).items() if unit
+        }
         asked = {units.get(k, k): x for k, x in entry["asked"].items() if x is not None}
         yield f"disturbance {entry['name']}", asked
     for key, value in description.get("reference", {}).items():

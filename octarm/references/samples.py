@@ -38,7 +38,7 @@ class Samples(NamedReference):
 
     def start(self, arm: Hanging) -> Motion:
         file = Path(self.path).expanduser()
-        columns = _arrays(file) if file.suffix == ".npz" else _table(file, arm.modules)
+        columns = _columns(file, arm.modules)
         degree = {"quintic": 5, "cubic": 3}[self.spline]
         try:
             times, points = _motion(columns, arm.rest)
@@ -46,6 +46,16 @@ class Samples(NamedReference):
         except OctarmError as error:
             raise OctarmError(f"{file} holds no motion of this arm: {error}") from None
         return spline.__call__  # run.json has the SHA-256 of the file instead of all samples
+
+
+def samples_end(file: Path, modules: int) -> float:
+    """When the samples of a file end, one interval after the last one [s]; they are one motion."""
+    times = _columns(file, modules)["t"]
+    return float(2.0 * times[-1] - times[-2])
+
+
+def _columns(file: Path, modules: int) -> dict[str, np.ndarray]:
+    return _arrays(file) if file.suffix == ".npz" else _table(file, modules)
 
 
 def _motion(columns: Mapping[str, np.ndarray], rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
