@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import octarm
 from controllers import make_controller
+from octarm.arm.file import read_arm
 from octarm.arm.mjcf import nominal_parameters
+from octarm.commands.cli import main
 from octarm.commands.options import ArmOptions
 from octarm.disturbances.spelling import parse_disturbance, spelling
 from octarm.errors import OctarmError
 from octarm.fields import Quantity
+from octarm.recordings.notes import notes_of
+from octarm.recordings.titles import short_title_of
+from octarm.recordings.what_differs import differences
 from octarm.references import parameters_of
+from octarm.runs.folder import read_description
 from octarm.sweeps.margin import parse_bound, parse_varied
 from octarm.sweeps.spec_file import parse_spec
 from octarm.units import ANY, number
@@ -215,3 +223,65 @@ def test_parameters_of_the_arm_have_units():
             ArmOptions(parameter=(word,)).true_arm()
     with pytest.raises(OctarmError, match="mass of --nominal is '70g'; its unit must be %"):
         ArmOptions(nominal=("mass:70g",)).factors()
+
+
+def test_load_takes_spellings_as_well():
+    environment = octarm.load(disturbances=["payload:100g", parse_disturbance("tilt:15deg")])
+    assert environment.task.disturbances[0].mass == 0.1
+    with pytest.raises(OctarmError, match="did you mean 100g"):
+        octarm.load(disturbances=["payload:100"])
+
+
+def test_a_missing_file_names_a_similar_one(tmp_path: Path):
+    (tmp_path / "my-arm.toml").write_text("")
+    with pytest.raises(OctarmError, match=r"my-amr.toml cannot be .*, did you mean 'my-arm.toml'"):
+        read_arm(tmp_path / "my-amr.toml")
+    with pytest.raises(OctarmError, match=r"No such file or directory$"):
+        read_arm(tmp_path / "quite-another.toml")
+    (tmp_path / "runs/first").mkdir(parents=True)
+    (tmp_path / "runs/first/run.json").write_text("{}")
+    with pytest.raises(OctarmError, match=r"it has no run.json, did you mean 'first'"):
+        read_description(tmp_path / "runs/frist")
+
+
+def test_differences_of_runs_have_units():
+    arm = nominal_parameters()
+    light, heavy = (
+        {"parameters": a.to_dict(), "disturbances": [{"name": "payload", "asked": {"mass": m}}]}
+        for a, m in ((arm, 0.1), (arm.scaled(mass=1.1), 0.2))
+    )
+    names = {each.name: each.values for each in differences([light, heavy])}
+    assert "arm's mass [kg]" in names
+    assert names["disturbance payload"] == ["mass [kg] 0.1", "mass [kg] 0.2"]
+
+
+def test_the_ledger_has_the_units_that_a_users_disturbance_declares():
+    entry = {"name": "gust-2", "asked": {"strength": 5.0, "at": 1.0}, "delivered": None}
+    declares = {"strength": {"field": "strength", "unit": "N", "number": True}}
+    code = {"gust": {"path": "gust.py:Gust", "declares": declares}}
+    page = notes_of({"disturbances": [entry], "code": code})["ledger"]
+    assert "| asked | strength [N] | 5 |" in page and "gust-2 5 N at 1 s" in page
+
+
+def test_a_long_title_is_cut_at_words_that_the_notes_have():
+    run = {
+        "controller": {"name": "smc-boundary"},
+        "reference": {"name": "sine", "amplitude": [0, 0, 0, 0.35, 0.25, 0], "frequency": 0.5},
+        "disturbances": [{"name": "noise", "asked": {"ratio": 0.4}}] * 2,
+    }
+    assert short_title_of(run, 100).endswith("noise 40 %, noise 40 %")
+    assert short_title_of(run, 50) == "smc-boundary on sine, noise 40 %, noise 40 %"
+    assert short_title_of(run, 40) == "smc-boundary on sine, noise, noise"
+    assert len(short_title_of(run, 20)) <= 20
+
+
+def test_samples_that_end_before_the_run_are_said_so(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    t = np.linspace(0.0, 0.01, 21)
+    np.savez("short.npz", t=t, theta1=0.01 * t)
+    words = ["run", "--controller", "pd", "--reference", "file:short.npz", "--duration"]
+    assert main([*words, "0.02", "--out", "a"]) == 0
+    err = capsys.readouterr().err
+    assert "short.npz end at 0.0105 s, and the run at 0.02 s: from then on" in err
+    assert main([*words, "0.01", "--out", "b"]) == 0
+    assert "end at" not in capsys.readouterr().err
