@@ -129,6 +129,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--baseline": "CONTROLLER",
             "--metric": "METRIC ..",
             "--columns": "",
+            "--run-code": "",
             "--out": "DIR",
             "--force": "",
         },
