@@ -13,7 +13,7 @@ from octarm.arm.lagrange import equilibrium
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.summary import milliseconds
 from octarm.checks.sampled_loop import LONGEST, LinearPlant, Loop, Mode, NoSlopeError, first_mode
-from octarm.errors import OctarmError
+from octarm.errors import OctarmError, printable
 from octarm.interfaces import Controller
 
 
@@ -112,13 +112,17 @@ class Stability:
         controllers: Mapping[str, Controller],
         period: float,
         groups: Groups | None = None,
+        model: str | None = None,
     ) -> None:
-        """Computes them for a control period [s]; on the plant of groups if they are given."""
+        """Computes them for a control period [s]; on the plant of groups if they are given.
+
+        The name of a model is that of what the controllers believe, which is the arm if None.
+        """
         plant, on = linear_plant(p, groups), ""
         if groups is not None:
             on = f", on a plant of {groups.plant.modules} modules ({groups.layout})"
         self.lines = [
-            f"sampled loop about rest, the model exact{on}",
+            f"sampled loop about rest, the model {printable(model or 'exact')}{on}",
             f"controller          longest period  over {1e3 * period:g} ms  first to grow beyond",
         ]
         self.stable = True

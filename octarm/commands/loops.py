@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from controllers import make_controller
-from octarm.arm.groups import PAPER, groups_of
+from octarm.arm.groups import PAPER
 from octarm.arm.mjcf import physics_step
 from octarm.checks.sampled_loop import LinearPlant
 from octarm.checks.stability import LoopAtRest, linear_plant, loop_at_rest
@@ -110,10 +110,9 @@ class Loops(NamedTuple):
 
     def table(self) -> Table:
         """The rows as a table of a page."""
-        axes, group = self.rows[0].where, len({row.controller for row in self.rows})
-        left = [Cell(text, kind="left") for text in ("controller", *axes)]
+        group = len({row.controller for row in self.rows})
         head = [
-            *left,
+            Cell("controller", [", ".join(self.rows[0].where)], "left"),
             Cell("predicted"),
             Cell("lost in", ["simulation"]),
             Cell("longest period", ["[ms]"]),
@@ -139,13 +138,12 @@ class Loops(NamedTuple):
 
 
 def _cells(row: Row) -> list[Cell]:
-    loop, name = row.loop, Cell(row.controller, kind="left", color=look_of(row.controller).color)
+    loop, where = row.loop, [", ".join(map(" ".join, row.where.items()))]
     kind = "even" if row.agrees else "bad"
     diverged = [f"{row.diverged} diverged"] if row.diverged else []
     first, *mode = loop.first if loop.mode is not None else (loop.reason or "-",)
     return [
-        name,
-        *(Cell(value, kind="left") for value in row.where.values()),
+        Cell(row.controller, where, "left", look_of(row.controller).color),
         Cell(row.predicted or "-", kind=kind),
         Cell(f"{row.lost} of {row.episodes}", diverged, kind),
         Cell(number(1e3 * loop.longest)),
@@ -174,8 +172,7 @@ def loops_of(folder: Path, episodes: Episodes, run_code: bool) -> Loops:
 
     @functools.cache
     def plant(arm: str, modules: int | None, layout: str) -> LinearPlant:
-        p = spec.arm(arm)
-        return linear_plant(p, groups_of(p, modules, layout))
+        return linear_plant(spec.arm(arm), spec.groups(arm, modules, layout))
 
     def row(places: tuple[int, ...], which: int) -> Row:
         at = dict(zip(axes, places, strict=True))
@@ -186,7 +183,7 @@ def loops_of(folder: Path, episodes: Episodes, run_code: bool) -> Loops:
             here = here & (factor.code == at[axis])
         loop = LoopAtRest(period, reason=reasons[name])
         if not loop.reason:
-            model = spec.arm(arm).mismatched(value.get("mismatch", 0.0))
+            model = spec.believed(arm).mismatched(value.get("mismatch", 0.0))
             law = spec.controller(name, model, make_controller)
             modules = int(value[PLANT_MODULES]) if PLANT_MODULES in value else None
             this = plant(arm, modules, value.get(LAYOUT, PAPER))
@@ -211,7 +208,7 @@ def _left_out(
     try:
         if name in spec.code:
             announce(folder, {name: spec.code[name]})
-        law = spec.controller(name, spec.all_arms()[0], make_controller)
+        law = spec.controller(name, spec.all_believed()[0], make_controller)
     except OctarmError as error:
         return printable(str(error))
     if to_json(runs.gains_of(law)) != to_json(manifest["gains"][name]):

@@ -161,6 +161,8 @@ def tune(
     kinds.check_free(options.force or options.resume, out)
     options.gain_options.values(controller)  # raises
     options.model.both()  # raises
+    if options.model.model is not None:
+        raise OctarmError("--model is given; gains are tuned with the arm's own model")
     from octarm.commands import tune as work
 
     return surviving_output(work.tune, controller, dataclasses.replace(options, out=out))

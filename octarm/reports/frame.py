@@ -258,7 +258,8 @@ def _hanging_errors(
     errors: dict[tuple[str, str], np.ndarray] = {}
     for reference, arm in itertools.product(spec.references, spec.arms or [""]):
         if is_built_in(reference):
-            parameters = spec.arm(arm)
+            groups = spec.groups(arm, None)
+            parameters = spec.arm(arm) if groups is None else groups.arm
             rest = equilibrium(parameters)
             motion = named_reference(reference, rest, parameters)
             ways = [motion(t).q - rest for t in np.linspace(begin, end, 1000)]
