@@ -270,8 +270,8 @@ def _rows(matrix: np.ndarray) -> _Rows:
     entries = [np.flatnonzero(np.abs(row) > 1e-12) for row in matrix]
     parts: list[tuple[slice | np.ndarray, np.ndarray | None]] = []
     for k in range(max(map(len, entries))):
-        columns = np.array([own[k] if k < len(own) else own[0] for own in entries])
-        there = np.array([k < len(own) for own in entries])
+        columns = np.array([row[k] if k < len(row) else row[0] for row in entries])
+        there = np.array([k < len(row) for row in entries])
         weights = np.where(there, matrix[np.arange(len(matrix)), columns], 0.0)
         step = columns[1] - columns[0]
         even = step > 0 and np.all(np.diff(columns) == step)
