@@ -43,10 +43,10 @@ def join(entries: Sequence[Entry], like: np.ndarray, *shapes: tuple[int, ...]) -
 
 
 def added_up(x: np.ndarray, axis: int) -> np.ndarray:
-    """The sum along an axis before that of the arms, which is the last one, in order.
+    """The sum of an array of shape (.., k, .., n) along an axis of k entries, in order.
 
-    One arm gets the bits of a batch: NumPy adds rows one after another as long as a row has
-    several entries, which is much faster than to accumulate them.
+    The arms, n of them, are last. One arm gets the bits of a batch: NumPy adds rows one after
+    another as long as these have several entries, which is much faster than to accumulate them.
     """
     if x.shape[-1] > 1:
         return np.add.reduce(np.ascontiguousarray(x), axis=axis)

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from dm_control.rl import control
 from scipy.stats import binom
 
-from octarm.arm.groups import PAPER, SUMS
+from octarm.arm.groups import PAPER, SUMS, grouped
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance
@@ -205,6 +205,7 @@ class MarginRuns:
     control_period: float | None = None
     engine: str = dataclasses.field(default_factory=usual_engine)
     parameters: ArmParameters = dataclasses.field(default_factory=nominal_parameters)
+    model: ArmParameters | None = None
     plant_modules: int | None = None
     layout: str = PAPER
     sensing: str = SUMS
@@ -269,6 +270,7 @@ class MarginRuns:
         self, seeds: np.ndarray, shares: np.ndarray
     ) -> tuple[control.Environment, Controller]:
         values = self.varied.at(shares)
+        model = self.parameters if self.model is None else self.model
         environment = load(
             self.reference,
             disturbances=[*self.disturbances, *self.varied.of(values)],
@@ -284,7 +286,8 @@ class MarginRuns:
             sensing=self.sensing,
             start=self.start,
             start_share=self.start_share,
+            groups=grouped(self.parameters, model),
         )
         mismatch = values if self.varied.name == NOMINAL else self.mismatch
-        believed = self.parameters.mismatched(mismatch).scaled(**self.nominal)
+        believed = model.mismatched(mismatch).scaled(**self.nominal)
         return environment, self.factory(believed)
