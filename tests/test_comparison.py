@@ -53,11 +53,15 @@ def of(name="noise", **asked):
 DIFFERENT = [
     ({"seed": 4}, "seed", False),  # nothing draws from it
     ({"controller": {"name": "pd", "gains": {"K_p": 3.0}}}, "controller", False),
-    ({"nominal": {"mass": [0.1, 0.2]}}, "model's mass", False),
+    ({"nominal": {"mass": [0.1, 0.2]}}, "model's mass [kg]", False),
     ({"control_period": 0.001}, "control period [s]", False),
     ({"reference": {"name": "step"}}, "reference", True),
     ({"duration": 3.0}, "duration [s]", True),
-    ({"parameters": described(tip=1)["parameters"] | {"gravity": 1.6}}, "arm's gravity", True),
+    (
+        {"parameters": described(tip=1)["parameters"] | {"gravity": 1.6}},
+        "arm's gravity [m/s^2]",
+        True,
+    ),
     ({"status": "interrupted"}, "end", True),
     (of(), "disturbance noise", True),
     ({"plant": {"modules": 15, "layout": "paper"}}, "plant's modules", True),
@@ -125,11 +129,13 @@ def test_the_command_writes_one_page_and_one_recording(tmp_path, monkeypatch, ca
     assert ('<td class="best">' in text) is ranked
     assert ("Not ranked" in text) is not ranked
     assert ("the other one is nearer" in text) is ranked
+    told = capsys.readouterr().out
+    assert ("  rms error: A is best in 6 of 6\n  tip rms error: C is best\n" in told) is ranked
+    assert (" is best" in told) is ranked
     assert "<b>gust" not in text and "<script" not in text
     assert len(re.findall("<figure>", text)) == 3
     assert "/C/world/tube" in entities("c/comparison.rrd")
-    out = capsys.readouterr().out
-    assert "A: r0, smc on sine" in out
+    assert "A: r0, smc on sine" in told
     assert main(["compare", "r0", "r1", "--out", "c"]) == 2
     assert "--force replaces it" in capsys.readouterr().err
     assert main(["compare", "r0", "r1", "--out", "c", "--force"]) == 0
