@@ -193,4 +193,4 @@ class Range:
 # a share, and a control period.
 MISMATCH = Range("1", above=-1.0, at_most=1e6, plausible=10.0)
 SHARE = Range("1", above=0.0, at_most=1.0)
-PERIOD = Range("s", plausible=0.5)
+PERIOD = Range("s", at_most=10.0, plausible=0.5)
