@@ -63,11 +63,13 @@ def changed(value):
 def places(content, above=(), turn=None):
     """The keys of all entries, those in lists included.
 
-    Of a list of plain values it is one alone, the next one in each turn, if the turn is given.
+    If a turn is given, of a list of plain values it is one alone, and the next one in each turn;
+    lists with names of different lengths begin with different ones.
     """
+    first = (turn or 0) + len(str(above))
     for key, value in content.items() if isinstance(content, dict) else enumerate(content):
         nested = isinstance(value, dict | list)
-        if nested or turn is None or isinstance(content, dict) or key == turn % len(content):
+        if nested or turn is None or isinstance(content, dict) or key == first % len(content):
             yield (*above, key)
         if nested:
             yield from places(value, (*above, key), turn)
