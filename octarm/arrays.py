@@ -42,6 +42,17 @@ def join(entries: Sequence[Entry], like: np.ndarray, *shapes: tuple[int, ...]) -
     return out
 
 
+def added_up(x: np.ndarray, axis: int) -> np.ndarray:
+    """The sum of an array of shape (.., k, .., n) along an axis of k entries, in order.
+
+    The arms, n of them, are last. One arm gets the bits of a batch: NumPy adds rows one after
+    another as long as these have several entries, which is much faster than to accumulate them.
+    """
+    if x.shape[-1] > 1:
+        return np.add.reduce(np.ascontiguousarray(x), axis=axis)
+    return np.add.accumulate(x, axis=axis).take(-1, axis)
+
+
 def stacked(row: np.ndarray, count: int) -> np.ndarray:
     """Memory for rows like this one, each contiguous along the arms, shape (count, ...)."""
     backwards = np.empty((count, *row.shape[::-1]), dtype=row.dtype)

@@ -291,11 +291,11 @@ def file_of(path: str) -> Path:
 
 def distributions(code: Mapping[str, Code]) -> dict[str, str]:
     """The versions of the installed packages that brought some code, by name."""
-    found: dict[str, str] = {}
+    versions: dict[str, str] = {}
     for name in dict.fromkeys(each.distribution for each in code.values() if each.distribution):
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[name] = importlib.metadata.version(name)
-    return found
+            versions[name] = importlib.metadata.version(name)
+    return versions
 
 
 def _short_samples(path: str, others: set[str]) -> str:

@@ -87,9 +87,9 @@ def located(source: str) -> str:
         places = None if spec is None else spec.submodule_search_locations
         spec = None if places is None else _spec(name, places)
     if spec is None:
-        beside = os.path.join(top, *parts) + ".py"
-        is_there = os.path.isfile(beside)
-        hint = f"; {top} is not that of this folder: give ./{beside}:NAME" * is_there
+        path = os.path.join(top, *parts) + ".py"
+        is_there = os.path.isfile(path)
+        hint = f"; {top} is not that of this folder: give ./{path}:NAME" * is_there
         raise OctarmError(f"there is no module {quoted(name)}{hint or f'; {ALLOWED}'}")
     if not spec.has_location or spec.origin is None:
         raise OctarmError(f"module {quoted(name)} has no file; {ALLOWED}")
@@ -104,8 +104,8 @@ def is_module(name: str) -> bool:
 
 
 def _spec(name: str, places: Any) -> Any:
-    found = (finder.find_spec(name, places) for finder in sys.meta_path)
-    return next((spec for spec in found if spec is not None), None)
+    specs = (finder.find_spec(name, places) for finder in sys.meta_path)
+    return next((spec for spec in specs if spec is not None), None)
 
 
 def distribution_of(source: str) -> str:

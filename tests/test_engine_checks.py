@@ -1,5 +1,6 @@
 """That the engines agree: what a sweep and `octarm validate --engines` say about it."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ from octarm.interfaces import Command, Instant, Measurement, Reference
 from octarm.simulation import analytic
 from octarm.sweeps import engine_check
 from octarm.sweeps.engine_check import TipPaths, checked_episodes
-from octarm.sweeps.plan import Plan
+from octarm.sweeps.plan import Plan, with_step
+from octarm.sweeps.shards import begin, run_arms
 from octarm.sweeps.spec_file import parse_spec
 from octarm.sweeps.store import read_manifest, read_sweep
 
@@ -30,6 +32,10 @@ controller = ["smc-boundary", "pd"]
 [grid.disturbance]
 noise = [0.0, 0.4]
 """
+
+CHANGED = SPEC + "tilt = [0.0, 0.2]\npayload = [0.0, 0.1]\n[disturbance]\nloss = 0.2\n"
+LOST = SPEC.replace("60", "20") + "step.amplitude = [0, 9000]\n[disturbance]\nstep.at = 0.005\n"
+FINER = SPEC.replace("[grid]", "plant_modules = 9\ncontrol_period = 0.001\n[grid]")
 
 
 def test_every_law_is_compared_under_every_disturbance():
@@ -156,6 +162,27 @@ def test_a_sweep_states_how_far_the_engines_are_apart(
     monkeypatch.setattr(engine_check, "LIMIT", -1.0)
     assert main(["sweep", str(spec), "--out", str(swept), "--workers", "1", "--resume"]) == 1
     assert "beyond the limit" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("text", [CHANGED, LOST, FINER])
+def test_arms_of_a_batch_that_mujoco_steps_are_those_of_mujoco(text: str):
+    """Also under changes of the plant, when arms are lost, and on finer plants."""
+    plan = Plan(with_step(parse_spec(text)))
+    mujoco = Plan(dataclasses.replace(plan.spec, engine="mujoco"))
+    shard = np.array(plan.shards[0])
+    again = shard[[0, 1, -1]]
+    physics = begin(mujoco.spec, plan.arms(again), make_controller)[0].physics
+    both = plan.arms(np.concatenate([shard, again]))
+    rows = run_arms(plan, both, make_controller, twins=physics)
+    alone = run_arms(plan, plan.arms(shard), make_controller)
+    there = run_arms(mujoco, mujoco.arms(again), make_controller)
+    same = set(rows.column_names) - {"wall_time", "engine_difference"}
+    for name in same:
+        assert rows[name].to_pylist()[: len(shard)] == alone[name].to_pylist(), name
+    assert rows["diverged_at"].to_pylist()[-3:] == there["diverged_at"].to_pylist()
+    assert (text == LOST) == (there["diverged_at"].null_count < 3)
+    for name in ("status", "peak_error_theta1", "energy_theta2", "digest"):
+        assert rows[name].to_pylist()[-3:] == there[name].to_pylist(), name
 
 
 def test_the_option_takes_the_place_of_the_specs_engine(

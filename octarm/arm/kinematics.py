@@ -16,7 +16,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from octarm.arrays import Entry, cos_sin, entry, join, split
+from octarm.arrays import Entry, added_up, cos_sin, entry, join, split
+
+_FEW = 8  # modules; of one arm with more, arrays are faster than numbers
 
 
 def positions(q: np.ndarray) -> np.ndarray:
@@ -131,14 +133,11 @@ def tip(q: np.ndarray) -> tuple[Entry, Entry]:
     and a cosine.
     """
     n = q.shape[-1] // 2
-    if q.ndim > 1:  # all modules at once, added up in the same order
-        s, phi = q.T[:n], np.add.accumulate(q.T[n:-1], axis=0)
-        half = np.tan(0.5 * phi)
-        share = 2.0 / (1.0 + half * half)
-        along, across = np.concatenate([s[:1], s[1:] * (share - 1.0)]), s[1:] * (share * half)
-        across = np.concatenate([np.zeros_like(s[:1]), across])
-        x, y = (np.add.accumulate(part, axis=0)[-1].T for part in (along, across))
-        return x, y
+    if q.ndim > 1:
+        return _tips(q)
+    if n > _FEW:
+        x, y = _tips(q[None])
+        return float(x[0]), float(y[0])
     entries = split(q)
     x, y, phi = entries[0], 0.0, 0.0
     for i, theta in enumerate(entries[n:-1], 1):
@@ -148,6 +147,17 @@ def tip(q: np.ndarray) -> tuple[Entry, Entry]:
         x = x + entries[i] * (share - 1.0)
         y = y + entries[i] * (share * half)
     return x, y
+
+
+def _tips(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same for arms side by side: all modules at once, added up in the same order."""
+    n = q.shape[-1] // 2
+    s, phi = q.T[:n], np.add.accumulate(q.T[n:-1], axis=0)
+    half = np.tan(0.5 * phi)
+    share = 2.0 / (1.0 + half * half)
+    along, across = np.concatenate([s[:1], s[1:] * (share - 1.0)]), s[1:] * (share * half)
+    across = np.concatenate([np.zeros_like(s[:1]), across])
+    return added_up(along, 0).T, added_up(across, 0).T
 
 
 def arc_tip(q: np.ndarray) -> tuple[Entry, Entry]:

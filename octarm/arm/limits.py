@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from operator import le
 
 import numpy as np
@@ -50,12 +51,14 @@ class Limits:
 
     def holding(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Which arms of a batch are within the limits, q and v of shape (n, 2N), shape (n,)."""
-        within = np.ones(len(q), dtype=bool)
-        for j, top in enumerate(self.speed):
-            place, speed = q[:, j], v[:, j]
-            within &= (place >= self.low[j]) & (place <= self.high[j])
-            within &= np.abs(speed) <= top
-        return within
+        (low, high, speed), place = self._columns, q.T
+        return np.all((place >= low) & (place <= high) & (np.abs(v.T) <= speed), axis=0)
+
+    @functools.cached_property
+    def _columns(self) -> list[np.ndarray]:
+        """The bounds with arms on the last axis, each of shape (2N, 1) or (2N, n)."""
+        bounds = (self.low, self.high, self.speed)
+        return [np.stack(np.broadcast_arrays(*map(np.atleast_1d, bound))) for bound in bounds]
 
     def violation(self, q: np.ndarray, v: np.ndarray) -> str:
         """Which coordinate of one arm, q and v of shape (2N,), has left them; empty if none has."""

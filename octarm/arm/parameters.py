@@ -198,8 +198,8 @@ class ArmParameters:
         low_high.setflags(write=False)
         return low_high[..., 0, :], low_high[..., 1, :]
 
-    def arm(self, i: int) -> ArmParameters:
-        """The parameters of arm i of a batch with one batch axis."""
+    def arm(self, i: int | slice) -> ArmParameters:
+        """The parameters of arm i, or of some arms, of a batch with one batch axis."""
         fields = self._fields().items()
         return ArmParameters(**{n: x[i] if x.ndim > _RULES[n][0] else x for n, x in fields})
 

@@ -77,7 +77,7 @@ def array_differences(
     Both are rows of shape (T, ...) with the ending, of `stored_arrays` and of `saved_arrays`. Rows
     are compared of arrays that both sides have in the same form.
     """
-    form, found = list[Difference](), list[Deviation | None]()
+    form, deviations = list[Difference](), list[Deviation | None]()
     if len(was["t"]) != len(now["t"]):
         form.append(Difference("rows", len(was["t"]), len(now["t"])))
     for name in dict.fromkeys((*was, *now)):
@@ -95,8 +95,8 @@ def array_differences(
         elif name not in _ENDING:
             if len(one) != len(was["t"]):
                 form.append(Difference(f"rows of {name}", len(one), len(other)))
-            found.append(_deviation(name, one, other, now["t"], coordinates))
-    return form, sorted((d for d in found if d is not None), key=lambda d: d.row)
+            deviations.append(_deviation(name, one, other, now["t"], coordinates))
+    return form, sorted((d for d in deviations if d is not None), key=lambda d: d.row)
 
 
 def _row_shape(name: str, array: np.ndarray) -> tuple[int, ...]:

@@ -121,25 +121,25 @@ def check_run(
         raise KeyboardInterrupt
     now, written = run_files.saved_arrays(again), runs.written(described)
     names = environment.physics.coordinates.names
-    form, found = run_files.array_differences(was, now, names)
+    form, deviations = run_files.array_differences(was, now, names)
     stated = {key: value for key, value in description.items() if key != runs.SUMS}
-    if found:  # what was measured of another motion is another one anyway
+    if deviations:  # what was measured of another motion is another one anyway
         form = [d for d in form if d.key != f"digest in {runs.ARRAYS}"]
         stated |= {key: written[key] for key in _RESULTS if key in stated}
     may_differ = (*_MAY_DIFFER, *(_OF_INTERRUPTED if interrupted else ()))
     entries = [*compare(stated, written, may_differ)]
     sums = _unexplained(
-        run_files.checksum_differences(folder, description), entries, [*form, *found]
+        run_files.checksum_differences(folder, description), entries, [*form, *deviations]
     )
     recording = folder / runs.RECORDING
-    if recording.is_file() and not (entries or form or found or sums):
+    if recording.is_file() and not (entries or form or deviations or sums):
         as_then = written | {key: description[key] for key in may_differ}
         sums = [*run_files.recording_differences(recording, again, as_then)]
     return RunCheck(
         rows=len(was["t"]),
         arrays=len(was.keys() - Ending._fields),
         recorded=recording.is_file(),
-        deviations=tuple(found),
+        deviations=tuple(deviations),
         differences=(*form, *entries, *sums),
         digests=(str(description.get("digest")), str(was.get("digest")), again.digest),
         then=origin(description),

@@ -212,12 +212,13 @@ class TuneOptions:
         reference: the desired motion, instead of those of the scenarios
         disturbance: NAME:VALUE[,KEY=VALUE..], what acts as well; octarm run --help lists them
         out: file to write; CONTROLLER.toml when not given; the search keeps its state beside it
-        budget: what the search may simulate, all arms counted [s]; 16000 s take minutes
+        budget: what the search may simulate, all arms counted [s]; 16000 s take minutes. The last
+            trials, of the best of its last generation, come on top
         seed: seed of the search
         resume: go on with the search that was interrupted
         force: replace gains that are there, and begin an interrupted search anew
-        engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
-            given
+        engine: what steps the arms of the search, mujoco or lagrange; lagrange where it is
+            installed, when not given. The last trials, which choose the gains, run on mujoco
         workers: processes; one a core when not given; the gains do not depend on them
     """
 

@@ -24,7 +24,7 @@ from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import OctarmError, printable
 from octarm.files import write_text
 from octarm.interfaces import Tunable
-from octarm.simulation.engines import usual_engine
+from octarm.simulation.engines import MUJOCO, usual_engine
 from octarm.sweeps.scenarios import Scenario
 from octarm.sweeps.tune import Budget, SearchState, Space, StateFile, Tuned, settings, versions
 from octarm.sweeps.tune import tune as tune_gains
@@ -175,7 +175,7 @@ def gain_set(
         "simulated_seconds": budget.seconds,
         "objective": FORMULA,
         "selection": f"the best of the last generation's best {budget.finalists} and the "
-        f"{start} gains in the long trial",
+        f"{start} gains in the long trial, on {MUJOCO}",
         "at_bounds": tuned.at_bounds,
     }
     return GainSet.model_validate(
@@ -222,8 +222,9 @@ def _outcome(
 
 def _print_summary(controller: str, budget: Budget, tuned: Tuned, start: str) -> None:
     print(
-        f"{controller}: {budget.generations * budget.population} candidates, "
-        f"{budget.seconds:.0f} simulated s"
+        f"{controller}: {budget.generations * budget.population} candidates in "
+        f"{budget.search_seconds:.0f} simulated s; the last trials, on {MUJOCO}, took "
+        f"{budget.seconds - budget.search_seconds:.0f} s more"
     )
     print(f"  cost                     tuned  {start:>11}")
     for name, trial, cost, other in (

@@ -58,7 +58,7 @@ class ActiveDisturbances:
         bounds = (disturbance.input_bound() for disturbance in disturbances)
         self.input_bounds = [bound for bound in bounds if bound is not None]
         self.shares: dict[str, np.ndarray] = {}
-        self._own: dict[str, np.ndarray] = {}  # what the forces gave, a tip's on the plant
+        self._each: dict[str, np.ndarray] = {}  # what the forces gave, a tip's on the plant
         self.inputs: dict[str, np.ndarray] = {}
         self.commanded = np.empty(0)
         self.readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
@@ -104,16 +104,16 @@ class ActiveDisturbances:
         if not self.forces:
             return np.zeros_like(q)
         groups, tips = (None, set[str]()) if plant_q is None else (self.episode.groups, self._tips)
-        own = {
+        each = {
             name: process(step, q if plant_q is None or name not in tips else plant_q)
             for name, process in self.forces
         }
-        if not self._own or not all(map(is_, own.values(), self._own.values())):
-            self._own = self.shares = own
-            forces = list(own.values())
+        if not self._each or not all(map(is_, each.values(), self._each.values())):
+            self._each = self.shares = each
+            forces = list(each.values())
             if groups is not None:  # by virtual work; a tip is pushed where it is
-                self.shares = own | {name: groups.mean_force(own[name]) for name in tips}
-                forces = [f if name in tips else groups.force(f) for name, f in own.items()]
+                self.shares = each | {name: groups.mean_force(each[name]) for name in tips}
+                forces = [f if name in tips else groups.force(f) for name, f in each.items()]
             self._total = sum(forces, start=np.zeros(()))  # 0.0, never -0.0
             self._total.setflags(write=False)
             self._measured = self._total

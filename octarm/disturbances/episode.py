@@ -49,6 +49,12 @@ class Plant(NamedTuple):
     parameters: ArmParameters
     gravity_angle: Amount = 0.0
 
+    def last(self, first: int) -> Plant:
+        """Those of the arms from this number on."""
+        p, angle = self
+        p = p.arm(slice(first, None)) if p.batch_shape else p
+        return Plant(p, angle[first:] if isinstance(angle, np.ndarray) and angle.ndim else angle)
+
 
 class Event(NamedTuple):
     """A moment [s] at which a disturbance begins, or ends, with an empty text."""

@@ -76,14 +76,14 @@ class Setting:
         if not 0.0 < residual <= 1.0:
             raise OctarmError(f"residual is {residual:g}; it must be above 0 and at most 1")
         given = [disturbances] if isinstance(disturbances, str | Disturbance) else disturbances
-        acting = [parse_disturbance(d) if isinstance(d, str) else d for d in given]
+        active = [parse_disturbance(d) if isinstance(d, str) else d for d in given]
         true = nominal_parameters() if arm is None else arm
         true = read_arm(true) if isinstance(true, str) else true
         if isinstance(controller, str):
             controller = make_controller(controller, true.mismatched(mismatch), gain_set=gain_set)
         self.controller, self.share = controller, 1.0 if controller is None else residual
         self._options = options
-        self._options |= {"reference": reference, "disturbances": acting, "parameters": true}
+        self._options |= {"reference": reference, "disturbances": active, "parameters": true}
 
     def environment(self, batch: int | None) -> control.Environment:
         """One arm, or a batch."""

@@ -59,8 +59,8 @@ class Stage:
         loads = (each.carried() for each in disturbances_of(description).values())
         self._payloads = [load for load in loads if load is not None]
         self._plant = run.signals.get("plant_q") if description.get("plant") else None
-        beside = 0.0 if self._plant is None else 1.1 * self._length
-        self._side = np.array([-beside, 0.0, 0.0])  # where a plant of more modules stands
+        offset = 0.0 if self._plant is None else 1.1 * self._length
+        self._side = np.array([-offset, 0.0, 0.0])  # where a plant of more modules stands
         self._solids: Any = ()
         reach = 1.12 * self._length + self._width
         few = rows[:: max(1, len(rows) // 200)]
@@ -68,7 +68,7 @@ class Stage:
         tips = np.clip(tips, -1.6 * self._length, 1.6 * self._length)
         low = np.minimum([-0.4 * reach, 0.3 * self._width - reach], tips.min(axis=0, initial=0.0))
         high = np.maximum([0.4 * reach, 0.5 * self._width], tips.max(axis=0, initial=0.0))
-        low[0] -= beside
+        low[0] -= offset
         self.camera = mujoco.MjvCamera()
         above = 0.05 * (high[1] - low[1])  # room for the title
         self.camera.lookat[:] = 0.5 * (low[0] + high[0]), 0.0, 0.5 * (low[1] + high[1]) + above

@@ -41,12 +41,12 @@ def wanted(motion: Motion, t: float, shape: tuple[int, ...]) -> Reference:
 
 
 def _plainly_right(answer: Any, shape: tuple[int, ...]) -> bool:
-    """Whether an answer for one arm is right at a glance, which costs a microsecond."""
-    if type(answer) is not Reference or len(shape) != 1:
+    """Whether an answer for one arm, or for all alike, is right at a glance: it costs 1 us."""
+    if type(answer) is not Reference:
         return False
     total = 0.0
     for part in answer:
-        if type(part) is not np.ndarray or part.dtype.char != "d" or part.shape != shape:
+        if type(part) is not np.ndarray or part.dtype.char != "d" or part.shape != shape[-1:]:
             return False
         total += sum(part.tolist())
     return math.isfinite(total)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from octarm.simulation.exclusive import Exclusive
 from octarm.simulation.lagrange_kernel import LANES, rk4_step, work_space
 from octarm.simulation.stepping import AnyPhysics
 
+if TYPE_CHECKING:
+    from octarm.simulation.physics import BatchPhysics
+
 
 class LagrangePhysics(AnyPhysics):
     """Arms that follow eq (1). An arm of a batch gives bit for bit what it gives alone.
@@ -34,6 +37,7 @@ class LagrangePhysics(AnyPhysics):
     """
 
     _pool: ThreadPoolExecutor | None = None
+    _others: BatchPhysics | None = None
 
     def __init__(
         self,
@@ -93,6 +97,20 @@ class LagrangePhysics(AnyPhysics):
         with self.exclusive, np.errstate(all="ignore"):  # a lost arm may hold anything
             super().step(n_sub_steps)
 
+    def hand_over(self, others: BatchPhysics) -> None:
+        """Has the last arms of a batch stepped by MuJoCo, which has the same arms, undisturbed.
+
+        They begin where MuJoCo has their rest. Nothing changes for the other arms.
+        """
+        self._others, self._own = others, len(self._outside) - others.arms
+        self._rest[self._own :] = others.plant_rest()
+
+    def set_motion(self, q: np.ndarray, v: np.ndarray) -> None:
+        """Places the plants; see `AnyPhysics.set_motion`."""
+        super().set_motion(q, v)
+        if self._others is not None:
+            self._others.set_motion(q[self._own :], v[self._own :])
+
     def tip_position(self) -> np.ndarray:
         """Tips in the world frame, shape (..., 3) [m]."""
         return tip_position(self.plant_q(), self._undisturbed.entries.tip_length)
@@ -106,6 +124,10 @@ class LagrangePhysics(AnyPhysics):
         return np.concatenate([self._qpos, self._qvel, [self.time()]])
 
     def _advance(self) -> None:
+        if self._others is not None:
+            lost = self._advance_others(self._others)
+            self._lost = lost + self._step_arms(0, self._own, self._work[0])
+            return
         arms, threads = len(self._outside), len(self._work)
         if threads == 1:
             self._lost = self._step_arms(0, arms, self._work[0])
@@ -129,6 +151,19 @@ class LagrangePhysics(AnyPhysics):
             q, v, ctrl, added, rows, gravity, alive, self._outside, self._timestep, work, first,
             last,
         )  # fmt: skip
+
+    def _advance_others(self, others: BatchPhysics) -> int:
+        """Steps the last arms by MuJoCo; how many of them have left their limits."""
+        last = slice(self._own, None)
+        lost = others.driven(self._ctrl[last], self._added[:, last], self._intact[last])
+        self._qpos[:, last], self._qvel[:, last] = others.plant_q().T, others.plant_v().T
+        self._outside[last] = lost
+        return int(np.count_nonzero(lost))
+
+    def _write(self, plant: Plant | None) -> None:
+        super()._write(plant)
+        if plant is not None and self._others is not None:
+            self._others._write(plant.last(self._own))
 
     def _check_limits(self) -> None:
         if self._lost:

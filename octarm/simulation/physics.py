@@ -207,6 +207,19 @@ class BatchPhysics(AnyPhysics):
     def after_reset(self) -> None:
         """Nothing is derived from the state."""
 
+    def driven(self, ctrl: np.ndarray, added: np.ndarray, alive: np.ndarray) -> np.ndarray:
+        """One physics step of the arms that are alive; which are not within their limits then.
+
+        It is for another physics that has these arms and what acts on them: `ctrl` of the model,
+        shape (n, 4N - 2) [N], forces in addition, shape (2N, n) [N], [N m], and who is alive,
+        shape (n,) of bool, like what is returned.
+        """
+        self._ctrl[...], self._added[self._qvel_index] = ctrl, added
+        self._intact, self._all_intact = alive, bool(alive.all())
+        self._advance()
+        refused = np.any(self.batch.warning, axis=(1, 2))  # a state or an input
+        return refused | ~self.plant_limits.holding(self.plant_q(), self.plant_v())
+
     def _advance(self) -> None:
         self.batch.step(None if self._all_intact else np.flatnonzero(self._intact))
 

@@ -43,6 +43,8 @@ class AnyPhysics(control.Physics):
             plant.
         groups: through which a plant of more modules is seen; None where every module is measured.
         active: the disturbances of this episode; None before the first one.
+        tips_within: whether `within` has the tips of a plant of more modules, which cost a tenth of
+            its step.
         watch: called when an episode begins, and after every physics step.
         exclusive: by which `reset`, `set_control` and `step` refuse a second user.
     """
@@ -52,6 +54,7 @@ class AnyPhysics(control.Physics):
     actuation: Actuation
     limits: Limits
     groups: Groups | None = None
+    tips_within: bool = True
     plant_limits: Limits
     active: ActiveDisturbances | None = None
     watch: Callable[[AnyPhysics], object] | None = None
@@ -277,13 +280,15 @@ class AnyPhysics(control.Physics):
         """
         self._disturbance = self._zero
         within: Sequence[np.ndarray] = ()
+        seen: np.ndarray | None = None  # q, where it was computed already
         if n_sub_steps > 1:
             within = self._within = self._memory(n_sub_steps)
         for i in range(n_sub_steps):
             self._receive(n_sub_steps)
             if within:
-                within[0][i], within[1][i] = self.q(), self._received
-                if self.groups is not None:
+                within[0][i] = self.q() if seen is None else seen
+                within[1][i] = self._received
+                if self.groups is not None and self.tips_within:
                     within[2][i] = self.groups.tip(self.plant_q())
             self._advance()
             self._steps += 1
@@ -293,7 +298,8 @@ class AnyPhysics(control.Physics):
                 self.watch(self)
             self._check_limits()
             if self.groups is not None:
-                q, v = np.atleast_2d(self.q(), self.v())
+                seen = self.q()
+                q, v = np.atleast_2d(seen, self.v())
                 self.freeze(~self.limits.holding(q, v).reshape(self.batch_shape))
             if self.all_lost():
                 for rows in within:
@@ -301,7 +307,8 @@ class AnyPhysics(control.Physics):
                 return
 
     def _memory(self, steps: int) -> list[np.ndarray]:
-        like = [self._zero] * 2 + [self._zero[..., :2]] * (self.groups is not None)
+        tips = self.groups is not None and self.tips_within
+        like = [self._zero] * 2 + [self._zero[..., :2]] * tips
         return [stacked(row, steps) for row in like]
 
     def _receive(self, nstep: int) -> None:

@@ -22,6 +22,7 @@ from octarm.runs.folder import gains_of
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import LAGRANGE, MUJOCO
 from octarm.simulation.environment import AnyPhysics, load, whole_periods
+from octarm.simulation.physics import BatchPhysics
 from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
 from octarm.sweeps.engine_check import COLUMN, TipPaths, checked_episodes
@@ -62,17 +63,23 @@ def run_shard(
 def _checked_rows(
     plan: Plan, arms: Arms, again: np.ndarray, factory: ControllerFactory, *observers: Observe
 ) -> pa.Table:
-    """The rows of arms, some of which, shape (k,), are run on MuJoCo as well."""
-    spec = dataclasses.replace(plan.spec, engine=MUJOCO)
-    environment, controller = begin(spec, plan.arms(again), factory)
+    """The rows of arms, some of which, shape (k,), are run on MuJoCo as well.
+
+    These are k further arms of the same batch: for one by one batches of them, most of the time
+    would go to what a call of a controller takes, however few the arms are.
+    """
+    count, twins = len(arms.episodes), np.arange(len(again)) + len(arms.episodes)
+    mujoco = dataclasses.replace(plan.spec, engine=MUJOCO)
+    environment, _ = begin(mujoco, plan.arms(again), factory)
     places = np.searchsorted(arms.episodes, again)
-    periods = whole_periods(spec.duration, environment.control_timestep())
-    paths, others = TipPaths(places, periods), TipPaths(np.arange(len(again)), periods)
-    table = run_arms(plan, arms, factory, *observers, paths)
-    simulate(environment, controller, spec.duration, others)
-    lost = table["diverged_at"].to_numpy()[places]
+    periods = whole_periods(plan.spec.duration, environment.control_timestep())
+    paths, others = TipPaths(places, periods), TipPaths(twins, periods)
+    both = plan.arms(np.concatenate([arms.episodes, again]))
+    table = run_arms(plan, both, factory, *observers, paths, others, twins=environment.physics)
+    lost = table["diverged_at"].to_numpy()
+    table = table.slice(0, count)
     column = np.full(len(table), np.nan)
-    column[places] = paths.difference(others, lost, environment.physics.diverged_at())
+    column[places] = paths.difference(others, lost[places], lost[twins])
     at = table.schema.get_field_index(COLUMN)
     field = table.schema.field(at)
     return table.set_column(at, field, _column(column, field.type, len(table)))
@@ -84,14 +91,17 @@ def run_arms(
     factory: ControllerFactory,
     *observers: Observe,
     duration: float | None = None,
+    twins: BatchPhysics | None = None,
 ) -> pa.Table:
     """The rows of arms that share a batch, or of one arm alone.
 
     The observers are called at every control instant; a duration [s] takes the place of the
-    sweep's.
+    sweep's. The last arms of a batch are stepped by the physics `twins`, if it is given.
     """
     started = time.perf_counter()
     environment, controller = begin(plan.spec, arms, factory)
+    if twins is not None:
+        environment.physics.hand_over(twins)
     length = plan.spec.duration if duration is None else duration
     catalogue = plan.spec.catalogue()
     outcome = measure(

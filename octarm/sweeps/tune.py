@@ -7,6 +7,7 @@ costs: a search that goes on from a file ends with the same bits.
 
 What learns or integrates may do well for a while and drift away later. So the best of the last
 generation, and the hand-set gains, are tried for longer and under other noise; the best there wins.
+These last trials, and all costs in the result, are MuJoCo's, whatever engine the search has.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from octarm.formats import Model, read_json, to_json
 from octarm.interfaces import Controller, Knob, Tunable
 from octarm.roll_off import fields_of
 from octarm.runs import versions as origin
+from octarm.simulation.engines import MUJOCO
 from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, UNSEEN, Examination, Rig, costs
 
 _PACKAGES = ("python", "octarm", "mujoco", "dm-control", "numpy", "scipy")
@@ -218,15 +220,17 @@ def tune(
     Raises:
         OctarmError: if the controller cannot be made, or has no gain that can be tuned.
     """
-    nominal = (rig or Rig()).arm()
+    rig = rig or Rig()
+    nominal = rig.arm()
     space = Space(factory(nominal, {}), nominal.modules)
     make = functools.partial(_made, factory, space.fixed())
+    of_record = dataclasses.replace(rig, engine=MUJOCO)
 
-    def tried(examination: Examination, candidates: np.ndarray) -> np.ndarray:
+    def tried(examination: Examination, candidates: np.ndarray, rig: Rig) -> np.ndarray:
         return costs(examination, make, space.turned(candidates), progress, rig, workers)
 
     def cost(candidates: np.ndarray) -> np.ndarray:
-        return budget.short.mean(tried(budget.short, candidates))
+        return budget.short.mean(tried(budget.short, candidates, rig))
 
     if state is None:
         population = initial_population(space.bounds, budget.population, _random(seed, 0))
@@ -245,9 +249,10 @@ def tune(
         keep(state)
     best = state.population[np.argsort(state.costs, kind="stable")[: budget.finalists]]
     finalists = np.concatenate([best, np.zeros_like(best[:1])])
-    short, long = (tried(examination, finalists) for examination in (budget.short, budget.long))
+    short = tried(budget.short, finalists, of_record)
+    long = tried(budget.long, finalists, of_record)
     winner = int(np.argmin(budget.long.mean(long)))
-    unseen = tried(budget.unseen, finalists[[winner, -1]])
+    unseen = tried(budget.unseen, finalists[[winner, -1]], of_record)
     turned = {name: rows[winner] for name, rows in space.turned(finalists).items()}
     return Tuned(
         gains={name: turned.get(name, gain) for name, gain in space.gains.items()},

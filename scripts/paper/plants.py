@@ -114,6 +114,7 @@ def tracking(
     infinite.
     """
     environment = _load(BENDS, modules, period, **arms)
+    environment.physics.tips_within = False
     size = Size(environment.physics.q())
 
     def observe(instant: Instant) -> None:
