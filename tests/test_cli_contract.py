@@ -38,6 +38,7 @@ SHARED = {
         "--arm": "ARM",
         "--mismatch": "X 0",
         "--nominal": "NAME:FACTOR ..",
+        "--model": "ARM",
         "--parameter": "NAME:VALUES ..",
         "--plant-modules": "N",
         "--layout": "LAYOUT paper",
@@ -60,6 +61,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--roll-off": "HZ",
             "--control-period": "S",
             "--plant-modules": "N",
+            "--model": "ARM",
         },
     },
     "run": {
@@ -129,6 +131,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
             "--baseline": "CONTROLLER",
             "--metric": "METRIC ..",
             "--columns": "",
+            "--run-code": "",
             "--out": "DIR",
             "--force": "",
         },

@@ -2,7 +2,8 @@
 
 The arm of M modules, which a controller knows, stands for a rod whose properties are the same
 within a module. The plant is a chain of N = n M modules of that rod, n to a group, in one of the
-layouts of `octarm.arm.rod`. For coordinates q_N of the plant the controller is given
+layouts of `octarm.arm.rod`. Or the plant is given, and the arm of M modules has the sums of its
+groups, see `octarm.arm.lumped`. For coordinates q_N of the plant the controller is given
 
     q_M = B q_N + offset,    v_M = B v_N
 
@@ -31,6 +32,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from octarm.arm.kinematics import last_axis, tip
+from octarm.arm.lumped import lumped
 from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.arm.rod import LAYOUTS, check_layout
 from octarm.arrays import Entry, added_up
@@ -74,8 +76,6 @@ class Groups:
         is no multiple of M up to 100.
         """
         check_layout(layout)
-        if sensing not in SENSINGS:
-            raise OctarmError(f"unknown sensing {quoted(sensing)}{closest(sensing, SENSINGS)}")
         groups = arm.modules
         if not groups <= modules <= MOST_MODULES or modules % groups:
             raise OctarmError(
@@ -83,11 +83,22 @@ class Groups:
                 f"{groups}, at most {MOST_MODULES}"
             )
         n = modules // groups
+        plant = _elements(arm, n) if layout == PAPER else _centred(_elements(arm, n))
+        return cls.around(plant, arm, layout, sensing)
+
+    @classmethod
+    def around(
+        cls, plant: ArmParameters, arm: ArmParameters, layout: str, sensing: str = SUMS
+    ) -> Groups:
+        """The groups of a plant that the modules of an arm are; raises OctarmError likewise."""
+        if sensing not in SENSINGS:
+            raise OctarmError(f"unknown sensing {quoted(sensing)}{closest(sensing, SENSINGS)}")
+        groups = arm.modules
+        n = plant.modules // groups
         sums = np.repeat(np.eye(groups), n, axis=1)
         slides = sums if layout == PAPER else _halved_at_borders(sums)
         none = np.zeros_like(sums)
         matrix = np.block([[slides, none], [none, sums]])
-        plant = _elements(arm, n) if layout == PAPER else _centred(_elements(arm, n))
         offset = np.zeros((*arm.rest_length.shape[:-1], 2 * groups))
         if layout == CENTRED:
             sums_of_rest = _product(_rows(slides), plant.rest_length)
@@ -172,16 +183,31 @@ class Groups:
 
 
 def groups_of(
-    arm: ArmParameters, plant_modules: int | None = None, layout: str = PAPER, sensing: str = SUMS
+    arm: ArmParameters,
+    plant_modules: int | None = None,
+    layout: str = PAPER,
+    sensing: str = SUMS,
+    groups: int | None = None,
 ) -> Groups | None:
     """The groups of a plant of so many modules, if that is another one than the arm itself.
+
+    Or those of the arm, if it is to be the plant of so many groups.
 
     Raises:
         OctarmError: if there is no such plant, or its layout or its sensing is given without a
             number of modules.
     """
+    if groups is not None and groups != arm.modules:
+        if plant_modules is not None or layout != PAPER or arm.batch_shape:
+            raise OctarmError(
+                f"an arm of {arm.modules} modules, controlled as {groups} groups, is the plant "
+                "itself: one arm, without plant_modules or layout"
+            )
+        ends_rigid = bool(np.any(arm.tip_length))
+        plant = dataclasses.replace(arm, input_range=(-np.inf, np.inf))
+        return Groups.around(plant, lumped(arm, groups), CENTRED if ends_rigid else PAPER, sensing)
     modules = arm.modules if plant_modules is None else plant_modules
-    groups = Groups.of(arm, modules, layout, sensing)
+    finer = Groups.of(arm, modules, layout, sensing)
     for name, value, usual in (("layout", layout, PAPER), ("sensing", sensing, SUMS)):
         if plant_modules is None and value != usual:
             raise OctarmError(
@@ -189,7 +215,22 @@ def groups_of(
                 "how many"
             )
     the_arm = modules == arm.modules and (layout, sensing) == (PAPER, SUMS)
-    return None if the_arm else groups
+    return None if the_arm else finer
+
+
+def grouped(arm: ArmParameters, model: ArmParameters) -> int | None:
+    """In how many groups an arm is controlled for a model; None if their modules are the same.
+
+    Raises OctarmError for a model of groups whose lengths are not those of groups.
+    """
+    if model.modules == arm.modules:
+        return None
+    if np.any(model.tip_length):
+        raise OctarmError(
+            "the model ends with a rigid piece, as in the layout centred, so that its modules are "
+            "not groups of the arm's; one in the layout paper is needed"
+        )
+    return model.modules
 
 
 def _halved_at_borders(sums: np.ndarray) -> np.ndarray:

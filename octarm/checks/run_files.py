@@ -183,7 +183,7 @@ def sweep_differences(sweep: FinishedSweep, factory: ControllerFactory) -> list[
     The factory is the one that the sweep had. Raises OctarmError if a controller cannot be made.
     """
     spec = sweep.plan.spec
-    first = spec.all_arms()[0]
+    first = spec.all_believed()[0]
     made = {name: spec.controller(name, first, factory) for name in spec.controllers}
     gains = {name: runs.gains_of(controller) for name, controller in made.items()}
     recorded = sorted((sweep.path / RECORDED).glob("*"))

@@ -1,7 +1,8 @@
-"""Sampled loops of one arm and several controllers about rest, as a table."""
+"""Sampled loops of one arm and several controllers about rest, each in words and as a table."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 
@@ -11,9 +12,90 @@ from octarm.arm.groups import Groups
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.summary import milliseconds
-from octarm.checks.sampled_loop import LONGEST, LinearPlant, Loop, NoSlopeError, first_mode
-from octarm.errors import OctarmError
+from octarm.checks.sampled_loop import LONGEST, LinearPlant, Loop, Mode, NoSlopeError, first_mode
+from octarm.errors import OctarmError, printable
 from octarm.interfaces import Controller
+
+
+@dataclasses.dataclass(frozen=True)
+class LoopAtRest:
+    """What a sampled loop does about rest at a control period.
+
+    Attributes:
+        period: at which it is looked at [s].
+        radius: its spectral radius there [1]; NaN if the law has no slope at rest.
+        longest: control period up to which it is stable, see `Loop.longest_period` [s].
+        mode: what grows first beyond that; None where nothing does, or all periods are too long.
+        reason: why nothing is known of it, a sentence; empty if something is.
+        held: the same while the law's state stays what it is; None if the law has none, or that
+            was not asked for.
+    """
+
+    period: float
+    radius: float = math.nan
+    longest: float = math.nan
+    mode: Mode | None = None
+    reason: str = ""
+    held: LoopAtRest | None = None
+
+    @property
+    def stable(self) -> bool:
+        """Whether it is stable at its period; also if nothing is known of it."""
+        return not self.radius >= 1.0
+
+    @property
+    def limit(self) -> str:
+        """The longest control period in words."""
+        if self.longest == 0.0:
+            return "no period is short enough"
+        if math.isinf(self.longest):
+            return f"all periods up to {LONGEST:g} s"
+        return milliseconds(self.longest)
+
+    @property
+    def first(self) -> tuple[str, str]:
+        """Which coordinate grows first and how, and which mode of the arm that is."""
+        assert self.mode is not None
+        frequency = self.mode.frequency
+        nyquist = math.isclose(frequency, 0.5 / (1.001 * self.longest), rel_tol=1e-3)
+        how = "alternates" if nyquist else "swings"
+        return (
+            f"{self.mode.coordinate}, {how} at {frequency:.3g} Hz",
+            f"mode {self.mode.mode} of the arm, {self.mode.plant_frequency:.3g} Hz",
+        )
+
+
+def linear_plant(p: ArmParameters, groups: Groups | None = None) -> LinearPlant:
+    """An arm about rest, or the plant of groups if they are given."""
+    if groups is None:
+        return LinearPlant.of(p)
+    rest = groups.measured(equilibrium(groups.plant))
+    return LinearPlant.of(groups.plant, groups.matrix, rest)
+
+
+def loop_at_rest(
+    plant: LinearPlant, controller: Controller, period: float, *, held: bool = True
+) -> LoopAtRest:
+    """The loop of a plant and a controller about rest at a control period [s].
+
+    With `held` it is also looked at while the law's state stays what it is.
+    """
+    try:
+        loop = Loop(plant, controller)
+    except NoSlopeError as error:
+        return LoopAtRest(period, reason=str(error))
+    seen = _seen(loop, period)
+    if not (held and loop.states):
+        return seen
+    still = Loop(plant, controller, learning=False)
+    return dataclasses.replace(seen, held=_seen(still, period))
+
+
+def _seen(loop: Loop, period: float) -> LoopAtRest:
+    longest = loop.longest_period()
+    some = 0.0 < longest < math.inf
+    mode = first_mode(loop, 1.001 * longest) if some else None
+    return LoopAtRest(period, loop.radius(period), longest, mode)
 
 
 class Stability:
@@ -30,29 +112,26 @@ class Stability:
         controllers: Mapping[str, Controller],
         period: float,
         groups: Groups | None = None,
+        model: str | None = None,
     ) -> None:
-        """Computes them for a control period [s]; on the plant of groups if they are given."""
-        plant, on = LinearPlant.of(p), ""
+        """Computes them for a control period [s]; on the plant of groups if they are given.
+
+        The name of a model is that of what the controllers believe, which is the arm if None.
+        """
+        plant, on = linear_plant(p, groups), ""
         if groups is not None:
-            rest = groups.measured(equilibrium(groups.plant))
-            plant = LinearPlant.of(groups.plant, groups.matrix, rest)
             on = f", on a plant of {groups.plant.modules} modules ({groups.layout})"
         self.lines = [
-            f"sampled loop about rest, the model exact{on}",
+            f"sampled loop about rest, the model {printable(model or 'exact')}{on}",
             f"controller          longest period  over {1e3 * period:g} ms  first to grow beyond",
         ]
         self.stable = True
         for name, controller in controllers.items():
-            try:
-                loop = Loop(plant, controller)
-            except NoSlopeError as error:
-                self.lines.append(f"{name:<18}  {error}")
-                continue
-            self.stable &= loop.radius(period) < 1.0
-            self.lines.append(f"{name:<18}  {_row(loop, period)}")
-            if loop.states:
-                held = Loop(plant, controller, learning=False)
-                self.lines.append(f"  its state held    {_row(held, period)}")
+            loop = loop_at_rest(plant, controller, period)
+            self.stable &= loop.stable
+            self.lines.append(f"{name:<18}  {loop.reason or _row(loop)}")
+            if loop.held is not None:
+                self.lines.append(f"  its state held    {_row(loop.held)}")
         low, high = p.input_bounds(())
         if np.any(low == 0.0) or np.any(high == 0.0):
             self.lines.append(
@@ -61,20 +140,11 @@ class Stability:
             )
 
 
-def _row(loop: Loop, period: float) -> str:
-    longest = loop.longest_period()
-    if longest == 0.0:
-        return "no period is short enough"
-    if math.isinf(longest):
-        return f"all periods up to {LONGEST:g} s"
-    mode = first_mode(loop, 1.001 * longest)
-    nyquist = math.isclose(mode.frequency, 0.5 / (1.001 * longest), rel_tol=1e-3)
-    how = "alternates" if nyquist else "swings"
-    return (
-        f"{milliseconds(longest):<14}  {longest / period:<{11 + len(f'{1e3 * period:g}') - 1}.3g} "
-        f"{mode.coordinate}, {how} at {mode.frequency:.3g} Hz; mode {mode.mode} of the arm, "
-        f"{mode.plant_frequency:.3g} Hz"
-    )
+def _row(loop: LoopAtRest) -> str:
+    if loop.mode is None:
+        return loop.limit
+    width = 11 + len(f"{1e3 * loop.period:g}") - 1
+    return f"{loop.limit:<14}  {loop.longest / loop.period:<{width}.3g} {'; '.join(loop.first)}"
 
 
 def check_period(period: float) -> None:

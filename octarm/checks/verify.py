@@ -224,7 +224,7 @@ def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory
     for values in (stored, again):  # that an episode alone does not show again
         values.pop(engine_check.COLUMN, None)
     spec = sweep.plan.spec
-    controller = spec.controller(arms.controller, spec.all_arms()[0], factory)
+    controller = spec.controller(arms.controller, spec.all_believed()[0], factory)
     gains = runs.gains_of(controller)
     return EpisodeCheck(
         episode=episode,

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from controllers import CONTROLLERS, make_controller
-from octarm.arm.file import Arm, arm_toml, cannot_hang, read_arm_file
+from octarm.arm.file import Arm, arm_toml, cannot_hang, read_arm, read_arm_file
 from octarm.arm.fit import fit_modules
-from octarm.arm.groups import groups_of
+from octarm.arm.groups import grouped, groups_of
 from octarm.arm.mjcf import nominal_parameters, physics_step
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
@@ -65,9 +65,12 @@ def _stability(p: ArmParameters, loop: LoopOptions, layout: str) -> Stability:
     check_period(period)
     short, _ = named((CONTROLLERS, word) for word in loop.controller)
     gains = {} if loop.roll_off is None else {"roll_off": loop.roll_off}
-    laws = [make_controller(word, p, gains, gain_set=loop.gains) for word in loop.controller]
-    finer = loop.plant_modules and groups_of(p, loop.plant_modules, layout)
-    return Stability(p, dict(zip(short, laws, strict=True)), period, finer or None)
+    model = p if loop.model is None else read_arm(loop.model)
+    laws = [make_controller(word, model, gains, gain_set=loop.gains) for word in loop.controller]
+    groups = grouped(p, model)
+    chain = loop.plant_modules is not None or groups is not None
+    finer = groups_of(p, loop.plant_modules, layout, groups=groups) if chain else None
+    return Stability(p, dict(zip(short, laws, strict=True)), period, finer, loop.model)
 
 
 def _arms(names: Sequence[str], source: SourceOptions) -> list[Arm]:

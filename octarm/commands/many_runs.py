@@ -52,12 +52,14 @@ def report(
     baseline: Annotated[str | None, kinds.CALLED] = None,
     metric: Annotated[tuple[str, ...], kinds.COLUMN] = (),
     columns: bool = False,
+    run_code: bool = False,
     out: Annotated[Path | None, kinds.DIR] = None,
     force: bool = False,
 ) -> kinds.Work:
     """Turn a sweep into a page with tables and figures.
 
-    Medians with intervals, paired differences, failures. Writes a folder: report.html (needs
+    Medians with intervals, paired differences, failures, and whether the sampled loops about rest
+    predict them. Writes a folder: report.html (needs
     nothing beside itself), figures/ as PNG and SVG, and the tables as CSV. The same sweep gives the
     same files.
 
@@ -69,6 +71,8 @@ def report(
             tip_rms_error, chattering, effort and overshoot when not given
         columns: print instead what each column of the sweep's table means, its unit, and which
             values are better; of any sweep without SWEEP
+        run_code: also look at the loops of controllers of your own, whose code is run if it is what
+            it was
         out: folder to write; report in the sweep's when not given
         force: replace a report that is there
 
@@ -87,7 +91,7 @@ def report(
     kinds.check_free(force, (out or sweep / "report") / "report.html")
     from octarm.commands import report as work
 
-    return surviving_output(work.report, sweep, baseline, metric, out)
+    return surviving_output(work.report, sweep, baseline, metric, run_code, out)
 
 
 def margin(*controllers: Annotated[str, kinds.CALLED], options: MarginOptions = ARMS) -> kinds.Work:
@@ -157,6 +161,8 @@ def tune(
     kinds.check_free(options.force or options.resume, out)
     options.gain_options.values(controller)  # raises
     options.model.both()  # raises
+    if options.model.model is not None:
+        raise OctarmError("--model is given; gains are tuned with the arm's own model")
     from octarm.commands import tune as work
 
     return surviving_output(work.tune, controller, dataclasses.replace(options, out=out))

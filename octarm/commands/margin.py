@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from controllers import CONTROLLERS, make_controller
+from octarm.arm.file import read_arm
 from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
 from octarm.commands.options import ArmOptions, MarginOptions
@@ -128,6 +129,7 @@ def _runs(
         control_period=options.control_period,
         engine=options.engine or usual_engine(),
         parameters=model.true_arm(),
+        model=None if model.model is None else read_arm(model.model),
         plant_modules=model.plant_modules,
         layout=model.layout,
         sensing=model.sensing,

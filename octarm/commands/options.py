@@ -28,8 +28,12 @@ class ModelOptions:
         mismatch: error of the controller's model: mass, inertia and damping times 1 + X,
             stiffness times 1 + X/2
         nominal: a further factor on a parameter of the controller's model, e.g. mass:0.7
-        parameter: a parameter of the true arm and of the model, e.g. mass:0.3,0.25,0.2 [kg], or
-            input_range:-12,12 for the lowest and highest force of the columns [N]
+        model: what the controller believes before mismatch and factors: a file NAME.toml, or an
+            arm that comes with octarm; an arm of more modules is controlled in as many groups as
+            it has modules; the true arm when not given
+        parameter: a parameter of the true arm and, without --model, of the model, e.g.
+            mass:0.3,0.25,0.2 [kg], or input_range:-12,12 for the lowest and highest force of the
+            columns [N]
         plant_modules: modules of the true arm, a multiple of the model's: a chain of the same rod,
             of which the controller knows groups; the model's modules when not given
         layout: of such a chain: paper, or centred with hinges in the middle of elements
@@ -39,6 +43,7 @@ class ModelOptions:
 
     mismatch: Annotated[float, kinds.X, kinds.MODEL] = 0.0
     nominal: Annotated[tuple[str, ...], kinds.kind("NAME:FACTOR"), kinds.MODEL] = ()
+    model: Annotated[str | None, kinds.ARM, kinds.MODEL] = None
     parameter: Annotated[tuple[str, ...], kinds.kind("NAME:VALUES"), kinds.MODEL] = ()
     plant_modules: Annotated[int | None, kinds.COUNT, kinds.MODEL] = None
     layout: Annotated[str, kinds.LAYOUT, kinds.MODEL] = "paper"
@@ -97,8 +102,11 @@ class ArmOptions(ModelOptions, OneArm):
 
     def both(self) -> tuple[ArmParameters, ArmParameters]:
         """The arm, and the controller's model of it; raises OctarmError if one cannot be."""
+        from octarm.arm.file import read_arm
+
         factors, true = self.factors(), self.true_arm()
-        return true, true.mismatched(self.mismatch).scaled(**factors)
+        believed = true if self.model is None else read_arm(self.model)
+        return true, believed.mismatched(self.mismatch).scaled(**factors)
 
     def command(self) -> list[str]:
         """The words of a command line that give the same options."""
@@ -293,6 +301,7 @@ class LoopOptions:
         roll_off: corner beyond which its force is rolled off, as in octarm run [Hz]
         control_period: time between control actions [s]; 0.0005 when not given
         plant_modules: modules of the true arm, as in octarm run
+        model: what the controller believes, as in octarm run
     """
 
     controller: Annotated[tuple[str, ...], kinds.CONTROLLER, kinds.LOOP] = ()
@@ -300,6 +309,7 @@ class LoopOptions:
     roll_off: Annotated[float | None, kinds.HZ, kinds.LOOP] = None
     control_period: Annotated[float | None, kinds.S, kinds.LOOP] = None
     plant_modules: Annotated[int | None, kinds.COUNT, kinds.LOOP] = None
+    model: Annotated[str | None, kinds.ARM, kinds.LOOP] = None
 
 
 ARMS, SEARCH, SHARDS = MarginOptions(), TuneOptions(), SweepOptions()

@@ -10,6 +10,7 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
+from octarm.commands.loops import Loops, loops_of
 from octarm.errors import OctarmError, printable
 from octarm.files import write_files
 from octarm.formats import read_toml
@@ -28,21 +29,26 @@ PAGE = "report.html"
 FIGURES = "figures"
 
 
-def report(sweep: Path, baseline: str | None, metrics: tuple[str, ...], out: Path | None) -> None:
+def report(
+    sweep: Path, baseline: str | None, metrics: tuple[str, ...], run_code: bool, out: Path | None
+) -> None:
     """`octarm report`: a page, tables and figures on a sweep."""
     folder = out or sweep / "report"
     _check_place(folder, sweep)
     name, numbers, remarked = reports.report(sweep, baseline, metrics)
+    loops = loops_of(sweep, numbers.episodes, run_code)
     drawn = list(pictures(numbers))
     files = tables(numbers)
     source = Source(
         name=name,
         spec=read_toml(sweep / SPEC).text,
-        commands=_commands(sweep, baseline, metrics, out),
+        commands=_commands(sweep, baseline, metrics, run_code, out),
         files=list(files),
     )
-    _write(folder, page(numbers, remarked, drawn, source), files, drawn)
-    _print_summary(numbers, remarked)
+    _write(
+        folder, page(numbers, remarked, drawn, source, loops.table(), loops.caption), files, drawn
+    )
+    _print_summary(numbers, remarked, loops)
     print(f"wrote {printable(str(folder / PAGE))}")
 
 
@@ -94,19 +100,20 @@ def _write(out: Path, text: str, files: dict[str, str], drawn: list[Picture]) ->
 
 
 def _commands(
-    sweep: Path, baseline: str | None, metrics: Sequence[str], out: Path | None
+    sweep: Path, baseline: str | None, metrics: Sequence[str], run_code: bool, out: Path | None
 ) -> list[str]:
     """The command lines that make the sweep and the report again."""
     words = ["octarm", "report", str(sweep)]
     words += ["--baseline", baseline] if baseline is not None else []
     words += [word for name in metrics for word in ("--metric", name)]
+    words += ["--run-code"] if run_code else []
     words += ["--out", str(out)] if out is not None else []
     again = ["octarm", "sweep", str(sweep / SPEC), "--out", f"{os.path.normpath(sweep)}-again"]
     return [shlex.join(again), shlex.join(words)]
 
 
-def _print_summary(numbers: Comparisons, remarked: Sequence[Remark]) -> None:
-    """A row a controller, and the warnings."""
+def _print_summary(numbers: Comparisons, remarked: Sequence[Remark], loops: Loops) -> None:
+    """A row a controller, the loops, and the warnings."""
     measure, scale = numbers.episodes.measures[0], scales_of(numbers.episodes)[0]
     unit = scale.unit or "1"
     print(f"controller            episodes  diverged  median {measure.name} [{unit}]")
@@ -115,5 +122,6 @@ def _print_summary(numbers: Comparisons, remarked: Sequence[Remark]) -> None:
         ends = "" if math.isnan(low) else f"  ({low:.3g} .. {high:.3g})"  # NaN of one seed a cell
         median = f"{middle:.3g}{ends}" if group.episodes else "none finished"
         print(f"{group.controller:<20} {group.episodes:>9} {group.failed:>9}  {median}")
+    print("\n".join(loops.lines()))
     for remark in remarked:
         print(f"{'warning' if remark.warning else 'note'}: {remark.text}")

@@ -108,7 +108,7 @@ def _checked_spec(file: Path, options: SweepOptions) -> SweepSpec:
             if code is not None:  # an entry point of an installed package
                 spec = dataclasses.replace(spec, code={**spec.code, name: code}, text="")
             period, gains = spec.control_period, spec.gain_sets.get(name)
-            for arm in spec.all_arms():
+            for arm in spec.all_believed():
                 spec.controller(name, arm, make_controller)
                 label = short_name(word_of(name, spec.code))
                 print_unsuited(label, gains, arm, spec.timestep, period)

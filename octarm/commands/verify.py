@@ -46,7 +46,7 @@ def _run(folder: Path) -> bool:
     """Whether a run comes out again; says so."""
     factory = functools.partial(make_controller, gain_set="recommended")  # none is left open
     description = runs.read_description(folder)
-    _announce(folder, Document(runs.DESCRIPTION, description).read(Description).code)
+    announce(folder, Document(runs.DESCRIPTION, description).read(Description).code)
     periods = description.get("duration", 0.0) / description.get("control_period", 1.0)
     with new_bar(total=round(periods) or None, unit=" periods") as bar:
         check = check_run(folder, factory, bar.update)
@@ -57,7 +57,7 @@ def _run(folder: Path) -> bool:
 def _sweep(folder: Path, named: Sequence[int], sample: int | None) -> bool:
     """Whether a sweep's files are as written, and episodes come out again alone; says so."""
     sweep = FinishedSweep(folder)
-    _announce(folder, sweep.plan.spec.code)
+    announce(folder, sweep.plan.spec.code)
     episodes = _selected(sweep, named, sample)
     for episode in episodes:
         sweep.row(episode)  # raises before the work rather than after
@@ -74,7 +74,7 @@ def _sweep(folder: Path, named: Sequence[int], sample: int | None) -> bool:
     return identical
 
 
-def _announce(folder: Path, code: Mapping[str, Code]) -> None:
+def announce(folder: Path, code: Mapping[str, Code]) -> None:
     """Says which code that is not built in is run: that of this machine's user, if it is as then.
 
     Raises:

@@ -28,6 +28,7 @@ from octarm.sweeps.store import metadata_of, read_schema, read_sweep
 DEFAULT = ("rms_error", "tip_rms_error", "chattering", "effort", "overshoot")
 
 _STILL = 1e-9  # rms of a coordinate that a reference lets rest [m], [rad]
+_POOR = 0.1  # share of the error of an arm that hangs still, beyond which nothing is tracked
 _TOGETHER = {"rms": ", over all inputs", "max": ", of any input", "mean": ", mean of the inputs"}
 
 
@@ -85,6 +86,8 @@ class Episodes:
         values: of the measures, shape (n, M); NaN where there is none.
         lost: whether it did not diverge, but a coordinate that moves follows its reference no
             better than an arm that hangs still, shape (n,).
+        poor: whether it diverged, or a coordinate that moves has more than a tenth of the error of
+            an arm that hangs still, shape (n,).
         exact: whether an error is zero to the last digit, shape (n,).
         engine_difference: how far the tip was from where MuJoCo has it, of episodes of the analytic
             arm that were run again, shape (k,) [m].
@@ -101,6 +104,7 @@ class Episodes:
     digest: np.ndarray
     values: np.ndarray
     lost: np.ndarray
+    poor: np.ndarray
     exact: np.ndarray
     engine_difference: np.ndarray
 
@@ -177,7 +181,7 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
         raise OctarmError(
             f"{folder} has no value of {', '.join(absent)} in any finished episode; {why}"
         )
-    lost, exact = _suspects(held, errors, plan.spec)
+    lost, poor, exact = _suspects(held, errors, plan.spec)
     factors = factors_of(held, spec, names, code)
     apart = held.get(engine_check.COLUMN, np.empty(0))
     return Episodes(
@@ -192,6 +196,7 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
         digest=held["digest"],
         values=np.stack([*values.values()], axis=1),
         lost=lost,
+        poor=poor | diverged,
         exact=exact,
         engine_difference=apart[~np.isnan(apart)],
     )
@@ -253,7 +258,8 @@ def _hanging_errors(
     errors: dict[tuple[str, str], np.ndarray] = {}
     for reference, arm in itertools.product(spec.references, spec.arms or [""]):
         if is_built_in(reference):
-            parameters = spec.arm(arm)
+            groups = spec.groups(arm, None)
+            parameters = spec.arm(arm) if groups is None else groups.arm
             rest = equilibrium(parameters)
             motion = named_reference(reference, rest, parameters)
             ways = [motion(t).q - rest for t in np.linspace(begin, end, 1000)]
@@ -295,11 +301,11 @@ def _values(
 
 def _suspects(
     held: Mapping[str, np.ndarray], errors: Sequence[Measure], spec: SweepSpec
-) -> tuple[np.ndarray, np.ndarray]:
-    """`Episodes.lost` and `Episodes.exact`, given the columns of `rms_error`."""
-    lost, exact = np.zeros((2, len(held["reference"])), dtype=bool)
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`Episodes.lost`, `poor` and `exact`, given the columns of `rms_error`."""
+    lost, poor, exact = np.zeros((3, len(held["reference"])), dtype=bool)
     if not spec.duration > spec.settle:
-        return lost, exact
+        return lost, poor, exact
     names = [column.of for column in errors]
     known = _hanging_errors(spec, names, spec.settle, spec.duration)
     for (reference, arm), hanging in known.items():
@@ -308,5 +314,6 @@ def _suspects(
             here &= held[ARM] == arm
         for column, limit in zip(errors, hanging, strict=True):
             lost |= here & (limit > _STILL) & (held[column.name] >= limit)
+            poor |= here & (limit > _STILL) & (held[column.name] > _POOR * limit)
             exact |= here & (limit > _STILL) & (held[column.name] == 0.0)
-    return lost, exact
+    return lost, poor, exact

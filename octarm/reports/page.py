@@ -37,9 +37,14 @@ class Source(NamedTuple):
 
 
 def page(
-    comparisons: Comparisons, remarks: Iterable[Remark], pictures: Iterable[Picture], source: Source
+    comparisons: Comparisons,
+    remarks: Iterable[Remark],
+    pictures: Iterable[Picture],
+    source: Source,
+    loops: Table,
+    of_loops: str,
 ) -> str:
-    """The page as text; the same for the same numbers."""
+    """The page as text, the same for the same numbers; a table of sampled loops has a caption."""
     manifest = comparisons.episodes.manifest
     machines = (_machine(start["host"]) for start in manifest["starts"])
     gains = (f"{name}: {json.dumps(gains)}" for name, gains in manifest["gains"].items())
@@ -51,6 +56,8 @@ def page(
         page=Tables(comparisons),
         pictures=list(pictures),
         source=source,
+        loops=loops,
+        of_loops=of_loops,
         seeds=len(np.unique(comparisons.episodes.seed)),
         fewest=FEWEST,
         settled_after=f"{manifest['spec'].get('settle', SETTLED_AFTER):g}",

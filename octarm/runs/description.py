@@ -42,6 +42,7 @@ class Plant(_Table):
     modules: Annotated[int, Field(ge=1)]
     layout: str
     sensing: str = SUMS
+    parameters: dict[str, Any] | None = None  # of an arm that is the plant itself
 
 
 class _Coordinate(_Table):

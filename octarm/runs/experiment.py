@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from dm_control.rl import control
 
-from octarm.arm.groups import PAPER, SUMS, Groups
+from octarm.arm.groups import PAPER, SUMS, Groups, grouped
 from octarm.arm.parameters import ArmParameters
 from octarm.declared import Code, word_of
 from octarm.disturbances.episode import Disturbance
@@ -74,7 +74,7 @@ class Experiment:
     Attributes:
         gains: those that the factory of controllers is given.
         nominal: the model of the arm that the controller is given.
-        parameters: the true arm.
+        parameters: the true arm; it is controlled in groups if it has more modules than the model.
         spawn_key: of the `SeedSequence` that has this seed; empty but for episodes of sweeps.
         duration: of the run [s].
         settle: when metrics of the steady regime begin [s].
@@ -127,6 +127,7 @@ class Experiment:
             start=self.start,
             start_share=self.start_share,
             sensing=self.sensing,
+            groups=grouped(self.parameters, self.nominal),
         )
         controller = word_of(self.controller, self.code)
         return environment, factory(controller, self.nominal, self.gains)
@@ -141,7 +142,7 @@ class Experiment:
         coordinates = zip(physics.coordinates.names, physics.coordinates.units, strict=True)
         return {
             "controller": {"name": self.controller, "gains": runs.gains_of(controller)},
-            "parameters": self.parameters.to_dict(),
+            "parameters": task.arm.to_dict(),
             "coordinates": [{"name": name, "unit": unit} for name, unit in coordinates],
             "nominal": self.nominal.to_dict(),
             "reference": {"name": self.reference} | fields | {"name": self.reference},
@@ -174,7 +175,10 @@ class Experiment:
         if groups is None:
             return {}
         matrix, offset = groups.matrix.tolist(), groups.offset.tolist()
-        table = {"modules": self.plant_modules, "layout": self.layout, "sensing": self.sensing}
+        table: dict[str, Any] = {"modules": groups.plant.modules, "layout": groups.layout}
+        table["sensing"] = self.sensing
+        if self.plant_modules is None:
+            table["parameters"] = self.parameters.to_dict()
         return {"plant": table | {"map": {"matrix": matrix, "offset": offset}}}
 
     @classmethod
@@ -197,18 +201,20 @@ class Experiment:
             )
         numbers = inputs.model_dump(include=_AS_THEY_ARE)
         gains, plant = inputs.controller.gains, inputs.plant
+        itself = plant.parameters if plant else None
+        chain = None if itself else plant
         return cls(
             controller=inputs.controller.name,
             gains={name.rstrip("_"): value for name, value in gains.items()},
             nominal=ArmParameters.from_dict(inputs.nominal),
-            parameters=ArmParameters.from_dict(inputs.parameters),
+            parameters=ArmParameters.from_dict(itself or inputs.parameters),
             reference=reference,
             disturbances=tuple(
                 from_entry(entry.model_dump(), inputs.code) for entry in inputs.disturbances
             ),
             code=inputs.code,
-            plant_modules=plant and plant.modules,
-            layout=plant.layout if plant else PAPER,
+            plant_modules=chain and chain.modules,
+            layout=chain.layout if chain else PAPER,
             sensing=plant.sensing if plant else SUMS,
             **numbers,
         )

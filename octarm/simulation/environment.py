@@ -58,6 +58,7 @@ def load(
     plant_modules: int | None = None,
     layout: str = PAPER,
     sensing: str = SUMS,
+    groups: int | None = None,
     start: str = REST,
     start_share: float = SHARE,
     flat_observation: bool = False,
@@ -102,6 +103,8 @@ def load(
         layout: of that plant, `paper` or `centred`.
         sensing: what is read of it: `groups`, the sums, or `plates`, arcs between sensors, see
             `octarm.arm.plates`. True coordinates, errors and forces are those of the sums.
+        groups: of modules, in which the arm itself, if it has more of them, is measured and moved,
+            so that controllers take it for one of so many modules; all modules when not given.
         start: of an episode: `rest`, the arm hangs still; `random`, at a place that is drawn for
             each episode and arm, and still; `moving`, with a drawn velocity, too.
         start_share: share of what the inputs reach within which it is drawn, above 0 and at most 1;
@@ -139,8 +142,10 @@ def load(
         )
     if plant_modules is not None:
         plant_modules = whole_number("plant_modules", plant_modules, 1)
-    groups = groups_of(true, plant_modules, layout, sensing)
-    plant = true if groups is None else groups.plant
+    if groups is not None:
+        groups = whole_number("groups", groups, 1)
+    seen = groups_of(true, plant_modules, layout, sensing, groups)
+    true, plant = (true, true) if seen is None else (seen.arm, seen.plant)
     if batch is not None:
         check_batch(batch, plant.modules)
     seeds = _seeds(seed, batch)
@@ -148,7 +153,7 @@ def load(
         if timestep != AUTO:
             raise OctarmError(f"timestep is {timestep!r}; it must be a number [s], or {AUTO!r}")
         axes = () if batch is None else (batch,)
-        steps = steps_of(true, disturbances, seeds, axes, integrator, groups)
+        steps = steps_of(true, disturbances, seeds, axes, integrator, seen)
         timestep, control_period = fitting_step(float(np.min(steps)), control_period)
     forces = ACTUATIONS[actuation](true.widths)
     if engine == LAGRANGE:
@@ -163,8 +168,8 @@ def load(
         model = build_slim_model(plant.arm(0) if plant.batch_shape else plant, timestep)
         model.opt.integrator = integrator_of(integrator)
         physics = BatchPhysics(model, batch, forces, parameters=plant, threads=threads)
-    if groups is not None:
-        physics.see_through(groups)
+    if seen is not None:
+        physics.see_through(seen)
     _check_rest(physics)
     step = physics.timestep()
     steps_a_period = 1 if control_period is None else _whole_steps(control_period, step)
@@ -182,7 +187,7 @@ def load(
         seeds=seeds,
         batch_shape=physics.batch_shape,
         check_arm=step_check(plant_rest, step, integrator),
-        groups=groups,
+        groups=seen,
     )
     task = TrackingTask(
         episode,

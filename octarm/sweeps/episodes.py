@@ -70,12 +70,11 @@ class FinishedSweep:
         """An episode as a run of one arm, whose factory is that of the sweep's controllers."""
         spec, arms = self.plan.spec, self.plan.episode(episode)
         (seed,) = arms.seeds
-        nominal = spec.arm(arms.arm)
         return Experiment(
             controller=arms.controller,
             gains=spec.gains.get(arms.controller, {}),
-            nominal=nominal.mismatched(arms.mismatch),
-            parameters=nominal,
+            nominal=spec.believed(arms.arm).mismatched(arms.mismatch),
+            parameters=spec.arm(arms.arm),
             reference=arms.reference,
             disturbances=arms.disturbances,
             seed=spec.seed,

@@ -211,7 +211,7 @@ def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
 
     It returns the gains of each controller for the first arm, ready for JSON.
     """
-    nominal = plan.spec.all_arms()[0]
+    nominal = plan.spec.all_believed()[0]
     check_batch(
         len(plan.shards[0]), plan.spec.most_modules
     )  # no shard is larger by more than one arm

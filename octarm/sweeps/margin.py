@@ -19,7 +19,7 @@ import numpy.typing as npt
 from dm_control.rl import control
 from scipy.stats import binom
 
-from octarm.arm.groups import PAPER, SUMS
+from octarm.arm.groups import PAPER, SUMS, grouped
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.disturbances.episode import Disturbance
@@ -295,6 +295,7 @@ class MarginRuns:
     control_period: float | None = None
     engine: str = dataclasses.field(default_factory=usual_engine)
     parameters: ArmParameters = dataclasses.field(default_factory=nominal_parameters)
+    model: ArmParameters | None = None
     plant_modules: int | None = None
     layout: str = PAPER
     sensing: str = SUMS
@@ -357,6 +358,7 @@ class MarginRuns:
         self, seeds: np.ndarray, shares: np.ndarray
     ) -> tuple[control.Environment, Controller]:
         values = self.varied.at(shares)
+        model = self.parameters if self.model is None else self.model
         environment = load(
             self.reference,
             disturbances=[*self.disturbances, *self.varied.of(values)],
@@ -370,7 +372,8 @@ class MarginRuns:
             plant_modules=self.plant_modules,
             layout=self.layout,
             sensing=self.sensing,
+            groups=grouped(self.parameters, model),
         )
         mismatch = values if self.varied.name == NOMINAL else self.mismatch
-        believed = self.parameters.mismatched(mismatch).scaled(**self.nominal)
+        believed = model.mismatched(mismatch).scaled(**self.nominal)
         return environment, self.factory(believed)

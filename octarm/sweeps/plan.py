@@ -15,7 +15,7 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from octarm.arm.groups import PAPER, SUMS, groups_of
+from octarm.arm.groups import PAPER, SUMS
 from octarm.disturbances.episode import Disturbance, PlantChange
 from octarm.disturbances.streams import stream
 from octarm.errors import OctarmError
@@ -251,7 +251,7 @@ def _longest(spec: SweepSpec, arms: Arms) -> float:
     """The longest stable step of some arms [s], or infinity for a given step that suits them."""
     arm = spec.arm(arms.arm)
     given = arm, arms.disturbances, arms.seeds, (len(arms.seeds),), spec.integrator
-    groups = groups_of(arm, arms.plant_modules, arms.layout)
+    groups = spec.groups(arms.arm, arms.plant_modules, arms.layout)
     if isinstance(spec.timestep, str):
         return float(np.min(steps_of(*given, groups)))
     try:

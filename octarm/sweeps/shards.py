@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 from dm_control.rl import control
 
+from octarm.arm.groups import grouped
 from octarm.arm.nominal import LagrangeModel
 from octarm.interfaces import Controller, ControllerFactory, Instant
 from octarm.metrics.metric import SETTLED_AFTER
@@ -51,7 +52,7 @@ def run_shard(
         table = _checked_rows(plan, arms, again, factory, *observers)
     else:
         table = run_arms(plan, arms, factory, *observers)
-    controller = spec.controller(arms.controller, spec.all_arms()[0], factory)
+    controller = spec.controller(arms.controller, spec.all_believed()[0], factory)
     origin = {
         "host": host(),
         "versions": versions(spec.engine, spec.code),
@@ -132,7 +133,7 @@ def begin(
 
     Raises OctarmError if an arm, a disturbance or a controller cannot be made.
     """
-    arm = spec.arm(arms.arm)
+    arm, model = spec.arm(arms.arm), spec.believed(arms.arm)
     environment = load(
         recorded_word(arms.reference, spec.code),
         parameters=arm,
@@ -149,8 +150,9 @@ def begin(
         start=spec.start,
         start_share=spec.start_share,
         sensing=arms.sensing,
+        groups=grouped(arm, model),
     )
-    nominal = arm.mismatched(arms.mismatch)
+    nominal = model.mismatched(arms.mismatch)
     return environment, spec.controller(arms.controller, nominal, factory)
 
 
@@ -298,7 +300,7 @@ def schema(spec: SweepSpec) -> pa.Schema:
             unit = unit_of(axis, spec.code) if axis.disturbance else ""
             kind = word if axis.words else number
             fields.append(field(axis.name, kind, axis.disturbance, unit or ""))
-    arm = LagrangeModel(max(spec.all_arms(), key=lambda arm: arm.modules))
+    arm = LagrangeModel(max(spec.all_believed(), key=lambda arm: arm.modules))
     for column in columns(arm.names, arm.units, spec.metrics()):
         fields.append(pa.field(column.name, number, metadata=column.description))
     if spec.engine == LAGRANGE:

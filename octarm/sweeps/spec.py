@@ -9,6 +9,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from octarm.arm.groups import PAPER, Groups, grouped, groups_of
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import plain
@@ -105,6 +106,8 @@ class SweepSpec:
         gains: where they are not those of the set, by controller [SI].
         arms: their parameters, as `ArmParameters.to_dict` has them, by the values of the axis
             `arm`; the nominal arm has no such axis.
+        model: what the controllers believe of every arm before mismatches, likewise; empty where
+            that is the arm itself.
         record: episodes to record, by number or by a word.
         code: what is not built in by name, and metrics that are measured as well.
         text: the file that says all of it; empty where it names other files.
@@ -128,6 +131,7 @@ class SweepSpec:
     gain_sets: Mapping[str, Any] = dataclasses.field(default_factory=dict[str, Any])
     gains: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
     arms: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict[str, Any])
+    model: Mapping[str, Any] = dataclasses.field(default_factory=dict[str, Any])
     record: tuple[int | str, ...] = ()
     code: Mapping[str, Code] = dataclasses.field(default_factory=dict[str, Code])
     text: str = dataclasses.field(default="", compare=False)
@@ -152,14 +156,23 @@ class SweepSpec:
         """The arm of this name; the nominal one for an empty name."""
         return ArmParameters.from_dict(self.arms[name]) if name else nominal_parameters()
 
-    def all_arms(self) -> list[ArmParameters]:
-        """The arms of the axis `arm`, in its order, or the nominal one."""
-        return [*map(self.arm, self.arms)] or [nominal_parameters()]
+    def believed(self, name: str) -> ArmParameters:
+        """What controllers believe of the arm of this name, but for mismatches."""
+        return ArmParameters.from_dict(self.model) if self.model else self.arm(name)
+
+    def all_believed(self) -> list[ArmParameters]:
+        """The same of the arms of the axis `arm`, in its order, or of the nominal one."""
+        return [*map(self.believed, self.arms or [""])]
+
+    def groups(self, arm: str, modules: int | None, layout: str = PAPER) -> Groups | None:
+        """The groups of the plant for an arm of this name, see `groups_of`."""
+        p = self.arm(arm)
+        return groups_of(p, modules, layout, groups=grouped(p, self.believed(arm)))
 
     @property
     def most_modules(self) -> int:
         """The number of modules of the largest arm."""
-        return max(arm.modules for arm in self.all_arms())
+        return max(self.arm(name).modules for name in self.arms or [""])
 
     def controller(self, name: str, nominal: Any, factory: ControllerFactory) -> Controller:
         """The controller of this name for a nominal model, with the gains of the spec.
@@ -190,6 +203,7 @@ class SweepSpec:
         content |= {f"random.{a.name}": (*a.values, a.method) for a in self.random}
         content |= {f"gain_set.{name}": choice for name, choice in self.gain_sets.items()}
         content |= {f"arms.{name}": arm for name, arm in self.arms.items()}
+        content |= {"model": self.model} if self.model else {}
         for heading, tables in (("disturbance", self.fixed), ("gains", self.gains)):
             content |= {f"{heading}.{n}.{k}": v for n, t in tables.items() for k, v in t.items()}
         content |= {f"code.{name}": each.model_dump() for name, each in self.code.items()}
@@ -217,7 +231,7 @@ class SweepSpec:
         content = self._settings()
         content |= {"grid": grid, "random": drawn, "disturbance": fixed}
         content |= {"gain_set": self.gain_sets, "gains": self.gains}
-        content |= {"arms": self.arms}
+        content |= {"arms": self.arms, "model": self.model}
         content |= {"record": {"episodes": self.record}}
         content |= {"code": {name: each.model_dump() for name, each in self.code.items()}}
         return to_toml({key: value for key, value in content.items() if value != {}})

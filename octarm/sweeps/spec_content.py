@@ -16,6 +16,10 @@ plant of more modules, see `octarm.arm.groups`) where they have one value. The t
 - `[arm]`: the arm, as in a file of one (`octarm.arm.file`), instead of `arm = "my-arm.toml"`;
 - `[record]`: `episodes`, a list of numbers, `"worst"`, `"median"` and `"diverged"`.
 
+`model`, at the top, is what the controllers believe of every arm before mismatches, if that is not
+the arm: a file of an arm, or one that comes with octarm. An arm of more modules is controlled in as
+many groups as the model has modules. The spec that the sweep keeps has its numbers in `[model]`.
+
 An arm is a file, beside the spec, or one that comes with octarm; `arm` is a key at the top, or a
 list in `[grid]`. Its numbers become part of the spec that the sweep keeps, in a table `[arms.NAME]`
 as `run.json` has them.
@@ -190,5 +194,6 @@ class SpecFile(Model):
     gains: dict[str, dict[str, Gain]] = Field(default_factory=dict)
     arm: str | dict[str, Any] | None = None
     arms: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    model: str | dict[str, Any] | None = None
     record: Record = Record()
     code: dict[str, Code] = Field(default_factory=dict)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, cast
 
 from octarm.arm.file import arm_of, read_arm
-from octarm.arm.groups import groups_of
+from octarm.arm.groups import grouped, groups_of
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.declared import Code, short_name, word_of
@@ -72,7 +72,8 @@ def _spec(document: Document) -> SweepSpec:
                 document = _in_si(document, unit, *keys)
     axes, drawn = _axes(document, content)
     arms = _arms(document, content, axes)
-    _check_plants(document, content, axes, arms)
+    model = _model(document, content)
+    _check_plants(document, content, axes, arms, model)
     sets = _gain_sets(document, content, [str(value) for value in axes[0].values])
     fixed: dict[str, dict[str, Any]] = {}
     for field, keys in _fields(document, content.code, "disturbance"):
@@ -90,10 +91,14 @@ def _spec(document: Document) -> SweepSpec:
         gain_sets=sets,
         gains=content.gains,
         arms={name: arm.to_dict() for name, arm in arms.items()},
+        model={} if model is None else model.to_dict(),
         record=content.record.episodes,
         code=content.code,
         text=""
-        if files - {*GAIN_SETS} or content.code or _other_files(content, arms)
+        if files - {*GAIN_SETS}
+        or content.code
+        or isinstance(content.model, str)
+        or _other_files(content, arms)
         else document.text,
     )
     for name in spec.disturbances:
@@ -179,8 +184,7 @@ def _arms(document: Document, content: SpecFile, axes: Sequence[Axis]) -> dict[s
             elif isinstance(content.arm, dict):
                 arms[name] = arm_of(document, ARM).parameters
             else:
-                file = name.endswith(".toml")
-                arms[name] = read_arm(Path(document.file).parent / name if file else name)
+                arms[name] = _read_arm(document, name)
         except OctarmError as error:
             if isinstance(content.arm, dict):
                 raise  # it names its line
@@ -188,20 +192,40 @@ def _arms(document: Document, content: SpecFile, axes: Sequence[Axis]) -> dict[s
     return arms
 
 
+def _read_arm(document: Document, name: str) -> ArmParameters:
+    return read_arm(Path(document.file).parent / name if name.endswith(".toml") else name)
+
+
+def _model(document: Document, content: SpecFile) -> ArmParameters | None:
+    """What the controllers believe of all arms; None if that is what they are."""
+    try:
+        if isinstance(content.model, str):
+            return _read_arm(document, content.model)
+        return None if content.model is None else ArmParameters.from_dict(content.model)
+    except OctarmError as error:
+        raise document.error(str(error), "model") from None
+
+
 def _other_files(content: SpecFile, arms: Iterable[str]) -> bool:
     return not isinstance(content.arm, dict) and any(name not in content.arms for name in arms)
 
 
 def _check_plants(
-    document: Document, content: SpecFile, axes: Sequence[Axis], arms: Mapping[str, ArmParameters]
+    document: Document,
+    content: SpecFile,
+    axes: Sequence[Axis],
+    arms: Mapping[str, ArmParameters],
+    model: ArmParameters | None,
 ) -> None:
     given: dict[str, Any] = {axis.name: axis.values for axis in axes if axis.name in PLANT}
     plants = [dict(zip(given, plant, strict=True)) for plant in itertools.product(*given.values())]
     several = [*arms.values()] or [nominal_parameters()]
     for arm, plant in itertools.product(several, plants):
         try:
-            groups_of(arm, **plant)
+            groups_of(arm, **plant, groups=grouped(arm, model or arm))
         except OctarmError as error:
+            if not given:
+                raise document.error(str(error), "model") from None
             name = PLANT_MODULES if PLANT_MODULES in given else next(iter(given))
             keys = (name,) if name in document.content else ("grid", name)
             raise document.error(str(error), *keys) from None

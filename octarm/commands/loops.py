@@ -1,0 +1,216 @@
+"""The sampled loops of a sweep about rest, beside what its episodes did.
+
+A report runs no code that a folder names: laws that are not built in are left out unless their code
+is asked for. Nor does it take other gains for those that the sweep had.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from controllers import make_controller
+from octarm.arm.groups import PAPER
+from octarm.arm.mjcf import physics_step
+from octarm.checks.sampled_loop import LinearPlant
+from octarm.checks.stability import LoopAtRest, linear_plant, loop_at_rest
+from octarm.commands.verify import announce
+from octarm.errors import OctarmError, printable
+from octarm.formats import to_json
+from octarm.html import Cell, Table
+from octarm.palette import look_of
+from octarm.reports.frame import Episodes
+from octarm.reports.page import number
+from octarm.runs import folder as runs
+from octarm.sweeps.manifest import open_sweep
+from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec
+
+_MOST = 60  # rows of a page
+_PRINTED = 20  # rows in a terminal
+_AXES = (ARM, LAYOUT, PLANT_MODULES, "mismatch")
+_UNRUN = "a report runs no code of your own unless --run-code is given"
+
+
+class Row(NamedTuple):
+    """One controller on one plant.
+
+    Attributes:
+        controller: its name.
+        where: the values of the axes that make the plant and the model, in words, by name.
+        loop: what it does about rest.
+        episodes: number of those that were simulated.
+        diverged: number of those that did.
+        lost: number of those and of others that tracked nothing, see `Episodes.poor`.
+    """
+
+    controller: str
+    where: Mapping[str, str]
+    loop: LoopAtRest
+    episodes: int
+    diverged: int
+    lost: int
+
+    @property
+    def predicted(self) -> str:
+        """What the loop says of the arm; empty if it says nothing."""
+        return "" if self.loop.reason else "stable" if self.loop.stable else "lost"
+
+    @property
+    def agrees(self) -> bool:
+        """Whether simulation did what the loop says, or one of them says nothing."""
+        silent = self.loop.reason or not self.episodes
+        return bool(silent) or self.loop.stable == (self.lost == 0)
+
+
+class Loops(NamedTuple):
+    """The loops of a sweep.
+
+    Attributes:
+        rows: of each plant, a row a controller.
+        planned: number of rows that there are, if no more than a page holds.
+        period: the control period of the sweep [s].
+        drawn: whether the mismatch of the models was drawn, so that the rows have exact models.
+    """
+
+    rows: list[Row]
+    planned: int
+    period: float
+    drawn: bool
+
+    @property
+    def caption(self) -> str:
+        """What the table says and does not say."""
+        return (
+            f"Linear about rest, without disturbances, at the control period of {self._ms} ms"
+            f"{', with exact models, where the sweep draws them' if self.drawn else ''}. The "
+            "margin is the longest stable period over that one. Lost are episodes that diverged, "
+            "or in which a coordinate had more than a tenth of the error of hanging still. "
+            f"{self._verdict}; the others are coloured: a loop that is stable about rest may be "
+            "lost by a large motion or a disturbance."
+        )
+
+    @property
+    def _verdict(self) -> str:
+        known = [row for row in self.rows if row.predicted and row.episodes]
+        left = f" of the first {len(self.rows)} of all {self.planned}"
+        return (
+            f"Prediction and simulation agree in {sum(row.agrees for row in known)} of "
+            f"{len(known)} rows{left if self.planned > len(self.rows) else ''} that have both"
+        )
+
+    @property
+    def _ms(self) -> str:
+        return f"{1e3 * self.period:g}"
+
+    def table(self) -> Table:
+        """The rows as a table of a page."""
+        group = len({row.controller for row in self.rows})
+        head = [
+            Cell("controller", [", ".join(self.rows[0].where)], "left"),
+            Cell("predicted"),
+            Cell("lost in", ["simulation"]),
+            Cell("longest period", ["[ms]"]),
+            Cell("margin", [f"over {self._ms} ms"]),
+            Cell("spectral radius", [f"at {self._ms} ms"]),
+            Cell("first to grow", ["beyond the longest period"], "left"),
+        ]
+        return Table(head, [_cells(row) for row in self.rows], group)
+
+    def lines(self) -> Iterator[str]:
+        """The rows for a terminal."""
+        yield f"longest period  over {self._ms:>4} ms  predicted  lost       loop about rest"
+        for row in self.rows[:_PRINTED]:
+            loop, what = row.loop, ", ".join([row.controller, *map(" ".join, row.where.items())])
+            lost = f"{row.lost} of {row.episodes}{'' if row.agrees else ' (!)'}"
+            yield (
+                f"{number(1e3 * loop.longest):>11} ms {number(loop.longest / loop.period):>13}  "
+                f"{row.predicted or '-':<9}  {lost:<10} {what}"
+            )
+        if self.planned > _PRINTED:
+            yield f"and {self.planned - _PRINTED} more"
+        yield f"{self._verdict}."
+
+
+def _cells(row: Row) -> list[Cell]:
+    loop, where = row.loop, [", ".join(map(" ".join, row.where.items()))]
+    kind = "even" if row.agrees else "bad"
+    diverged = [f"{row.diverged} diverged"] if row.diverged else []
+    first, *mode = loop.first if loop.mode is not None else (loop.reason or "-",)
+    return [
+        Cell(row.controller, where, "left", look_of(row.controller).color),
+        Cell(row.predicted or "-", kind=kind),
+        Cell(f"{row.lost} of {row.episodes}", diverged, kind),
+        Cell(number(1e3 * loop.longest)),
+        Cell(number(loop.longest / loop.period)),
+        Cell("-" if loop.reason else f"{loop.radius:.4f}"),
+        Cell(first, mode, "wide" if loop.reason else "left"),
+    ]
+
+
+def loops_of(folder: Path, episodes: Episodes, run_code: bool) -> Loops:
+    """The loops of a sweep and of its episodes; with `run_code` those of other laws, too.
+
+    Raises OctarmError if it is no sweep.
+    """
+    plan, manifest = open_sweep(folder)
+    spec = plan.spec
+    step = physics_step() if spec.timestep is None else float(spec.timestep)
+    period = step if spec.control_period is None else spec.control_period
+    axes: dict[str, Sequence[Any]] = {
+        axis.name: axis.values if axis.words else sorted(map(float, axis.values))
+        for axis in spec.axes
+        if axis.name in _AXES
+    }
+    labels = {factor.name: factor for factor in episodes.factors if factor.name in axes}
+    reasons = {name: _left_out(folder, spec, name, manifest, run_code) for name in spec.controllers}
+
+    @functools.cache
+    def plant(arm: str, modules: int | None, layout: str) -> LinearPlant:
+        return linear_plant(spec.arm(arm), spec.groups(arm, modules, layout))
+
+    def row(places: tuple[int, ...], which: int) -> Row:
+        at = dict(zip(axes, places, strict=True))
+        value: dict[str, Any] = {name: axes[name][i] for name, i in at.items()}
+        arm, name = value.get(ARM, ""), spec.controllers[which]
+        here = episodes.controller == which
+        for axis, factor in labels.items():
+            here = here & (factor.code == at[axis])
+        loop = LoopAtRest(period, reason=reasons[name])
+        if not loop.reason:
+            model = spec.believed(arm).mismatched(value.get("mismatch", 0.0))
+            law = spec.controller(name, model, make_controller)
+            modules = int(value[PLANT_MODULES]) if PLANT_MODULES in value else None
+            this = plant(arm, modules, value.get(LAYOUT, PAPER))
+            loop = loop_at_rest(this, law, period, held=False)
+        counts = [int(np.sum(x[here])) for x in (here, episodes.diverged, episodes.poor)]
+        where = {f.title: f.labels[at[axis]] for axis, f in labels.items()}
+        return Row(episodes.controllers[which], where, loop, *counts)
+
+    places = itertools.product(*(range(len(values)) for values in axes.values()))
+    asked = itertools.product(places, range(len(spec.controllers)))
+    rows = [row(*each) for each in itertools.islice(asked, _MOST)]
+    planned = len(spec.controllers) * math.prod(len(values) for values in axes.values())
+    return Loops(rows, planned, period, any(axis.name == "mismatch" for axis in spec.random))
+
+
+def _left_out(
+    folder: Path, spec: SweepSpec, name: str, manifest: Mapping[str, Any], run_code: bool
+) -> str:
+    """Why nothing is said of a controller, a sentence; empty if it is what the sweep had."""
+    if name in spec.code and not run_code:
+        return _UNRUN
+    try:
+        if name in spec.code:
+            announce(folder, {name: spec.code[name]})
+        law = spec.controller(name, spec.all_believed()[0], make_controller)
+    except OctarmError as error:
+        return printable(str(error))
+    if to_json(runs.gains_of(law)) != to_json(manifest["gains"][name]):
+        return "its gains are not those that the sweep had"
+    return ""
