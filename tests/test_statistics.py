@@ -55,7 +55,7 @@ def coverage(draw, truth: float) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("n", "cells"), [(6, 24), (8, 4), (16, 4), (16, 24), (64, 6)])
+@pytest.mark.parametrize(("n", "cells"), [(16, 1), (6, 24), (8, 4), (16, 4), (16, 24), (64, 6)])
 @pytest.mark.parametrize("common", [0.0, 0.5, 1.0])
 def test_what_cells_share_by_their_seed_is_not_taken_for_new_evidence(n, cells, common):
     """Cells of different sizes, with a factor that the seed brings to all of them."""
