@@ -120,10 +120,10 @@ class Reach(Accumulator):
         return {"largest_bend": self._largest.copy()}
 '''
 
-SPEC = """
+SPEC = """settle = 0.1
 seed = 3
 episodes = 2
-duration = 2.2
+duration = 0.3
 batch = 4
 timestep = 0.001
 metric = "./reach.py:Reach"

@@ -20,13 +20,13 @@ from octarm.errors import ExitCode
 pytestmark = pytest.mark.slow
 KILLS = 20
 PAPER_KILLS = int(os.environ.get("OCTARM_KILLS", "2"))
-SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+SIGNALS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 SMALL = (
-    "import dataclasses, test_tuning as t\n"
+    "import dataclasses, small_tuning as t\n"
     "budget = dataclasses.replace(t.BUDGET, generations=8)\n"
     "t.Budget.within = classmethod(lambda c, s: budget)\n"
 )
-TUNE = ["tune", "smc", "--seed", "5", "--out", "mine.toml"]
+TUNE = ["tune", "smc", "--seed", "5", "--out", "mine.toml", "--workers", "1"]
 MARGIN = [
     "margin", "pd", "smc-boundary", "--disturbance", "payload", "--disturbance", "noise:0.4",
     "--bound", "effort_tau1:12", "--seeds", "3", "--duration", "0.1", "--json", "m.json",
@@ -86,7 +86,8 @@ def test_tuning_is_killed_at_any_instant(commands, tmp_path):
     expected, span = undisturbed(commands, TUNE, place(tmp_path / "undisturbed"))
     folder, begun, ended = place(tmp_path / "0"), False, 0
     for kill in range(KILLS):
-        words = [*TUNE, "--resume"] if begun else TUNE
+        words = TUNE if kill % 7 else [*TUNE[:-1], "2"]  # worker processes are dear to begin
+        words = [*words, "--resume"] if begun else words
         code = struck(commands, words, folder, span * (kill % 5 + 1) / 8, SIGNALS[kill % 4])
         found = contents(folder)
         assert found.keys() <= {"mine.toml", "mine.toml.state"}
@@ -160,6 +161,7 @@ def test_the_papers_results_are_killed_at_any_instant(tmp_path):
             assert process.returncode in (-signal.SIGKILL, 0)
         else:
             assert process.returncode in (ExitCode.INTERRUPTED, 0), error
+            assert ("go on by" in error and "--resume" in error) == (process.returncode != 0)
         killed += process.returncode != 0
         while is_alive(process.pid):  # no worker goes on alone
             time.sleep(0.05)

@@ -3,10 +3,8 @@
 import dataclasses
 import json
 import re
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -271,23 +269,6 @@ def test_a_resumed_run_does_nothing_again(quick: Quick):
     run_all(VARIANTS, QUICK, quick.out)
     assert before == [file.stat().st_mtime_ns for file in files]
     assert len(files) > 10
-
-
-@pytest.mark.slow
-def test_an_interrupted_run_says_how_to_go_on(tmp_path: Path):
-    out = tmp_path / "out"
-    process = subprocess.Popen(
-        [sys.executable, SCRIPT, "--quick", "--out", out],
-        cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
-    while not (out / "sweeps").is_dir() and process.poll() is None:
-        time.sleep(0.05)
-    time.sleep(1.0)
-    process.send_signal(signal.SIGINT)
-    _, error = process.communicate(timeout=1800)
-    assert process.returncode == 130
-    assert "--resume" in error.splitlines()[-1]
-    assert "Traceback" not in error
 
 
 def test_bad_input_is_one_sentence(tmp_path: Path):

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recordings import column, entities
+from small_tuning import BUDGET
 
 import octarm
 from controllers import make_controller
@@ -23,6 +24,7 @@ from octarm.sweeps.margin import MarginRuns, parse_varied
 from octarm.sweeps.plan import Plan, with_step
 from octarm.sweeps.shards import run_arms, run_shard
 from octarm.sweeps.spec_file import parse_spec
+from octarm.sweeps.tune import Budget
 from octarm.sweeps.tune_cost import SCENARIOS, Examination, Rig, costs
 
 ARM = nominal_parameters()
@@ -268,9 +270,9 @@ def test_tuning_tries_the_plant():
     assert Rig("lagrange").settings() == {"engine": "lagrange"}
 
 
-@pytest.mark.slow
-def test_a_gain_file_says_for_which_plant_its_gains_are(capsys):
-    options = ["--budget", "1224", "--plant-modules", "6", "--layout", "centred", "--out", "g.toml"]
+def test_a_gain_file_says_for_which_plant_its_gains_are(capsys, monkeypatch):
+    monkeypatch.setattr(Budget, "within", classmethod(lambda cls, seconds: BUDGET))
+    options = ["--workers", "1", "--plant-modules", "6", "--layout", "centred", "--out", "g.toml"]
     assert main(["tune", "pd", *options]) == 0
     text = Path("g.toml").read_text()
     assert "plant_modules = 6" in text and 'layout = "centred"' in text

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_tuning import BUDGET
 
 import octarm
 from octarm.arm.mjcf import nominal_parameters
@@ -16,6 +17,7 @@ from octarm.metrics.table import METRICS
 from octarm.sweeps.scenarios import Scenario
 from octarm.sweeps.shards import schema
 from octarm.sweeps.spec_file import parse_spec
+from octarm.sweeps.tune import Budget
 from octarm.sweeps.tune_cost import Examination, Rig, costs
 
 P = nominal_parameters()
@@ -82,9 +84,11 @@ def test_a_rig_has_what_all_scenarios_shall_have():
     assert loaded.settings()["disturbances"][0]["mass"] == 0.1
 
 
-@pytest.mark.slow
-def test_tune_takes_what_run_takes_and_writes_it_down(capsys: pytest.CaptureFixture[str]):
-    words = ["tune", "pd", "--out", "g.toml", "--budget", "1224", *OPTIONS]
+def test_tune_takes_what_run_takes_and_writes_it_down(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(Budget, "within", classmethod(lambda cls, seconds: BUDGET))
+    words = ["tune", "pd", "--out", "g.toml", "--workers", "1", *OPTIONS]
     words += ["--reference", "sine", "--disturbance", "payload:50g", "--gain", "K_d:3"]
     assert main(words) == 0
     tuning = tomllib.loads(Path("g.toml").read_text())["tuning"]

@@ -26,15 +26,18 @@ def test_medians_are_those_of_the_values_there_are(column):
     assert found == np.median(known) if known.size else np.isnan(found)
 
 
-@pytest.mark.parametrize("n", [6, 7, 8, 9, 16, 25, 41])
+@pytest.mark.parametrize("n", [6, 7, 8, 9, 11, 16, 25, 41, 64, 150])
 def test_intervals_of_one_value_a_seed_are_those_of_order_statistics(n):
+    """Hence they hold the median of any distribution as often as they say."""
     sample = np.random.default_rng(n).lognormal(size=n)
     found, order = medians(sample[:, None], np.arange(n)), np.sort(sample)
     (low,), (high,) = (np.flatnonzero(order == end) for end in (found.low, found.high))
     tail = scipy.stats.binom(n, 0.5).cdf
-    assert high == n - 1 - low
-    sure = 0.0 if n <= 12 else 0.004  # of the share of signs that are drawn
-    assert tail(low) <= 0.025 + sure and tail(low + 1) > 0.025 - sure
+    assert 0.93 <= tail(high) - tail(low) <= (1.0 if n < 25 else 0.98)
+    if n <= 64:  # of more, some are added up
+        assert high == n - 1 - low
+        sure = 0.0 if n <= 12 else 0.004  # of the share of signs that are drawn
+        assert tail(low) <= 0.025 + sure and tail(low + 1) > 0.025 - sure
 
 
 DRAWS = 2000
@@ -52,22 +55,7 @@ def coverage(draw, truth: float) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", [6, 8, 11, 16, 25, 64, 150])
-@pytest.mark.parametrize(
-    ("distribution", "truth"),
-    [("standard_normal", 0.0), ("exponential", np.log(2.0)), ("standard_cauchy", 0.0)],
-)
-def test_intervals_hold_the_true_median_as_often_as_they_say(distribution, truth, n):
-    """They are exact: conservative where few seeds leave few places for an end."""
-
-    def draw(generator):
-        return getattr(generator, distribution)(size=n), np.arange(n)
-
-    assert 0.93 <= coverage(draw, truth) <= (1.0 if n < 25 else 0.98)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("n", "cells"), [(6, 24), (8, 4), (16, 4), (16, 24), (64, 6)])
+@pytest.mark.parametrize(("n", "cells"), [(16, 1), (6, 24), (8, 4), (16, 4), (16, 24), (64, 6)])
 @pytest.mark.parametrize("common", [0.0, 0.5, 1.0])
 def test_what_cells_share_by_their_seed_is_not_taken_for_new_evidence(n, cells, common):
     """Cells of different sizes, with a factor that the seed brings to all of them."""

@@ -11,8 +11,10 @@ from test_sweep import Inline
 
 import octarm
 from controllers import make_controller
+from octarm.errors import OctarmError
+from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.spec_file import parse_spec
-from octarm.sweeps.store import read_manifest
+from octarm.sweeps.store import read_manifest, read_shard
 
 SPEC = 'controller = "pd"\nduration = 0.002\nepisodes = 2\nbatch = 1'
 
@@ -42,16 +44,22 @@ def test_a_shard_is_a_parquet_file_like_any_other(folder, original):
 
 
 def test_a_bit_that_is_flipped_is_noticed_wherever_it_is(folder):
+    """Every seventh byte, by what reads a shard; some of them by what reads a sweep."""
     file = folder / "episodes/00001.parquet"
     content = file.read_bytes()
     damaged = bytearray(content)
-    for place in range(0, len(content), 7):
+    plan, manifest = open_sweep(folder)
+    for count, place in enumerate(range(0, len(content), 7)):
         bit = 1 << place % 8
         damaged[place] ^= bit
         file.write_bytes(damaged)
         damaged[place] ^= bit
-        with pytest.raises(ValueError, match=r"00001\.parquet is damaged"):
-            octarm.read_sweep(folder, ["effort_tau1"] if place % 2 else None)
+        columns = ["effort_tau1"] if place % 2 else None
+        with pytest.raises(OctarmError, match=r"00001\.parquet is damaged"):
+            if count % 100:
+                read_shard(folder, plan, manifest, 1, columns)
+            else:
+                octarm.read_sweep(folder, columns)
 
 
 def test_any_piece_that_is_lost_or_added_is_noticed(folder):

@@ -1,4 +1,7 @@
-"""Whatever is killed and whenever: the table becomes the same, and no finished shard is lost."""
+"""Whatever is killed and whenever: the table becomes the same, and no finished shard is lost.
+
+OCTARM_KILLS=20 kills each as often.
+"""
 
 import os
 import random
@@ -6,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable
 from multiprocessing import active_children
@@ -21,7 +23,7 @@ from octarm.errors import ExitCode
 from octarm.sweeps.cluster import dask_cluster
 from octarm.sweeps.workers import WorkerProcesses
 
-KILLS = 20
+KILLS = int(os.environ.get("OCTARM_KILLS", "6"))
 pytestmark = pytest.mark.slow
 LONGER = SPEC.replace("episodes = 3", "episodes = 12")  # 24 shards
 
@@ -113,37 +115,48 @@ def test_an_interrupted_command_finishes_its_shards_and_says_how_to_go_on(
     assert done[0] == finished
 
 
-def test_one_of_two_workers_that_is_killed_costs_its_shard_a_second_run(tmp_path, undisturbed):
-    def kill_one() -> None:
-        time.sleep(random.uniform(0.0, 1.0))
-        while not (children := active_children()):
-            time.sleep(0.01)
-        os.kill(random.choice(children).pid or 0, signal.SIGKILL)
+class Killer:
+    """Kills a process once, soon after a sweep has told its progress so many times."""
 
+    def __init__(self, victim: Callable[[], int]) -> None:
+        """The victim is the number of the process."""
+        self._victim = victim
+        self._wait = random.randrange(2, 6)  # at the first time none is at work yet
+        self.done: list[int] = []
+
+    def __call__(self, episodes: int) -> None:
+        self.done.append(episodes)
+        if len(self.done) == self._wait:
+            time.sleep(random.uniform(0.0, 0.01))
+            os.kill(self._victim(), signal.SIGKILL)
+
+    @property
+    def has_killed(self) -> bool:
+        return len(self.done) >= self._wait
+
+
+def test_one_of_two_workers_that_is_killed_costs_its_shard_a_second_run(tmp_path, undisturbed):
+    repeated, sweeps = 0, 0
     with WorkerProcesses(2) as processes:
-        for i in range(KILLS):
+        while repeated < KILLS:  # the others died between two shards
             said: list[str] = []
-            killer = threading.Thread(target=kill_one)
-            killer.start()
-            table = run(tmp_path / str(i), executor=processes, in_flight=2, say=said.append)
-            killer.join()
+            kill_one = Killer(lambda: random.choice(active_children()).pid or 0)
+            table = run(
+                tmp_path / str(sweeps), executor=processes, in_flight=2, say=said.append,
+                progress=kill_one,
+            )  # fmt: skip
+            assert kill_one.has_killed
             assert table.equals(undisturbed)
             assert len(said) <= 1
+            repeated, sweeps = repeated + len(said), sweeps + 1
+            assert sweeps < 20 * KILLS
 
 
 def test_the_table_is_the_same_on_a_dask_cluster_that_loses_a_worker(tmp_path, undisturbed):
     with dask_cluster("local", 2) as (executor, useful):
         assert useful() == 2
         for i in range(KILLS):
-            calls, chosen, killed = [], random.randrange(1, 6), []
-
-            def kill_one(done: int, calls=calls, chosen=chosen, killed=killed) -> None:
-                calls.append(done)
-                if len(calls) == chosen:
-                    time.sleep(random.uniform(0.0, 0.1))
-                    killed.append(executor.submit(os.getpid).result())
-                    os.kill(killed[0], signal.SIGKILL)
-
+            kill_one = Killer(lambda: executor.submit(os.getpid).result())
             table = run(tmp_path / str(i), executor=executor, in_flight=useful, progress=kill_one)
-            assert killed
+            assert kill_one.has_killed
             assert table.equals(undisturbed)

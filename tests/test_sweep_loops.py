@@ -8,10 +8,10 @@ import pytest
 import octarm
 from controllers import make_controller
 from octarm.arm.groups import groups_of
-from octarm.checks.stability import linear_plant, loop_at_rest
+from octarm.checks.stability import LoopAtRest, linear_plant, loop_at_rest
 from octarm.commands import loops
 from octarm.commands.cli import main
-from octarm.commands.loops import loops_of
+from octarm.commands.loops import Row, loops_of
 from octarm.reports.frame import read_episodes
 
 LAW = """
@@ -112,3 +112,22 @@ def test_other_gains_than_those_of_the_sweep_are_not_taken_for_them(made: Path, 
         loops, "open_sweep", lambda folder: (octarm.FinishedSweep(folder).plan, manifest)
     )
     assert "not those that the sweep had" in rows(made)["pd", "3"].loop.reason
+
+
+@pytest.mark.parametrize(
+    ("longest", "lost", "disturbed", "judged", "agrees"),
+    [
+        (1e-3, 0, False, True, True),
+        (1e-3, 3, False, True, False),
+        (1e-3, 3, True, False, True),  # the disturbance may have done it
+        (1e-3, 0, True, True, True),
+        (1e-4, 0, True, True, False),
+        (1e-4, 3, True, True, True),
+    ],
+)
+def test_disturbances_excuse_only_what_they_can_do(
+    longest: float, lost: int, disturbed: bool, judged: bool, agrees: bool
+):
+    loop = LoopAtRest(period=5e-4, radius=0.9 if longest > 5e-4 else 1.1, longest=longest)
+    row = Row("pd", {}, loop, episodes=8, diverged=0, lost=lost, disturbed=disturbed)
+    assert (row.judged, row.agrees) == (judged, agrees)

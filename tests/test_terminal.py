@@ -24,7 +24,7 @@ COMMANDS = {
     "validate": (["validate", "--states", "2", "--json", "v.json"], "v.json"),
     "tune": (["tune", "smc", "--out", "t.toml"], "t.toml"),
 }  # fmt: skip
-SMALL = "from test_tuning import BUDGET, Budget; Budget.within = classmethod(lambda c, s: BUDGET)"
+SMALL = "from small_tuning import BUDGET, Budget; Budget.within = classmethod(lambda c, s: BUDGET)"
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import beta, false_discovery_control, t
+from scipy.special import betaincinv, stdtrit
 
 from octarm.errors import OctarmError
 
@@ -62,8 +62,8 @@ def binomial(count: float, total: float) -> Interval:
         return Interval(np.nan, np.nan, np.nan)
     if not 0 <= count <= total:
         raise OctarmError(f"the count is {count}; it must be between 0 and the total, {total}")
-    low = beta.ppf(_TAIL, count, total - count + 1.0) if count > 0 else 0.0
-    high = beta.ppf(1.0 - _TAIL, count + 1.0, total - count) if count < total else 1.0
+    low = betaincinv(count, total - count + 1.0, _TAIL) if count > 0 else 0.0
+    high = betaincinv(count + 1.0, total - count, 1.0 - _TAIL) if count < total else 1.0
     return Interval(count / total, float(low), float(high))
 
 
@@ -90,7 +90,7 @@ def share(true: npt.ArrayLike, seeds: npt.ArrayLike) -> Interval:
         largest = p * (1.0 - p) * float(np.sum(size * size)) / n**2
         part = 1.0 / (1.0 + min(np.count_nonzero(count), np.count_nonzero(size - count)))
         variance = between + part * (largest - between)
-        narrower = float(t.ppf(_TAIL, n - 1) / t.ppf(_TAIL, seeds_there - 1))
+        narrower = float(stdtrit(n - 1, _TAIL) / stdtrit(seeds_there - 1, _TAIL))
         worth = min(max(p * (1.0 - p) / variance * narrower**2, worth), n)
     return binomial(p * worth, worth)._replace(value=p)
 
@@ -165,6 +165,8 @@ def adjusted(chances: npt.ArrayLike) -> np.ndarray:
     Of the comparisons whose adjusted probability is at most 5 %, at most 5 % are expected to be
     without a difference. NaN stays so and does not count.
     """
+    from scipy.stats import false_discovery_control  # takes half a second to import
+
     out = np.array(chances, dtype=np.float64)
     known = ~np.isnan(out)
     if known.any():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import platform
 from collections.abc import Mapping
@@ -14,6 +15,7 @@ from octarm.declared import BUILT_IN, Code, distributions
 from octarm.simulation.engines import LAGRANGE, MUJOCO
 
 _PACKAGES = ("octarm", "mujoco", "dm-control", "numpy", "rerun-sdk", "scipy", "pyarrow")
+_version = functools.cache(version)  # reads a file
 
 
 def versions(engine: str = MUJOCO, code: Mapping[str, Code] = BUILT_IN) -> dict[str, str]:
@@ -25,7 +27,7 @@ def versions(engine: str = MUJOCO, code: Mapping[str, Code] = BUILT_IN) -> dict[
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
-        **{name: version(name) for name in packages},
+        **{name: _version(name) for name in packages},
         **distributions(code),
     }
 
