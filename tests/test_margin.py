@@ -16,6 +16,7 @@ from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.commands import margin as margin_commands
 from octarm.commands.cli import main
+from octarm.commands.options import MarginOptions
 from octarm.disturbances.forces import PulseForce
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.interfaces import Command
@@ -458,3 +459,19 @@ def test_an_interrupt_ends_it_in_a_sentence(capsys, monkeypatch):
     monkeypatch.setattr(margin_commands, "search", interrupted)
     assert main(["margin", "pd", *GOOD]) == 130
     assert capsys.readouterr().err.startswith("octarm: interrupted")
+
+
+def test_shares_are_percentages_and_runs_may_begin_elsewhere():
+    noise = parse_varied("noise", None, None)
+    options = MarginOptions(disturbance=("noise",), bound=("tip_rms_error:0.01",))
+    heading = margin_commands._heading(options, noise, "sine")
+    assert heading[0].startswith("largest noise [%] of 0 .. 500 at which 90% of 36 seeds have")
+    assert margin_commands._spelt(0.4, noise) == "40"
+    rest, moving = (
+        dataclasses.replace(trial("noise", "tip_rms_error:1"), start=start, start_share=0.1)
+        for start in ("rest", "moving")
+    )
+    ends = [runs._begin(np.arange(2), np.zeros(2))[0] for runs in (rest, moving)]
+    for environment in ends:
+        environment.reset()
+    assert not np.any(ends[0].physics.v()) and np.all(ends[1].physics.v())
