@@ -27,6 +27,7 @@ from octarm.arm.lagrange import (
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.nominal import LagrangeModel
 from octarm.commands import cli
+from octarm.commands.kinds import GENERATION
 from octarm.disturbances.actuators import ActuationDelay, Lag
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.disturbances.streams import stream
@@ -391,6 +392,7 @@ def test_the_seed_changes_the_search_and_not_the_scenarios(uninterrupted):
 
 def test_the_budget_counts_simulated_seconds():
     n = len(SCENARIOS)
+    assert Budget(generations=1).search_seconds == GENERATION  # what the command line asks for
     budget = Budget.within(24000.0)
     assert budget.population == 24 and budget.generations == 24000 // (24 * n * 3)
     assert budget.search_seconds == budget.generations * 24 * n * 3.0

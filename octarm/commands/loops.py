@@ -196,9 +196,12 @@ def loops_of(folder: Path, episodes: Episodes, run_code: bool) -> Loops:
             modules = int(value[PLANT_MODULES]) if PLANT_MODULES in value else None
             this = plant(arm, modules, value.get(LAYOUT, PAPER))
             loop = loop_at_rest(this, law, period, held=False)
-        counts = [int(np.sum(x[here])) for x in (here, episodes.diverged, episodes.poor)]
+        all_of, diverged, lost = (
+            int(np.sum(x[here])) for x in (here, episodes.diverged, episodes.poor)
+        )
         where = {f.title: f.labels[at[axis]] for axis, f in labels.items()}
-        return Row(episodes.controllers[which], where, loop, *counts, bool(spec.disturbances))
+        name, disturbed = episodes.controllers[which], bool(spec.disturbances)
+        return Row(name, where, loop, all_of, diverged, lost, disturbed)
 
     places = itertools.product(*(range(len(values)) for values in axes.values()))
     asked = itertools.product(places, range(len(spec.controllers)))
