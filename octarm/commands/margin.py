@@ -20,23 +20,20 @@ from octarm.commands.options import ArmOptions, MarginOptions
 from octarm.declared import Code, named, short_name
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance, spelling
+from octarm.disturbances.varied import NOMINAL, Varied, is_varied
 from octarm.errors import OctarmError
 from octarm.files import write_text
 from octarm.formats import to_json
-from octarm.metrics.declared import ACCUMULATORS
+from octarm.metrics.declared import ACCUMULATORS, parse_bound
 from octarm.metrics.table import METRICS, Catalogue
 from octarm.references import REFERENCES
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import usual_engine
 from octarm.sweeps.margin import (
-    NOMINAL,
     Attempt,
     Brackets,
     MarginRuns,
-    Varied,
-    is_varied,
     margin_of,
-    parse_bound,
     search,
     seeds_needed,
 )

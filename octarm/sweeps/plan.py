@@ -21,6 +21,7 @@ from octarm.disturbances.streams import stream
 from octarm.errors import OctarmError
 from octarm.fields import Amount, Quantity, field_kinds
 from octarm.memory import check_memory
+from octarm.simulation.setup import Setup
 from octarm.simulation.steps import AUTO, StepError, check_arms, fitting_step, steps_of
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SENSING, SweepSpec
 
@@ -225,6 +226,13 @@ class Plan:
 def _common(column: np.ndarray) -> Any:
     """The value that all arms have, or the column when they differ."""
     return column[0].item() if np.all(column == column[0]) else column
+
+
+def setup_of(spec: SweepSpec, arms: Arms) -> Setup:
+    """What arms that share a batch, or one arm alone, are loaded with."""
+    names = {field.name for field in dataclasses.fields(Setup)}
+    given = {n: x for n, x in (vars(spec) | vars(arms)).items() if n in names}
+    return Setup(parameters=spec.arm(arms.arm), **given)
 
 
 def with_step(spec: SweepSpec, *, probes: bool = False) -> SweepSpec:
