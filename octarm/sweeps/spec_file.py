@@ -157,7 +157,7 @@ def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tupl
         values = document.read(cast(Any, Annotated[Array[Number] | Array[str], Distinct]), *keys)
         axes.append(dataclasses.replace(field, values=values))
     for field, keys in _fields(document, code, "random", "disturbance"):
-        if unit_of(field, code) is None:
+        if range_of(field, code) is None:
             raise document.error(f"{field.name} is made of words: it cannot be drawn", *keys)
         if field.name in [axis.name for axis in axes]:
             raise document.error(f"{field.name} is an axis of the grid, too", *keys)
@@ -270,14 +270,13 @@ def _own_axis(name: str, document: Document, content: SpecFile) -> Axis | None:
     return dataclasses.replace(axis, values=value)
 
 
-def unit_of(axis: Axis, code: Mapping[str, Code]) -> str | None:
-    """The unit of a field of a disturbance; None if it is of words."""
-    kind = range_of(axis, code)
-    return None if kind is None else kind.unit
-
-
 def range_of(axis: Axis, code: Mapping[str, Code]) -> Range | None:
-    """What a field of a disturbance may be, as far as it is known; None if it is of words."""
+    """What the numbers of an axis may be, as far as it is known; None if they are words or count.
+
+    No code is imported.
+    """
+    if not axis.disturbance:
+        return MISMATCH if axis.name == "mismatch" else None
     kind = which(axis.disturbance)[0]
     if kind in code:
         said = {field["field"]: field for field in code[kind].declares.values()}[axis.field]
