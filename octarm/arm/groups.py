@@ -189,11 +189,8 @@ def groups_of(
 ) -> Groups | None:
     """The groups of a plant of so many modules, if that is another one than the arm itself.
 
-    Or those of the arm, if it is to be the plant of so many groups.
-
-    Raises:
-        OctarmError: if there is no such plant, or its layout or its sensing is given without a
-            number of modules.
+    Or those of the arm, if it is to be the plant of so many groups. Raises OctarmError if there is
+    no such plant, or its layout or its sensing is given without a number of modules.
     """
     if groups is not None and groups != arm.modules:
         if plant_modules is not None or layout != PAPER or arm.batch_shape:

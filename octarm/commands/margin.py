@@ -40,6 +40,10 @@ from octarm.sweeps.margin import (
 from octarm.sweeps.workers import cores
 
 _NEVER_ENOUGH = "no number of seeds has one"
+_AS_GIVEN = (
+    "reference", "duration", "settle", "timestep", "control_period", "seed", "start", "start_share",
+    "mismatch", "plant_modules", "layout", "sensing",
+)  # fmt: skip
 _NUMBERS = ("margin", "interval_low", "interval_high", "least", "median", "most")
 
 
@@ -94,24 +98,13 @@ def _runs(
         varied=varied,
         bounds=[parse_bound(text) for text in options.bound],
         disturbances=_fixed(options),
-        mismatch=model.mismatch,
         nominal=model.factors(),
-        reference=options.reference,
-        duration=options.duration,
-        settle=options.settle,
-        timestep=options.timestep,
-        control_period=options.control_period,
         engine=options.engine or usual_engine(),
         parameters=model.true_arm(),
         model=None if model.model is None else read_arm(model.model),
-        plant_modules=model.plant_modules,
-        layout=model.layout,
-        sensing=model.sensing,
-        seed=options.seed,
-        start=options.start,
-        start_share=options.start_share,
         threads=cores(),
         catalogue=metrics,
+        **{name: (vars(options) | vars(model))[name] for name in _AS_GIVEN},
     )
 
 

@@ -234,8 +234,7 @@ def _check_rest(physics: AnyPhysics) -> None:
 def whole_periods(duration: float, period: float) -> int:
     """Number of control periods [1] that cover a duration [s]; at least one.
 
-    Raises:
-        OctarmError: unless the duration is positive and at most 1e9 periods.
+    Raises OctarmError unless the duration is positive and at most 1e9 periods.
     """
     if not duration > 0.0:
         raise OctarmError(f"duration is {duration:g} s; it must be positive")
