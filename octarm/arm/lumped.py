@@ -39,7 +39,7 @@ def lumped(plant: ArmParameters, modules: int, layout: str = "paper") -> ArmPara
             f"{modules} groups were to be made of {plant.modules} modules; "
             "their number must divide that of the modules"
         )
-    slides, hinges = group_sums(modules, size, halved=plant.tip_length > 0.0)
+    slides, hinges = group_sums(modules, size, halved=bool(plant.tip_length > 0.0))
     n = plant.modules
     stiffness, damping = (
         np.diag(matrix(plant)) for matrix in (lagrange.stiffness_matrix, lagrange.damping_matrix)

@@ -199,7 +199,7 @@ def loops_of(folder: Path, episodes: Episodes, run_code: bool) -> Loops:
         label, disturbed = episodes.controllers[which], bool(spec.disturbances)
         return Row(label, where, loop, all_of, diverged, lost, disturbed)
 
-    asked = itertools.product(*map(enumerate, values), enumerate(spec.controllers))
+    asked: Any = itertools.product(*map(enumerate, values), enumerate(spec.controllers))
     rows = [row(*law, *places) for *places, law in itertools.islice(asked, _MOST)]
     planned = len(spec.controllers) * math.prod(map(len, values))
     return Loops(rows, planned, period, any(axis.name == "mismatch" for axis in spec.random))

@@ -25,12 +25,12 @@ from octarm.simulation.start import REST, SHARE, Start
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.steps import (
     AUTO,
+    Possible,
     check_integrator,
     check_period,
     fitting_step,
     integrator_of,
     step_check,
-    steps_of,
 )
 from octarm.simulation.task import TrackingTask
 
@@ -156,7 +156,7 @@ def load(
         if timestep != AUTO:
             raise OctarmError(f"timestep is {timestep!r}; it must be a number [s], or {AUTO!r}")
         axes = () if batch is None else (batch,)
-        steps = steps_of(true, made, seeds, axes, integrator, seen)
+        steps = Possible(true, made, seeds, axes, seen).longest_steps(integrator)
         timestep, control_period = fitting_step(float(np.min(steps)), control_period)
     forces = ACTUATIONS[actuation](true.widths)
     if engine == LAGRANGE:
