@@ -28,7 +28,6 @@ from octarm.palette import look_of
 from octarm.reports.frame import Episodes
 from octarm.reports.page import number
 from octarm.runs import folder as runs
-from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec
 
 _MOST = 60  # rows of a page
@@ -162,18 +161,14 @@ def _cells(row: Row) -> list[Cell]:
 
 
 def loops_of(folder: Path, episodes: Episodes, run_code: bool) -> Loops:
-    """The loops of a sweep and of its episodes; with `run_code` those of other laws, too.
-
-    Raises OctarmError if it is no sweep.
-    """
-    plan, manifest = open_sweep(folder)
-    spec = plan.spec
+    """The loops of a sweep and of its episodes; with `run_code` those of other laws, too."""
+    spec, gains = episodes.spec, episodes.manifest["gains"]
     step = physics_step() if spec.timestep is None else float(spec.timestep)
     period = step if spec.control_period is None else spec.control_period
     axes = [axis for axis in spec.axes if axis.name in _AXES]
     values = [a.values if a.words else sorted(map(float, a.values)) for a in axes]
     factors = {factor.name: factor for factor in episodes.factors}
-    reasons = {name: _left_out(folder, spec, name, manifest, run_code) for name in spec.controllers}
+    reasons = {name: _left_out(folder, spec, name, gains, run_code) for name in spec.controllers}
 
     @functools.cache
     def plant(arm: str, modules: int | None, layout: str) -> LinearPlant:
@@ -206,7 +201,7 @@ def loops_of(folder: Path, episodes: Episodes, run_code: bool) -> Loops:
 
 
 def _left_out(
-    folder: Path, spec: SweepSpec, name: str, manifest: Mapping[str, Any], run_code: bool
+    folder: Path, spec: SweepSpec, name: str, gains: Mapping[str, Any], run_code: bool
 ) -> str:
     """Why nothing is said of a controller, a sentence; empty if it is what the sweep had."""
     if name in spec.code and not run_code:
@@ -217,6 +212,6 @@ def _left_out(
         law = spec.controller(name, spec.all_believed()[0], make_controller)
     except OctarmError as error:
         return printable(str(error))
-    if to_json(runs.gains_of(law)) != to_json(manifest["gains"][name]):
+    if to_json(runs.gains_of(law)) != to_json(gains[name]):
         return "its gains are not those that the sweep had"
     return ""

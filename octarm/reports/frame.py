@@ -74,7 +74,8 @@ class Episodes:
     time that never came: dropping them would favour the controller that loses the hard episodes.
 
     Attributes:
-        manifest: of the sweep.
+        spec: of the sweep.
+        manifest: likewise.
         controllers: in the order of the spec.
         factors: those that take more than one value.
         measures: those that were asked for and have a value.
@@ -93,6 +94,7 @@ class Episodes:
             arm that were run again, shape (k,) [m].
     """
 
+    spec: SweepSpec
     manifest: Mapping[str, Any]
     controllers: tuple[str, ...]
     factors: tuple[Factor, ...]
@@ -181,6 +183,7 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
     lost, poor, exact = _suspects(held, errors, spec)
     apart = held.get(engine_check.COLUMN, np.empty(0))
     return Episodes(
+        spec=spec,
         manifest=manifest,
         controllers=tuple(printable(name, LONGEST) for name in spec.controllers),
         factors=tuple(factors_of(held, spec, axes)),
