@@ -121,9 +121,10 @@ class RunComparison(Compared):
             if finite[j] < 0.0:  # such as the overshoot of what does not move
                 continue
             # One unit for all coordinates of a kind.
-            largest = max(x for x, of_kind in zip(finite, units) if of_kind == coordinate_unit)
+            kinds = zip(finite, units, strict=False)
+            largest = max(x for x, kind in kinds if kind == coordinate_unit)
             unit = metric.unit_for(coordinate_unit or "m")
-            small = unit in ("m", "rad", "N", "N m") and largest < 0.1
+            small = unit in ("m", "rad", "N", "N m") and largest < 1.0
             factor, unit = (1e3, f"m{unit}") if small else (1.0, "" if unit == "1" else unit)
             order = np.abs(values) if metric.zero_best else metric.sign * values
             best = np.nanmin(order) if metric.sign and self.ranked else math.nan
