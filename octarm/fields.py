@@ -149,6 +149,7 @@ def parsed_fields(
     values: dict[str, Amount | str] = {}
     for i, item in enumerate(items if text else []):
         key, equals, value = item.partition("=")
+        key = key.strip() if equals else key
         if i == 0 and (in_file or not equals):
             key, value = first, item
         elif not equals:

@@ -45,6 +45,7 @@ ANY = "any unit"  # of a number whose unit is not known yet
 
 NUMBER = re.compile(r"\s*[-+]?(?:inf|(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![\w.]*\d|[eE])")
 _LETTERS = str.maketrans("%/1^2()", "aaaaaaa")  # signs that units are made of, too
+_SIGNS = str.maketrans({"²": "^2", "°": "deg", "µ": "u", "μ": "u"})
 # Units that are meant where a number of the SI would be far too large.
 _SMALLER = {"1": "%", "kg": "g", "m": "mm", "s": "ms", "rad": "deg", "1/s": "%/s"}
 
@@ -103,7 +104,7 @@ def _sizes(unit: str) -> dict[str, float]:
 
 def closed_up(unit: str) -> str:
     """A unit without what people write differently: `N m`, `N*m` and `Nm` are one."""
-    return re.sub(r"^/", "1/", re.sub(r"[\s·*]", "", unit.replace("²", "^2")))
+    return re.sub(r"^/", "1/", re.sub(r"[\s·*]", "", unit.translate(_SIGNS)))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -141,6 +141,17 @@ def test_the_command_writes_one_page_and_one_recording(tmp_path, monkeypatch, ca
     assert main(["compare", "r0", "r1", "--out", "c", "--force"]) == 0
 
 
+def test_a_metric_has_one_unit_for_all_coordinates_of_a_kind(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    moments = {"chattering": [2.0, 1e-3, 2e-3, 0.09, 0.3, 1e-4]}
+    for name in "ab":
+        Path(name).mkdir()
+        write_run(Path(name), swinging(rows=20, rate=1000.0), described(metrics=moments))
+    assert main(["compare", "a", "b", "--out", "c"]) == 0
+    units = re.findall(r"chattering \[([^\]]*)\]", Path("c/comparison.html").read_text())
+    assert units == ["N"] * 3 + ["mN m"] * 3
+
+
 def test_each_run_has_the_colour_of_its_controller_or_one_of_its_own():
     def runs(*names):
         """Runs of these controllers."""

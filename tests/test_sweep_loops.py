@@ -93,6 +93,7 @@ def test_the_page_and_the_terminal_have_them(made: Path, capsys):
     said = capsys.readouterr()
     assert "smc-boundary, plant_modules 15" in said.out
     assert "Prediction and simulation agree in " in said.out
+    assert "lost: diverged, or above a tenth of the error of hanging still.\n" in said.out
     assert "damper.py:Damper, the same file as then" in said.err
     page = (made / "p" / "report.html").read_text(encoding="utf-8")
     assert "the sampled loops about rest" in page and "switches by sgn(s)" in page

@@ -24,6 +24,7 @@ from octarm.recordings.notes import notes_of
 from octarm.recordings.titles import short_title_of
 from octarm.recordings.what_differs import differences
 from octarm.references import parameters_of
+from octarm.references.samples import samples_end
 from octarm.runs.folder import read_description
 from octarm.sweeps.spec_file import parse_spec
 from octarm.units import ANY, number
@@ -48,6 +49,9 @@ from octarm.units import ANY, number
         ("1e-3", "1/s", 1e-3),
         ("inf", "N", math.inf),
         ("5mm", ANY, 0.005),
+        ("15°", "rad", math.radians(15.0)),
+        ("60 µs", "s", 60e-6),
+        ("60\u03bcs", "s", 60e-6),
     ],
 )
 def test_a_number_is_converted_to_the_unit_of_the_program(text: str, unit: str, value: float):
@@ -286,3 +290,78 @@ def test_samples_that_end_before_the_run_are_said_so(tmp_path, monkeypatch, caps
     assert "short.npz end at 0.0105 s, and the run at 0.02 s: from then on" in err
     assert main([*words, "0.01", "--out", "b"]) == 0
     assert "end at" not in capsys.readouterr().err
+
+
+def test_a_sweep_says_what_its_episodes_do_not_come_to(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    t = np.linspace(0.0, 0.01, 21)
+    np.savez("short.npz", t=t, theta1=0.01 * t)
+    Path("spec.toml").write_text(
+        'duration = 0.02\nsettle = 0\nreference = "file:short.npz"\n[disturbance]\ntilt = "3deg"\n'
+        'step.at = 5\n[grid.disturbance]\nstep = [0.0, 1.0]\npayload.at = [0.01, "30 s"]\n'
+        'payload.mass = ["100 g"]\n[grid]\ncontroller = ["pd"]\n'
+    )
+    assert main(["sweep", "spec.toml", "--dry-run"]) == 0
+    late, later, end = sorted(capsys.readouterr().err.splitlines())
+    assert late == "octarm: payload begins at 30 s, and the run ends at 0.02 s before it"
+    assert later == "octarm: step begins at 5 s, and the run ends at 0.02 s before it"
+    assert "short.npz end at 0.0105 s, and the run at 0.02 s: from then on" in end
+
+
+def test_a_margin_says_what_its_runs_do_not_come_to(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    t = np.linspace(0.0, 0.01, 21)
+    np.savez("short.npz", t=t, theta1=0.01 * t)
+    words = ["margin", "pd", "--duration", "0.02", "--settle", "0", "--seeds", "2", "--share", "1"]
+    words += ["--disturbance", "payload:at=30", "--disturbance", "step:0.1,at=5"]
+    words += ["--bound", "tip_rms_error:10mm", "--start", "moving", "--control-period", "1ms"]
+    assert main([*words, "--reference", "file:short.npz", "--gains", "recommended"]) == 0
+    out, err = capsys.readouterr()
+    assert "octarm: payload begins at 30 s, and the run ends at 0.02 s before it\n" in err
+    assert "octarm: step 0.1 begins at 5 s, and the run ends at 0.02 s before it\n" in err
+    assert "short.npz end at 0.0105 s, and the run at 0.02 s: from then on" in err
+    heading = "recommended gains; control period 1 ms; moving start within 0.1 of the reach; step"
+    assert heading in out
+
+
+def test_samples_without_names_end_when_they_do_whatever_the_arm(tmp_path):
+    file = tmp_path / "q.csv"
+    file.write_text("".join(f"{0.1 * k},.12,.12,.12,0,0,0\n" for k in range(8)))
+    assert samples_end(file) == pytest.approx(0.8)
+
+
+def test_spaces_around_keys_do_not_matter():
+    spelt = spelling(parse_disturbance("payload:100 g, at = 3 s"))
+    assert spelt == spelling(parse_disturbance("payload:0.1,at=3"))
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["run", "--nominal", "mass:70"], "mass of --nominal is 70; it must be at most 20 unless "
+         "it is spelt 7000%, did you mean 70%?"),
+        (["arm", "--from-rod", "length=360,modules=3"], "length of --from-rod is 360 m; it must be "
+         "at most 10 m unless it is spelt 360m, did you mean 360mm?"),
+        (["arm", "--from-rod", "length=36kg,modules=3"], "length of --from-rod is '36kg'; its unit "
+         "must be m, cm, mm or um"),
+        (["margin", "pd", "--disturbance", "payload", "--bound", "tip_rms_error:20"],
+         "bound of tip_rms_error is 20 m; it must be at most 10 m unless it is spelt 20m, did you "
+         "mean 20mm?"),
+    ],
+)  # fmt: skip
+def test_a_bare_number_of_implausible_size_is_refused_wherever_it_stands(words, sentence, capsys):
+    assert main(words) == 2
+    assert capsys.readouterr().err == f"octarm: {sentence}\n"
+
+
+def test_a_bound_with_its_unit_is_meant():
+    assert parse_bound("tip_rms_error:20m") == ("tip_rms_error", 20.0)
+    assert parse_bound("effort:200") == ("effort", 200.0)
+
+
+def test_a_rod_may_be_given_in_units(capsys):
+    words = ["arm", "--from-rod"]
+    assert main([*words, "length=.36,EA=240:200,EI=.384,density=2,modules=3"]) == 0
+    plain = capsys.readouterr().out
+    assert main([*words, "length=36cm,EA=.24kN:200N,EI=.384Nm^2,density=2g/mm,modules=3"]) == 0
+    assert capsys.readouterr().out == plain

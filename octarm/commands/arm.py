@@ -23,8 +23,14 @@ from octarm.commands.options import LoopOptions, SourceOptions
 from octarm.declared import named
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
 from octarm.files import write_files, write_text
+from octarm.units import Range, is_like_a_number
 
-_ROD = [*(field.name for field in dataclasses.fields(Rod)), "modules", "layout"]
+_ROD = {
+    "length": Range("m", plausible=10.0), "EA": Range("N"), "EI": Range("N m^2"),
+    "density": Range("kg/m"), "rotary_inertia": Range("kg m"),
+    "damping_time": Range("s", plausible=1.0), "gravity": Range("m/s^2"),
+}  # fmt: skip
+_ROD_KEYS = [*_ROD, "modules", "layout"]
 
 
 def arm(
@@ -114,8 +120,8 @@ def _from_rod(text: str) -> Arm:
     given: dict[str, str] = {}
     for item in text.split(","):
         key, equals, value = item.partition("=")
-        if key not in _ROD:
-            raise OctarmError(f"--from-rod has no key {quoted(key)}{closest(key, _ROD)}")
+        if key not in _ROD_KEYS:
+            raise OctarmError(f"--from-rod has no key {quoted(key)}{closest(key, _ROD_KEYS)}")
         if not equals or key in given:
             raise OctarmError(
                 f"--from-rod has {quoted(item)}; each key is given once, as KEY=VALUE"
@@ -142,10 +148,8 @@ def _from_rod(text: str) -> Arm:
 
 def _profile(key: str, word: str) -> Any:
     """A number, or those at the base and at the tip of a property that tapers."""
-    try:
-        base, *tip = map(float, word.split(":"))
-    except ValueError:
-        raise OctarmError(
-            f"--from-rod has {key} {quoted(word)}; it must be a number, or BASE:TIP"
-        ) from None
+    parts = word.split(":")
+    if not all(map(is_like_a_number, parts)):
+        raise OctarmError(f"--from-rod has {key} {quoted(word)}; it must be a number, or BASE:TIP")
+    base, *tip = (_ROD[key].parse(f"{key} of --from-rod", part) for part in parts)
     return (base, *tip) if tip else base

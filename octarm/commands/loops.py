@@ -141,7 +141,7 @@ class Loops(NamedTuple):
             )
         if self.planned > _PRINTED:
             yield f"and {self.planned - _PRINTED} more"
-        yield f"{self._verdict}."
+        yield f"{self._verdict}; lost: diverged, or above a tenth of the error of hanging still."
 
 
 def _cells(row: Row) -> list[Cell]:

@@ -16,6 +16,7 @@ from controllers import CONTROLLERS, make_controller
 from octarm.arm.file import read_arm
 from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
+from octarm.commands.late_notes import print_late, starts_of
 from octarm.commands.options import ArmOptions, MarginOptions
 from octarm.declared import Code, named, short_name
 from octarm.disturbances.episode import Disturbance
@@ -26,9 +27,10 @@ from octarm.files import write_text
 from octarm.formats import to_json
 from octarm.metrics.declared import ACCUMULATORS, parse_bound
 from octarm.metrics.table import METRICS, Catalogue
-from octarm.references import REFERENCES
+from octarm.references import REFERENCES, recorded_word
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import usual_engine
+from octarm.simulation.start import REST
 from octarm.sweeps.margin import (
     Attempt,
     Brackets,
@@ -61,6 +63,9 @@ def margin(controllers: Sequence[str], options: MarginOptions) -> None:
     for model, (_, word), _ in pairs:
         gains, step = options.gain_options.gains, options.timestep
         print_unsuited(short_name(word), gains, model.both()[1], step, options.control_period)
+    disturbances = [*_fixed(options), *varied.of(np.array([varied.high]))]
+    word = recorded_word(names[len(words)], code)
+    print_late(starts_of(disturbances), [word], options.duration)
     runs = [
         (name, model.arm, _runs(options, model, word, varied, metrics).rehearse(options.seeds))
         for model, (_, word), name in pairs
@@ -152,6 +157,7 @@ def _heading(options: MarginOptions, varied: Varied, reference: str) -> list[str
     around += [f"of the nominal model {factor}" for factor in model.nominal]
     several = "s" * (len(options.arm) > 1)
     around += [f"the arm{several} {', '.join(options.arm)}"] if options.arm else []
+    around += [f"the model {model.model}"] if model.model is not None else []
     around += [*model.parameter]
     if model.plant_modules is not None:
         read = "" if model.sensing == "groups" else f", read by {model.sensing}"
@@ -159,6 +165,11 @@ def _heading(options: MarginOptions, varied: Varied, reference: str) -> list[str
     around += [f"gain {gain}" for gain in options.gain_options.gain]
     if corner := options.gain_options.roll_off:
         around += [f"roll-off {corner:g} Hz"]
+    around += [f"{gains} gains"] if (gains := options.gain_options.gains) else []
+    if options.control_period is not None:
+        around += [f"control period {1e3 * options.control_period:g} ms"]
+    if options.start != REST:
+        around += [f"{options.start} start within {options.start_share:.3g} of the reach"]
     around += map(spelling, _fixed(options))
     seeds = f"{options.share:.0%} of {options.seeds} seeds"
     return [

@@ -155,7 +155,7 @@ class GainOptions:
         return _spelt(self)
 
 
-FACTOR = Range("1")
+FACTOR = Range("1", plausible=20.0)
 ANY_MODEL, NOMINAL_ARM, USUAL_GAINS = ModelOptions(), ArmOptions(), GainOptions()
 
 
@@ -312,7 +312,8 @@ class SourceOptions:
     Attributes:
         from_rod: a chain of modules that stands for a rod, with the keys modules, layout (paper or
             centred), length [m], EA [N], EI [N m^2], density [kg/m], rotary_inertia [kg m],
-            damping_time [s] and gravity [m/s^2]; BASE:TIP for a property that tapers
+            damping_time [s] and gravity [m/s^2], in SI or with a unit as in length=36cm;
+            BASE:TIP for a property that tapers
         fit_modules: go on with the arm of so many modules that stands best for this one, and say
             what error remains in statics, modes and transients
         layout: of the fitted modules, and of the plant of --plant-modules: paper or centred

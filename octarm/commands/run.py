@@ -19,14 +19,14 @@ from controllers import make_controller
 from octarm.arm.modes import growth_rate
 from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
+from octarm.commands.late_notes import print_late, starts_of
 from octarm.commands.summary import summary
-from octarm.declared import samples_of, short_name, word_of
+from octarm.declared import short_name, word_of
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.recordings import viewer
 from octarm.recordings.live import LiveRecording
 from octarm.recordings.recording import run_recording
 from octarm.references import recorded_word
-from octarm.references.samples import samples_end
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
@@ -59,19 +59,8 @@ def _run(
     label = short_name(word_of(experiment.controller, experiment.code))
     far = print_unsuited(label, gain_set, experiment.nominal, None, period)
     periods = whole_periods(experiment.duration, period)
-    for event in (event for each in experiment.disturbances for event in each.events()):
-        if event.text and event.at >= experiment.duration:
-            begins = f"{event.text} begins at {event.at:g} s, and the run ends at"
-            print(f"octarm: {begins} {experiment.duration:g} s before it", file=sys.stderr)
-    file = samples_of(recorded_word(experiment.reference, experiment.code))
-    if file is not None:
-        ends_at = samples_end(file, experiment.parameters.modules)
-        if ends_at < experiment.duration * (1.0 - 1e-9):
-            print(
-                f"octarm: the samples of {printable(str(file))} end at {ends_at:.4g} s, and the "
-                f"run at {experiment.duration:g} s: from then on the arm is to rest there",
-                file=sys.stderr,
-            )
+    word = recorded_word(experiment.reference, experiment.code)
+    print_late(starts_of(experiment.disturbances), [word], experiment.duration)
     out = out or _dated_folder(experiment.controller)
 
     def say(sentence: str) -> None:

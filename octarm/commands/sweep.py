@@ -15,12 +15,15 @@ import numpy as np
 from controllers import CONTROLLERS, make_controller
 from octarm.bars import bar as new_bar
 from octarm.commands.gain_notes import print_unsuited
+from octarm.commands.late_notes import print_late
 from octarm.commands.options import SweepOptions
 from octarm.declared import short_name, word_of
 from octarm.errors import ExitCode, OctarmError, printable, sentence_of
+from octarm.fields import field_kinds
 from octarm.formats import read_toml
 from octarm.memory import check_batch
 from octarm.metrics.metric import unsettled
+from octarm.references import recorded_word
 from octarm.simulation.engines import LAGRANGE, check_engine
 from octarm.simulation.start import REST
 from octarm.simulation.steps import AUTO
@@ -113,12 +116,26 @@ def _checked_spec(file: Path, options: SweepOptions) -> SweepSpec:
                 print_unsuited(label, gains, arm, spec.timestep, period)
     if early := unsettled(spec.duration, spec.settle, "settle ="):
         print(f"note: {early}")
+    references = [recorded_word(name, spec.code) for name in spec.references]
+    print_late(_starts(spec), references, spec.duration)
     plan = Plan(spec)
     for episode in spec.record:
         if isinstance(episode, int):
             with _in_file(file, "record", "episodes"):
                 plan.episode(episode)
     return spec
+
+
+def _starts(spec: SweepSpec) -> list[tuple[str, float]]:
+    """What begins of the disturbances of a spec, and the times from which on it does [s]."""
+    axes = (*spec.axes, *(dataclasses.replace(x, values=x.values[:1]) for x in spec.random))
+    times = {(axis.disturbance, axis.field): axis.values for axis in axes}
+    return [
+        (name, float(at))
+        for name in spec.disturbances
+        if getattr(field_kinds(spec.class_of(name)).get("at"), "unit", "") == "s"
+        for at in times.get((name, "at"), [spec.fixed.get(name, {}).get("at", 0.0)])
+    ]
 
 
 @contextlib.contextmanager

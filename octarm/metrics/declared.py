@@ -12,7 +12,7 @@ from octarm.errors import OctarmError, closest, printable, quoted
 from octarm.formats import Document
 from octarm.metrics.metric import Accumulator, Metric
 from octarm.metrics.table import METRICS, Catalogue
-from octarm.units import ANY, number
+from octarm.units import ANY, Range
 
 
 def _lacks(thing: Any) -> str:
@@ -77,7 +77,8 @@ def parse_bound(text: str) -> tuple[str, float]:
         raise OctarmError(f"bound is {quoted(text)}; it must read METRIC:VALUE")
     declared = [m for name, m in METRICS.items() if f"{metric}_".startswith(f"{name}_")]
     unit = " or ".join(declared[-1].units) if declared else ANY  # a user's own may have any
-    limit = number(f"bound of {metric}", value, unit)
+    sizes = not set(unit.split(" or ")) - {"m", "rad"}  # of arms, and beyond 10 m no arm is
+    limit = Range(unit, plausible=10.0 if sizes else math.inf).parse(f"bound of {metric}", value)
     if not 0.0 < limit < math.inf:
         raise OctarmError(f"bound of {metric} is {limit:g}; it must be positive and finite")
     return metric, limit

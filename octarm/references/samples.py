@@ -48,13 +48,13 @@ class Samples(NamedReference):
         return spline.__call__  # run.json has the SHA-256 of the file instead of all samples
 
 
-def samples_end(file: Path, modules: int) -> float:
+def samples_end(file: Path) -> float:
     """When the samples of a file end, one interval after the last one [s]; they are one motion."""
-    times = _columns(file, modules)["t"]
+    times = _columns(file)["t"]
     return float(2.0 * times[-1] - times[-2])
 
 
-def _columns(file: Path, modules: int) -> dict[str, np.ndarray]:
+def _columns(file: Path, modules: int | None = None) -> dict[str, np.ndarray]:
     return _arrays(file) if file.suffix == ".npz" else _table(file, modules)
 
 
@@ -97,8 +97,8 @@ def _arrays(file: Path) -> dict[str, np.ndarray]:
     return columns
 
 
-def _table(file: Path, modules: int) -> dict[str, np.ndarray]:
-    """The columns of a CSV file by name, shapes (K,)."""
+def _table(file: Path, modules: int | None) -> dict[str, np.ndarray]:
+    """The columns of a CSV file by name, shapes (K,), those without a name for any arm if None."""
     text = read_bytes(file).decode("utf-8-sig", "replace")
     lines = csv.reader(io.StringIO(text))
     try:
@@ -109,7 +109,7 @@ def _table(file: Path, modules: int) -> dict[str, np.ndarray]:
         raise OctarmError(f"{file} holds no samples")
     names = [word.strip() for word in rows[0][1]]
     if _is_number(names[0]):
-        names = ["t", *coordinate_names(modules)]
+        names = ["t", *coordinate_names(len(names) // 2 if modules is None else modules)]
     else:
         rows = rows[1:]
     if len(set(names)) < len(names):

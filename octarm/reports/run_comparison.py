@@ -114,14 +114,17 @@ class RunComparison(Compared):
         of, units = self._coordinates.names, self._coordinates.units
         if metric.of != "coordinate":
             of, units = (self._coordinates.inputs if metric.of == "input" else [""]), [""] * len(of)
-        columns = [_column(each["metrics"].get(name), len(of)) for each in self._descriptions]
+        columns = np.array([_column(x["metrics"].get(name), len(of)) for x in self._descriptions])
+        finite = np.where(np.isfinite(columns), np.abs(columns), -np.inf).max(axis=0)
         for j, (part, coordinate_unit) in enumerate(zip(of, units, strict=False)):
-            values = np.array([column[j] for column in columns])
-            sizes = np.abs(values[np.isfinite(values)])
-            if not sizes.size:  # such as the overshoot of what does not move
+            values = columns[:, j]
+            if finite[j] < 0.0:  # such as the overshoot of what does not move
                 continue
+            # One unit for all coordinates of a kind.
+            kinds = zip(finite, units, strict=False)
+            largest = max(x for x, kind in kinds if kind == coordinate_unit)
             unit = metric.unit_for(coordinate_unit or "m")
-            small = unit in ("m", "rad", "N", "N m") and sizes.max() < 0.1
+            small = unit in ("m", "rad", "N", "N m") and largest < 1.0
             factor, unit = (1e3, f"m{unit}") if small else (1.0, "" if unit == "1" else unit)
             order = np.abs(values) if metric.zero_best else metric.sign * values
             best = np.nanmin(order) if metric.sign and self.ranked else math.nan
