@@ -15,18 +15,7 @@ from paper import lyapunov, plants, runs, writeup
 from paper.claims import Claim, Verdict
 from paper.evidence import Evidence, gather, measured
 from paper.jobs import run_all
-from paper.studies import (
-    BENDS,
-    COORDINATES,
-    FULL,
-    NOISE,
-    QUICK,
-    SCALE,
-    TIME,
-    Cell,
-    Effort,
-    sweeps,
-)  # fmt: skip
+from paper.studies import BENDS, COORDINATES, FULL, NOISE, QUICK, SCALE, TIME, Cell, Effort, sweeps
 from paper.tables import all_tables, as_csv, tuning
 from paper.variants import CONTROLLERS, FIXED_PREMISES, PROPOSED, SIGN, SMC, all_variants, by_hand
 
@@ -98,7 +87,8 @@ def test_timings_stand_apart_and_all_else_is_the_same_again(quick: Quick):
     again = gather(VARIANTS, QUICK, quick.out, slower)
     claims = writeup.all_claims(again)
     tables = all_tables(again, claims, SHIPPED)
-    for table in tables.values():
+    assert "timings" in tables
+    for table in (x for name, x in tables.items() if name != "timings"):
         written = quick.out / writeup.TABLES / f"{table.name}.csv"
         assert as_csv(table) == written.read_text(encoding="utf-8")
     content = writeup.content(again, claims, tables)

@@ -14,6 +14,7 @@ import octarm
 from octarm.reports.statistics import Interval, medians
 from octarm.sweeps.tune_cost import root_mean_square, weight
 from paper import jobs, lyapunov
+from paper.claims import Entry
 from paper.runs import Cost, Series
 from paper.studies import COORDINATES, MODULES, NOISE, SCALE, Cell, Effort, Sweep, sweeps
 from paper.variants import ARM, Variant
@@ -49,7 +50,7 @@ class Evidence:
 
     def has(self, *cells: Cell) -> bool:
         """Whether all these cells were run."""
-        return all(cell in self.cells for cell in cells)
+        return set(cells) <= self.cells.keys()
 
     def known(self, cells: Iterable[Cell]) -> list[Cell]:
         """Those of the cells that were run."""
@@ -57,10 +58,10 @@ class Evidence:
 
     def varied(self, start: Cell, field: str) -> list[float]:
         """The values of a field that were tried in this place, by any variant, rising."""
-        tried = {cell: cell._asdict()[field] for cell in self.cells}
+        place = start._replace(**{"label": "", field: 0.0})
         return sorted(
-            {x for cell, x in tried.items()
-             if cell == start._replace(**{"label": cell.label, field: x})}
+            {getattr(cell, field) for cell in self.cells
+             if cell._replace(**{"label": "", field: 0.0}) == place}
         )  # fmt: skip
 
     def diverged(self, *cells: Cell) -> tuple[int, int]:
@@ -86,18 +87,18 @@ class Evidence:
             shares = ours / theirs
         return interval(np.where(np.isnan(shares), 1.0, shares))
 
-    def rank(self, cell: Cell, names: Sequence[str]) -> Interval:
-        """The rank of a law by its error among laws in the same place, 1 the best; NaN if lost.
+    def rank(self, cell: Cell, cells: Iterable[Cell]) -> Entry:
+        """The rank of a law by its error among laws in the same place, 1 the best, or `lost`.
 
         The interval ends where it is better, or worse, than others beyond their own intervals:
         pair by pair, seed by seed.
         """
         error = self.median(cell).value
         if not np.isfinite(error):
-            return Interval(np.nan, np.nan, np.nan)
-        others = [name for name in names if name != cell.label]
-        ratios = [self.ratio(cell, name) for name in others]
-        better = sum(self.median(other).value < error for other in cell.of(others))
+            return "lost"
+        others = [other for other in cells if other != cell]
+        ratios = [self.ratio(cell, other.label) for other in others]
+        better = sum(self.median(other).value < error for other in others)
         low, high = sum(r.low > 1.0 for r in ratios), sum(not r.high < 1.0 for r in ratios)
         return Interval(1.0 + better, 1.0 + low, 1.0 + high)
 
@@ -105,8 +106,7 @@ class Evidence:
         """The cells of all laws in each place of the study of plants: rate, noise, modules."""
         effort = self.effort
         for place in itertools.product(effort.plant_rates, (0.0, NOISE), effort.plants):
-            rate, noise, modules = place
-            start = Cell("", "plants", noise=noise, plant=modules, rate=rate)
+            start = Cell("", "plants", rate=place[0], noise=place[1], plant=place[2])
             if known := self.known(start.of(effort.plant_labels)):
                 yield known
 
@@ -141,12 +141,12 @@ def gather(
     outcomes: list[lyapunov.Outcome] = []
     periods: dict[str, Mapping[str, np.ndarray]] = {}
     for task in jobs.all_tasks(variants, effort):
-        kept = jobs.read_arrays(out, task)
-        if isinstance(task.of, Cell):
-            if "predicted" in kept:
-                periods[task.of.label] = kept
-            else:
-                cells |= _planted(task.of, kept)
+        with np.load(out / jobs.SERIES / f"{task.name}.npz", allow_pickle=False) as file:
+            kept: dict[str, np.ndarray] = dict(file)
+        if isinstance(task.of, Cell) and "predicted" in kept:
+            periods[task.of.label] = kept
+        elif isinstance(task.of, Cell):
+            cells |= _planted(task.of, kept)
         elif "q" in kept:
             series[task.name] = Series(**kept)
         else:
@@ -162,13 +162,15 @@ def measured(parts: Sequence[Sweep], folder: Path) -> dict[Cell, dict[str, np.nd
     cells: dict[Cell, dict[str, np.ndarray]] = {}
     for part in parts:
         table = octarm.read_sweep(folder / part.name)
-        quantities, seeds = _quantities(table), table["seed"].to_numpy()
+        names = [name for name in FIELDS if name in table.column_names]
         rows: dict[Cell, list[int]] = {}
-        for row, cell in enumerate(_cells(part, table)):
-            rows.setdefault(cell, []).append(row)
+        for i, row in enumerate(table.select(["controller", *names]).to_pylist()):
+            fields = {FIELDS[name]: row[name] for name in names}
+            cell = Cell(part.labels[row["controller"]], part.study, rate=part.rate, **fields)
+            rows.setdefault(cell, []).append(i)  # in the order of their seeds
+        quantities = _quantities(table)
         for cell, places in rows.items():
-            ordered = sorted(places, key=seeds.__getitem__)
-            cells[cell] = {name: values[ordered] for name, values in quantities.items()}
+            cells[cell] = {name: values[places] for name, values in quantities.items()}
     return cells
 
 
@@ -180,14 +182,6 @@ def _planted(cell: Cell, kept: Mapping[str, np.ndarray]) -> dict[Cell, dict[str,
         cell._replace(noise=noise): {name: values[arms] for name, values in known.items()}
         for noise, arms in ((0.0, slice(1)), (NOISE, slice(1, None)))
     }
-
-
-def _cells(part: Sweep, table: pa.Table) -> Iterator[Cell]:
-    """The cell of each episode."""
-    names = [name for name in FIELDS if name in table.column_names]
-    for row in table.select(["controller", *names]).to_pylist():
-        label, fields = part.labels[row["controller"]], {FIELDS[name]: row[name] for name in names}
-        yield Cell(label, part.study, rate=part.rate, **fields)
 
 
 def _quantities(table: pa.Table) -> dict[str, np.ndarray]:
@@ -203,8 +197,8 @@ def _quantities(table: pa.Table) -> dict[str, np.ndarray]:
     each = {"rms_error": 1e3 * errors, "overshoot": columns("overshoot")}
     heavy = weight(ARM) * np.repeat([1.0, float(ARM.width[0])], MODULES)
     return {
-        **{f"{metric}_{name}": column for metric, values in each.items()
-           for name, column in zip(COORDINATES, values.T, strict=True)},
+        **{f"{metric}_{name}": values[:, j] for metric, values in each.items()
+           for j, name in enumerate(COORDINATES)},
         "error": 100.0 * root_mean_square(errors / SCALE),
         "chattering": 100.0 * root_mean_square(columns("chattering") / heavy),
         "diverged": lost,

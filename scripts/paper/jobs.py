@@ -41,17 +41,15 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
     finished is kept. Raises OctarmError if the folder holds results of other studies, and OSError
     if it cannot be written.
     """
-    for folder in (SPECS, SWEEPS, SERIES, RUNS):
-        (out / folder).mkdir(parents=True, exist_ok=True)
+    (out / RUNS).mkdir(parents=True, exist_ok=True)
     tasks = all_tasks(variants, effort)
     jobs = [(sweep.seconds, partial(_sweep, sweep, out)) for sweep in sweeps(variants, effort)]
     jobs += [(task.seconds, partial(_keep, task, out)) for task in tasks]
     jobs += [
         (8.0 * one.duration, partial(_record, one, model, out))  # what an arm alone costs
-        for one in (task.of for task in tasks)
+        for one, model in itertools.product([task.of for task in tasks], MODELS)
         if isinstance(one, Request) and one.seeds and one.quiet and effort.long
         if one.variant.label in CONTROLLERS
-        for model in MODELS
     ]
     jobs.sort(key=lambda job: -job[0])
     total, count = sum(seconds for seconds, _ in jobs), workers or cores()
@@ -75,14 +73,13 @@ def all_tasks(variants: Mapping[str, Variant], effort: Effort) -> list[Task]:
     tasks = [Task(x.name, x.seconds, x.perform, x) for x in runs.requests(variants, effort)]
     if usual_engine() != LAGRANGE:
         return tasks
-    places = itertools.product(effort.plant_rates, effort.plants, effort.plant_labels)
-    for rate, modules, label in places:
-        name = f"plant-{modules}-{rate:g}-Hz-{label}"
+    for rate, modules in itertools.product(effort.plant_rates, effort.plants):
         # Weighed by what a control period costs for all arms.
         seconds = plants.DURATION * rate / 200.0 * (1.0 + modules / 10.0)
-        perform = partial(plants.planted, variants[label], modules, rate, effort.seeds)
-        cell = Cell(label, "plants", plant=modules, rate=rate)
-        tasks.append(Task(name, seconds, perform, cell))
+        for label in effort.plant_labels:
+            perform = partial(plants.planted, variants[label], modules, rate, effort.seeds)
+            cell = Cell(label, "plants", plant=modules, rate=rate)
+            tasks.append(Task(f"plant-{modules}-{rate:g}-Hz-{label}", seconds, perform, cell))
     for label in effort.plant_labels:
         perform = partial(plants.searched, variants[label], effort.plants)
         tasks.append(Task(f"periods-{label}", 100.0 * len(effort.plants), perform, Cell(label)))
@@ -112,9 +109,3 @@ def _record(request: Request, model: float, out: Path, pool: Executor, advance: 
     if not (folder / "run.rrd").is_file() or not (folder / "run.npz").is_file():
         pool.submit(runs.record, request, model, folder).result()
     advance(8.0 * request.duration)
-
-
-def read_arrays(out: Path, task: Task) -> dict[str, np.ndarray]:
-    """What was kept of a run; raises OSError if it is missing."""
-    with np.load(out / SERIES / f"{task.name}.npz", allow_pickle=False) as file:
-        return dict(file)
