@@ -22,9 +22,8 @@ from paper.claims import (
     verdict,
 )  # fmt: skip
 from paper.evidence import Evidence, interval
-from paper.lyapunov import Outcome
 from paper.plants import longest
-from paper.runs import Cost, Series
+from paper.runs import Cost, Outcome, Series
 from paper.studies import BENDS, FULL, MODELS, NOISE, SLIDES, Cell
 from paper.tables import Table, as_csv, best, grid, plants, plants_ranking
 from paper.variants import (

@@ -1,24 +1,35 @@
-"""The one table of measured cells, and all else that claims, tables and figures rest on."""
+"""Runs all that is missing, and reads it: the measured cells, and what else claims rest on."""
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import io
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from functools import partial
+from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import tomlkit
+from tqdm import tqdm
 
 import octarm
+from controllers import make_controller
+from octarm.files import write_files
 from octarm.reports.statistics import Interval, medians
+from octarm.simulation.engines import LAGRANGE, usual_engine
 from octarm.sweeps.tune_cost import root_mean_square, weight
-from paper import jobs, lyapunov
+from octarm.sweeps.workers import WorkerProcesses, cores
+from paper import plants, runs
 from paper.claims import Entry
-from paper.runs import Cost, Series
-from paper.studies import COORDINATES, MODULES, NOISE, SCALE, Cell, Effort, Sweep, sweeps
+from paper.runs import Cost, Outcome, Request, Series
+from paper.studies import COORDINATES, MODELS, MODULES, NOISE, SCALE, Cell, Effort, Sweep, sweeps
 from paper.variants import ARM, Variant
 
+SPECS, SWEEPS, SERIES, RUNS = "specs", "sweeps", "series", "runs"  # folders
 # The fields of a cell that differ within a sweep, by the columns of its table.
 FIELDS = {"reference": "reference", "mismatch": "mismatch", "noise": "noise", "noise.time": "time",
           "payload": "payload", "actuation-delay": "delay", "loss": "loss"}  # fmt: skip
@@ -44,7 +55,7 @@ class Evidence:
     # Quantities, and `diverged`, by cell and name, each in the order of its seeds, shape (seeds,).
     cells: Mapping[Cell, Mapping[str, np.ndarray]]
     series: Mapping[str, Series]  # runs over time, by name
-    outcomes: Sequence[lyapunov.Outcome]  # how Lyapunov functions went
+    outcomes: Sequence[Outcome]  # how Lyapunov functions went
     periods: Mapping[str, Mapping[str, np.ndarray]]  # by label; see `paper.plants.searched`
     costs: Mapping[str, Cost]  # of a controller's step, by name
 
@@ -105,7 +116,7 @@ class Evidence:
     def plants(self) -> Iterator[list[Cell]]:
         """The cells of all laws in each place of the study of plants: rate, noise, modules."""
         effort = self.effort
-        for place in itertools.product(effort.plant_rates, (0.0, NOISE), effort.plants):
+        for place in product(effort.plant_rates, (0.0, NOISE), effort.plants):
             start = Cell("", "plants", rate=place[0], noise=place[1], plant=place[2])
             if known := self.known(start.of(effort.plant_labels)):
                 yield known
@@ -129,19 +140,83 @@ def interval(values: np.ndarray) -> Interval:
     return Interval(*(float(x[0]) for x in medians(values[:, None], np.arange(len(values)))))
 
 
+class Task(NamedTuple):
+    """Something that is run, of which a file of arrays is kept."""
+
+    name: str  # of the file
+    perform: Callable[[], Mapping[str, np.ndarray]]
+    of: Request | Cell  # what the arrays are measured of
+
+
+def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers: int = 0) -> None:
+    """Runs what is not there yet, on one process a core if the number of workers is 0.
+
+    What is there does not depend on that number, or on how often it was interrupted: what was
+    finished is kept. Raises OctarmError if the folder holds results of other studies, and OSError
+    if it cannot be written.
+    """
+    (out / RUNS).mkdir(parents=True, exist_ok=True)
+    count = workers or cores()
+    with WorkerProcesses(count) as processes, ThreadPoolExecutor(count + 1) as threads:
+        jobs = [threads.submit(_sweep, x, out, processes) for x in sweeps(variants, effort)]
+        for task in all_tasks(variants, effort):
+            jobs.append(processes.submit(_keep, task, out))
+            if task.name in runs.recorded(effort):
+                jobs += [processes.submit(runs.record, task.of, x, out / RUNS) for x in MODELS]
+        try:
+            bar = tqdm(as_completed(jobs), total=len(jobs), unit=" jobs", disable=None, leave=False)
+            for job in bar:
+                job.result()
+        except BaseException:  # an interrupt, too
+            threads.shutdown(wait=False, cancel_futures=True)
+            processes.kill()
+            raise
+
+
+def all_tasks(variants: Mapping[str, Variant], effort: Effort) -> list[Task]:
+    """All that is run besides sweeps; plants where the engine `lagrange` is installed."""
+    tasks = [Task(x.name, x.perform, x) for x in runs.requests(variants, effort)]
+    if usual_engine() != LAGRANGE:
+        return tasks
+    for label in effort.plant_labels:
+        search = partial(plants.searched, variants[label], effort.plants)
+        tasks.append(Task(f"periods-{label}", search, Cell(label)))
+    for rate, modules, label in product(effort.plant_rates, effort.plants, effort.plant_labels):
+        perform = partial(plants.planted, variants[label], modules, rate, effort.seeds)
+        cell = Cell(label, "plants", plant=modules, rate=rate)
+        tasks.append(Task(f"plant-{modules}-{rate:g}-Hz-{label}", perform, cell))
+    return tasks
+
+
+def _sweep(sweep: Sweep, out: Path, pool: Executor) -> None:
+    file = out / SPECS / f"{sweep.name}.toml"
+    write_files({file: tomlkit.dumps(sweep.content).encode()})
+    octarm.sweep(
+        octarm.read_spec(file), make_controller, out / SWEEPS / sweep.name,
+        executor=pool, in_flight=2, resume=True,
+    )  # fmt: skip
+
+
+def _keep(task: Task, out: Path) -> None:
+    file, content = out / SERIES / f"{task.name}.npz", io.BytesIO()
+    if not file.is_file():
+        np.savez(content, allow_pickle=False, **task.perform())
+        write_files({file: content.getvalue()})
+
+
 def gather(
     variants: Mapping[str, Variant], effort: Effort, out: Path, costs: Mapping[str, Cost]
 ) -> Evidence:
-    """Reads what `paper.jobs.run_all` left in a folder.
+    """Reads what `run_all` left in a folder.
 
     Raises OctarmError if a sweep is missing, and OSError if another file is.
     """
-    cells = measured(list(sweeps(variants, effort)), out / jobs.SWEEPS)
+    cells = measured(list(sweeps(variants, effort)), out / SWEEPS)
     series: dict[str, Series] = {}
-    outcomes: list[lyapunov.Outcome] = []
+    outcomes: list[Outcome] = []
     periods: dict[str, Mapping[str, np.ndarray]] = {}
-    for task in jobs.all_tasks(variants, effort):
-        with np.load(out / jobs.SERIES / f"{task.name}.npz", allow_pickle=False) as file:
+    for task in all_tasks(variants, effort):
+        with np.load(out / SERIES / f"{task.name}.npz", allow_pickle=False) as file:
             kept: dict[str, np.ndarray] = dict(file)
         if isinstance(task.of, Cell) and "predicted" in kept:
             periods[task.of.label] = kept
@@ -150,7 +225,7 @@ def gather(
         elif "q" in kept:
             series[task.name] = Series(**kept)
         else:
-            outcomes += lyapunov.outcomes(task.of, kept)
+            outcomes += runs.outcomes(task.of, kept)
     return Evidence(
         variants=variants, effort=effort, cells=cells, series=series, outcomes=outcomes,
         periods=periods, costs=costs,

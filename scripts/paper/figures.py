@@ -19,7 +19,7 @@ from paper.studies import BENDS, COORDINATES, MODELS, MODULES, MOVING, NOISE, RE
 from paper.variants import CONTROLLERS, INSTEAD, PROPOSED, SMC, by_hand
 
 GRAY = "#5f6b77"
-DOTTED = {"color": GRAY, "linewidth": 0.9, "linestyle": ":"}  # what the paper says, and equality
+DOTTED = {"color": GRAY, "linewidth": 0.9, "linestyle": ":"}
 ZERO = {"color": INK, "linewidth": 0.6, "zorder": 1}
 NOISES = {"figure-1": 0.0, "figure-2": NOISE}  # of the paper's figures
 

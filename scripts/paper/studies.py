@@ -7,7 +7,6 @@ name, and all their gains. Cells without noise get one seed: nothing in them is 
 from __future__ import annotations
 
 import dataclasses
-import math
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import product
@@ -15,7 +14,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import tomlkit
 
 from octarm.arrays import coordinate_names
 from octarm.simulation.engines import usual_engine
@@ -104,15 +102,6 @@ class Sweep(NamedTuple):
         """Of control [Hz]."""
         return round(1.0 / self.content.get("control_period", 1.0 / RATE), 6)
 
-    @property
-    def seconds(self) -> float:
-        """What it simulates, all arms counted [s]."""
-        return self.content["episodes"] * self.content["duration"] * _cells(self.content["grid"])
-
-    def text(self) -> str:
-        """The spec."""
-        return tomlkit.dumps(self.content)
-
 
 def sweeps(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Sweep]:
     """All sweeps; one for each time that a controller occurs, and cells without noise apart."""
@@ -148,8 +137,3 @@ def _quiet_apart(content: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any
     noisy = {**grid, "mismatch": [m for m in grid["mismatch"] if m in MODELS],
              "disturbance": {**kinds, "noise": [noise for noise in noises if noise]}}  # fmt: skip
     return [("-quiet", {**content, "episodes": 1, "grid": quiet}), ("", {**content, "grid": noisy})]
-
-
-def _cells(grid: Mapping[str, Any]) -> int:
-    """Number of cells of a grid, whose tables stand in one another."""
-    return math.prod(_cells(x) if isinstance(x, dict) else len(x) for x in grid.values())
