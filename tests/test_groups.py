@@ -440,13 +440,13 @@ def test_sums_over_groups_are_added_in_order_whatever_the_batch(layout: str, arm
         np.testing.assert_array_equal(place, other)
 
 
-def test_tips_within_a_period_can_be_left_out():
+def test_tips_of_the_plant_can_be_left_out():
     environment = load(plant_modules=9, batch=2, control_period=0.001, timestep=0.0005)
     environment.reset()
     environment.step(np.zeros((2, 6)))
     q, received, tips = environment.physics.within()
     assert tips is not None and tips.shape == (2, 2, 2)
-    environment.physics.tips_within = False
+    environment.physics.plant_tips = False
     environment.reset()
     environment.step(np.zeros((2, 6)))
     again = environment.physics.within()

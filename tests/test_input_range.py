@@ -193,11 +193,12 @@ def test_no_fault_gives_more_than_the_range():
 def test_the_ledger_does_not_blame_the_range_on_a_fault(tmp_path, capsys):
     out = tmp_path / "run"
     words = ["run", "--out", str(out), "--duration", "0.2", "--reference", "set-point"]
-    words += ["--parameter", "input_range:-3,3", "--disturbance", "saturation:5"]
+    words += ["--parameter", "input_range:-2,2", "--disturbance", "saturation:5"]
+    words += ["--mismatch", "100%"]  # asks for more than the range
     assert main(words) == 0
     [row] = json.loads((out / "run.json").read_text())["disturbances"]
     assert row["delivered"]["share_changed"] == [0.0] * 6
-    assert max(row["delivered"]["peak"]) == 3.0
+    assert max(row["delivered"]["peak"]) == 2.0
     capsys.readouterr()
 
 

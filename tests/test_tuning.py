@@ -396,7 +396,7 @@ def test_the_budget_counts_simulated_seconds():
     budget = Budget.within(24000.0)
     assert budget.population == 24 and budget.generations == 24000 // (24 * n * 3)
     assert budget.search_seconds == budget.generations * 24 * n * 3.0
-    last = 8 * n * (3.0 + 10.0) + 2 * len(EVALUATION) * 3.0
+    last = 8 * n * 10.0 + 2 * (n + len(EVALUATION)) * 3.0
     assert budget.seconds == budget.search_seconds + last
     with pytest.raises(ValueError, match=f"budget is 400 s; it must be at least {24 * n * 3} s"):
         Budget.within(400.0)

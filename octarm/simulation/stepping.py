@@ -43,8 +43,8 @@ class AnyPhysics(control.Physics):
             plant.
         groups: through which a plant of more modules is seen; None where every module is measured.
         active: the disturbances of this episode; None before the first one.
-        tips_within: whether `within` has the tips of a plant of more modules, which cost a tenth of
-            its step.
+        plant_tips: whether instants have the tips of a plant of more modules, which cost a seventh
+            of its step.
         watch: called when an episode begins, and after every physics step.
         exclusive: by which `reset`, `set_control` and `step` refuse a second user.
     """
@@ -54,7 +54,7 @@ class AnyPhysics(control.Physics):
     actuation: Actuation
     limits: Limits
     groups: Groups | None = None
-    tips_within: bool = True
+    plant_tips: bool = True
     plant_limits: Limits
     active: ActiveDisturbances | None = None
     watch: Callable[[AnyPhysics], object] | None = None
@@ -156,7 +156,7 @@ class AnyPhysics(control.Physics):
         if self.groups is None:
             return None, None
         q = self.plant_q()
-        return q, self.groups.tip(q)
+        return q, self.groups.tip(q) if self.plant_tips else None
 
     def tau(self) -> np.ndarray:
         """The input forces being held, shape (..., 2N) [N]."""
@@ -288,7 +288,7 @@ class AnyPhysics(control.Physics):
             if within:
                 within[0][i] = self.q() if seen is None else seen
                 within[1][i] = self._received
-                if self.groups is not None and self.tips_within:
+                if self.groups is not None and self.plant_tips:
                     within[2][i] = self.groups.tip(self.plant_q())
             self._advance()
             self._steps += 1
@@ -307,7 +307,7 @@ class AnyPhysics(control.Physics):
                 return
 
     def _memory(self, steps: int) -> list[np.ndarray]:
-        tips = self.groups is not None and self.tips_within
+        tips = self.groups is not None and self.plant_tips
         like = [self._zero] * 2 + [self._zero[..., :2]] * tips
         return [stacked(row, steps) for row in like]
 

@@ -151,8 +151,8 @@ class Budget:
     @property
     def seconds(self) -> float:
         """What is simulated in all, all arms counted [s]."""
-        final = self.short.seconds + self.long.seconds
-        return self.search_seconds + (self.finalists + 1) * final + 2 * self.unseen.seconds
+        trials = (self.finalists + 1) * self.long.seconds
+        return self.search_seconds + trials + 2 * (self.short.seconds + self.unseen.seconds)
 
 
 class SearchState(NamedTuple):
@@ -249,16 +249,16 @@ def tune(
         keep(state)
     best = state.population[np.argsort(state.costs, kind="stable")[: budget.finalists]]
     finalists = np.concatenate([best, np.zeros_like(best[:1])])
-    short = tried(budget.short, finalists, of_record)
     long = tried(budget.long, finalists, of_record)
     winner = int(np.argmin(budget.long.mean(long)))
-    unseen = tried(budget.unseen, finalists[[winner, -1]], of_record)
+    both = finalists[[winner, -1]]
+    short, unseen = (tried(each, both, of_record) for each in (budget.short, budget.unseen))
     turned = {name: rows[winner] for name, rows in space.turned(finalists).items()}
     return Tuned(
         gains={name: turned.get(name, gain) for name, gain in space.gains.items()},
-        short=short[winner],
+        short=short[0],
         long=long[winner],
-        short_by_hand=short[-1],
+        short_by_hand=short[1],
         long_by_hand=long[-1],
         unseen=unseen[0],
         unseen_by_hand=unseen[1],

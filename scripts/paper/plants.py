@@ -35,6 +35,7 @@ DURATION, COUNTED = 1.5, 0.5  # of a run, and from when on errors count: half a 
 SHORTEST, LONGEST = 1e-5, 0.01  # periods that are looked at [s]
 SHORTEST_TRACKED = 5e-5  # of laws that are to track [s]
 CLOSE = 1.05  # shortest that fails over longest that does not, where the search ends [1]
+FIRST = 1.045  # between the first two periods, where one is predicted: they may be the last [1]
 FEWEST, MOST, LASTING = 200, 1600, 0.5  # control periods of a run about rest, and its length [s]
 STEP = 1e-7  # of the reference about rest, as a share of the motion [1]
 CALM, FALLING = 1e-3, 0.7  # what dies out, over the step, and over what it was before [1]
@@ -52,16 +53,24 @@ def searched(variant: Variant, plants: Sequence[int]) -> dict[str, np.ndarray]:
 
     The plants are numbers of modules.
     """
-    pairs = [longest_two(variant, modules) for modules in plants]
+    pairs: list[tuple[float, float]] = []
+    guess = 0.003 / plants[0]  # [s]; about what the end of a group with its 1/N of the mass bears
+    for i, modules in enumerate(plants):
+        if i and pairs[-1][1] and math.isfinite(pairs[-1][1]):
+            guess = pairs[-1][1] * plants[i - 1] / modules
+        pairs.append(longest_two(variant, modules, guess))
     return dict(zip(("predicted", "simulated"), np.array(pairs).T, strict=True))
 
 
-def longest(bears: Callable[[float], bool], start: float, shortest: float = SHORTEST) -> float:
+def longest(
+    bears: Callable[[float], bool], start: float, shortest: float = SHORTEST, factor: float = 1.2
+) -> float:
     """The longest period that is borne, by a bracket that widens and then bisection [s].
 
-    It is 0 if the shortest one is not borne, infinite if `LONGEST` is.
+    It is 0 if the shortest one is not borne, infinite if `LONGEST` is. The factor is that between
+    the first two periods.
     """
-    good, bad, factor = 0.0, math.inf, 1.2
+    good, bad = 0.0, math.inf
     period = min(max(start, shortest), LONGEST)
     while not (good and bad / good <= CLOSE):
         good, bad = (period, bad) if bears(period) else (good, period)
@@ -75,15 +84,19 @@ def longest(bears: Callable[[float], bool], start: float, shortest: float = SHOR
     return good
 
 
-def longest_two(variant: Variant, modules: int) -> tuple[float, float]:
-    """By the spectral radius, infinite where all periods are stable, and in simulation [s]."""
+def longest_two(variant: Variant, modules: int, guess: float) -> tuple[float, float]:
+    """By the spectral radius, infinite where all periods are stable, and in simulation [s].
+
+    The guess is where the search begins if nothing is predicted.
+    """
     groups = Groups.of(ARM, modules)
     plant = LinearPlant.of(groups.plant, groups.matrix)
     try:
         predicted = Loop(plant, variant.controls(ARM)).longest_period()
     except NoSlopeError:
-        return math.nan, longest(partial(tracks, variant, modules), 1e-3, SHORTEST_TRACKED)
-    return predicted, longest(partial(rests, variant, modules, plant.rest), 0.9 * predicted)
+        return math.nan, longest(partial(tracks, variant, modules), guess, SHORTEST_TRACKED)
+    bears = partial(rests, variant, modules, plant.rest)
+    return predicted, longest(bears, 0.98 * predicted, factor=FIRST)
 
 
 def rests(variant: Variant, modules: int, rest: np.ndarray, period: float) -> bool:
@@ -114,7 +127,7 @@ def tracking(
     infinite.
     """
     environment = _load(BENDS, modules, period, **arms)
-    environment.physics.tips_within = False
+    environment.physics.plant_tips = False
     size = Size(environment.physics.q())
 
     def observe(instant: Instant) -> None:
