@@ -11,7 +11,7 @@ import functools
 import itertools
 import math
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -129,12 +129,21 @@ def sensitivity(cases: Sequence[Case]) -> tuple[int, int]:
 def condition(cases: Sequence[Case], phrases: Mapping[str, str]) -> str:
     """Where a claim holds in every case, in words, and in how many of all cases it does.
 
-    There is a phrase for each axis, with {} for its value.
+    It is said by values of one axis, or else of two. There is a phrase for each axis, with {} for
+    its value.
     """
-    count = sum(case.passes(1.0) for case in cases)
-    one, two = (list(_sufficient(cases, axes)) for axes in (1, 2))
-    names = [" and ".join(phrases[x].format(value) for x, value in pairs) for pairs in one or two]
+    pairs = dict.fromkeys(pair for case in cases for pair in case.where.items())
+    dividing = [pair for pair in pairs if len(matching(cases, dict([pair]))) < len(cases)]
+    names: list[str] = []
+    for axes in (1, 2):
+        wheres = [dict(some) for some in itertools.combinations(dividing, axes)]
+        names = names or [
+            " and ".join(phrases[axis].format(value) for axis, value in where.items())
+            for where in wheres
+            if len(where) == axes and verdict(matching(cases, where)) == Verdict.HOLDS
+        ]
     words = " or ".join(names[:2]) if names else "the cases are picked"
+    count = sum(case.passes(1.0) for case in cases)
     return f"{words} ({count} of {len(cases)} cases)"
 
 
@@ -150,16 +159,6 @@ def numbers_of(cases: Sequence[Case]) -> list[Row]:
 def matching(cases: Sequence[Case], where: Mapping[str, str]) -> list[Case]:
     """The cases at these values of axes."""
     return [case for case in cases if where.items() <= case.where.items()]
-
-
-def _sufficient(cases: Sequence[Case], axes: int) -> Iterator[tuple[tuple[str, str], ...]]:
-    """The values of one axis, or of two, for which the claim holds in all cases."""
-    pairs = dict.fromkeys(pair for case in cases for pair in case.where.items())
-    dividing = [pair for pair in pairs if len(matching(cases, dict([pair]))) < len(cases)]
-    for some in itertools.combinations(dividing, axes):
-        where = dict(some)
-        if len(where) == axes and verdict(matching(cases, where)) == Verdict.HOLDS:
-            yield some
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -175,14 +175,11 @@ def kept(request: Request, rows: Rows) -> Arrays:
         squares = np.sum(np.square(groups - groups[:, :, :1]), axis=0)
         moved = np.sqrt(squares / max(len(steady), 1)).reshape(rows["q"].shape[1:])
     return {
-        "t": EVERY * np.arange(len(lost)),
-        "q_d": few["q_d"][:, 0],
+        "t": EVERY * np.arange(len(lost)), "q_d": few["q_d"][:, 0], "moved": moved,
         "q": np.where(lost, np.nan, few["q"]),
         "E": np.where(lost, np.nan, few["E"]) if "E" in few else np.empty(0),
-        "mismatch": request.mismatch,
-        "noise": request.noise,
-        "moved": moved,
-    }
+        "mismatch": request.mismatch, "noise": request.noise,
+    }  # fmt: skip
 
 
 def recorded(effort: Effort) -> list[str]:
@@ -266,17 +263,13 @@ def counts(request: Request, rows: Rows) -> dict[str, np.ndarray]:
     outside = np.any(np.abs(s[:-1]) > np.asarray(gains.get("phi", 0.0)), axis=-1)
     steady = round(SETTLED * request.rate)
     return {
-        "mismatch": request.mismatch,
-        "covered": covered,
-        "outside": np.sum(outside, axis=0),
-        "grown_outside": np.sum(outside & grown, axis=0),
+        "mismatch": request.mismatch, "covered": covered,
+        "outside": np.sum(outside, axis=0), "grown_outside": np.sum(outside & grown, axis=0),
         "late": np.sum(outside[steady:], axis=0),
-        "inside": np.sum(~outside, axis=0),
-        "grown_inside": np.sum(~outside & grown, axis=0),
-        "start": V[0],
-        "bound": np.max(kinetic[steady:], axis=0, initial=0.0),
+        "inside": np.sum(~outside, axis=0), "grown_inside": np.sum(~outside & grown, axis=0),
+        "start": V[0], "bound": np.max(kinetic[steady:], axis=0, initial=0.0),
         "diverged": rows["lost"][-1],
-    }
+    }  # fmt: skip
 
 
 def _learnt(gains: Mapping[str, Any], rows: Rows, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

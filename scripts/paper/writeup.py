@@ -79,8 +79,7 @@ def content(
         for name, table in written.items() if name in ("best", "plants", "periods")
     }  # fmt: skip
     return {
-        "effort": evidence.effort.name,
-        "seeds": evidence.effort.seeds,
+        "effort": evidence.effort.name, "seeds": evidence.effort.seeds,
         "command": words()["command"],
         "claims": [one.to_dict(timings=timings) for one in claims if one.place],
         "questions": [one.to_dict(timings=timings) for one in claims if not one.place],
