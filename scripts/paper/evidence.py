@@ -114,12 +114,12 @@ class Evidence:
         return Interval(1.0 + better, 1.0 + low, 1.0 + high)
 
     def plants(self) -> Iterator[list[Cell]]:
-        """The cells of all laws in each place of the study of plants: rate, noise, modules."""
+        """The cells of all laws, the best first, in each place of the study of plants."""
         effort = self.effort
         for place in product(effort.plant_rates, (0.0, NOISE), effort.plants):
             start = Cell("", "plants", rate=place[0], noise=place[1], plant=place[2])
             if known := self.known(start.of(effort.plant_labels)):
-                yield known
+                yield sorted(known, key=lambda cell: self.median(cell).value)
 
     def ranked(self, cells: Iterable[Cell]) -> list[Cell]:
         """Those that were run, the one with the least error, mean of the models, first."""

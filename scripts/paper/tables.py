@@ -123,7 +123,8 @@ def best(evidence: Evidence) -> Rows:
     for reference, noise, model in product(MOVING, (NOISE, 0.0), MODELS):
         start = Cell(PROPOSED, "tracking", reference, model, noise)
         if evidence.has(start):
-            first = _least(evidence, start.of(CONTROLLERS))
+            cells = evidence.known(start.of(CONTROLLERS))
+            first = min(cells, key=lambda cell: evidence.median(cell).value)
             ratios = [evidence.ratio(start, first.label, x) for x in ("error", "chattering")]
             place = _where({"reference": reference, "noise": noise, "mismatch": model})
             yield *place, first.label, evidence.median(first), *ratios
@@ -135,7 +136,7 @@ def plants(evidence: Evidence) -> Rows:
     heads = [*(f"{name} [%]" for name in laws), *(f"afsmc over {name}" for name in laws[:-1])]
     yield "modules", "period", "noise", "best", *heads, *(f"rank of {name}" for name in laws)
     for cells in evidence.plants():
-        first = _least(evidence, cells)
+        first, *_ = cells
         best = first.label if np.isfinite(evidence.median(first).value) else "none"
         ours, own = first._replace(label=PROPOSED), first.of(laws)
         ratios = [evidence.ratio(ours, name) for name in laws[:-1]]
@@ -146,16 +147,12 @@ def plants(evidence: Evidence) -> Rows:
 def plants_ranking(evidence: Evidence) -> Rows:
     """All laws on all plants, the best first."""
     for cells in evidence.plants():
-        for cell in sorted(cells, key=lambda cell: evidence.median(cell).value):
+        for cell in cells:
             lost, count = evidence.diverged(cell)
             share = binomial(lost, count) if cell.noise else (float(lost),) * 3
             percents = Interval(*(100.0 * x for x in share))
             rank = evidence.rank(cell, cells)
             yield *_plant(cell), rank, cell.label, evidence.median(cell), percents
-
-
-def _least(evidence: Evidence, cells: Sequence[Cell]) -> Cell:
-    return min(evidence.known(cells), key=lambda cell: evidence.median(cell).value)
 
 
 def _plant(cell: Cell) -> tuple[Entry, ...]:
