@@ -208,7 +208,7 @@ def test_the_error_on_a_plant_is_that_of_all_physics_steps_and_arms_are_those_of
 @pytest.mark.parametrize("modules", [3, 9])
 def test_the_longest_period_about_rest_is_the_one_that_is_predicted(modules: int):
     """With hand-set gains, which stay what they are."""
-    predicted, simulated = plants.longest_two(VARIANTS[by_hand(SMC)], modules)
+    predicted, simulated = plants.longest_two(VARIANTS[by_hand(SMC)], modules, 1e-3)
     assert simulated == pytest.approx(predicted, rel=0.08)
 
 

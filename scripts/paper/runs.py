@@ -171,7 +171,8 @@ def kept(request: Request, rows: Rows) -> Arrays:
     lost, moved = few["lost"][..., None], np.empty(0)
     if request.quiet:
         steady = rows["q"][round(SETTLED * request.rate) :]
-        groups = steady.reshape(len(steady), len(request.mismatches), 1 + request.seeds, -1)
+        apart = len(request.mismatches), 1 + request.seeds, steady.shape[-1]
+        groups = steady.reshape(len(steady), *apart)
         squares = np.sum(np.square(groups - groups[:, :, :1]), axis=0)
         moved = np.sqrt(squares / max(len(steady), 1)).reshape(rows["q"].shape[1:])
     return {
