@@ -114,10 +114,8 @@ def _locked(path: Path) -> int | None:
 def write_files(contents: Mapping[Path, bytes]) -> None:
     """Writes several files: all of them, or none if one has no room.
 
-    Folders that are missing are made, and removed if nothing is written.
-
-    Raises:
-        FileError: if one cannot be written.
+    Folders that are missing are made, and removed if nothing is written. Raises FileError if one
+    cannot be written.
     """
     made: list[Path] = []
     parts: dict[Path, Path] = {}
@@ -157,8 +155,7 @@ def write_files(contents: Mapping[Path, bytes]) -> None:
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Writes a text file whole or not at all.
 
-    Raises:
-        FileError: if it cannot be written.
+    Raises FileError if it cannot be written.
     """
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")
@@ -184,10 +181,8 @@ def unreadable(path: str | os.PathLike[str], error: OSError) -> FileError:
 def piped(path: Path) -> Generator[str]:
     """A name for a library to write `path` through, if the library hangs on a full disk.
 
-    The name is that of a pipe, and a thread copies what comes out of it to the file.
-
-    Raises:
-        OSError: if the file cannot be written, a full disk included.
+    The name is that of a pipe, and a thread copies what comes out of it to the file. Raises OSError
+    if the file cannot be written, a full disk included.
     """
     failures: list[OSError] = []
     file = open(path, "wb")

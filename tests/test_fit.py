@@ -9,8 +9,9 @@ from scipy.linalg import expm
 from octarm.arm import lagrange
 from octarm.arm.behaviour import behaviour_of
 from octarm.arm.file import read_arm
-from octarm.arm.fit import fit_modules, lumped
+from octarm.arm.fit import fit_modules
 from octarm.arm.kinematics import tip_force, tip_position
+from octarm.arm.lumped import lumped
 from octarm.arm.modes import state_matrix
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod

@@ -19,20 +19,10 @@ from octarm.commands.cli import main
 from octarm.commands.options import MarginOptions
 from octarm.disturbances.forces import PulseForce
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
+from octarm.disturbances.varied import NOMINAL, is_varied, parse_varied, usual_range
 from octarm.interfaces import Command
-from octarm.sweeps.margin import (
-    NOMINAL,
-    Attempt,
-    Brackets,
-    MarginRuns,
-    is_varied,
-    margin_of,
-    parse_bound,
-    parse_varied,
-    search,
-    seeds_needed,
-    usual_range,
-)
+from octarm.metrics.declared import parse_bound
+from octarm.sweeps.margin import Attempt, Brackets, MarginRuns, margin_of, search, seeds_needed
 
 P = nominal_parameters()
 

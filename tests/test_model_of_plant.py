@@ -15,7 +15,8 @@ from octarm.arm.lumped import lumped
 from octarm.arm.rod import Rod, arm_from_rod
 from octarm.checks.stability import linear_plant, loop_at_rest
 from octarm.commands.cli import main
-from octarm.sweeps.margin import MarginRuns, parse_varied
+from octarm.disturbances.varied import parse_varied
+from octarm.sweeps.margin import MarginRuns
 from octarm.sweeps.spec_file import parse_spec, read_spec
 
 FACTORY = functools.partial(make_controller, gain_set="recommended")

@@ -23,7 +23,7 @@ from octarm.disturbances.spelling import (
     parse_disturbance,
     spelling,
 )
-from octarm.sweeps.margin import parse_varied
+from octarm.disturbances.varied import parse_varied
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spec_file import parse_spec
 

@@ -15,12 +15,13 @@ from octarm.arm.groups import Groups
 from octarm.arm.kinematics import arc_tip, positions
 from octarm.arm.mjcf import nominal_parameters, world_position
 from octarm.commands.cli import main
+from octarm.disturbances.varied import parse_varied
 from octarm.errors import OctarmError
 from octarm.metrics.table import Metrics
 from octarm.runs import folder as runs
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout
-from octarm.sweeps.margin import MarginRuns, parse_varied
+from octarm.sweeps.margin import MarginRuns
 from octarm.sweeps.plan import Plan, with_step
 from octarm.sweeps.shards import run_arms, run_shard
 from octarm.sweeps.spec_file import parse_spec

@@ -14,13 +14,14 @@ from octarm.checks.verify import check_run
 from octarm.commands.app import parse
 from octarm.disturbances.episode import Plant, PlantChange, PlantProcess
 from octarm.disturbances.plant import CyclicDrift, Drift, Mismatch, Payload, RandomMismatch
+from octarm.disturbances.varied import parse_varied
 from octarm.errors import OctarmError
 from octarm.runs.folder import read_description
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout
 from octarm.simulation.steps import StepError, fitting_step
 from octarm.sweeps.execute import sweep
-from octarm.sweeps.margin import MarginRuns, parse_varied
+from octarm.sweeps.margin import MarginRuns
 from octarm.sweeps.plan import with_step
 from octarm.sweeps.spec_file import parse_spec
 from octarm.sweeps.store import SPEC, read_sweep

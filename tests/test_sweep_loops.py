@@ -1,6 +1,6 @@
 """The sampled loops of a sweep in its report, beside what its episodes did."""
 
-import json
+import dataclasses
 from pathlib import Path
 
 import pytest
@@ -105,13 +105,16 @@ def test_rows_beyond_a_pages_are_left_out_openly(made: Path, monkeypatch):
     assert len(found.rows) == 3 and "of the first 3 of all 8" in found.caption
 
 
-def test_other_gains_than_those_of_the_sweep_are_not_taken_for_them(made: Path, monkeypatch):
-    manifest = json.loads((made / "s" / "manifest.json").read_text(encoding="utf-8"))
-    manifest["gains"]["pd"] = {**manifest["gains"]["pd"], "K_v": 1.0}
-    monkeypatch.setattr(
-        loops, "open_sweep", lambda folder: (octarm.FinishedSweep(folder).plan, manifest)
-    )
-    assert "not those that the sweep had" in rows(made)["pd", "3"].loop.reason
+def test_other_gains_than_those_of_the_sweep_are_not_taken_for_them(made: Path):
+    episodes = read_episodes(made / "s")
+    gains = episodes.manifest["gains"]
+    changed = {**gains, "pd": {**gains["pd"], "K_v": 1.0}}
+    episodes = dataclasses.replace(episodes, manifest={**episodes.manifest, "gains": changed})
+    reasons = {
+        row.controller: row.loop.reason for row in loops_of(made / "s", episodes, False).rows
+    }
+    assert "not those that the sweep had" in reasons["pd"]
+    assert reasons["smc-boundary"] == ""
 
 
 @pytest.mark.parametrize(

@@ -16,14 +16,15 @@ from octarm.arm.mjcf import nominal_parameters
 from octarm.commands.cli import main
 from octarm.commands.options import ArmOptions
 from octarm.disturbances.spelling import parse_disturbance, spelling
+from octarm.disturbances.varied import parse_varied
 from octarm.errors import OctarmError
 from octarm.fields import Quantity
+from octarm.metrics.declared import parse_bound
 from octarm.recordings.notes import notes_of
 from octarm.recordings.titles import short_title_of
 from octarm.recordings.what_differs import differences
 from octarm.references import parameters_of
 from octarm.runs.folder import read_description
-from octarm.sweeps.margin import parse_bound, parse_varied
 from octarm.sweeps.spec_file import parse_spec
 from octarm.units import ANY, number
 

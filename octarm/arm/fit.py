@@ -29,7 +29,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from octarm.arm.behaviour import Behaviour, behaviour_of
-from octarm.arm.lumped import lumped as lumped
+from octarm.arm.lumped import lumped
 from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod, check_layout
 from octarm.errors import OctarmError

@@ -32,10 +32,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from octarm.arm.kinematics import last_axis, tip
-from octarm.arm.lumped import lumped
+from octarm.arm.lumped import group_sums, lumped
 from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.arm.rod import LAYOUTS, check_layout
-from octarm.arrays import Entry, added_up
+from octarm.arrays import added_up, join
 from octarm.errors import OctarmError, closest, quoted
 
 PAPER, CENTRED = LAYOUTS
@@ -94,9 +94,7 @@ class Groups:
         if sensing not in SENSINGS:
             raise OctarmError(f"unknown sensing {quoted(sensing)}{closest(sensing, SENSINGS)}")
         groups = arm.modules
-        n = plant.modules // groups
-        sums = np.repeat(np.eye(groups), n, axis=1)
-        slides = sums if layout == PAPER else _halved_at_borders(sums)
+        slides, sums = group_sums(groups, plant.modules // groups, halved=layout == CENTRED)
         none = np.zeros_like(sums)
         matrix = np.block([[slides, none], [none, sums]])
         offset = np.zeros((*arm.rest_length.shape[:-1], 2 * groups))
@@ -146,7 +144,7 @@ class Groups:
         In the base frame: x along the hanging arm, y across it.
         """
         (x, y), (cos, sin) = tip(q), last_axis(q)
-        return _joined([x + self._beyond * cos, y + self._beyond * sin], q)
+        return join([x + self._beyond * cos, y + self._beyond * sin], q[..., :2])
 
     def each_module(self, values: np.ndarray) -> np.ndarray:
         """Values of the arm's modules, shape (..., M), for those of the plant, shape (..., N)."""
@@ -191,11 +189,8 @@ def groups_of(
 ) -> Groups | None:
     """The groups of a plant of so many modules, if that is another one than the arm itself.
 
-    Or those of the arm, if it is to be the plant of so many groups.
-
-    Raises:
-        OctarmError: if there is no such plant, or its layout or its sensing is given without a
-            number of modules.
+    Or those of the arm, if it is to be the plant of so many groups. Raises OctarmError if there is
+    no such plant, or its layout or its sensing is given without a number of modules.
     """
     if groups is not None and groups != arm.modules:
         if plant_modules is not None or layout != PAPER or arm.batch_shape:
@@ -231,15 +226,6 @@ def grouped(arm: ArmParameters, model: ArmParameters) -> int | None:
             "not groups of the arm's; one in the layout paper is needed"
         )
     return model.modules
-
-
-def _halved_at_borders(sums: np.ndarray) -> np.ndarray:
-    """The sums over groups, shape (M, N), with a half of the first slide of all but one of them."""
-    out = sums.copy()
-    for group in range(1, len(sums)):
-        first = int(np.argmax(sums[group]))
-        out[group - 1 : group + 1, first] = 0.5
-    return out
 
 
 def _elements(arm: ArmParameters, n: int) -> ArmParameters:
@@ -336,14 +322,4 @@ def _product(rows: _Rows, x: np.ndarray) -> np.ndarray:
     total = functools.reduce(np.add, parts)
     out = np.empty_like(x, shape=(*x.shape[:-1], len(total)))
     np.add(total, 0.0, out=out.T)  # so that there is no -0
-    return out
-
-
-def _joined(entries: Sequence[Entry], like: np.ndarray) -> np.ndarray:
-    """The entries as the last axis, in memory ordered like an array of shape (..., k)."""
-    if like.ndim == 1:
-        return np.array(entries)
-    out = np.empty_like(like, shape=(*like.shape[:-1], len(entries)))
-    for i, value in enumerate(entries):
-        out[..., i] = value
     return out

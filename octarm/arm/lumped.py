@@ -9,6 +9,18 @@ from octarm.arm.parameters import ArmParameters
 from octarm.errors import OctarmError
 
 
+def group_sums(groups: int, size: int, *, halved: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Sums over groups of so many modules, of slides and of hinges, shapes (M, N) [1].
+
+    Slides at the borders of groups may be shared in halves.
+    """
+    hinges = np.repeat(np.eye(groups), size, axis=1)
+    slides = hinges.copy()
+    for b in range(1, groups if halved else 1):
+        slides[b - 1 : b + 1, b * size] = 0.5
+    return slides, hinges
+
+
 def lumped(plant: ArmParameters, modules: int, layout: str = "paper") -> ArmParameters:
     """A chain of few modules, in some layout, that has the sums of a finer one's groups.
 
@@ -27,11 +39,7 @@ def lumped(plant: ArmParameters, modules: int, layout: str = "paper") -> ArmPara
             f"{modules} groups were to be made of {plant.modules} modules; "
             "their number must divide that of the modules"
         )
-    hinges = np.kron(np.eye(modules), np.ones(size))  # [group, module]
-    slides = hinges.copy()
-    if plant.tip_length > 0.0:
-        for b in range(1, modules):
-            slides[b - 1 : b + 1, b * size] = 0.5
+    slides, hinges = group_sums(modules, size, halved=bool(plant.tip_length > 0.0))
     n = plant.modules
     stiffness, damping = (
         np.diag(matrix(plant)) for matrix in (lagrange.stiffness_matrix, lagrange.damping_matrix)

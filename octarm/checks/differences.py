@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import abc
 import dataclasses
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -65,21 +64,12 @@ def origin(description: Mapping[str, Any]) -> dict[str, str]:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Comparison(abc.ABC):
+class Comparison:
     """A result that was written down beside that of a re-run, and the origins of both."""
 
     differences: tuple[Difference, ...]
     then: Mapping[str, str]
     now: Mapping[str, str]
-
-    @property
-    @abc.abstractmethod
-    def identical(self) -> bool:
-        """Whether everything came out again."""
-
-    @abc.abstractmethod
-    def lines(self) -> list[str]:
-        """The outcome, for the terminal."""
 
     def changes(self) -> list[str]:
         """Versions and properties of the machine that have changed and may change results."""

@@ -87,7 +87,8 @@ def slim_rod() -> Rod:
     Its rho I is that of a round section, rho A EI / EA.
     """
     rod = Rod(EA=3840.0)
-    return dataclasses.replace(rod, rotary_inertia=_first(rod.density) * _square(rod))
+    density, stretch, bend = _at_base(rod)
+    return dataclasses.replace(rod, rotary_inertia=density * (bend / stretch))
 
 
 def like(rod: Rod, elements: int) -> ArmParameters:
@@ -137,20 +138,18 @@ def cosserat_rod(rod: Rod, elements: int, shear: float = 1.0) -> Any:
     Its section is round, of a radius r with EI = EA r^2 / 4; rho I follows as rho A r^2 / 4, which
     is that of the default rod. Properties at the base hold all along.
     """
-    radius = 2.0 * math.sqrt(_square(rod))
+    density, stretch, bend = _at_base(rod)
+    radius = 2.0 * math.sqrt(bend / stretch)
     section = math.pi * radius**2
     x, _, z = np.eye(3)
     body = importlib.import_module("elastica").CosseratRod.straight_rod(
-        elements, 0.0 * x, x, z, rod.length, radius, _first(rod.density) / section,
-        youngs_modulus=_first(rod.EA) / section,
+        elements, 0.0 * x, x, z, rod.length, radius, density / section,
+        youngs_modulus=stretch / section,
     )  # fmt: skip
     body.shear_matrix[:2] *= shear
     return body
 
 
-def _square(rod: Rod) -> float:
-    return _first(rod.EI) / _first(rod.EA)
-
-
-def _first(profile: float | tuple[float, float]) -> float:
-    return float(np.ravel(profile)[0])
+def _at_base(rod: Rod) -> list[float]:
+    """Density, EA and EI at the base [kg/m], [N], [N m^2]."""
+    return [float(rod.at(profile)(0.0)) for profile in (rod.density, rod.EA, rod.EI)]

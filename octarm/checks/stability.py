@@ -6,14 +6,12 @@ import dataclasses
 import math
 from collections.abc import Mapping
 
-import numpy as np
-
 from octarm.arm.groups import Groups
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.summary import milliseconds
 from octarm.checks.sampled_loop import LONGEST, LinearPlant, Loop, Mode, NoSlopeError, first_mode
-from octarm.errors import OctarmError, printable
+from octarm.errors import OctarmError
 from octarm.interfaces import Controller
 
 
@@ -98,46 +96,15 @@ def _seen(loop: Loop, period: float) -> LoopAtRest:
     return LoopAtRest(period, loop.radius(period), longest, mode)
 
 
-class Stability:
-    """The loops of an arm and several controllers, about rest.
-
-    Attributes:
-        lines: the text.
-        stable: whether all that have a slope are stable.
-    """
-
-    def __init__(
-        self,
-        p: ArmParameters,
-        controllers: Mapping[str, Controller],
-        period: float,
-        groups: Groups | None = None,
-        model: str | None = None,
-    ) -> None:
-        """Computes them for a control period [s]; on the plant of groups if they are given.
-
-        The name of a model is that of what the controllers believe, which is the arm if None.
-        """
-        plant, on = linear_plant(p, groups), ""
-        if groups is not None:
-            on = f", on a plant of {groups.plant.modules} modules ({groups.layout})"
-        self.lines = [
-            f"sampled loop about rest, the model {printable(model or 'exact')}{on}",
-            f"controller          longest period  over {1e3 * period:g} ms  first to grow beyond",
-        ]
-        self.stable = True
-        for name, controller in controllers.items():
-            loop = loop_at_rest(plant, controller, period)
-            self.stable &= loop.stable
-            self.lines.append(f"{name:<18}  {loop.reason or _row(loop)}")
-            if loop.held is not None:
-                self.lines.append(f"  its state held    {_row(loop.held)}")
-        low, high = p.input_bounds(())
-        if np.any(low == 0.0) or np.any(high == 0.0):
-            self.lines.append(
-                "columns that only push, or only pull, give no force of the other sign at rest: "
-                "what is said here holds where they are under load"
-            )
+def stability_lines(loops: Mapping[str, LoopAtRest], period: float) -> list[str]:
+    """The loops of several controllers by name at a control period [s], as a table."""
+    head = f"controller          longest period  over {1e3 * period:g} ms  first to grow beyond"
+    lines = [head]
+    for name, loop in loops.items():
+        lines.append(f"{name:<18}  {loop.reason or _row(loop)}")
+        if loop.held is not None:
+            lines.append(f"  its state held    {_row(loop.held)}")
+    return lines
 
 
 def _row(loop: LoopAtRest) -> str:

@@ -50,9 +50,11 @@ class RunCheck(Comparison):
 
     @property
     def identical(self) -> bool:
+        """Whether everything came out again."""
         return not self.deviations and not self.differences and len(set(self.digests)) == 1
 
     def lines(self) -> list[str]:
+        """The outcome, for the terminal."""
         if self.identical:
             recording = ", the recording" if self.recorded else ""
             same = f"{self.rows} control instants, {self.arrays} arrays{recording} and run.json"
@@ -193,9 +195,11 @@ class EpisodeCheck(Comparison):
 
     @property
     def identical(self) -> bool:
+        """Whether everything came out again."""
         return self.between is None and not self.differences and not self.gains
 
     def lines(self) -> list[str]:
+        """The outcome, for the terminal."""
         head = f"episode {self.episode} ({self.label})"
         if self.identical:
             same = f"{head}: identical when run alone: digest, checkpoints and all measures"
@@ -223,13 +227,11 @@ def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory
     was, now = (values.pop("checkpoints") for values in (stored, again))
     for values in (stored, again):  # that an episode alone does not show again
         values.pop(engine_check.COLUMN, None)
-    spec = sweep.plan.spec
-    controller = spec.controller(arms.controller, spec.all_believed()[0], factory)
-    gains = runs.gains_of(controller)
+    gains = runs.gains_of(spec.controller(arms.controller, spec.all_believed()[0], factory))
     return EpisodeCheck(
         episode=episode,
         label=_label(sweep.plan, episode),
-        between=first_difference(was, now, sweep.plan.spec.duration),
+        between=first_difference(was, now, spec.duration),
         differences=tuple(compare(stored, again, ["wall_time"])),
         gains=tuple(compare(sweep.gains.get(arms.controller, {}), gains)),
         recorded=next(iter((sweep.path / RECORDED).glob(f"{episode}-*")), None),

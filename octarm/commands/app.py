@@ -81,9 +81,7 @@ def parse(words: Sequence[str]) -> Callable[[], int]:
     """What a command line asks for, with the modules that it needs imported; gives the exit code.
 
     Names and files that there are not are refused by the work, and nothing more is imported then.
-
-    Raises:
-        OctarmError: for a word that is not understood.
+    Raises OctarmError for a word that is not understood.
     """
     if not words:
         raise OctarmError("no command is given; octarm --help lists them")

@@ -18,7 +18,7 @@ from octarm.arm.mjcf import nominal_parameters, physics_step
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
 from octarm.arm.summary import ArmSummary
-from octarm.checks.stability import Stability, check_period
+from octarm.checks.stability import check_period, linear_plant, loop_at_rest, stability_lines
 from octarm.commands.options import LoopOptions, SourceOptions
 from octarm.declared import named
 from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
@@ -43,9 +43,7 @@ def arm(
         summary = ArmSummary.of(each)
         print("\n".join(summary.lines()))
         if loop.controller:
-            stability = _stability(each.parameters, loop, source.layout)
-            print("\n".join(stability.lines))
-            stable &= stability.stable
+            stable &= _print_stability(each.parameters, loop, source.layout)
         if write is not None:
             write_text(write, arm_toml(each))
             print(f"wrote {printable(str(write))}")
@@ -59,8 +57,8 @@ def arm(
     return ExitCode.FINE if stable or loop.control_period is None else ExitCode.CHECK_FAILED
 
 
-def _stability(p: ArmParameters, loop: LoopOptions, layout: str) -> Stability:
-    """The loops of an arm."""
+def _print_stability(p: ArmParameters, loop: LoopOptions, layout: str) -> bool:
+    """Says whether the loops of an arm are stable; whether all are that have a slope."""
     period = physics_step() if loop.control_period is None else loop.control_period
     check_period(period)
     short, _ = named((CONTROLLERS, word) for word in loop.controller)
@@ -70,14 +68,24 @@ def _stability(p: ArmParameters, loop: LoopOptions, layout: str) -> Stability:
     groups = grouped(p, model)
     chain = loop.plant_modules is not None or groups is not None
     finer = groups_of(p, loop.plant_modules, layout, groups=groups) if chain else None
-    return Stability(p, dict(zip(short, laws, strict=True)), period, finer, loop.model)
+    on = "" if finer is None else f", on a plant of {finer.plant.modules} modules ({finer.layout})"
+    print(f"sampled loop about rest, the model {printable(loop.model or 'exact')}{on}")
+    plant = linear_plant(p, finer)
+    loops = {n: loop_at_rest(plant, law, period) for n, law in zip(short, laws, strict=True)}
+    print("\n".join(stability_lines(loops, period)))
+    low, high = p.input_bounds(())
+    if np.any(low == 0.0) or np.any(high == 0.0):
+        print(
+            "columns that only push, or only pull, give no force of the other sign at rest: what "
+            "is said here holds where they are under load"
+        )
+    return all(loop.stable for loop in loops.values())
 
 
 def _arms(names: Sequence[str], source: SourceOptions) -> list[Arm]:
     """The arms that are meant; of fitted ones it prints what error remains.
 
-    Raises:
-        OctarmError: if one of them is none, cannot hang, or cannot be fitted.
+    Raises OctarmError if one of them is none, cannot hang, or cannot be fitted.
     """
     if source.from_rod is None:
         given = [*map(read_arm_file, names)] or [Arm(nominal_parameters(), "the nominal arm")]

@@ -269,7 +269,7 @@ RUN, DIR = kind("RUN"), kind("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
     _declared, ("CONTROLLER", "REFERENCE", "DISTURBANCE", "METRIC")
 )
-VARIED = _declared("DISTURBANCE", "nominal-mismatch")  # see `octarm.sweeps.margin`
+VARIED = _declared("DISTURBANCE", "nominal-mismatch")  # see `octarm.disturbances.varied`
 CALLED = _declared("CONTROLLER", known=False)
 COLUMN = _declared("METRIC", known=False)  # of the table of a sweep
 ACTUATION, INTEGRATOR, ENGINE, LAYOUT, SENSING, START = map(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +28,6 @@ from octarm.palette import look_of
 from octarm.reports.frame import Episodes
 from octarm.reports.page import number
 from octarm.runs import folder as runs
-from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec
 
 _MOST = 60  # rows of a page
@@ -162,33 +161,26 @@ def _cells(row: Row) -> list[Cell]:
 
 
 def loops_of(folder: Path, episodes: Episodes, run_code: bool) -> Loops:
-    """The loops of a sweep and of its episodes; with `run_code` those of other laws, too.
-
-    Raises OctarmError if it is no sweep.
-    """
-    plan, manifest = open_sweep(folder)
-    spec = plan.spec
+    """The loops of a sweep and of its episodes; with `run_code` those of other laws, too."""
+    spec, gains = episodes.spec, episodes.manifest["gains"]
     step = physics_step() if spec.timestep is None else float(spec.timestep)
     period = step if spec.control_period is None else spec.control_period
-    axes: dict[str, Sequence[Any]] = {
-        axis.name: axis.values if axis.words else sorted(map(float, axis.values))
-        for axis in spec.axes
-        if axis.name in _AXES
-    }
-    labels = {factor.name: factor for factor in episodes.factors if factor.name in axes}
-    reasons = {name: _left_out(folder, spec, name, manifest, run_code) for name in spec.controllers}
+    axes = [axis for axis in spec.axes if axis.name in _AXES]
+    values = [a.values if a.words else sorted(map(float, a.values)) for a in axes]
+    factors = {factor.name: factor for factor in episodes.factors}
+    reasons = {name: _left_out(folder, spec, name, gains, run_code) for name in spec.controllers}
 
     @functools.cache
     def plant(arm: str, modules: int | None, layout: str) -> LinearPlant:
         return linear_plant(spec.arm(arm), spec.groups(arm, modules, layout))
 
-    def row(places: tuple[int, ...], which: int) -> Row:
-        at = dict(zip(axes, places, strict=True))
-        value: dict[str, Any] = {name: axes[name][i] for name, i in at.items()}
-        arm, name = value.get(ARM, ""), spec.controllers[which]
-        here = episodes.controller == which
-        for axis, factor in labels.items():
-            here = here & (factor.code == at[axis])
+    def row(which: int, name: str, *places: tuple[int, Any]) -> Row:
+        value: dict[str, Any] = {a.name: x for a, (_, x) in zip(axes, places, strict=True)}
+        arm, here, where = value.get(ARM, ""), episodes.controller == which, dict[str, str]()
+        for axis, (level, _) in zip(axes, places, strict=True):
+            if factor := factors.get(axis.name):
+                here = here & (factor.code == level)
+                where[factor.title] = factor.labels[level]
         loop = LoopAtRest(period, reason=reasons[name])
         if not loop.reason:
             model = spec.believed(arm).mismatched(value.get("mismatch", 0.0))
@@ -199,19 +191,17 @@ def loops_of(folder: Path, episodes: Episodes, run_code: bool) -> Loops:
         all_of, diverged, lost = (
             int(np.sum(x[here])) for x in (here, episodes.diverged, episodes.poor)
         )
-        where = {f.title: f.labels[at[axis]] for axis, f in labels.items()}
-        name, disturbed = episodes.controllers[which], bool(spec.disturbances)
-        return Row(name, where, loop, all_of, diverged, lost, disturbed)
+        label, disturbed = episodes.controllers[which], bool(spec.disturbances)
+        return Row(label, where, loop, all_of, diverged, lost, disturbed)
 
-    places = itertools.product(*(range(len(values)) for values in axes.values()))
-    asked = itertools.product(places, range(len(spec.controllers)))
-    rows = [row(*each) for each in itertools.islice(asked, _MOST)]
-    planned = len(spec.controllers) * math.prod(len(values) for values in axes.values())
+    asked: Any = itertools.product(*map(enumerate, values), enumerate(spec.controllers))
+    rows = [row(*law, *places) for *places, law in itertools.islice(asked, _MOST)]
+    planned = len(spec.controllers) * math.prod(map(len, values))
     return Loops(rows, planned, period, any(axis.name == "mismatch" for axis in spec.random))
 
 
 def _left_out(
-    folder: Path, spec: SweepSpec, name: str, manifest: Mapping[str, Any], run_code: bool
+    folder: Path, spec: SweepSpec, name: str, gains: Mapping[str, Any], run_code: bool
 ) -> str:
     """Why nothing is said of a controller, a sentence; empty if it is what the sweep had."""
     if name in spec.code and not run_code:
@@ -222,6 +212,6 @@ def _left_out(
         law = spec.controller(name, spec.all_believed()[0], make_controller)
     except OctarmError as error:
         return printable(str(error))
-    if to_json(runs.gains_of(law)) != to_json(manifest["gains"][name]):
+    if to_json(runs.gains_of(law)) != to_json(gains[name]):
         return "its gains are not those that the sweep had"
     return ""

@@ -20,29 +20,30 @@ from octarm.commands.options import ArmOptions, MarginOptions
 from octarm.declared import Code, named, short_name
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance, spelling
+from octarm.disturbances.varied import NOMINAL, Varied, is_varied
 from octarm.errors import OctarmError
 from octarm.files import write_text
 from octarm.formats import to_json
-from octarm.metrics.declared import ACCUMULATORS
+from octarm.metrics.declared import ACCUMULATORS, parse_bound
 from octarm.metrics.table import METRICS, Catalogue
 from octarm.references import REFERENCES
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import usual_engine
 from octarm.sweeps.margin import (
-    NOMINAL,
     Attempt,
     Brackets,
     MarginRuns,
-    Varied,
-    is_varied,
     margin_of,
-    parse_bound,
     search,
     seeds_needed,
 )
 from octarm.sweeps.workers import cores
 
 _NEVER_ENOUGH = "no number of seeds has one"
+_AS_GIVEN = (
+    "reference", "duration", "settle", "timestep", "control_period", "seed", "start", "start_share",
+    "mismatch", "plant_modules", "layout", "sensing",
+)  # fmt: skip
 _NUMBERS = ("margin", "interval_low", "interval_high", "least", "median", "most")
 
 
@@ -97,24 +98,13 @@ def _runs(
         varied=varied,
         bounds=[parse_bound(text) for text in options.bound],
         disturbances=_fixed(options),
-        mismatch=model.mismatch,
         nominal=model.factors(),
-        reference=options.reference,
-        duration=options.duration,
-        settle=options.settle,
-        timestep=options.timestep,
-        control_period=options.control_period,
         engine=options.engine or usual_engine(),
         parameters=model.true_arm(),
         model=None if model.model is None else read_arm(model.model),
-        plant_modules=model.plant_modules,
-        layout=model.layout,
-        sensing=model.sensing,
-        seed=options.seed,
-        start=options.start,
-        start_share=options.start_share,
         threads=cores(),
         catalogue=metrics,
+        **{name: (vars(options) | vars(model))[name] for name in _AS_GIVEN},
     )
 
 

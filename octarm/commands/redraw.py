@@ -76,8 +76,7 @@ def compare(folders: Sequence[Path], out: Path) -> None:
 def rows_of(folder: Path) -> runs.Run:
     """The arrays of a run, as far as there are any, and its description.
 
-    Raises:
-        OctarmError: if there are none.
+    Raises OctarmError if there are none.
     """
     trajectory, description = runs.map_run(folder)
     if description["status"] == runs.RUNNING:

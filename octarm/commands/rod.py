@@ -35,12 +35,7 @@ _PEERS = {
 
 
 def validate_rod(out: Path | None, file: Path | None) -> int:
-    """`octarm validate --rod`: chains of modules against the rod that they stand for.
-
-    Args:
-        out: folder for the figures; none are drawn if None.
-        file: for the report as JSON; none if None.
-    """
+    """`octarm validate --rod`: chains of modules against their rod; figures and JSON, too."""
     with new_bar(bar_format="checking {desc}") as line:
         result = study(line.set_description_str)
     print(result, flush=True)

@@ -61,11 +61,8 @@ def _run(
     periods = whole_periods(experiment.duration, period)
     for event in (event for each in experiment.disturbances for event in each.events()):
         if event.text and event.at >= experiment.duration:
-            print(
-                f"octarm: {event.text} begins at {event.at:g} s, and the run ends at "
-                f"{experiment.duration:g} s before it",
-                file=sys.stderr,
-            )
+            begins = f"{event.text} begins at {event.at:g} s, and the run ends at"
+            print(f"octarm: {begins} {experiment.duration:g} s before it", file=sys.stderr)
     file = samples_of(recorded_word(experiment.reference, experiment.code))
     if file is not None:
         ends_at = samples_end(file, experiment.parameters.modules)

@@ -26,12 +26,8 @@ def summary(
 ) -> str:
     """What was run, what the disturbances delivered, and a table with a row a coordinate.
 
-    Args:
-        rows: number of control periods.
-        amplitude: of the desired motion, shape (2N,) [m], [rad].
-        description: the content of run.json.
-        elapsed: what it took [s].
-        code: what is not built in, by name.
+    Of so many control periods, a desired motion with amplitudes of shape (2N,) [m], [rad], what
+    run.json says, and how long it took [s].
     """
     rate = 1.0 / description["control_period"]
     simulated = rows * description["control_period"]

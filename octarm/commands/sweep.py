@@ -26,7 +26,7 @@ from octarm.simulation.start import REST
 from octarm.simulation.steps import AUTO
 from octarm.sweeps import engine_check
 from octarm.sweeps.cluster import WAIT, dask_cluster
-from octarm.sweeps.episodes import COLUMNS, FinishedSweep, record_episodes, select
+from octarm.sweeps.episodes import COLUMNS, METRIC, FinishedSweep, record_episodes, select
 from octarm.sweeps.execute import estimate
 from octarm.sweeps.execute import sweep as run_sweep
 from octarm.sweeps.plan import Plan, with_step
@@ -36,7 +36,6 @@ from octarm.sweeps.spec_file import read_spec
 from octarm.sweeps.store import RECORDED, SweepFolder, read_sweep
 from octarm.sweeps.workers import WorkerProcesses, cores
 
-_MEASURE = "tip_rms_error"  # by it episodes are worst and median ones, too
 _RECORDED = 2000  # [byte] a control period; from 1000 without signals to 4000 with rules
 
 
@@ -202,9 +201,9 @@ def _pool(options: SweepOptions, plan: Plan) -> Generator[tuple[Executor, int | 
 def _print_summary(folder: Path) -> None:
     """A row a controller; who diverged is worse than all others."""
     names, status, errors = (
-        column.to_numpy() for column in read_sweep(folder, ["controller", "status", _MEASURE])
+        column.to_numpy() for column in read_sweep(folder, ["controller", "status", METRIC])
     )
-    print(f"controller            episodes  diverged  median {_MEASURE} [mm]")
+    print(f"controller            episodes  diverged  median {METRIC} [mm]")
     for name in dict.fromkeys(names.tolist()):
         diverged = status[names == name] == "diverged"
         values = np.where(diverged, np.inf, errors[names == name])

@@ -77,9 +77,8 @@ def _sweep(folder: Path, named: Sequence[int], sample: int | None) -> bool:
 def announce(folder: Path, code: Mapping[str, Code]) -> None:
     """Says which code that is not built in is run: that of this machine's user, if it is as then.
 
-    Raises:
-        CodeChanged: if a file is not what it was, before any of them is imported.
-        OctarmError: for a file within the folder, which whoever made the folder may have written.
+    Raises CodeChanged if a file is not what it was, before any of them is imported, OctarmError for
+    a file within the folder, which whoever made the folder may have written.
     """
     for path in [word_of(name, code) for name in code]:
         if samples_of(path) is not None:

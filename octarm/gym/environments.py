@@ -46,8 +46,7 @@ class TrackEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """One control period with an action of shape (2N,) [1].
 
-        Raises:
-            OctarmError: if the episode is over.
+        Raises OctarmError if the episode is over.
         """
         if self._over:
             raise OctarmError("the episode is over; reset begins the next one")

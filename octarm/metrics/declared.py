@@ -59,8 +59,7 @@ def measured(code: Mapping[str, Code]) -> Catalogue:
 def declared_metrics(code: Mapping[str, Code]) -> dict[str, Metric]:
     """The same by name, as results remember them; no code is imported.
 
-    Raises:
-        OctarmError: if what they remember is no declaration of a metric.
+    Raises OctarmError if what they remember is no declaration of a metric.
     """
     known = dict(METRICS)
     for each in code.values():

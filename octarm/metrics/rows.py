@@ -24,8 +24,7 @@ def add_rows(total: np.ndarray, rows: np.ndarray) -> None:
 def filled(name: str, value: npt.ArrayLike, like: np.ndarray) -> np.ndarray:
     """A value as an array of the shape and memory order of a row, shape (...).
 
-    Raises:
-        OctarmError: if it does not broadcast to that shape; the sentence begins with `name`.
+    Raises OctarmError if it does not broadcast to that shape; the sentence begins with `name`.
     """
     out = np.empty_like(like)
     try:

@@ -93,10 +93,8 @@ class Metrics:
 
         The fields of `octarm.interfaces.WITHIN` say what happened at the physics steps. Without
         them a control period is one step, and what was asked for arrived. The arms of a batch may
-        share their q_d, of shape (k, 1, 2N) then.
-
-        Raises:
-            OctarmError: if a limit, the layer or the band does not fit the arms.
+        share their q_d, of shape (k, 1, 2N) then. Raises OctarmError if a limit, the layer or the
+        band does not fit the arms.
         """
         if len(rows["t"]) == 0:
             return

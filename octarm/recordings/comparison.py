@@ -27,12 +27,9 @@ def write_comparison(path: Path, *runs: Run) -> None:
     """Writes two runs or more as one recording, whole or not at all; they appear as A, B and so on.
 
     They share the time. Where another one has no row at an instant of the first, its error is
-    interpolated; the difference ends where the shorter run ends.
-
-    Raises:
-        OctarmError: if the numbers of modules differ, a run has no rows, or rerun does not take
-            the data.
-        OSError: if the file cannot be written.
+    interpolated; the difference ends where the shorter run ends. Raises OctarmError if the numbers
+    of modules differ, a run has no rows, or rerun does not take the data, OSError if the file
+    cannot be written.
     """
     check_comparable([trajectory for trajectory, _ in runs])
     names = labels(len(runs))

@@ -17,10 +17,8 @@ def contents(path: Path) -> dict[str, pa.Array]:
     """All values by entity and component, the times `t` of an entity among them.
 
     Rows come in the order in which they were recorded; of static values these are the last ones.
-    Left out are the layout of the viewer, and the table of versions in the notes.
-
-    Raises:
-        OctarmError: if the file is not a recording.
+    Left out are the layout of the viewer, and the table of versions in the notes. Raises
+    OctarmError if the file is not a recording.
     """
     parts: dict[str, list[pa.Array]] = {}
     try:

@@ -24,10 +24,8 @@ def rrd_file(path: Path, application: str = "octarm") -> Generator[rr.RecordingS
 
     It is `PATH.part` until the block ends well; if the process is killed it stays, readable up to
     the last flush. Recordings of one application share a layout in the viewer, with its titles.
-
-    Raises:
-        OSError: if the file cannot be written.
-        OctarmError: if rerun does not take the data, or is switched off by RERUN=off.
+    Raises OSError if the file cannot be written, OctarmError if rerun does not take the data, or is
+    switched off by RERUN=off.
     """
     if os.environ.get("RERUN", "on").lower() in ("0", "off", "false"):
         raise OctarmError(f"{path} cannot be recorded: RERUN={os.environ['RERUN']} is set")
@@ -87,8 +85,7 @@ def time_axes(path: Path) -> list[str]:
 def last_instant(path: Path) -> float:
     """The last instant of a recording [s].
 
-    Raises:
-        OctarmError: if the file is not a recording, or has no instants.
+    Raises OctarmError if the file is not a recording, or has no instants.
     """
     ends = [t.max() for _, _, t in _temporal(path)]
     if not ends:
@@ -99,10 +96,8 @@ def last_instant(path: Path) -> float:
 def telling_instant(path: Path) -> float:
     """The instant at which a recording says most [s].
 
-    It is the one of the largest bend, or the last one of a run that diverged.
-
-    Raises:
-        OctarmError: if the file is not a recording, or has no instants.
+    It is the one of the largest bend, or the last one of a run that diverged. Raises OctarmError if
+    the file is not a recording, or has no instants.
     """
     end, largest, telling = last_instant(path), -1.0, 0.0
     for entity, batch, t in _temporal(path):

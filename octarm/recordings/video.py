@@ -30,10 +30,8 @@ _SOLIDS = 4000  # at most in a picture
 def choose_renderer() -> None:
     """Sets MUJOCO_GL to the library that is installed, EGL before OSMesa, unless it is set.
 
-    MuJoCo reads it when it is imported; a display is not used.
-
-    Raises:
-        OctarmError: if there is neither library.
+    MuJoCo reads it when it is imported; a display is not used. Raises OctarmError if there is
+    neither library.
     """
     if os.environ.get("MUJOCO_GL") or sys.platform != "linux":
         return

@@ -44,8 +44,7 @@ Name = str | os.PathLike[str]
 def open_viewer(paths: Iterable[Name]) -> None:
     """Shows `.rrd` files in a window, and returns when it is closed.
 
-    Raises:
-        OctarmError: if a file does not exist, there is no display, or the viewer fails.
+    Raises OctarmError if a file does not exist, there is no display, or the viewer fails.
     """
     files = [_existing(path) for path in paths]
     check_display("--screenshot FILE.png makes a picture without one")
@@ -99,10 +98,8 @@ def serve(paths: Iterable[Name], ready: Callable[[str], object]) -> None:
     """Serves `.rrd` files to a browser on this machine, and returns when it is interrupted.
 
     All that the page needs comes from the installed package, and a browser may fetch from this
-    machine only. `ready` is called with the address to open.
-
-    Raises:
-        OctarmError: if a file does not exist, or the server fails.
+    machine only. `ready` is called with the address to open. Raises OctarmError if a file does not
+    exist, or the server fails.
     """
     files, port = [_existing(path) for path in paths], _free_port()
     with _running(["--serve-web", "--web-viewer-port", str(port), *files]) as viewer:
@@ -165,10 +162,8 @@ def screenshot(
 def rescue(partial: Name, path: Name) -> None:
     """Writes what can be read of a recording that was not finished as one that is.
 
-    Its plots show the time that there is rather than the time that was planned.
-
-    Raises:
-        OctarmError: if nothing can be read.
+    Its plots show the time that there is rather than the time that was planned. Raises OctarmError
+    if nothing can be read.
     """
     from octarm.recordings.rrd import last_instant, time_axes  # imports rerun: half a second
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octarm.metrics.metric import SETTLED_AFTER, unsettled
+from octarm.metrics.metric import unsettled
 from octarm.reports.comparisons import partners
 from octarm.reports.factors import Factor
 from octarm.reports.frame import Episodes
@@ -48,8 +48,7 @@ def _unfinished(episodes: Episodes) -> Iterator[Remark]:
             yield Remark(True, f"No episode of {name} is finished.")
     if episodes.absent:
         names = ", ".join(episodes.absent)
-        spec = episodes.manifest["spec"]
-        why = unsettled(spec["duration"], spec.get("settle", SETTLED_AFTER), "settle =")
+        why = unsettled(episodes.spec.duration, episodes.spec.settle, "settle =")
         left_out = f"No {episodes.with_values} has a value of {names}: left out"
         yield Remark(False, f"{left_out}{why and f', since {why}'}.")
 
@@ -142,7 +141,7 @@ def _is_idle(episodes: Episodes, factor: Factor, rows: np.ndarray) -> bool:
 
 def _seeds(episodes: Episodes) -> Iterator[Remark]:
     """Seeds that are few, or all the same."""
-    count, planned = len(np.unique(episodes.seed)), episodes.manifest["spec"]["episodes"]
+    count, planned = len(np.unique(episodes.seed)), episodes.spec.episodes
     if count < _FEW:
         seeds = "one seed" if count == 1 else f"{count} seeds"
         if count < planned:

@@ -5,16 +5,13 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from octarm.declared import Code
-from octarm.disturbances.spelling import DISTURBANCES
-from octarm.errors import OctarmError, printable
-from octarm.fields import field_kinds
-from octarm.sweeps.spec import which
+from octarm.errors import printable
+from octarm.sweeps.spec import Axis, SweepSpec
+from octarm.sweeps.spec_file import range_of
 
 LONGEST = 60  # characters of a name in tables and figures
 _FEWEST, _MOST_RANGES = 4, 6  # values in a range of a drawn factor, and ranges
@@ -52,31 +49,26 @@ class Factor:
 
 
 def factors_of(
-    held: Mapping[str, np.ndarray],
-    spec: Mapping[str, Any],
-    names: Sequence[str],
-    declared: Mapping[str, Code],
+    held: Mapping[str, np.ndarray], spec: SweepSpec, axes: Sequence[Axis]
 ) -> list[Factor]:
-    """The factors that take more than one value, given columns of shape (n,)."""
+    """The factors that take more than one value, of some axes, given columns of shape (n,)."""
     factors: list[Factor] = []
-    for name in names:
-        column, title = held[name], printable(name, LONGEST)
-        unit = _unit(name, declared)
+    for axis in axes:
+        column, title = held[axis.name], printable(axis.name, LONGEST)
+        numbers = range_of(axis, spec.code)
+        unit = "" if numbers is None else numbers.unit
         size, unit = (100.0, "%") if unit == "1" else (1.0, unit)
-        if f"random.{name}" in spec:
+        if axis.method:
             factors += _drawn(title, size, unit, column)
             continue
-        values = np.array(spec[f"grid.{name}"])
+        values = np.array(axis.values)
         if len(values) < 2:
             continue
-        words = column.dtype.kind != "f"
         levels = labels = tuple(printable(str(value), LONGEST) for value in values.tolist())
-        if not words:
-            if values.dtype.kind not in "if":
-                raise OctarmError(f"the manifest of the sweep has words for values of {name}")
+        if not axis.words:
             values = np.sort(values.astype(float))
             levels, labels = (tuple(f"{k * v:g}" for v in values) for k in (1.0, size))
-        scaled = not words and bool(np.isfinite(values).all())
+        scaled = not axis.words and bool(np.isfinite(values).all())
         place = size * values if scaled else np.arange(len(values))
         code = places(column, values)
         factors.append(Factor(title, unit, levels, labels, place, scaled, drawn=False, code=code))
@@ -97,22 +89,6 @@ def _drawn(name: str, size: float, unit: str, column: np.ndarray) -> list[Factor
     )
     middles = size * np.array([np.median(column[code == i]) for i in range(bins)])
     return [Factor(name, unit, levels, labels, middles, scaled=True, drawn=True, code=code)]
-
-
-def _unit(factor: str, code: Mapping[str, Code]) -> str:
-    """The unit of a disturbance's field; empty for words."""
-    name, _, key = factor.removeprefix("disturbance.").partition(".")
-    kind = which(name)[0]
-    if factor == "mismatch":
-        return "1"
-    if kind not in (*DISTURBANCES, *code):
-        return ""
-    if kind in code:
-        units = {name: str(said["unit"]) for name, said in code[kind].declares.items()}
-    else:
-        kinds = field_kinds(DISTURBANCES[kind])
-        units = {kind.key or field: kind.unit for field, kind in kinds.items()}
-    return units.get(key or next(iter(units), ""), "")
 
 
 def places(column: np.ndarray, values: npt.ArrayLike) -> np.ndarray:

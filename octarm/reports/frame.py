@@ -74,7 +74,8 @@ class Episodes:
     time that never came: dropping them would favour the controller that loses the hard episodes.
 
     Attributes:
-        manifest: of the sweep.
+        spec: of the sweep.
+        manifest: likewise.
         controllers: in the order of the spec.
         factors: those that take more than one value.
         measures: those that were asked for and have a value.
@@ -93,6 +94,7 @@ class Episodes:
             arm that were run again, shape (k,) [m].
     """
 
+    spec: SweepSpec
     manifest: Mapping[str, Any]
     controllers: tuple[str, ...]
     factors: tuple[Factor, ...]
@@ -143,25 +145,22 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
     it is no sweep, has no finished episode, or a metric is unknown or has no value in any episode.
     """
     plan, manifest = open_sweep(folder)
-    spec = manifest["spec"]
-    code = plan.spec.code
-    controllers = tuple(spec["grid.controller"])
-    names = [key.partition(".")[2] for key in spec if key.startswith(("grid.", "random."))]
-    names.remove("controller")
+    spec, code = plan.spec, plan.spec.code
+    axes = [axis for axis in (*spec.axes, *spec.random) if axis.name != "controller"]
     schema = read_schema(folder)
     known = declared_metrics(code)
     columns = [column for field in schema if (column := _column(field, known)) is not None]
     words = [name for word in metrics or DEFAULT for name in _metrics_of(word, code)]
-    wanted = {name: _measures(name, columns, plan.spec, known) for name in words}
+    wanted = {name: _measures(name, columns, spec, known) for name in words}
     asked = [measure for measures in wanted.values() for measure in measures]
     errors = [column for column in columns if column.metric == "rms_error"]
-    needed = ["controller", "seed", "status", "digest", *names, *(e.name for e in errors)]
+    needed = ["controller", "seed", "status", "digest", *(x.name for x in (*axes, *errors))]
     needed += [name for name in (engine_check.COLUMN,) if name in schema.names]
     for measure in asked:
         needed += [*measure.columns, *(name for name in _awaited(measure) if name in schema.names)]
     table = read_sweep(folder, [*dict.fromkeys(needed)])
     held = {name: table[name].to_numpy() for name in table.column_names}
-    controller = places(held["controller"], controllers)
+    controller = places(held["controller"], spec.controllers)
     diverged = held["status"] == "diverged"
     absent = [name for name, measures in wanted.items() if not measures]
     values: dict[Measure, np.ndarray] = {}
@@ -177,17 +176,17 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
                 f"all finished episodes of {folder} diverged; there is nothing to report of them"
             )
         why = "its controllers do not have it, or all episodes diverged of those that have it"
-        why = unsettled(plan.spec.duration, plan.spec.settle, "settle =") or why
+        why = unsettled(spec.duration, spec.settle, "settle =") or why
         raise OctarmError(
             f"{folder} has no value of {', '.join(absent)} in any finished episode; {why}"
         )
-    lost, poor, exact = _suspects(held, errors, plan.spec)
-    factors = factors_of(held, spec, names, code)
+    lost, poor, exact = _suspects(held, errors, spec)
     apart = held.get(engine_check.COLUMN, np.empty(0))
     return Episodes(
+        spec=spec,
         manifest=manifest,
-        controllers=tuple(printable(name, LONGEST) for name in controllers),
-        factors=tuple(factors),
+        controllers=tuple(printable(name, LONGEST) for name in spec.controllers),
+        factors=tuple(factors_of(held, spec, axes)),
         measures=tuple(values),
         absent=tuple(absent),
         controller=controller,

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octarm.html import Cell, Table, templates
-from octarm.metrics.metric import SETTLED_AFTER
 from octarm.palette import look_of
 from octarm.reports.charts import Scale, scales_of
 from octarm.reports.comparisons import Comparisons, Difference, Group
@@ -60,7 +59,7 @@ def page(
         of_loops=of_loops,
         seeds=len(np.unique(comparisons.episodes.seed)),
         fewest=FEWEST,
-        settled_after=f"{manifest['spec'].get('settle', SETTLED_AFTER):g}",
+        settled_after=f"{comparisons.episodes.spec.settle:g}",
         machines="; ".join(dict.fromkeys(machines)),
         gains="\n".join(gains),
     )

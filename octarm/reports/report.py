@@ -11,7 +11,6 @@ from octarm.reports.comparisons import Comparisons, compare
 from octarm.reports.consistency import Remark, remarks
 from octarm.reports.frame import read_episodes
 from octarm.reports.page import Tables
-from octarm.sweeps.manifest import open_sweep
 
 
 class Report(NamedTuple):
@@ -40,7 +39,8 @@ def report(sweep: str | Path, baseline: str | None = None, metrics: Sequence[str
 
     Args:
         sweep: folder of the sweep.
-        baseline: controller that the others are compared with; the spec's first one if None.
+        baseline: controller that the others are compared with, or its MODULE:NAME or FILE.py:NAME;
+            the spec's first one if None.
         metrics: names of metrics, or of columns of the sweep's table; the usual ones if empty.
 
     Raises:
@@ -48,11 +48,6 @@ def report(sweep: str | Path, baseline: str | None = None, metrics: Sequence[str
     """
     folder = Path(sweep)
     episodes = read_episodes(folder, metrics)
-    called = None if baseline is None else _called(baseline, folder)
+    names = {each.path: name for name, each in episodes.spec.code.items()}
+    called = None if baseline is None else names.get(baseline, baseline)
     return Report(folder.resolve().name, compare(episodes, called), remarks(episodes))
-
-
-def _called(controller: str, sweep: Path) -> str:
-    """The name of a controller in a sweep, given that or MODULE:NAME or FILE.py:NAME."""
-    code = open_sweep(sweep)[0].spec.code
-    return next((name for name, each in code.items() if each.path == controller), controller)

@@ -79,8 +79,7 @@ class Archive:
     def save(self, path: str | os.PathLike[str], ending: Ending) -> None:
         """Writes the `.npz`, whole or not at all, the same bytes as `Trajectory.save` would.
 
-        Raises:
-            FileError: if it cannot be written.
+        Raises FileError if it cannot be written.
         """
         with whole_file(path) as part, zipfile.ZipFile(part, "w") as file:
             for name, (first, *_) in (self._blocks[0][1].fields or {}).items():
@@ -117,8 +116,7 @@ class Archive:
 def read_blocks(path: str | os.PathLike[str]) -> Trajectory:
     """What an `Archive` had added when its process was killed; the status is `interrupted`.
 
-    Raises:
-        OctarmError: if there is no whole block.
+    Raises OctarmError if there is no whole block.
     """
     blocks: list[dict[str, np.ndarray]] = []
     # At the end, or amid a block; what is no block raises errors of any kind.

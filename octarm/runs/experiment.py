@@ -14,10 +14,9 @@ from typing import Any, Protocol
 import numpy as np
 from dm_control.rl import control
 
-from octarm.arm.groups import PAPER, SUMS, Groups, grouped
+from octarm.arm.groups import PAPER, SUMS, Groups
 from octarm.arm.parameters import ArmParameters
 from octarm.declared import Code, word_of
-from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.ledger import Ledger, asked
 from octarm.disturbances.spelling import from_entry
 from octarm.errors import OctarmError, closest, quoted
@@ -34,10 +33,9 @@ from octarm.runs.archive import Archive
 from octarm.runs.description import REPEATED, USUAL, Description, unusual
 from octarm.runs.place import new_folder
 from octarm.runs.versions import host, versions
-from octarm.simulation.engines import MUJOCO
-from octarm.simulation.environment import load, whole_periods
+from octarm.simulation.environment import whole_periods
 from octarm.simulation.rollout import ArmRecorder, Observer, copied
-from octarm.simulation.start import REST, SHARE
+from octarm.simulation.setup import Setup
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.task import TrackingTask
 from octarm.simulation.trajectory import Ending, Trajectory, joined
@@ -68,13 +66,12 @@ OpenRecording = Callable[
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Experiment:
+class Experiment(Setup):
     """All that a run of one arm depends on; see `octarm.load` for what is not said here.
 
     Attributes:
         gains: those that the factory of controllers is given.
         nominal: the model of the arm that the controller is given.
-        parameters: the true arm; it is controlled in groups if it has more modules than the model.
         spawn_key: of the `SeedSequence` that has this seed; empty but for episodes of sweeps.
         duration: of the run [s].
         settle: when metrics of the steady regime begin [s].
@@ -84,23 +81,10 @@ class Experiment:
     controller: str
     gains: Mapping[str, Any]
     nominal: ArmParameters
-    parameters: ArmParameters
-    reference: str
-    disturbances: tuple[Disturbance, ...] = ()
     seed: int = 0
     spawn_key: tuple[int, ...] = ()
     duration: float
     settle: float = SETTLED_AFTER
-    timestep: float | str | None = None
-    control_period: float | None = None
-    actuation: str = "f-coeff"
-    integrator: str = "rk4"
-    engine: str = MUJOCO
-    plant_modules: int | None = None
-    layout: str = PAPER
-    start: str = REST
-    start_share: float = SHARE
-    sensing: str = SUMS
     code: Mapping[str, Code] = dataclasses.field(default_factory=dict[str, Code])
 
     def begin(self, factory: ControllerFactory) -> tuple[control.Environment, Controller]:
@@ -112,23 +96,8 @@ class Experiment:
         seed = self.seed
         if self.spawn_key:
             seed = np.random.SeedSequence(self.seed, spawn_key=self.spawn_key)
-        environment = load(
-            recorded_word(self.reference, self.code),
-            disturbances=self.disturbances,
-            parameters=self.parameters,
-            timestep=self.timestep,
-            control_period=self.control_period,
-            actuation=self.actuation,
-            seed=seed,
-            integrator=self.integrator,
-            engine=self.engine,
-            plant_modules=self.plant_modules,
-            layout=self.layout,
-            start=self.start,
-            start_share=self.start_share,
-            sensing=self.sensing,
-            groups=grouped(self.parameters, self.nominal),
-        )
+        reference = recorded_word(self.reference, self.code)
+        environment = self.load(self.nominal, reference=reference, seed=seed)
         controller = word_of(self.controller, self.code)
         return environment, factory(controller, self.nominal, self.gains)
 

@@ -25,12 +25,12 @@ from octarm.simulation.start import REST, SHARE, Start
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.steps import (
     AUTO,
+    Possible,
     check_integrator,
     check_period,
     fitting_step,
     integrator_of,
     step_check,
-    steps_of,
 )
 from octarm.simulation.task import TrackingTask
 
@@ -156,7 +156,7 @@ def load(
         if timestep != AUTO:
             raise OctarmError(f"timestep is {timestep!r}; it must be a number [s], or {AUTO!r}")
         axes = () if batch is None else (batch,)
-        steps = steps_of(true, made, seeds, axes, integrator, seen)
+        steps = Possible(true, made, seeds, axes, seen).longest_steps(integrator)
         timestep, control_period = fitting_step(float(np.min(steps)), control_period)
     forces = ACTUATIONS[actuation](true.widths)
     if engine == LAGRANGE:
@@ -234,8 +234,7 @@ def _check_rest(physics: AnyPhysics) -> None:
 def whole_periods(duration: float, period: float) -> int:
     """Number of control periods [1] that cover a duration [s]; at least one.
 
-    Raises:
-        OctarmError: unless the duration is positive and at most 1e9 periods.
+    Raises OctarmError unless the duration is positive and at most 1e9 periods.
     """
     if not duration > 0.0:
         raise OctarmError(f"duration is {duration:g} s; it must be positive")

@@ -96,8 +96,7 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
     def step(self, nstep: int = 1) -> None:
         """Advances by `nstep` physics steps; see `AnyPhysics.step`.
 
-        Raises:
-            PhysicsError: when MuJoCo reports a bad state; the state is never reset.
+        Raises PhysicsError when MuJoCo reports a bad state; the state is never reset.
         """
         with self.exclusive:
             before = self._warnings.tolist()

@@ -23,8 +23,7 @@ class Policy:
     def __init__(self, environment: control.Environment, controller: Controller) -> None:
         """A policy for an environment of `octarm.load`.
 
-        Raises:
-            OctarmError: if one of the two is something else.
+        Raises OctarmError if one of the two is something else.
         """
         check_simulation(environment, controller, 1.0)
         self._physics: AnyPhysics = environment.physics
@@ -35,8 +34,7 @@ class Policy:
     def __call__(self, timestep: dm_env.TimeStep) -> np.ndarray:
         """The input forces tau, shape (..., 2N) [N]; zero where the controller's are not finite.
 
-        Raises:
-            OctarmError: if the controller's force has a wrong shape.
+        Raises OctarmError if the controller's force has a wrong shape.
         """
         seen = timestep.observation
         if timestep.first():

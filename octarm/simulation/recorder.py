@@ -92,8 +92,7 @@ class Recorder:
     def row(self, instant: Instant) -> dict[str, np.ndarray]:
         """The recorded fields of one instant, each of shape (...).
 
-        Raises:
-            OctarmError: if a signal has the name of another field.
+        Raises OctarmError if a signal has the name of another field.
         """
         batched = instant.q.ndim > 1  # a reference may be the same for all arms
         q_d, v_d = instant.reference.q, instant.reference.v
@@ -127,8 +126,7 @@ class Recorder:
     def add_field(row: dict[str, np.ndarray], name: str, value: np.ndarray) -> None:
         """Adds a field, shape (...), to a row.
 
-        Raises:
-            OctarmError: if the record has one of this name.
+        Raises OctarmError if the record has one of this name.
         """
         if name in row or name in Ending._fields:
             raise OctarmError(

@@ -44,8 +44,7 @@ class Start:
     def of(cls, arm: ArmParameters, kind: str, share: float) -> Start | None:
         """The start of a kind, of arms with or without a batch axis; None for the arm at rest.
 
-        Raises:
-            OctarmError: for an unknown kind, or a share that is not above 0 and at most 1.
+        Raises OctarmError for an unknown kind, or a share that is not above 0 and at most 1.
         """
         if kind not in STARTS:
             raise OctarmError(f"unknown start {quoted(kind)}{closest(kind, STARTS)}")

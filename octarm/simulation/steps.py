@@ -11,6 +11,7 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -98,68 +99,49 @@ def _rounded_down(x: float) -> float:
     return math.floor(x / unit * (1.0 + 1e-12)) * unit
 
 
-def steps_of(
-    arm: ArmParameters,
-    disturbances: Sequence[Disturbance],
-    seeds: Sequence[np.random.SeedSequence],
-    batch_shape: tuple[int, ...],
-    integrator: str,
-    groups: Groups | None = None,
-) -> np.ndarray:
-    """The longest stable step of each arm of an episode, shape (...) [s]; see `check_arms`."""
-    longest: list[np.ndarray] = []
+class Possible(NamedTuple):
+    """The arms that episodes may have: an arm, or one of each batch place, as disturbances make it.
 
-    def look(rest: np.ndarray, arms: ArmParameters) -> None:
-        longest.append(longest_step(arms, rest, integrator))
-
-    _survey(look, arm, disturbances, seeds, batch_shape, groups)
-    return functools.reduce(np.minimum, longest, np.full(batch_shape, np.inf))
-
-
-def check_arms(
-    arm: ArmParameters,
-    disturbances: Sequence[Disturbance],
-    seeds: Sequence[np.random.SeedSequence],
-    batch_shape: tuple[int, ...],
-    integrator: str,
-    timestep: float | None,
-    groups: Groups | None = None,
-) -> None:
-    """Raises StepError if a step [s] is too long for an arm of an episode, see `Episode`.
-
-    Of the disturbances those count that change the arm. The step is that of `models/octarm.xml` if
-    None.
+    Of the disturbances those count that change the arm; see `octarm.disturbances.episode.Episode`.
     """
-    step = physics_step() if timestep is None else timestep
 
-    def look(rest: np.ndarray, arms: ArmParameters) -> None:
-        _check(rest, step, integrator, arms)
+    arm: ArmParameters
+    disturbances: Sequence[Disturbance]
+    seeds: Sequence[np.random.SeedSequence]
+    batch_shape: tuple[int, ...]
+    groups: Groups | None = None
 
-    _survey(look, arm, disturbances, seeds, batch_shape, groups)
+    def longest_steps(self, integrator: str) -> np.ndarray:
+        """The longest stable step of each arm, shape (...) [s]."""
+        longest: list[np.ndarray] = []
 
+        def look(rest: np.ndarray, arms: ArmParameters) -> None:
+            longest.append(longest_step(arms, rest, integrator))
 
-def _survey(
-    look: Callable[[np.ndarray, ArmParameters], None],
-    arm: ArmParameters,
-    disturbances: Sequence[Disturbance],
-    seeds: Sequence[np.random.SeedSequence],
-    batch_shape: tuple[int, ...],
-    groups: Groups | None,
-) -> None:
-    """Looks at every plant that an episode may have, with where the undisturbed ones hang."""
-    rest = equilibrium(arm if groups is None else groups.plant)
-    q = rest if groups is None else groups.measured(rest)
-    still = Reference(q, np.zeros_like(q), np.zeros_like(q))
-    episode = Episode(
-        parameters=arm,
-        timestep=physics_step(),
-        reference=lambda t: still,
-        seeds=seeds,
-        batch_shape=batch_shape,
-        check_arm=functools.partial(look, rest),
-        groups=groups,
-    )
-    ActiveDisturbances([d for d in disturbances if isinstance(d, PlantChange)], episode)
+        self._survey(look)
+        return functools.reduce(np.minimum, longest, np.full(self.batch_shape, np.inf))
+
+    def check(self, integrator: str, timestep: float | None) -> None:
+        """Raises StepError if a step [s], that of `models/octarm.xml` if None, is too long."""
+        step = physics_step() if timestep is None else timestep
+        self._survey(lambda rest, arms: _check(rest, step, integrator, arms))
+
+    def _survey(self, look: Callable[[np.ndarray, ArmParameters], None]) -> None:
+        """Looks at every plant that there may be, with where the undisturbed ones hang."""
+        arm, disturbances, seeds, batch_shape, groups = self
+        rest = equilibrium(arm if groups is None else groups.plant)
+        q = rest if groups is None else groups.measured(rest)
+        still = Reference(q, np.zeros_like(q), np.zeros_like(q))
+        episode = Episode(
+            parameters=arm,
+            timestep=physics_step(),
+            reference=lambda t: still,
+            seeds=seeds,
+            batch_shape=batch_shape,
+            check_arm=functools.partial(look, rest),
+            groups=groups,
+        )
+        ActiveDisturbances([d for d in disturbances if isinstance(d, PlantChange)], episode)
 
 
 def fitting_step(longest: float, control_period: float | None) -> tuple[float, float]:

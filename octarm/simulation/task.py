@@ -99,10 +99,8 @@ class TrackingTask(control.Task):
     def initialize_episode(self, physics: AnyPhysics) -> None:
         """The arm hangs still, as it does undisturbed, or where the start is drawn.
 
-        What changes it acts from here on.
-
-        Raises:
-            OctarmError: if the number of the episode is not a whole one, at least 0.
+        What changes it acts from here on. Raises OctarmError if the number of the episode is not a
+        whole one, at least 0.
         """
         try:
             index = operator.index(self.next_episode)

@@ -187,8 +187,7 @@ class Trajectory:
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Trajectory:
         """A trajectory of all that `save` writes, by name: rows of shape (T, ...), and the ending.
 
-        Raises:
-            OctarmError: if something is missing, is no number or no text, or has a wrong shape.
+        Raises OctarmError if something is missing, is no number or no text, or has a wrong shape.
         """
         if missing := {*_ARRAYS, *Ending._fields[1:]} - arrays.keys():
             raise OctarmError(f"there is no array {' and no '.join(sorted(missing))}")
@@ -212,8 +211,7 @@ class Trajectory:
     def from_rows(cls, rows: Rows, ending: Ending) -> Trajectory:
         """A trajectory of rows, see `octarm.interfaces.Rows`.
 
-        Raises:
-            KeyError: if a field is missing that every run has.
+        Raises KeyError if a field is missing that every run has.
         """
         fields = {name: rows[name] for name in _ARRAYS}
         signals = {name: array for name, array in rows.items() if name not in fields}

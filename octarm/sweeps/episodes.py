@@ -21,6 +21,7 @@ from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
 from octarm.simulation.trajectory import Trajectory
 from octarm.sweeps.manifest import open_sweep
+from octarm.sweeps.plan import setup_of
 from octarm.sweeps.store import RECORDED, read_row
 
 METRIC = "tip_rms_error"  # one number an arm: by it episodes are the worst or the median ones
@@ -74,24 +75,12 @@ class FinishedSweep:
             controller=arms.controller,
             gains=spec.gains.get(arms.controller, {}),
             nominal=spec.believed(arms.arm).mismatched(arms.mismatch),
-            parameters=spec.arm(arms.arm),
-            reference=arms.reference,
-            disturbances=arms.disturbances,
             seed=spec.seed,
             spawn_key=tuple(seed.spawn_key),
             duration=spec.duration,
             settle=spec.settle,
-            timestep=spec.timestep,
-            control_period=spec.control_period,
-            actuation=spec.actuation,
-            integrator=spec.integrator,
-            engine=spec.engine,
-            plant_modules=arms.plant_modules,
-            layout=arms.layout,
-            start=spec.start,
-            start_share=spec.start_share,
-            sensing=arms.sensing,
             code=spec.code,
+            **vars(setup_of(spec, arms)),
         )
 
     def begin(

@@ -19,24 +19,15 @@ import numpy.typing as npt
 from dm_control.rl import control
 from scipy.stats import binom
 
-from octarm.arm.groups import PAPER, SUMS, grouped
-from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
-from octarm.disturbances.episode import Disturbance
-from octarm.disturbances.varied import NOMINAL as NOMINAL
-from octarm.disturbances.varied import Varied as Varied
-from octarm.disturbances.varied import is_varied as is_varied
-from octarm.disturbances.varied import parse_varied as parse_varied
-from octarm.disturbances.varied import usual_range as usual_range
+from octarm.disturbances.varied import NOMINAL, Varied
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import Controller, ControllerFactory
 from octarm.memory import check_batch
-from octarm.metrics.declared import parse_bound as parse_bound
 from octarm.metrics.metric import SETTLED_AFTER, unsettled
 from octarm.metrics.table import METRICS, Catalogue
 from octarm.simulation.engines import usual_engine
-from octarm.simulation.environment import load
-from octarm.simulation.start import REST, SHARE
+from octarm.simulation.setup import Setup
 from octarm.sweeps.progress import arm_seconds
 from octarm.sweeps.shards import measure
 
@@ -174,7 +165,7 @@ _NEVER = ("settling_time", "reaching_time")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class MarginRuns:
+class MarginRuns(Setup):
     """Runs of one controller with other values of what varies, seed by seed; see `Try`.
 
     The seeds are those of a sweep with the same `seed`, and the same for every controller and
@@ -183,35 +174,25 @@ class MarginRuns:
     Attributes:
         factory: makes the controller from its nominal model.
         bounds: metrics, and what their absolute values may be at most, all of them.
-        disturbances: what acts in addition.
+        disturbances: what acts in addition; `engine` is the fastest that is installed if not given.
         mismatch: of the controller's nominal model [1].
         nominal: further factors on parameters of that model, by name, each likewise [1].
         duration: of a run [s].
         settle: when metrics of the steady regime begin [s].
-        parameters: the true arm, and the controller's model of it but for its errors.
+        model: what the controller believes but for errors; the true arm if None.
         progress: called with the seconds that were simulated since the last call, all arms counted.
     """
 
     factory: ControllerFactory
     varied: Varied
     bounds: Sequence[tuple[str, float]]
-    disturbances: Sequence[Disturbance] = ()
     mismatch: float = 0.0
     nominal: Mapping[str, npt.ArrayLike] = dataclasses.field(default_factory=dict[str, float])
-    reference: str = "sine"
     duration: float = 6.0
     settle: float = SETTLED_AFTER
-    timestep: float | str | None = None
-    control_period: float | None = None
     engine: str = dataclasses.field(default_factory=usual_engine)
-    parameters: ArmParameters = dataclasses.field(default_factory=nominal_parameters)
     model: ArmParameters | None = None
-    plant_modules: int | None = None
-    layout: str = PAPER
-    sensing: str = SUMS
     seed: int = 0
-    start: str = REST
-    start_share: float = SHARE
     threads: int = 1
     catalogue: Catalogue = dataclasses.field(default_factory=lambda: METRICS)
     progress: Callable[[float], object] = lambda seconds: None
@@ -271,22 +252,12 @@ class MarginRuns:
     ) -> tuple[control.Environment, Controller]:
         values = self.varied.at(shares)
         model = self.parameters if self.model is None else self.model
-        environment = load(
-            self.reference,
+        environment = self.load(
+            model,
             disturbances=[*self.disturbances, *self.varied.of(values)],
             batch=len(seeds),
             seed=[np.random.SeedSequence(self.seed, spawn_key=(i,)) for i in seeds.tolist()],
-            timestep=self.timestep,
-            control_period=self.control_period,
             threads=self.threads,
-            engine=self.engine,
-            parameters=self.parameters,
-            plant_modules=self.plant_modules,
-            layout=self.layout,
-            sensing=self.sensing,
-            start=self.start,
-            start_share=self.start_share,
-            groups=grouped(self.parameters, model),
         )
         mismatch = values if self.varied.name == NOMINAL else self.mismatch
         believed = model.mismatched(mismatch).scaled(**self.nominal)

@@ -21,7 +21,8 @@ from octarm.disturbances.streams import stream
 from octarm.errors import OctarmError
 from octarm.fields import Amount, Quantity, field_kinds
 from octarm.memory import check_memory
-from octarm.simulation.steps import AUTO, StepError, check_arms, fitting_step, steps_of
+from octarm.simulation.setup import Setup
+from octarm.simulation.steps import AUTO, Possible, StepError, fitting_step
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SENSING, SweepSpec
 
 _MOST_EPISODES = 10**15
@@ -227,6 +228,13 @@ def _common(column: np.ndarray) -> Any:
     return column[0].item() if np.all(column == column[0]) else column
 
 
+def setup_of(spec: SweepSpec, arms: Arms) -> Setup:
+    """What arms that share a batch, or one arm alone, are loaded with."""
+    names = {field.name for field in dataclasses.fields(Setup)}
+    given = {n: x for n, x in (vars(spec) | vars(arms)).items() if n in names}
+    return Setup(parameters=spec.arm(arms.arm), **given)
+
+
 def with_step(spec: SweepSpec, *, probes: bool = False) -> SweepSpec:
     """The spec, whose physics step suits all of its arms; `auto` has become a number.
 
@@ -249,13 +257,13 @@ def with_step(spec: SweepSpec, *, probes: bool = False) -> SweepSpec:
 
 def _longest(spec: SweepSpec, arms: Arms) -> float:
     """The longest stable step of some arms [s], or infinity for a given step that suits them."""
-    arm = spec.arm(arms.arm)
-    given = arm, arms.disturbances, arms.seeds, (len(arms.seeds),), spec.integrator
     groups = spec.groups(arms.arm, arms.plant_modules, arms.layout)
+    batch = (len(arms.seeds),)
+    possible = Possible(spec.arm(arms.arm), arms.disturbances, arms.seeds, batch, groups)
     if isinstance(spec.timestep, str):
-        return float(np.min(steps_of(*given, groups)))
+        return float(np.min(possible.longest_steps(spec.integrator)))
     try:
-        check_arms(*given, spec.timestep, groups)
+        possible.check(spec.integrator, spec.timestep)
     except StepError as error:
         episode = arms.episodes[error.arm or 0]
         raise OctarmError(f"episode {episode}: {error.sentence}") from None

@@ -12,7 +12,6 @@ import numpy as np
 import pyarrow as pa
 from dm_control.rl import control
 
-from octarm.arm.groups import grouped
 from octarm.arm.nominal import LagrangeModel
 from octarm.interfaces import Controller, ControllerFactory, Instant
 from octarm.metrics.metric import SETTLED_AFTER
@@ -22,14 +21,14 @@ from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.folder import gains_of
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import LAGRANGE, MUJOCO
-from octarm.simulation.environment import AnyPhysics, load, whole_periods
+from octarm.simulation.environment import AnyPhysics, whole_periods
 from octarm.simulation.physics import BatchPhysics
 from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
 from octarm.sweeps.engine_check import COLUMN, TipPaths, checked_episodes
-from octarm.sweeps.plan import Arms, Plan
+from octarm.sweeps.plan import Arms, Plan, setup_of
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SENSING, SweepSpec
-from octarm.sweeps.spec_file import unit_of
+from octarm.sweeps.spec_file import range_of
 
 Observe = Callable[[Instant], object]
 
@@ -133,24 +132,12 @@ def begin(
 
     Raises OctarmError if an arm, a disturbance or a controller cannot be made.
     """
-    arm, model = spec.arm(arms.arm), spec.believed(arms.arm)
-    environment = load(
-        recorded_word(arms.reference, spec.code),
-        parameters=arm,
-        disturbances=arms.disturbances,
+    model = spec.believed(arms.arm)
+    environment = setup_of(spec, arms).load(
+        model,
+        reference=recorded_word(arms.reference, spec.code),
         batch=arms.batch,
         seed=arms.seeds[0] if arms.batch is None else arms.seeds,
-        timestep=spec.timestep,
-        control_period=spec.control_period,
-        actuation=spec.actuation,
-        integrator=spec.integrator,
-        engine=spec.engine,
-        plant_modules=arms.plant_modules,
-        layout=arms.layout,
-        start=spec.start,
-        start_share=spec.start_share,
-        sensing=arms.sensing,
-        groups=grouped(arm, model),
     )
     nominal = model.mismatched(arms.mismatch)
     return environment, spec.controller(arms.controller, nominal, factory)
@@ -297,9 +284,8 @@ def schema(spec: SweepSpec) -> pa.Schema:
     ]
     for axis in (*spec.axes, *spec.random):
         if axis.name != "controller":
-            unit = unit_of(axis, spec.code) if axis.disturbance else ""
-            kind = word if axis.words else number
-            fields.append(field(axis.name, kind, axis.disturbance, unit or ""))
+            numbers, kind = range_of(axis, spec.code), word if axis.words else number
+            fields.append(field(axis.name, kind, axis.disturbance, numbers.unit if numbers else ""))
     arm = LagrangeModel(max(spec.all_believed(), key=lambda arm: arm.modules))
     for column in columns(arm.names, arm.units, spec.metrics()):
         fields.append(pa.field(column.name, number, metadata=column.description))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -82,7 +82,12 @@ def _spec(document: Document) -> SweepSpec:
         value = document.read(cast(Any, Number | str | list[Number]), *keys)
         fixed.setdefault(field.disturbance, {})[field.field] = value
     asked = content.gain_set or {}
-    files = {asked} if isinstance(asked, str) else {x for x in asked.values() if isinstance(x, str)}
+    words = [asked] if isinstance(asked, str) else asked.values()
+    in_one_file = (
+        all(isinstance(word, GainFile) or word in GAIN_SETS for word in words)
+        and not (content.code or isinstance(content.model, str))
+        and (isinstance(content.arm, dict) or arms.keys() <= content.arms.keys())
+    )
     spec = SweepSpec(
         axes=axes,
         random=drawn,
@@ -94,12 +99,7 @@ def _spec(document: Document) -> SweepSpec:
         model={} if model is None else model.to_dict(),
         record=content.record.episodes,
         code=content.code,
-        text=""
-        if files - {*GAIN_SETS}
-        or content.code
-        or isinstance(content.model, str)
-        or _other_files(content, arms)
-        else document.text,
+        text=document.text if in_one_file else "",
     )
     for name in spec.disturbances:
         if which(name)[0] not in kept:
@@ -115,11 +115,6 @@ def _in_si(document: Document, kind: Range, *keys: str) -> Document:
     kept = {"code", "arms"} & document.content.keys() or isinstance(
         document.content.get("gain_set"), dict
     )
-    table: Any = document.content
-    for key in keys:
-        if not isinstance(table, dict) or key not in table:
-            return document
-        table = cast(dict[str, Any], table)[key]
 
     def converted(value: Any) -> Any:
         if isinstance(value, list):
@@ -140,7 +135,10 @@ def _in_si(document: Document, kind: Range, *keys: str) -> Document:
     def replaced(content: Any, keys: tuple[str, ...]) -> Any:
         if not keys:
             return converted(content)
-        return {**content, keys[0]: replaced(content[keys[0]], keys[1:])}
+        if not isinstance(content, dict) or keys[0] not in content:
+            return cast(Any, content)
+        table = cast(dict[str, Any], content)
+        return {**table, keys[0]: replaced(table[keys[0]], keys[1:])}
 
     return dataclasses.replace(document, content=replaced(document.content, keys))
 
@@ -157,7 +155,7 @@ def _axes(document: Document, content: SpecFile) -> tuple[tuple[Axis, ...], tupl
         values = document.read(cast(Any, Annotated[Array[Number] | Array[str], Distinct]), *keys)
         axes.append(dataclasses.replace(field, values=values))
     for field, keys in _fields(document, code, "random", "disturbance"):
-        if unit_of(field, code) is None:
+        if range_of(field, code) is None:
             raise document.error(f"{field.name} is made of words: it cannot be drawn", *keys)
         if field.name in [axis.name for axis in axes]:
             raise document.error(f"{field.name} is an axis of the grid, too", *keys)
@@ -214,10 +212,6 @@ def _model(document: Document, content: SpecFile) -> ArmParameters | None:
         raise document.error(str(error), "model") from None
 
 
-def _other_files(content: SpecFile, arms: Iterable[str]) -> bool:
-    return not isinstance(content.arm, dict) and any(name not in content.arms for name in arms)
-
-
 def _check_plants(
     document: Document,
     content: SpecFile,
@@ -270,14 +264,13 @@ def _own_axis(name: str, document: Document, content: SpecFile) -> Axis | None:
     return dataclasses.replace(axis, values=value)
 
 
-def unit_of(axis: Axis, code: Mapping[str, Code]) -> str | None:
-    """The unit of a field of a disturbance; None if it is of words."""
-    kind = range_of(axis, code)
-    return None if kind is None else kind.unit
-
-
 def range_of(axis: Axis, code: Mapping[str, Code]) -> Range | None:
-    """What a field of a disturbance may be, as far as it is known; None if it is of words."""
+    """What the numbers of an axis may be, as far as it is known; None if they are words or count.
+
+    No code is imported.
+    """
+    if not axis.disturbance:
+        return MISMATCH if axis.name == "mismatch" else None
     kind = which(axis.disturbance)[0]
     if kind in code:
         said = {field["field"]: field for field in code[kind].declares.values()}[axis.field]

@@ -23,7 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from octarm.errors import FileError, OctarmError, closest, quoted
-from octarm.files import whole_file, write_text
+from octarm.files import read_bytes, whole_file, write_text
 from octarm.formats import spelt, to_json
 from octarm.runs.versions import host, versions
 from octarm.sweeps.manifest import EPISODES, MANIFEST, SPEC, new_manifest, open_sweep
@@ -226,9 +226,9 @@ def read_shard(
     """
     entry = manifest["shards"][shard]
     file = folder / entry["file"]
-    content = _content(file)
-    if content is None or not entry["sha256"]:
+    if not (entry["sha256"] and file.exists()):
         return None
+    content = read_bytes(file)
     if hashlib.sha256(content).hexdigest() != entry["sha256"]:
         raise OctarmError(
             f"{file} is damaged: it does not have the SHA-256 that {MANIFEST} states; "
@@ -279,12 +279,3 @@ def _shards(folder: Path, columns: Sequence[str] | None = None) -> Iterator[pa.T
             yield table
     if empty:
         raise OctarmError(f"{folder} has no finished episode yet")
-
-
-def _content(file: Path) -> bytes | None:
-    try:
-        return file.read_bytes()
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise FileError(f"{file} cannot be read: {error.strerror}") from None
