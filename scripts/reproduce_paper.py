@@ -11,8 +11,7 @@ import sys
 from pathlib import Path
 
 from paper import writeup
-from paper.evidence import gather
-from paper.jobs import run_all
+from paper.evidence import gather, run_all
 from paper.runs import costs
 from paper.studies import FULL, QUICK
 from paper.variants import all_variants

@@ -8,13 +8,13 @@ ROOT = Path(__file__).parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 import reproduce_paper  # noqa: E402
-from paper import lyapunov, runs, studies  # noqa: E402
+from paper import runs, studies  # noqa: E402
 
 from octarm.interrupts import raise_interrupts  # noqa: E402
 
 SETTLED, DURATION = 0.1, 0.6  # from when on errors count, and the length of a run [s]
 _sweeps = studies.sweeps
-runs.SETTLED = lyapunov.SETTLED = SETTLED  # in worker processes, too
+runs.SETTLED = SETTLED  # in worker processes, too
 
 
 def short_sweeps(variants, effort):
@@ -25,12 +25,12 @@ def short_sweeps(variants, effort):
 
 
 if __name__ == "__main__":
-    from paper import evidence, jobs
+    from paper import evidence
     from paper.runs import CONTROLLERS, Cost
 
     quick = dataclasses.replace(studies.QUICK, seeds=1, duration=DURATION, plant_labels=[])
     studies.QUICK = reproduce_paper.QUICK = quick
-    jobs.sweeps = evidence.sweeps = short_sweeps
+    evidence.sweeps = short_sweeps
     # What a step of a controller takes is no result of the study, and differs between runs.
     reproduce_paper.costs = lambda variants: dict.fromkeys(CONTROLLERS, Cost(1e-6, 1e-4))
     raise_interrupts()

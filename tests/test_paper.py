@@ -11,22 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from paper import lyapunov, plants, runs, writeup
+import tomlkit
+from paper import plants, runs, writeup
 from paper.claims import Claim, Verdict
-from paper.evidence import Evidence, gather, measured
-from paper.jobs import run_all
-from paper.studies import (
-    BENDS,
-    COORDINATES,
-    FULL,
-    NOISE,
-    QUICK,
-    SCALE,
-    TIME,
-    Cell,
-    Effort,
-    sweeps,
-)  # fmt: skip
+from paper.evidence import Evidence, gather, measured, run_all
+from paper.studies import BENDS, COORDINATES, FULL, NOISE, QUICK, SCALE, TIME, Cell, Effort, sweeps
 from paper.tables import all_tables, as_csv, tuning
 from paper.variants import CONTROLLERS, FIXED_PREMISES, PROPOSED, SIGN, SMC, all_variants, by_hand
 
@@ -98,7 +87,8 @@ def test_timings_stand_apart_and_all_else_is_the_same_again(quick: Quick):
     again = gather(VARIANTS, QUICK, quick.out, slower)
     claims = writeup.all_claims(again)
     tables = all_tables(again, claims, SHIPPED)
-    for table in tables.values():
+    assert "timings" in tables
+    for table in (x for name, x in tables.items() if name != "timings"):
         written = quick.out / writeup.TABLES / f"{table.name}.csv"
         assert as_csv(table) == written.read_text(encoding="utf-8")
     content = writeup.content(again, claims, tables)
@@ -128,7 +118,7 @@ def test_a_study_is_a_spec_with_the_gains_of_its_variants(effort: Effort, tmp_pa
     parts = list(sweeps(VARIANTS, effort))
     assert len({part.name for part in parts}) == len(parts)
     for part in parts:
-        (tmp_path / "spec.toml").write_text(part.text(), encoding="utf-8")
+        (tmp_path / "spec.toml").write_text(tomlkit.dumps(part.content), encoding="utf-8")
         spec = octarm.read_spec(tmp_path / "spec.toml")
         assert list(spec.controllers) == list(part.labels)
         for name, label in part.labels.items():
@@ -145,13 +135,12 @@ def test_what_is_run_is_the_specs_with_cells_without_noise_apart():
     assert parts["tuned"].content["grid"]["disturbance"]["noise"] == [NOISE]
     assert parts["tuned-quiet"].content["grid"]["disturbance"]["noise"] == [0.0]
     assert len(parts["tuned-quiet"].content["grid"]["mismatch"]) == 7
-    assert parts["beyond"].seconds == 4 * 2 * 3 * 80 * 3.0
 
 
 def test_a_sweep_of_the_study_twice_gives_the_same_cells(tmp_path: Path):
     part = next(p for p in sweeps(VARIANTS, QUICK) if FIXED_PREMISES in p.labels.values())
     part = part._replace(content={**part.content, "duration": 2.05, "episodes": 1})
-    (tmp_path / "spec.toml").write_text(part.text(), encoding="utf-8")
+    (tmp_path / "spec.toml").write_text(tomlkit.dumps(part.content), encoding="utf-8")
     spec = octarm.read_spec(tmp_path / "spec.toml")
     results = []
     for name in ("first", "second"):
@@ -169,10 +158,11 @@ def test_what_figure_1_shows_is_what_is_recorded(tmp_path: Path):
     request = next(r for r in runs.requests(VARIANTS, QUICK) if r.name == "sine-smc-boundary")
     request = request._replace(duration=0.2, seeds=1)
     series = runs.Series(**request.perform())
-    runs.record(request, -0.3, tmp_path / "run")
-    trajectory, description = octarm.read_run(tmp_path / "run")
+    runs.record(request, -0.3, tmp_path)
+    folder = tmp_path / "sine-smc-boundary--30"
+    trajectory, description = octarm.read_run(folder)
     assert description["controller"]["name"] == SMC
-    assert (tmp_path / "run" / "run.rrd").is_file()
+    assert (folder / "run.rrd").is_file()
     assert np.array_equal(series.of(-0.3, 0.0)[:, 0], trajectory.q[::20])
     assert not np.array_equal(series.of(-0.3, NOISE)[:, 0], trajectory.q[::20])
 
@@ -218,7 +208,7 @@ def test_the_error_on_a_plant_is_that_of_all_physics_steps_and_arms_are_those_of
 @pytest.mark.parametrize("modules", [3, 9])
 def test_the_longest_period_about_rest_is_the_one_that_is_predicted(modules: int):
     """With hand-set gains, which stay what they are."""
-    predicted, simulated = plants.longest_two(VARIANTS[by_hand(SMC)], modules)
+    predicted, simulated = plants.longest_two(VARIANTS[by_hand(SMC)], modules, 1e-3)
     assert simulated == pytest.approx(predicted, rel=0.08)
 
 
@@ -228,11 +218,9 @@ def test_a_law_without_a_slope_is_asked_to_track():
     assert plants.tracks(VARIANTS[by_hand(SIGN)], 3, 0.001)
 
 
-def outcomes(variant, rate: float, duration: float) -> list[lyapunov.Outcome]:
-    request = runs.Request(
-        "run", variant, BENDS, duration, lyapunov.FIELDS, lyapunov.counts, rate=rate
-    )
-    return lyapunov.outcomes(request, request.perform())
+def outcomes(variant, rate: float, duration: float) -> list[runs.Outcome]:
+    request = runs.Request("run", variant, BENDS, duration, runs.LYAPUNOV, runs.counts, rate=rate)
+    return runs.outcomes(request, request.perform())
 
 
 def test_the_lyapunov_function_of_the_printed_law_falls_when_control_is_fast():

@@ -10,18 +10,20 @@ import pytest
 from paper import rules, writeup
 from paper.claims import (
     Case,
+    Row,
     Verdict,
     condition,
+    exact,
     matching,
+    number,
     numbers_of,
     sensitivity,
+    span,
     verdict,
 )  # fmt: skip
 from paper.evidence import Evidence, interval
-from paper.lyapunov import Outcome
-from paper.numbers import Row, exact, number, span
 from paper.plants import longest
-from paper.runs import Cost, Series
+from paper.runs import Cost, Outcome, Series
 from paper.studies import BENDS, FULL, MODELS, NOISE, SLIDES, Cell
 from paper.tables import Table, as_csv, best, grid, plants, plants_ranking
 from paper.variants import (
@@ -313,9 +315,11 @@ def test_plants_have_a_row_for_each_number_of_modules_period_and_noise():
         return math.inf if lost else 0.01 * cell.plant
 
     own = evidence(change)
-    table = plants(own)
-    assert [row[0] for row in table.rows] == [3, 9, 15, 30] * 4
-    by_modules = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.rows}
+    columns, *table = plants(own)
+    assert [row[0] for row in table] == [3, 9, 15, 30] * 4
+    by_modules: dict[Any, dict[Any, Any]] = {
+        row[0]: dict(zip(columns, row, strict=True)) for row in table
+    }
     assert by_modules[30]["best"] == PROPOSED
     assert by_modules[30]["afsmc over smc"] == Interval(0.0, 0.0, 0.0)
     assert by_modules[9]["afsmc over smc"] == Interval(1.0, 1.0, 1.0)
@@ -331,13 +335,13 @@ def test_a_rank_counts_those_that_are_better_and_its_interval_those_that_may_be(
     """Three laws: the second is 1 % behind the first in one seed and ahead in the other."""
     own = evidence(lambda c, _: {PROPOSED: 1.0, SIGN: 1.01, SMC: 2.0}.get(c.label, 9.0))
     cell = Cell(PROPOSED, "plants", noise=NOISE, plant=9)
-    names = [PROPOSED, SIGN, SMC]
-    assert own.rank(cell, names) == Interval(1.0, 1.0, 1.0)
+    laws = cell.of([PROPOSED, SIGN, SMC])
+    assert own.rank(cell, laws) == Interval(1.0, 1.0, 1.0)
     sign = cell._replace(label=SIGN)
     own.cells[sign]["error"][:] = [1.01, 0.98]
-    assert own.rank(sign, names) == Interval(1.0, 1.0, 2.0)
-    assert own.rank(cell, names) == Interval(2.0, 1.0, 2.0)
-    assert own.rank(cell._replace(label=SMC), names) == Interval(3.0, 3.0, 3.0)
+    assert own.rank(sign, laws) == Interval(1.0, 1.0, 2.0)
+    assert own.rank(cell, laws) == Interval(2.0, 1.0, 2.0)
+    assert own.rank(cell._replace(label=SMC), laws) == Interval(3.0, 3.0, 3.0)
 
 
 @pytest.mark.parametrize("limit", [0.3, 0.9, 1.0, 1.7, 7.0])

@@ -9,13 +9,79 @@ import dataclasses
 import enum
 import functools
 import itertools
+import math
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from octarm.html import templates
-from paper.numbers import Row, in_words, rounded, span
+from octarm.reports.statistics import Interval
+
+Entry = str | int | float | Interval  # of a table; an interval is a median and its 95 % interval
+
+
+class Row(NamedTuple):
+    """A number that a verdict rests on."""
+
+    name: str  # what was measured
+    number: Interval  # median over seeds with its 95 % interval; without width if not random
+    unit: str = ""  # of the three; empty for ratios
+    varies: bool = False  # whether it differs from run to run, as timings do
+
+    def __str__(self) -> str:
+        return f"{in_words(self.number)} {self.unit}".rstrip()
+
+
+def exact(name: str, value: float, unit: str = "", varies: bool = False) -> Row:
+    """A row of a number that is not random."""
+    return Row(name, Interval(value, value, value), unit, varies)
+
+
+def rounded(value: float) -> float | str:
+    """To six digits, more than any of them is good for."""
+    return float(f"{value:.6g}") if math.isfinite(value) else str(value)
+
+
+def number(value: float) -> str:
+    """Three digits."""
+    if not math.isfinite(value):
+        return {math.inf: "∞", -math.inf: "-∞"}.get(value, "-")
+    size = abs(value)
+    if value.is_integer() and size < 1e5:
+        return f"{value + 0.0:.0f}"
+    if size >= 1e5 or size < 1e-3:
+        return f"{value:.2e}"
+    return f"{value:.0f}" if size >= 99.95 else f"{value:#.3g}".rstrip(".")
+
+
+def in_parts(entry: Entry) -> tuple[str, str]:
+    """An entry of a table, and the ends of its interval; empty where it has no width, or none."""
+    if not isinstance(entry, Interval):
+        return number(entry) if isinstance(entry, float) else str(entry), ""
+    value, low, high = map(float, entry)
+    ends = "" if low == high or math.isnan(low) else f"{number(low)} .. {number(high)}"
+    return number(value), ends
+
+
+def in_words(entry: Entry) -> str:
+    """An entry of a table; an interval in brackets behind its median."""
+    value, ends = in_parts(entry)
+    return f"{value} ({ends})" if ends else value
+
+
+def percent(share: float) -> str:
+    """A model error, or another share, in words: -30 %."""
+    return "exact" if share == 0.0 else f"{100.0 * share:+.0f} %"
+
+
+def span(rows: Sequence[Row], unit: str = "") -> str:
+    """The smallest to the largest of some medians, those that are finite, in words."""
+    finite = [float(row.number.value) for row in rows if math.isfinite(row.number.value)]
+    if not finite:
+        return "unknown"
+    low, high = number(min(finite)), number(max(finite))
+    return f"{low if low == high else f'{low} to {high}'} {unit}".rstrip()
 
 
 class Verdict(enum.StrEnum):
@@ -63,12 +129,21 @@ def sensitivity(cases: Sequence[Case]) -> tuple[int, int]:
 def condition(cases: Sequence[Case], phrases: Mapping[str, str]) -> str:
     """Where a claim holds in every case, in words, and in how many of all cases it does.
 
-    There is a phrase for each axis, with {} for its value.
+    It is said by values of one axis, or else of two. There is a phrase for each axis, with {} for
+    its value.
     """
-    count = sum(case.passes(1.0) for case in cases)
-    one, two = (list(_sufficient(cases, axes)) for axes in (1, 2))
-    names = [" and ".join(phrases[x].format(value) for x, value in pairs) for pairs in one or two]
+    pairs = dict.fromkeys(pair for case in cases for pair in case.where.items())
+    dividing = [pair for pair in pairs if len(matching(cases, dict([pair]))) < len(cases)]
+    names: list[str] = []
+    for axes in (1, 2):
+        wheres = [dict(some) for some in itertools.combinations(dividing, axes)]
+        names = names or [
+            " and ".join(phrases[axis].format(value) for axis, value in where.items())
+            for where in wheres
+            if len(where) == axes and verdict(matching(cases, where)) == Verdict.HOLDS
+        ]
     words = " or ".join(names[:2]) if names else "the cases are picked"
+    count = sum(case.passes(1.0) for case in cases)
     return f"{words} ({count} of {len(cases)} cases)"
 
 
@@ -84,16 +159,6 @@ def numbers_of(cases: Sequence[Case]) -> list[Row]:
 def matching(cases: Sequence[Case], where: Mapping[str, str]) -> list[Case]:
     """The cases at these values of axes."""
     return [case for case in cases if where.items() <= case.where.items()]
-
-
-def _sufficient(cases: Sequence[Case], axes: int) -> Iterator[tuple[tuple[str, str], ...]]:
-    """The values of one axis, or of two, for which the claim holds in all cases."""
-    pairs = dict.fromkeys(pair for case in cases for pair in case.where.items())
-    dividing = [pair for pair in pairs if len(matching(cases, dict([pair]))) < len(cases)]
-    for some in itertools.combinations(dividing, axes):
-        where = dict(some)
-        if len(where) == axes and verdict(matching(cases, where)) == Verdict.HOLDS:
-            yield some
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -1,23 +1,35 @@
-"""The one table of measured cells, and all else that claims, tables and figures rest on."""
+"""Runs all that is missing, and reads it: the measured cells, and what else claims rest on."""
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import io
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from functools import partial
+from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import tomlkit
+from tqdm import tqdm
 
 import octarm
+from controllers import make_controller
+from octarm.files import write_files
 from octarm.reports.statistics import Interval, medians
+from octarm.simulation.engines import LAGRANGE, usual_engine
 from octarm.sweeps.tune_cost import root_mean_square, weight
-from paper import jobs, lyapunov
-from paper.runs import Cost, Series
-from paper.studies import COORDINATES, MODULES, NOISE, SCALE, Cell, Effort, Sweep, sweeps
+from octarm.sweeps.workers import WorkerProcesses, cores
+from paper import plants, runs
+from paper.claims import Entry
+from paper.runs import Cost, Outcome, Request, Series
+from paper.studies import COORDINATES, MODELS, MODULES, NOISE, SCALE, Cell, Effort, Sweep, sweeps
 from paper.variants import ARM, Variant
 
+SPECS, SWEEPS, SERIES, RUNS = "specs", "sweeps", "series", "runs"  # folders
 # The fields of a cell that differ within a sweep, by the columns of its table.
 FIELDS = {"reference": "reference", "mismatch": "mismatch", "noise": "noise", "noise.time": "time",
           "payload": "payload", "actuation-delay": "delay", "loss": "loss"}  # fmt: skip
@@ -43,13 +55,13 @@ class Evidence:
     # Quantities, and `diverged`, by cell and name, each in the order of its seeds, shape (seeds,).
     cells: Mapping[Cell, Mapping[str, np.ndarray]]
     series: Mapping[str, Series]  # runs over time, by name
-    outcomes: Sequence[lyapunov.Outcome]  # how Lyapunov functions went
+    outcomes: Sequence[Outcome]  # how Lyapunov functions went
     periods: Mapping[str, Mapping[str, np.ndarray]]  # by label; see `paper.plants.searched`
     costs: Mapping[str, Cost]  # of a controller's step, by name
 
     def has(self, *cells: Cell) -> bool:
         """Whether all these cells were run."""
-        return all(cell in self.cells for cell in cells)
+        return set(cells) <= self.cells.keys()
 
     def known(self, cells: Iterable[Cell]) -> list[Cell]:
         """Those of the cells that were run."""
@@ -57,10 +69,10 @@ class Evidence:
 
     def varied(self, start: Cell, field: str) -> list[float]:
         """The values of a field that were tried in this place, by any variant, rising."""
-        tried = {cell: cell._asdict()[field] for cell in self.cells}
+        place = start._replace(**{"label": "", field: 0.0})
         return sorted(
-            {x for cell, x in tried.items()
-             if cell == start._replace(**{"label": cell.label, field: x})}
+            {getattr(cell, field) for cell in self.cells
+             if cell._replace(**{"label": "", field: 0.0}) == place}
         )  # fmt: skip
 
     def diverged(self, *cells: Cell) -> tuple[int, int]:
@@ -86,29 +98,28 @@ class Evidence:
             shares = ours / theirs
         return interval(np.where(np.isnan(shares), 1.0, shares))
 
-    def rank(self, cell: Cell, names: Sequence[str]) -> Interval:
-        """The rank of a law by its error among laws in the same place, 1 the best; NaN if lost.
+    def rank(self, cell: Cell, cells: Iterable[Cell]) -> Entry:
+        """The rank of a law by its error among laws in the same place, 1 the best, or `lost`.
 
         The interval ends where it is better, or worse, than others beyond their own intervals:
         pair by pair, seed by seed.
         """
         error = self.median(cell).value
         if not np.isfinite(error):
-            return Interval(np.nan, np.nan, np.nan)
-        others = [name for name in names if name != cell.label]
-        ratios = [self.ratio(cell, name) for name in others]
-        better = sum(self.median(other).value < error for other in cell.of(others))
+            return "lost"
+        others = [other for other in cells if other != cell]
+        ratios = [self.ratio(cell, other.label) for other in others]
+        better = sum(self.median(other).value < error for other in others)
         low, high = sum(r.low > 1.0 for r in ratios), sum(not r.high < 1.0 for r in ratios)
         return Interval(1.0 + better, 1.0 + low, 1.0 + high)
 
     def plants(self) -> Iterator[list[Cell]]:
-        """The cells of all laws in each place of the study of plants: rate, noise, modules."""
+        """The cells of all laws, the best first, in each place of the study of plants."""
         effort = self.effort
-        for place in itertools.product(effort.plant_rates, (0.0, NOISE), effort.plants):
-            rate, noise, modules = place
-            start = Cell("", "plants", noise=noise, plant=modules, rate=rate)
+        for place in product(effort.plant_rates, (0.0, NOISE), effort.plants):
+            start = Cell("", "plants", rate=place[0], noise=place[1], plant=place[2])
             if known := self.known(start.of(effort.plant_labels)):
-                yield known
+                yield sorted(known, key=lambda cell: self.median(cell).value)
 
     def ranked(self, cells: Iterable[Cell]) -> list[Cell]:
         """Those that were run, the one with the least error, mean of the models, first."""
@@ -129,28 +140,92 @@ def interval(values: np.ndarray) -> Interval:
     return Interval(*(float(x[0]) for x in medians(values[:, None], np.arange(len(values)))))
 
 
+class Task(NamedTuple):
+    """Something that is run, of which a file of arrays is kept."""
+
+    name: str  # of the file
+    perform: Callable[[], Mapping[str, np.ndarray]]
+    of: Request | Cell  # what the arrays are measured of
+
+
+def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers: int = 0) -> None:
+    """Runs what is not there yet, on one process a core if the number of workers is 0.
+
+    What is there does not depend on that number, or on how often it was interrupted: what was
+    finished is kept. Raises OctarmError if the folder holds results of other studies, and OSError
+    if it cannot be written.
+    """
+    (out / RUNS).mkdir(parents=True, exist_ok=True)
+    count = workers or cores()
+    with WorkerProcesses(count) as processes, ThreadPoolExecutor(count + 1) as threads:
+        jobs = [threads.submit(_sweep, x, out, processes) for x in sweeps(variants, effort)]
+        for task in all_tasks(variants, effort):
+            jobs.append(processes.submit(_keep, task, out))
+            if task.name in runs.recorded(effort):
+                jobs += [processes.submit(runs.record, task.of, x, out / RUNS) for x in MODELS]
+        try:
+            bar = tqdm(as_completed(jobs), total=len(jobs), unit=" jobs", disable=None, leave=False)
+            for job in bar:
+                job.result()
+        except BaseException:  # an interrupt, too
+            threads.shutdown(wait=False, cancel_futures=True)
+            processes.kill()
+            raise
+
+
+def all_tasks(variants: Mapping[str, Variant], effort: Effort) -> list[Task]:
+    """All that is run besides sweeps; plants where the engine `lagrange` is installed."""
+    tasks = [Task(x.name, x.perform, x) for x in runs.requests(variants, effort)]
+    if usual_engine() != LAGRANGE:
+        return tasks
+    for label in effort.plant_labels:
+        search = partial(plants.searched, variants[label], effort.plants)
+        tasks.append(Task(f"periods-{label}", search, Cell(label)))
+    for rate, modules, label in product(effort.plant_rates, effort.plants, effort.plant_labels):
+        perform = partial(plants.planted, variants[label], modules, rate, effort.seeds)
+        cell = Cell(label, "plants", plant=modules, rate=rate)
+        tasks.append(Task(f"plant-{modules}-{rate:g}-Hz-{label}", perform, cell))
+    return tasks
+
+
+def _sweep(sweep: Sweep, out: Path, pool: Executor) -> None:
+    file = out / SPECS / f"{sweep.name}.toml"
+    write_files({file: tomlkit.dumps(sweep.content).encode()})
+    octarm.sweep(
+        octarm.read_spec(file), make_controller, out / SWEEPS / sweep.name,
+        executor=pool, in_flight=2, resume=True,
+    )  # fmt: skip
+
+
+def _keep(task: Task, out: Path) -> None:
+    file, content = out / SERIES / f"{task.name}.npz", io.BytesIO()
+    if not file.is_file():
+        np.savez(content, allow_pickle=False, **task.perform())
+        write_files({file: content.getvalue()})
+
+
 def gather(
     variants: Mapping[str, Variant], effort: Effort, out: Path, costs: Mapping[str, Cost]
 ) -> Evidence:
-    """Reads what `paper.jobs.run_all` left in a folder.
+    """Reads what `run_all` left in a folder.
 
     Raises OctarmError if a sweep is missing, and OSError if another file is.
     """
-    cells = measured(list(sweeps(variants, effort)), out / jobs.SWEEPS)
+    cells = measured(list(sweeps(variants, effort)), out / SWEEPS)
     series: dict[str, Series] = {}
-    outcomes: list[lyapunov.Outcome] = []
+    outcomes: list[Outcome] = []
     periods: dict[str, Mapping[str, np.ndarray]] = {}
-    for task in jobs.all_tasks(variants, effort):
-        kept = jobs.read_arrays(out, task)
-        if isinstance(task.of, Cell):
-            if "predicted" in kept:
-                periods[task.of.label] = kept
-            else:
-                cells |= _planted(task.of, kept)
+    for task in all_tasks(variants, effort):
+        with np.load(out / SERIES / f"{task.name}.npz", allow_pickle=False) as file:
+            kept: dict[str, np.ndarray] = dict(file)
+        if isinstance(task.of, Cell) and "predicted" in kept:
+            periods[task.of.label] = kept
+        elif isinstance(task.of, Cell):
+            cells |= _planted(task.of, kept)
         elif "q" in kept:
             series[task.name] = Series(**kept)
         else:
-            outcomes += lyapunov.outcomes(task.of, kept)
+            outcomes += runs.outcomes(task.of, kept)
     return Evidence(
         variants=variants, effort=effort, cells=cells, series=series, outcomes=outcomes,
         periods=periods, costs=costs,
@@ -162,13 +237,15 @@ def measured(parts: Sequence[Sweep], folder: Path) -> dict[Cell, dict[str, np.nd
     cells: dict[Cell, dict[str, np.ndarray]] = {}
     for part in parts:
         table = octarm.read_sweep(folder / part.name)
-        quantities, seeds = _quantities(table), table["seed"].to_numpy()
+        names = [name for name in FIELDS if name in table.column_names]
         rows: dict[Cell, list[int]] = {}
-        for row, cell in enumerate(_cells(part, table)):
-            rows.setdefault(cell, []).append(row)
+        for i, row in enumerate(table.select(["controller", *names]).to_pylist()):
+            fields = {FIELDS[name]: row[name] for name in names}
+            cell = Cell(part.labels[row["controller"]], part.study, rate=part.rate, **fields)
+            rows.setdefault(cell, []).append(i)  # in the order of their seeds
+        quantities = _quantities(table)
         for cell, places in rows.items():
-            ordered = sorted(places, key=seeds.__getitem__)
-            cells[cell] = {name: values[ordered] for name, values in quantities.items()}
+            cells[cell] = {name: values[places] for name, values in quantities.items()}
     return cells
 
 
@@ -180,14 +257,6 @@ def _planted(cell: Cell, kept: Mapping[str, np.ndarray]) -> dict[Cell, dict[str,
         cell._replace(noise=noise): {name: values[arms] for name, values in known.items()}
         for noise, arms in ((0.0, slice(1)), (NOISE, slice(1, None)))
     }
-
-
-def _cells(part: Sweep, table: pa.Table) -> Iterator[Cell]:
-    """The cell of each episode."""
-    names = [name for name in FIELDS if name in table.column_names]
-    for row in table.select(["controller", *names]).to_pylist():
-        label, fields = part.labels[row["controller"]], {FIELDS[name]: row[name] for name in names}
-        yield Cell(label, part.study, rate=part.rate, **fields)
 
 
 def _quantities(table: pa.Table) -> dict[str, np.ndarray]:
@@ -203,8 +272,8 @@ def _quantities(table: pa.Table) -> dict[str, np.ndarray]:
     each = {"rms_error": 1e3 * errors, "overshoot": columns("overshoot")}
     heavy = weight(ARM) * np.repeat([1.0, float(ARM.width[0])], MODULES)
     return {
-        **{f"{metric}_{name}": column for metric, values in each.items()
-           for name, column in zip(COORDINATES, values.T, strict=True)},
+        **{f"{metric}_{name}": values[:, j] for metric, values in each.items()
+           for j, name in enumerate(COORDINATES)},
         "error": 100.0 * root_mean_square(errors / SCALE),
         "chattering": 100.0 * root_mean_square(columns("chattering") / heavy),
         "diverged": lost,

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Iterator, Sequence
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure as NewFigure
@@ -12,35 +12,25 @@ from octarm.palette import look_of
 from octarm.reports import figures as style
 from octarm.reports.figures import INK, Axes, Figure, Picture
 from octarm.reports.statistics import Interval
-from paper.claims import worded, words
+from paper.claims import percent, worded, words
 from paper.evidence import Evidence
-from paper.numbers import percent
 from paper.runs import LONG, name_of
 from paper.studies import BENDS, COORDINATES, MODELS, MODULES, MOVING, NOISE, READINGS, SLIDES, Cell
 from paper.variants import CONTROLLERS, INSTEAD, PROPOSED, SMC, by_hand
 
 GRAY = "#5f6b77"
-DOTTED = {"color": GRAY, "linewidth": 0.9, "linestyle": ":"}  # what the paper says, and equality
+DOTTED = {"color": GRAY, "linewidth": 0.9, "linestyle": ":"}
 ZERO = {"color": INK, "linewidth": 0.6, "zorder": 1}
-OVER_TIME = {"sharex": True, "sharey": "row"}
 NOISES = {"figure-1": 0.0, "figure-2": NOISE}  # of the paper's figures
 
 
-class Look(NamedTuple):
-    """How a variant is drawn, the same in all figures."""
-
-    color: str
-    line: Any
-    marker: str
-
-
-def look(label: str) -> Look:
-    """The look of a variant; hand-set gains have a dashed line."""
+def look(label: str) -> dict[str, Any]:
+    """How a variant is drawn in all figures; hand-set gains have a dashed line."""
     if label in words()["looks"]:
-        return Look(**words()["looks"][label])
+        return words()["looks"][label]
     name = label.removesuffix(by_hand(""))
     color, marker = look_of(name)
-    return Look(color, "-" if name == label else (0, (4, 1.5)), marker)
+    return {"color": color, "linestyle": "-" if name == label else (0, (4, 1.5)), "marker": marker}
 
 
 def title_of(label: str) -> str:
@@ -74,65 +64,64 @@ def pictures(evidence: Evidence) -> Iterator[Picture]:
 
 
 def _tracking(evidence: Evidence, reference: str, noise: float) -> Figure:
-    """Motion and error of both joints over time, a column a nominal model."""
+    """Motion and error of both joints over time."""
     unit = {BENDS: "rad", SLIDES: "m"}[reference]
-    joints, labels = MOVING[reference], evidence.effort.labels
-    figure, grid = _panels(2 * len(joints), len(MODELS), 3.1, 1.45, **OVER_TIME)
-    for joint, motions, errors in zip(joints, grid[::2], grid[1::2], strict=True):
-        place = COORDINATES.index(joint)
-        for ax, model in zip(motions, MODELS, strict=True):
-            series = evidence.series[name_of(labels[0], reference)]
-            desired = series.q_d[:, place]
-            ax.plot(series.t, desired, color=INK, linewidth=3.2, alpha=0.25, label="desired")
-            for label in labels:
-                series = evidence.series[name_of(label, reference)]
-                _median(ax, label, series.t, series.of(model, noise)[:, :, place])
-        motions[0].set_ylabel(f"{joint} [{unit}]")
-        errors[0].set_ylabel(f"error [m{unit}]")
-        largest = 1.5 * _draw_errors(errors, evidence, labels, reference, joint, noise)
-        errors[0].set_ylim(-largest, largest)
-    _finish_times(figure, grid, evidence.effort.duration)
-    figure.align_ylabels(grid[:, 0])
+    kinds = (("{} [{}]", False), ("error [m{1}]", True))
+    rows = [
+        (reference, joint, noise, name.format(joint, unit), of_error)
+        for joint, (name, of_error) in product(MOVING[reference], kinds)
+    ]
+    figure = _over_time(evidence, evidence.effort.labels, rows, 3.1, 1.45, most=1.5)
+    figure.align_ylabels()
     return figure
 
 
 def _readme(evidence: Evidence) -> Figure:
-    """Errors of theta1 over time without and with noise, a column a nominal model."""
-    figure, grid = _panels(2, len(MODELS), 3.3, 1.75, **OVER_TIME)
-    for row, noise, name in zip(grid, (0.0, NOISE), ("no noise", "40 % noise"), strict=True):
-        _draw_errors(row, evidence, (SMC, PROPOSED), BENDS, "theta1", noise)
-        row[0].set_ylabel(f"error of theta1 [mrad]\n{name}")
-    _finish_times(figure, grid, evidence.effort.duration)
-    return figure
+    """Errors of theta1 over time without and with noise."""
+    rows = [
+        (BENDS, "theta1", noise, f"error of theta1 [mrad]\n{name}", True)
+        for noise, name in ((0.0, "no noise"), (NOISE, "40 % noise"))
+    ]
+    return _over_time(evidence, (SMC, PROPOSED), rows, 3.3, 1.75)
 
 
-def _draw_errors(
-    row: Sequence[Axes], evidence: Evidence, labels: Sequence[str], reference: str, joint: str,
-    noise: float,
-) -> float:  # fmt: skip
-    """Errors of a joint over time, a panel a nominal model [mrad] or [mm].
+def _over_time(
+    evidence: Evidence, labels: Sequence[str], rows: Sequence[tuple[str, str, float, str, bool]],
+    width: float, height: float, most: float = 0.0,
+) -> Figure:  # fmt: skip
+    """Joints over time, a column a nominal model, in panels of this size [inch].
 
-    Returns the largest of those of the paper's two controllers, which stay in view.
+    A row has a reference, a joint, the noise, a title, and whether errors are drawn [mrad], [mm].
+    Its axis ends at the largest errors of the paper's two controllers, times `most` if not 0.
     """
-    place, largest = COORDINATES.index(joint), 0.0
-    for ax, model in zip(row, MODELS, strict=True):
-        for label in labels:
-            series = evidence.series[name_of(label, reference)]
-            errors = 1e3 * (series.of(model, noise)[:, :, place] - series.q_d[:, place, None])
-            _median(ax, label, series.t, errors)
-            if label in (SMC, PROPOSED):
-                late = np.abs(errors[series.t > 0.5])
-                largest = max(largest, float(np.nanpercentile(late, 99.9)))
-        ax.axhline(0.0, **ZERO)
-    return largest
-
-
-def _finish_times(figure: Figure, grid: np.ndarray, duration: float) -> None:
-    """Titles, time axes and legend of panels with a column a nominal model."""
+    figure, grid = _panels(len(rows), len(MODELS), width, height, sharex=True, sharey="row")
+    for panels, (reference, joint, noise, title, of_error) in zip(grid, rows, strict=True):
+        place, largest = COORDINATES.index(joint), 0.0
+        for ax, model in zip(panels, MODELS, strict=True):
+            for label in labels:
+                series = evidence.series[name_of(label, reference)]
+                desired, drawn = series.q_d[:, place], series.of(model, noise)[:, :, place]
+                if of_error:
+                    drawn = 1e3 * (drawn - desired[:, None])
+                elif label == labels[0]:
+                    ax.plot(
+                        series.t, desired, color=INK, linewidth=3.2, alpha=0.25, label="desired"
+                    )
+                _median(ax, label, series.t, drawn)
+                if of_error and label in (SMC, PROPOSED):
+                    late = np.abs(drawn[series.t > 0.5])
+                    largest = max(largest, most * float(np.nanpercentile(late, 99.9)))
+            if of_error:
+                ax.axhline(0.0, **ZERO)
+        if largest:
+            panels[0].set_ylim(-largest, largest)
+        panels[0].set_ylabel(title)
+    duration = evidence.effort.duration
     for column, model in zip(grid.T, MODELS, strict=True):
         column[0].set_title(f"nominal model {percent(model)}")
         column[-1].set(xlabel="time [s]", xlim=(0.0, duration), xticks=np.arange(duration))
-    _legend(figure, grid[0, 0])
+    style.add_legend(figure, grid[0, 0])
+    return figure
 
 
 def _plants(evidence: Evidence) -> Figure:
@@ -144,9 +133,7 @@ def _plants(evidence: Evidence) -> Figure:
     height = 0.21 * len(order) + 0.55
     figure, grid = _panels(len(rates), len(modules), 2.3, height, sharex=True, sharey=True)
     for ax, (rate, plant) in zip(grid.flat, product(rates, modules), strict=True):
-        for noise, (place, cell) in product((NOISE, 0.0), enumerate(order)):
-            error = evidence.median(cell._replace(noise=noise, plant=plant, rate=rate))
-            _dot(ax, cell.label, error, place, hollow=not noise, lost=True)
+        _dots(ax, evidence, [cell._replace(plant=plant, rate=rate) for cell in order], lost=True)
         ax.set_title(f"{plant} modules" + (", the model" if plant == MODULES else ""))
         _named_rows(ax, [title_of(cell.label) for cell in order])
     for ax, rate in zip(grid[:, 0], rates, strict=True):
@@ -161,7 +148,7 @@ def _plants(evidence: Evidence) -> Figure:
     marks = (("o", "full", "40 % noise"), ("o", "none", "no noise"), ("x", "full", "lost"))
     for marker, fill, label in marks:
         first.plot([], [], marker, color=GRAY, fillstyle=fill, label=label)
-    _legend(figure, first)
+    style.add_legend(figure, first)
     return figure
 
 
@@ -170,9 +157,7 @@ def _ranking(evidence: Evidence) -> Figure:
     order = evidence.ranked(Cell("", noise=NOISE).of(CONTROLLERS))
     figure, grid = _panels(1, len(MODELS), 3.1, 0.25 * len(order) + 0.6, sharey=True, sharex=True)
     for ax, model in zip(grid[0], MODELS, strict=True):
-        for (place, cell), noise in product(enumerate(order), (NOISE, 0.0)):
-            error = evidence.median(cell._replace(mismatch=model, noise=noise))
-            _dot(ax, cell.label, error, place, hollow=not noise)
+        _dots(ax, evidence, [cell._replace(mismatch=model) for cell in order])
         _logarithmic(ax, "x")
         ax.set(title=f"nominal model {percent(model)}", xlabel="error [% of the motion]")
         _named_rows(ax, [cell.label for cell in order])
@@ -202,7 +187,7 @@ def _ablations(evidence: Evidence) -> Figure:
     for model, (marker, _) in shades.items():
         grid[0, 0].plot([], [], marker, color=GRAY, label=f"nominal model {percent(model)}")
     grid[0, 0].invert_yaxis()
-    _legend(figure, grid[0, 0])
+    style.add_legend(figure, grid[0, 0])
     return figure
 
 
@@ -216,11 +201,11 @@ def _drift(evidence: Evidence) -> Figure:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of instants at which no arm is left
             _median(gain, label, series.t, np.where(E > 0.0, E, np.nan), np.nanpercentile)
-        left.plot(series.t, 100.0 * np.mean(~np.isnan(E), axis=1), color=look(label).color)
+        left.plot(series.t, 100.0 * np.mean(~np.isnan(E), axis=1), color=look(label)["color"])
     _logarithmic(gain, "y")
     gain.set(title="gain E of theta1 [N m]", xlabel="time [s]")
     left.set(title="arms within their limits [%]", xlabel="time [s]", ylim=(-3.0, 103.0))
-    _legend(figure, gain)
+    style.add_legend(figure, gain)
     return figure
 
 
@@ -247,8 +232,10 @@ def _curves(evidence: Evidence, name: str) -> Figure:
         for label in panel["labels"]:
             cells = [start._replace(**{"label": label, field: value}) for value in values]
             if evidence.has(*cells):
-                medians = [evidence.median(cell, panel["of"]) for cell in cells]
-                _curve(ax, label, x, medians, panel["markers"])
+                medians = np.array([evidence.median(cell, panel["of"]) for cell in cells])
+                finite = np.where(np.isfinite(medians), medians, np.nan).T
+                line = look(label) if panel["markers"] else {**look(label), "marker": ""}
+                _band(ax, label, x, finite, 0.18, markeredgewidth=0.0, **line)
         for axis, value in panel["paper"].items():
             {"x": ax.axvline, "y": ax.axhline}[axis](value, **DOTTED)
         if panel["log"] == "xy":
@@ -261,18 +248,8 @@ def _curves(evidence: Evidence, name: str) -> Figure:
         else:
             ax.set_ylim(0.0, None)
         ax.set(title=panel["title"], xlabel=panel["axis"])
-    _legend(figure, grid[0, 0])
+    style.add_legend(figure, grid[0, 0])
     return figure
-
-
-def _legend(figure: Figure, ax: Axes) -> None:
-    """One legend for all panels, above them."""
-    handles, labels = ax.get_legend_handles_labels()
-    unique = dict(zip(labels, handles, strict=True))
-    figure.legend(
-        list(unique.values()), list(unique), loc="outside upper center", handlelength=2.2,
-        ncols=min(len(unique), 5), columnspacing=1.8,
-    )  # fmt: skip
 
 
 def _logarithmic(ax: Axes, which: str) -> None:
@@ -298,38 +275,37 @@ def _median(
 ) -> None:
     """The median of some arms over time, shape (T, k), and a band of 5 to 95 % of them."""
     low, middle, high = percentile(values, [5.0, 50.0, 95.0], axis=1)
-    ax.plot(t, middle, color=look(label).color, label=title_of(label), linewidth=1.1)
-    if values.shape[1] > 1:
-        ax.fill_between(t, low, high, color=look(label).color, alpha=0.22, linewidth=0.0)
+    _band(ax, label, t, (middle, low, high), 0.22, color=look(label)["color"], linewidth=1.1)
 
 
-def _curve(ax: Axes, label: str, x: np.ndarray, medians: Sequence[Interval], markers: bool) -> None:
-    """Medians over x with a band of their intervals, where finite."""
-    numbers = np.array(medians, dtype=float)
-    value, low, high = np.where(np.isfinite(numbers), numbers, np.nan).T
-    color, line, mark = look(label)
-    ax.plot(
-        x, value, color=color, linestyle=line, marker=mark if markers else "",
-        label=title_of(label), markeredgewidth=0.0,
-    )  # fmt: skip
+def _band(ax: Axes, label: str, x: np.ndarray, of: Any, alpha: float, **line: Any) -> None:
+    """Values, and the band between their ends, which are behind them."""
+    value, low, high = of
+    ax.plot(x, value, label=title_of(label), **line)
     if np.any(low < high):
-        ax.fill_between(x, low, high, color=color, alpha=0.18, linewidth=0.0)
+        ax.fill_between(x, low, high, color=line["color"], alpha=alpha, linewidth=0.0)
 
 
-def _dot(
-    ax: Axes, label: str, median: Interval, y: float, marker: str = "o", *, hollow: bool = False,
-    lost: bool = False,
-) -> None:  # fmt: skip
-    """A median with its interval, sideways; hollow without the latter, where nothing is random.
+def _dots(ax: Axes, evidence: Evidence, cells: Sequence[Cell], *, lost: bool = False) -> None:
+    """Errors of cells in rows: with noise full, and without it hollow, as nothing is random then.
 
-    An infinite one is a cross at the edge where the lost are to be seen.
+    Infinite ones are crosses at the edge where the lost are to be seen.
     """
-    color = look(label).color
-    if lost and not np.isfinite(median.value):
-        ax.plot(0.96, y + 0.2 * hollow, "x", color=color, markersize=3 if hollow else 5,
-                markeredgewidth=1.4, transform=ax.get_yaxis_transform())  # fmt: skip
-    elif hollow:
-        ax.plot(median.value, y, marker, color=color, fillstyle="none")
-    elif np.isfinite(median.value):
+    for (row, cell), noise in product(enumerate(cells), (NOISE, 0.0)):
+        error, hollow = evidence.median(cell._replace(noise=noise)), not noise
+        color = look(cell.label)["color"]
+        if lost and not np.isfinite(error.value):
+            ax.plot(0.96, row + 0.2 * hollow, "x", color=color, markersize=3 if hollow else 5,
+                    markeredgewidth=1.4, transform=ax.get_yaxis_transform())  # fmt: skip
+        elif hollow:
+            ax.plot(error.value, row, "o", color=color, fillstyle="none")
+        else:
+            _dot(ax, cell.label, error, row)
+
+
+def _dot(ax: Axes, label: str, median: Interval, y: float, marker: str = "o") -> None:
+    """A median with its interval, sideways; none where it is infinite."""
+    if np.isfinite(median.value):
+        color = look(label)["color"]
         ax.plot([median.low, median.high], [y, y], color=color, linewidth=1.2)
         ax.plot(median.value, y, marker, color=color, markersize=5)

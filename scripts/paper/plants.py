@@ -40,13 +40,12 @@ FEWEST, MOST, LASTING = 200, 1600, 0.5  # control periods of a run about rest, a
 STEP = 1e-7  # of the reference about rest, as a share of the motion [1]
 CALM, FALLING = 1e-3, 0.7  # what dies out, over the step, and over what it was before [1]
 TRACKED = 0.1  # error of tracking, as a share of the motion [1]
-TRACKING = 1.5, 0.5  # length of a run that is to track, and from when on its errors count [s]
 
 
 def planted(variant: Variant, modules: int, rate: float, seeds: int) -> dict[str, np.ndarray]:
     """`tracking` of arms without noise and with so many seeds of it at a rate [Hz]."""
     arms = noisy_arms([0.0] + [NOISE] * seeds, [0, *range(seeds)])
-    return tracking(variant, modules, 1.0 / rate, DURATION, COUNTED, **arms)
+    return tracking(variant, modules, 1.0 / rate, **arms)
 
 
 def searched(variant: Variant, plants: Sequence[int]) -> dict[str, np.ndarray]:
@@ -115,12 +114,13 @@ def rests(variant: Variant, modules: int, rest: np.ndarray, period: float) -> bo
 
 def tracks(variant: Variant, modules: int, period: float) -> bool:
     """Whether the error of the arm under the sine stays small."""
-    return bool(tracking(variant, modules, period, *TRACKING)["error"] <= TRACKED)
+    return bool(tracking(variant, modules, period)["error"] <= TRACKED)
 
 
 def tracking(
-    variant: Variant, modules: int, period: float, duration: float, counted: float, **arms: Any
-) -> dict[str, np.ndarray]:
+    variant: Variant, modules: int, period: float,
+    duration: float = DURATION, counted: float = COUNTED, **arms: Any,
+) -> dict[str, np.ndarray]:  # fmt: skip
     """`error`, a share of the motion over all physics steps from an instant on [s], and `lost`.
 
     The arms are under the sine, n of them or one, shapes (n,) or (); the error of a lost one is

@@ -13,10 +13,8 @@ import numpy as np
 
 from octarm.reports.statistics import Interval
 from paper import studies, variants
-from paper.claims import Case
+from paper.claims import Case, Row, exact, percent
 from paper.evidence import Evidence, interval
-from paper.lyapunov import Outcome
-from paper.numbers import Row, exact, percent
 from paper.runs import ARMS, Series, name_of
 from paper.studies import BEYOND, MODELS, MOVING, NOISE, RATE, READINGS, Cell
 from paper.variants import BY_HAND, FIXED_RULES, PROPOSED, SIGN, SMC, TUNED, by_hand, with_gains
@@ -45,9 +43,8 @@ def overshoot(evidence: Evidence) -> Iterator[Case]:
         return abs(ours) < factor * DIGIT and abs(theirs - OVERSHOOT) < factor * DIGIT
 
     for where, cell in _places(evidence, noises=[0.0]):
-        for law, reading in LAWS.items():
-            smc = _with(cell, law, where)
-            for joint in MOVING[cell.reference] if evidence.has(smc) else ():
+        for reading, smc in _rivals(evidence, where, cell, LAWS):
+            for joint in MOVING[cell.reference]:
                 ours, theirs = (evidence.median(x, f"overshoot_{joint}").value for x in (cell, smc))
                 rows = [exact("AFSMC overshoot", ours, "%"), exact("SMC overshoot", theirs, "%")]
                 place = {**where, "joint": joint, "SMC": reading}
@@ -57,20 +54,21 @@ def overshoot(evidence: Evidence) -> Iterator[Case]:
 def oscillations(evidence: Evidence) -> Iterator[Case]:
     """(b): slight oscillations of SMC under noise, and none of the proposed controller."""
     for gains, reference in product((TUNED, BY_HAND), evidence.effort.readings):
-        series = {
-            law: evidence.series.get(name_of(with_gains(law, gains), reference))
+        ours, *others = (
+            evidence.series.get(name_of(with_gains(law, gains), reference))
             for law in (PROPOSED, *LAWS)
-        }
-        for (law, reading), joint, model in product(LAWS.items(), MOVING[reference], MODELS):
-            if not (ours := series[PROPOSED]) or not (theirs := series[law]):
+        )
+        pairs = zip(LAWS.values(), others, strict=True)
+        for (reading, smc), joint, model in product(pairs, MOVING[reference], MODELS):
+            if not ours or not smc:
                 continue
             where = {
                 "gains": gains, "joints": READINGS[reference], "joint": joint,
                 "model": percent(model), "noise": _noise(NOISE), "SMC": reading,
             }  # fmt: skip
-            own, smc = (_moved(x, joint, model) for x in (ours, theirs))
+            own, theirs = (_moved(x, joint, model) for x in (ours, smc))
             with np.errstate(all="ignore"):
-                size, ratio = interval(smc), interval(own / smc)
+                size, ratio = interval(theirs), interval(own / theirs)
             rows = [Row("AFSMC, rms", interval(own), OF_AMPLITUDE), Row("AFSMC over SMC", ratio)]
             slight = partial(_is_between, size.value, VISIBLE, SLIGHT)
             yield Case({**where, "of": "SMC"}, [Row("SMC, rms", size, OF_AMPLITUDE)], slight)
@@ -95,15 +93,13 @@ def chattering(evidence: Evidence) -> Iterator[Case]:
         for where, cell in _places(evidence, law, noises=[0.0]):
             size = evidence.median(cell, "chattering")
             smc = [
-                Row(name, evidence.median(other, "chattering"), OF_WEIGHT)
-                for rival, name in RIVALS.items()
-                if evidence.has(other := _with(cell, rival, where))
+                Row(rival, evidence.median(other, "chattering"), OF_WEIGHT)
+                for rival, other in _rivals(evidence, where, cell, RIVALS)
             ]
             yield Case(
-                {**where, "compensation": name},
-                [Row("AFSMC", size, OF_WEIGHT), *smc],
-                lambda factor, x=size.value: bool(x < factor * CHATTERING),
-            )
+                {**where, "compensation": name}, [Row("AFSMC", size, OF_WEIGHT), *smc],
+                partial(_is_between, size.value, 0.0, CHATTERING),
+            )  # fmt: skip
 
 
 def rules(evidence: Evidence) -> Iterator[Case]:
@@ -125,8 +121,8 @@ def stability(evidence: Evidence) -> Iterator[Case]:
     for o in evidence.outcomes:
         law = o.label.removesuffix(by_hand(""))
         parts = (("outside", o.grown_outside, o.outside), ("inside", o.grown_inside, o.inside))
-        for side, grown, periods in parts if o.rate == RATE else ():
-            if periods:
+        for side, grown, periods in parts:
+            if o.rate == RATE and periods:
                 where = {
                     "gains": TUNED if law == o.label else BY_HAND,
                     "joints": READINGS[o.reference], "model": percent(o.mismatch), "law": law,
@@ -135,11 +131,8 @@ def stability(evidence: Evidence) -> Iterator[Case]:
                 rows = [exact(f"V grew, of {periods} periods", 100.0 * grown / periods, "%")]
                 if side == "outside" and o.inside:
                     rows.append(exact("of them after start-up", o.late))
-                yield Case(where, rows, partial(_falls, o, grown / periods))
-
-
-def _falls(outcome: Outcome, share: float, factor: float) -> bool:
-    return not outcome.diverged and share <= factor * NEVER
+                share = np.inf if o.diverged else grown / periods
+                yield Case(where, rows, partial(_is_between, share, 0.0, NEVER))
 
 
 def uncertainty(evidence: Evidence) -> Iterator[Case]:
@@ -166,19 +159,17 @@ def load(evidence: Evidence) -> Iterator[Case]:
             exact("of the control period", 100.0 * taken * RATE, "%", varies=True),
             exact("over smc-boundary", taken / other, varies=True),
         ]
-        yield Case(
-            {"arms": arms}, rows, lambda factor, x=taken: bool(x * RATE <= factor * MODERATE)
-        )
+        yield Case({"arms": arms}, rows, partial(_is_between, taken * RATE, 0.0, MODERATE))
 
 
 def plants(evidence: Evidence) -> Iterator[Case]:
     """Whether AFSMC is better than SMC when the arm is not its model."""
     places: list[Place] = []
-    for cells in evidence.plants():
-        plant, rate, noise = cells[0].plant, cells[0].rate, _noise(cells[0].noise)
-        where = {"gains": TUNED, "plant": f"{plant} modules", "period": f"{1e3 / rate:g} ms"}
-        if plant > studies.MODULES:
-            places.append(({**where, "noise": noise}, cells[0]._replace(label=PROPOSED)))
+    for cell, *_ in evidence.plants():
+        where = {"gains": TUNED, "plant": f"{cell.plant} modules",
+                 "period": f"{1e3 / cell.rate:g} ms", "noise": _noise(cell.noise)}  # fmt: skip
+        if cell.plant > studies.MODULES:
+            places.append((where, cell._replace(label=PROPOSED)))
     return _against(evidence, places, RIVALS, BETTER)
 
 
@@ -199,18 +190,23 @@ def _places(
             }, own  # fmt: skip
 
 
-def _with(cell: Cell, law: str, where: Mapping[str, str]) -> Cell:
-    """The same place for another law with the same gain set."""
-    return cell._replace(label=with_gains(law, where["gains"]))
+def _rivals(
+    evidence: Evidence, where: Mapping[str, str], cell: Cell, rivals: Mapping[str, str]
+) -> Iterator[tuple[str, Cell]]:
+    """The same place for other laws with the same gain set, and their names, if all was run."""
+    for law, name in rivals.items():
+        rival = cell._replace(label=with_gains(law, where["gains"]))
+        if evidence.has(cell, rival):
+            yield name, rival
 
 
 def _against(
     evidence: Evidence, places: Iterable[Place], rivals: Mapping[str, str], by: float
 ) -> Iterator[Case]:
     """A case for each rival that was run in a place: whether its error is larger, by a share."""
-    for (where, cell), (rival, name) in product(places, rivals.items()):
-        if evidence.has(cell, _with(cell, rival, where)):
-            ratio = evidence.ratio(cell, with_gains(rival, where["gains"]))
+    for where, cell in places:
+        for name, rival in _rivals(evidence, where, cell, rivals):
+            ratio = evidence.ratio(cell, rival.label)
             rows = [Row("error over that", ratio)]
             yield Case({**where, "against": name}, rows, partial(is_better, ratio, by))
 

@@ -1,16 +1,27 @@
 """Arms of one variant side by side over time, in one way for all that is looked at in them.
 
-Figures 1 and 2 show coordinates, the drift of the gain E is a question of long runs, and the
-Lyapunov functions need every control instant. All are arms under the one loop with a recorder of
-the fields that are wanted; what is kept of the rows is for the request to say.
+All are arms under the one loop with a recorder of the fields that are wanted; what is kept of the
+rows is for the request to say: coordinates for figures 1 and 2, the gain E for its drift in long
+runs, and counts for Lyapunov functions, which need every control instant.
+
+The Lyapunov function of the sliding modes is V = 1/2 s^T D s, eq (32), with the true arm's D. That
+of the adaptive law is all of eq (80). Its optima may be any that the proof can do with, and are set
+when the run is over:
+
+    theta* = 0,  alpha* = alpha0,  sigma* = sigma0,  E*_j = sup |eps_j|,
+    eps_j = F_j + (alpha_j - alpha0)^T B_j theta_j + (sigma_j - sigma0)^T C_j theta_j
+
+F_j is the error of the model. Then V' = sum_j s_j eps_j - E*_j |s_j| - s^T (B + K_v) s <= 0 in
+continuous time, with sgn(s), and without safeguards. What is counted is how often V is larger at a
+control instant than at the one before.
 """
 
 from __future__ import annotations
 
-import itertools
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,10 +34,10 @@ import octarm
 from octarm.disturbances.forces import BandLimitedNoise
 from octarm.errors import ExitCode, OctarmError
 from octarm.interfaces import Instant, Rows
+from octarm.lagrange import inverse_dynamics, kinetic_energy
 from octarm.simulation.engines import MUJOCO, usual_engine
 from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
-from paper import lyapunov
 from paper.studies import BENDS, MODELS, NOISE, RATE, SEED, SETTLED, TIME, WRONG, Effort
 from paper.variants import ARM, CONTROLLERS, PROPOSED, UNGUARDED, Variant
 
@@ -35,6 +46,7 @@ STRIDE = round(EVERY * RATE)  # the same in control instants
 LONG = {PROPOSED: "long-guarded", UNGUARDED: "long-unguarded"}
 FEWER = 16  # seeds of hand-set gains, which the figures over time do not show
 ARMS = 1024  # side by side, when a step of a controller is timed
+LYAPUNOV = ("q", "v", "v_d", "wanted_a", "s", "E", "theta", "alpha", "sigma", "lost")  # fields
 Arrays = dict[str, np.ndarray]
 
 
@@ -72,11 +84,6 @@ class Request(NamedTuple):
         """What the controllers believe, with batch axis (n,)."""
         return ARM.mismatched(self.mismatch)
 
-    @property
-    def seconds(self) -> float:
-        """What is simulated, all arms counted [s]."""
-        return len(self.mismatch) * self.duration
-
     def perform(self) -> Arrays:
         """Runs the arms; what is kept of them."""
         period = 1.0 / self.rate
@@ -105,22 +112,18 @@ class Request(NamedTuple):
 def noisy_arms(noise: npt.ArrayLike, seeds: Sequence[int]) -> dict[str, Any]:
     """What `octarm.load` takes for arms under noise of some strengths, shape (n,), and seeds."""
     ratio = np.asarray(noise)[:, None]
-    return {
-        "batch": len(ratio),
-        "disturbances": [BandLimitedNoise(ratio=ratio, correlation_time=TIME)]
-        if ratio.any()
-        else [],
-        "seed": [np.random.SeedSequence(SEED, spawn_key=(i,)) for i in seeds],
-    }
+    acts = [BandLimitedNoise(ratio=ratio, correlation_time=TIME)] if ratio.any() else []
+    keys = [np.random.SeedSequence(SEED, spawn_key=(i,)) for i in seeds]
+    return {"batch": len(ratio), "disturbances": acts, "seed": keys}
 
 
 def requests(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Request]:
     """Those of figures 1 and 2 in both readings, the long ones, those of the Lyapunov functions."""
     fields = ("q", "q_d", "lost", "E")
-    for label, reference in itertools.product(effort.labels, effort.readings):
+    for label, reference in product(effort.labels, effort.readings):
         seeds = effort.seeds if label in CONTROLLERS else min(effort.seeds, FEWER)
-        name, who = name_of(label, reference), variants[label]
-        yield Request(name, who, reference, effort.duration, fields, kept, seeds=seeds)
+        own = name_of(label, reference), variants[label], reference, effort.duration
+        yield Request(*own, fields, kept, seeds=seeds)
     for label, name in LONG.items() if effort.long else ():
         yield Request(
             name, variants[label], BENDS, effort.long, fields, kept, mismatches=(WRONG,),
@@ -128,10 +131,10 @@ def requests(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Reques
         )  # fmt: skip
     places = [(BENDS, rate) for rate in effort.rates]
     places += [(reference, RATE) for reference in effort.readings if reference != BENDS]
-    for label, (reference, rate) in itertools.product(effort.lyapunov, places):
+    for label, (reference, rate) in product(effort.lyapunov, places):
         yield Request(
             f"lyapunov-{name_of(label, reference)}-{rate:g}-Hz", variants[label], reference,
-            effort.duration, lyapunov.FIELDS, lyapunov.counts, rate=rate,
+            effort.duration, LYAPUNOV, counts, rate=rate,
         )  # fmt: skip
 
 
@@ -150,7 +153,7 @@ class Series(NamedTuple):
     mismatch: np.ndarray  # shape (n,) [1]
     noise: np.ndarray  # shape (n,) [1]
     diverged_at: np.ndarray  # shape (n,) [s]; NaN for arms that stayed within their limits
-    moved: np.ndarray  # how far noise moves an arm, rms of all instants that count, shape (n, 2N)
+    moved: np.ndarray  # by noise, rms of all instants that count, shape (n, 2N) [m], [rad]
 
     def of(self, mismatch: float, noise: float) -> np.ndarray:
         """The coordinates of some of the arms, shape (T, k, 2N)."""
@@ -158,36 +161,39 @@ class Series(NamedTuple):
 
 
 def kept(request: Request, rows: Rows) -> Arrays:
-    """The fields of `Series`, less `diverged_at`."""
+    """The fields of `Series`, less `diverged_at`.
+
+    What moves an arm is the noise, against the one without it and with the same model, at every
+    control instant of the steady regime. The noise is held for 10 ms: instants that are 10 ms apart
+    would all see it at the same age.
+    """
     few = {name: values[:: STRIDE // request.stride] for name, values in rows.items()}
-    lost = few["lost"][..., None]
+    lost, moved = few["lost"][..., None], np.empty(0)
+    if request.quiet:
+        steady = rows["q"][round(SETTLED * request.rate) :]
+        apart = len(request.mismatches), 1 + request.seeds, steady.shape[-1]
+        groups = steady.reshape(len(steady), *apart)
+        squares = np.sum(np.square(groups - groups[:, :, :1]), axis=0)
+        moved = np.sqrt(squares / max(len(steady), 1)).reshape(rows["q"].shape[1:])
     return {
-        "t": EVERY * np.arange(len(lost)),
-        "q_d": few["q_d"][:, 0],
+        "t": EVERY * np.arange(len(lost)), "q_d": few["q_d"][:, 0], "moved": moved,
         "q": np.where(lost, np.nan, few["q"]),
         "E": np.where(lost, np.nan, few["E"]) if "E" in few else np.empty(0),
-        "mismatch": request.mismatch,
-        "noise": request.noise,
-        "moved": moved(request, rows["q"]) if request.quiet else np.empty(0),
-    }
+        "mismatch": request.mismatch, "noise": request.noise,
+    }  # fmt: skip
 
 
-def moved(request: Request, q: np.ndarray) -> np.ndarray:
-    """How far noise moves arms from the one without noise and with the same model.
-
-    It is the rms over all instants of the steady regime, of coordinates at every control instant,
-    shape (T, n, 2N), to shape (n, 2N) [m], [rad]. The noise is held for 10 ms: instants that are
-    10 ms apart would all see it at the same age.
-    """
-    steady = q[round(SETTLED * request.rate) :]
-    groups = steady.reshape(len(steady), len(request.mismatches), 1 + request.seeds, q.shape[-1])
-    squares = np.square(groups - groups[:, :, :1])
-    return np.sqrt(np.sum(squares, axis=0) / max(len(steady), 1)).reshape(q.shape[1:])
+def recorded(effort: Effort) -> list[str]:
+    """The names of the runs that can be looked at, too: those of tuned gains in figure 1."""
+    labels = [label for label in effort.labels if label in CONTROLLERS] if effort.long else []
+    return [name_of(*own) for own in product(labels, effort.readings)]
 
 
-def record(request: Request, model: float, folder: Path) -> None:
+def record(request: Request, model: float, out: Path) -> None:
     """Has `octarm run` write the folder of one arm without noise; OctarmError if it does not."""
-    variant = request.variant
+    variant, folder = request.variant, out / f"{request.name}-{100 * model:+.0f}"
+    if (folder / "run.rrd").is_file() and (folder / "run.npz").is_file():
+        return
     command = [sys.executable, "-m", "octarm", "run", "--out", str(folder),
                "--controller", variant.controller, "--reference", request.reference,
                f"--mismatch={model}", "--duration", str(request.duration)]  # fmt: skip
@@ -212,3 +218,78 @@ def costs(variants: Mapping[str, Variant], seconds: float = 0.1) -> dict[str, Co
     times = fastest(calls, seconds)
     pairs = zip(CONTROLLERS, times[::2], times[1::2], strict=True)
     return {name: Cost(many / ARMS, alone) for name, many, alone in pairs}
+
+
+class Outcome(NamedTuple):
+    """How V went on one arm."""
+
+    label: str  # of the variant
+    reference: str  # name
+    rate: float  # of control [Hz]
+    mismatch: float  # of the nominal model [1]
+    # Whether the switching gain covers the model error, K_j >= |F_j|, at all times; for the
+    # adaptive law, whether E_max covers eps.
+    covered: bool
+    outside: int  # periods that begin outside the boundary layer: |s_j| > phi_j for a j
+    grown_outside: int  # of them, those over which V grew
+    late: int  # those outside that begin in the steady regime, where start-up is over
+    inside: int  # periods that begin within it
+    grown_inside: int  # of them, those over which V grew
+    start: float  # V at the start [J]
+    bound: float  # largest 1/2 s^T D s in the steady regime [J]
+    diverged: bool  # whether the arm left its limits
+
+
+def outcomes(request: Request, arrays: Mapping[str, np.ndarray]) -> list[Outcome]:
+    """What `counts` gave, arm by arm."""
+    place = request.variant.label, request.reference, request.rate
+    arms = zip(*(arrays[name].tolist() for name in Outcome._fields[len(place) :]), strict=True)
+    return [Outcome(*place, *arm) for arm in arms]
+
+
+def counts(request: Request, rows: Rows) -> dict[str, np.ndarray]:
+    """The fields of `Outcome` that differ from arm to arm, each of shape (n,)."""
+    gains, s = request.variant.gains, rows["s"]
+    kinetic = kinetic_energy(ARM, rows["q"], s)
+    v, lambda_ = rows["v"], np.asarray(gains["lambda"])
+    motion = rows["q"], v, rows["wanted_a"] - lambda_ * (v - rows["v_d"]), v - s
+    # The model error (D^ - D) q_r'' + .. + G^ - G, shape (T, n, 2N) [N], [N m].
+    F = inverse_dynamics(request.nominal, *motion) - inverse_dynamics(ARM, *motion)
+    if "E" in rows:
+        learnt, covered = _learnt(gains, rows, F)
+    else:
+        learnt, covered = 0.0, np.all(_largest(F) <= np.asarray(gains.get("K", 0.0)), axis=-1)
+    V = kinetic + learnt
+    grown = V[1:] > V[:-1]
+    outside = np.any(np.abs(s[:-1]) > np.asarray(gains.get("phi", 0.0)), axis=-1)
+    steady = round(SETTLED * request.rate)
+    return {
+        "mismatch": request.mismatch, "covered": covered,
+        "outside": np.sum(outside, axis=0), "grown_outside": np.sum(outside & grown, axis=0),
+        "late": np.sum(outside[steady:], axis=0),
+        "inside": np.sum(~outside, axis=0), "grown_inside": np.sum(~outside & grown, axis=0),
+        "start": V[0], "bound": np.max(kinetic[steady:], axis=0, initial=0.0),
+        "diverged": rows["lost"][-1],
+    }  # fmt: skip
+
+
+def _learnt(gains: Mapping[str, Any], rows: Rows, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """V of eq (80) beyond the first term, shape (T, n) [J]; whether E_max covers eps, (n,)."""
+    theta, alpha, sigma, E = (rows[name] for name in ("theta", "alpha", "sigma", "E"))
+    z = (rows["s"] / np.asarray(gains["scale"]))[..., None]
+    alpha0, sigma0 = np.asarray(gains["alpha0"]), np.asarray(gains["sigma0"])
+    phi = np.exp(-np.square(sigma * (z - alpha)))
+    by_alpha, by_sigma = 2.0 * sigma**2 * (z - alpha) * phi, -2.0 * sigma * (z - alpha) ** 2 * phi
+    moved = (alpha - alpha0) * by_alpha + (sigma - sigma0) * by_sigma
+    needed = _largest(F + np.sum(moved * theta, axis=-1))
+    rules = sum(
+        np.sum(np.square(x), axis=-1) / np.maximum(np.asarray(gains[eta]), 1e-300)
+        for x, eta in ((theta, "eta2"), (alpha - alpha0, "eta3"), (sigma - sigma0, "eta4"))
+    )
+    energy = np.square(needed - E) / np.asarray(gains["eta1"]) + rules
+    return 0.5 * np.sum(energy, axis=-1), np.all(needed <= np.asarray(gains["E_max"]), axis=-1)
+
+
+def _largest(x: np.ndarray) -> np.ndarray:
+    """Over all instants, shape (T, n, 2N) to (n, 2N)."""
+    return np.max(np.abs(x), axis=0)

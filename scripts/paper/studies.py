@@ -6,16 +6,14 @@ name, and all their gains. Cells without noise get one seed: nothing in them is 
 
 from __future__ import annotations
 
-import copy
 import dataclasses
-import math
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import tomlkit
 
 from octarm.arrays import coordinate_names
 from octarm.simulation.engines import usual_engine
@@ -104,27 +102,18 @@ class Sweep(NamedTuple):
         """Of control [Hz]."""
         return round(1.0 / self.content.get("control_period", 1.0 / RATE), 6)
 
-    @property
-    def seconds(self) -> float:
-        """What it simulates, all arms counted [s]."""
-        return self.content["episodes"] * self.content["duration"] * _cells(self.content["grid"])
-
-    def text(self) -> str:
-        """The spec."""
-        return tomlkit.dumps(self.content)
-
 
 def sweeps(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Sweep]:
-    """All sweeps."""
+    """All sweeps; one for each time that a controller occurs, and cells without noise apart."""
     for entry in effort.sweeps:
         content = {"engine": usual_engine(), "duration": effort.duration, **entry}
         name, study, labels = (content.pop(key) for key in ("name", "study", "labels"))
-        for i, own in enumerate(_apart(variants, labels)):
-            grid = {"controller": list(own), **content["grid"]}
+        parts = [("", content)] if effort is QUICK else _quiet_apart(content)
+        for (i, own), (ending, part) in product(enumerate(_apart(variants, labels)), parts):
+            grid = {"controller": list(own), **part["grid"]}
             gains = {one: dict(variants[label].gains) for one, label in own.items()}
-            spec = {"seed": SEED, **content, "grid": grid, "gains": gains}
-            for ending, part in _quiet_apart(spec) if effort is not QUICK else [("", spec)]:
-                yield Sweep(f"{name}{f'-{i}' if i else ''}{ending}", study, part, own)
+            spec = {"seed": SEED, **part, "grid": grid, "gains": gains}
+            yield Sweep(f"{name}{f'-{i}' if i else ''}{ending}", study, spec, own)
 
 
 def _apart(variants: Mapping[str, Variant], labels: Sequence[str]) -> list[dict[str, str]]:
@@ -138,22 +127,13 @@ def _apart(variants: Mapping[str, Variant], labels: Sequence[str]) -> list[dict[
     return parts
 
 
-def _quiet_apart(content: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+def _quiet_apart(content: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     """A spec in two: without noise and one seed, and with noise for the models of the figures."""
-    noises = content["grid"].get("disturbance", {}).get("noise", [])
+    grid = content["grid"]
+    kinds, noises = grid.get("disturbance", {}), grid.get("disturbance", {}).get("noise", [])
     if 0.0 not in noises:
-        yield "", content
-        return
-    quiet = copy.deepcopy(content)
-    quiet["episodes"], quiet["grid"]["disturbance"]["noise"] = 1, [0.0]
-    yield "-quiet", quiet
-    if len(noises) > 1:
-        content = copy.deepcopy(content)
-        content["grid"]["mismatch"] = [m for m in content["grid"]["mismatch"] if m in MODELS]
-        content["grid"]["disturbance"]["noise"] = [noise for noise in noises if noise]
-        yield "", content
-
-
-def _cells(grid: Mapping[str, Any]) -> int:
-    """Number of cells of a grid, whose tables stand in one another."""
-    return math.prod(_cells(x) if isinstance(x, dict) else len(x) for x in grid.values())
+        return [("", content)]
+    quiet = {**grid, "disturbance": {**kinds, "noise": [0.0]}}
+    noisy = {**grid, "mismatch": [m for m in grid["mismatch"] if m in MODELS],
+             "disturbance": {**kinds, "noise": [noise for noise in noises if noise]}}  # fmt: skip
+    return [("-quiet", {**content, "episodes": 1, "grid": quiet}), ("", {**content, "grid": noisy})]

@@ -5,7 +5,8 @@ import io
 import math
 import tomllib
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,15 +14,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octarm.reports.statistics import Interval, binomial
-from paper.claims import Claim, worded, words
+from paper.claims import Claim, Entry, percent, worded, words
 from paper.evidence import Evidence, interval
-from paper.numbers import Entry, percent
 from paper.plants import LONGEST, SHORTEST, SHORTEST_TRACKED
 from paper.runs import EVERY, LONG
-from paper.studies import BEYOND, MODELS, MOVING, NOISE, RATE, WRONG, Cell
+from paper.studies import MODELS, MOVING, NOISE, RATE, WRONG, Cell
 from paper.variants import CONTROLLERS, INSTEAD, PROPOSED, SIGN, SMC, by_hand
 
-Rows = Iterable[Sequence[Entry]]
+Rows = Iterator[Sequence[Any]]  # of entries
 # How tables say what a cell has.
 WORDS: dict[str, Callable[[Any], Entry]] = {
     "label": str,
@@ -39,49 +39,39 @@ class Table(NamedTuple):
     name: str  # of its file
     caption: str  # what it shows, and how
     columns: Sequence[str]  # headings, units in brackets
-    rows: Sequence[Sequence[Entry]]  # an interval is a median and its 95 % interval
+    rows: Sequence[Sequence[Any]]  # entries; an interval is a median and its 95 % interval
 
 
 def all_tables(evidence: Evidence, claims: Sequence[Claim], gains: Path) -> dict[str, Table]:
-    """All tables that are the same in every run, by name, those that have rows.
+    """All tables of `words.toml` that have rows, by name; only `timings` differ from run to run.
 
     The folder `gains` has the tuned gain sets.
     """
-    tables = [
-        _table("ranking", ranking(evidence)),
-        _table("best", best(evidence)),
-        plants(evidence),
-        _table("plants-ranking", plants_ranking(evidence)),
-        periods(evidence),
-        *(_table(name, grid(evidence, name)) for name in ("joints", "ablations", "gain-sets")),
-        _table("tuning", tuning(evidence, gains)),
-    ]
-    if evidence.effort.long:
-        names = ("rates", "correlation", "degradation", *BEYOND)
-        tables += [_table(name, grid(evidence, name)) for name in names]
-        tables += [_table("drift", drift(evidence))]
-    tables += [
-        _table("stability", stability(evidence)),
-        _table("cells", cells(evidence)),
-        _table("claims", numbers_of(claims)),
-    ]
-    return {table.name: table for table in tables if table.rows}
+    made = {
+        "ranking": ranking, "best": best, "plants": plants, "plants-ranking": plants_ranking,
+        "periods": periods, "tuning": partial(tuning, gains=gains), "drift": drift,
+        "stability": stability, "cells": cells, "claims": lambda _: numbers_of(claims),
+        "timings": timings,
+    }  # fmt: skip
+    tables: dict[str, Table] = {}
+    for name, wording in words()["tables"].items():
+        if evidence.effort.long or not wording.get("long"):
+            rows = list(made[name](evidence) if name in made else grid(evidence, name))
+            heads = wording["columns"] if "columns" in wording else rows.pop(0)
+            tables[name] = Table(name, worded(wording["caption"]), heads, rows)
+    return {name: table for name, table in tables.items() if table.rows}
 
 
 def as_csv(table: Table) -> str:
     """The text of a CSV file; an interval takes three columns."""
-    wide = [
-        any(isinstance(x, Interval) for x in column) for column in zip(*table.rows, strict=True)
-    ]
+    columns: list[list[str]] = []
+    for head, column in zip(table.columns, zip(*table.rows, strict=True), strict=True):
+        ends = ("", " low", " high") if any(isinstance(x, Interval) for x in column) else ("",)
+        for i, end in enumerate(ends):
+            entries = [x[i] if isinstance(x, Interval) else x for x in column]
+            columns.append([head + end, *map(_plain, entries)])
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    ends = [("", " low", " high") if three else ("",) for three in wide]
-    heads = zip(table.columns, ends, strict=True)
-    writer.writerow([name + end for name, three in heads for end in three])
-    for row in table.rows:
-        entries = zip(row, ends, strict=True)
-        triples = [(x if isinstance(x, Interval) else [x] * 3)[: len(own)] for x, own in entries]
-        writer.writerow([_plain(x) for triple in triples for x in triple])
+    csv.writer(text, lineterminator="\n").writerows(zip(*columns, strict=True))
     return text.getvalue()
 
 
@@ -133,42 +123,36 @@ def best(evidence: Evidence) -> Rows:
     for reference, noise, model in product(MOVING, (NOISE, 0.0), MODELS):
         start = Cell(PROPOSED, "tracking", reference, model, noise)
         if evidence.has(start):
-            first = _least(evidence, start.of(CONTROLLERS))
+            cells = evidence.known(start.of(CONTROLLERS))
+            first = min(cells, key=lambda cell: evidence.median(cell).value)
             ratios = [evidence.ratio(start, first.label, x) for x in ("error", "chattering")]
             place = _where({"reference": reference, "noise": noise, "mismatch": model})
             yield *place, first.label, evidence.median(first), *ratios
 
 
-def plants(evidence: Evidence) -> Table:
-    """The paper's laws on arms of more modules than their model."""
+def plants(evidence: Evidence) -> Rows:
+    """The paper's laws on arms of more modules than their model, below headings."""
     laws = [name for name in (SIGN, SMC, PROPOSED) if name in evidence.effort.plant_labels]
-    rivals, rows = laws[:-1], list[Sequence[Entry]]()
+    heads = [*(f"{name} [%]" for name in laws), *(f"afsmc over {name}" for name in laws[:-1])]
+    yield "modules", "period", "noise", "best", *heads, *(f"rank of {name}" for name in laws)
     for cells in evidence.plants():
-        names, first = [cell.label for cell in cells], _least(evidence, cells)
+        first, *_ = cells
         best = first.label if np.isfinite(evidence.median(first).value) else "none"
-        ours = first._replace(label=PROPOSED)
-        errors = [evidence.median(cell) for cell in first.of(laws)]
-        ratios = [evidence.ratio(ours, name) for name in rivals]
-        ranks = [_rank(evidence, cell, names) for cell in first.of(laws)]
-        rows.append((*_plant(first), best, *errors, *ratios, *ranks))
-    heads = [*(f"{name} [%]" for name in laws), *(f"afsmc over {name}" for name in rivals)]
-    return _table("plants", rows, [*heads, *(f"rank of {name}" for name in laws)])
+        ours, own = first._replace(label=PROPOSED), first.of(laws)
+        ratios = [evidence.ratio(ours, name) for name in laws[:-1]]
+        ranks = [evidence.rank(cell, cells) for cell in own]
+        yield *_plant(first), best, *map(evidence.median, own), *ratios, *ranks
 
 
 def plants_ranking(evidence: Evidence) -> Rows:
     """All laws on all plants, the best first."""
     for cells in evidence.plants():
-        names = [cell.label for cell in cells]
-        for cell in sorted(cells, key=lambda cell: evidence.median(cell).value):
+        for cell in cells:
             lost, count = evidence.diverged(cell)
-            share = binomial(lost, count) if cell.noise else Interval(*(float(lost),) * 3)
-            lost_percent = Interval(*(100.0 * x for x in share))
-            rank = _rank(evidence, cell, names)
-            yield *_plant(cell), rank, cell.label, evidence.median(cell), lost_percent
-
-
-def _least(evidence: Evidence, cells: Sequence[Cell]) -> Cell:
-    return min(evidence.known(cells), key=lambda cell: evidence.median(cell).value)
+            share = binomial(lost, count) if cell.noise else (float(lost),) * 3
+            percents = Interval(*(100.0 * x for x in share))
+            rank = evidence.rank(cell, cells)
+            yield *_plant(cell), rank, cell.label, evidence.median(cell), percents
 
 
 def _plant(cell: Cell) -> tuple[Entry, ...]:
@@ -176,22 +160,16 @@ def _plant(cell: Cell) -> tuple[Entry, ...]:
     return cell.plant, f"{1e3 / cell.rate:g} ms", *_where({"noise": cell.noise})
 
 
-def _rank(evidence: Evidence, cell: Cell, names: Sequence[str]) -> Entry:
-    rank = evidence.rank(cell, names)
-    return "lost" if np.isnan(rank.value) else rank
-
-
-def periods(evidence: Evidence) -> Table:
-    """The longest control periods of each law, predicted and simulated [ms]."""
-    rows: list[Sequence[Entry]] = []
+def periods(evidence: Evidence) -> Rows:
+    """The longest control periods of each law, predicted and simulated [ms], below headings."""
+    kinds = product(evidence.effort.plants, ("predicted", "simulated"))
+    yield "controller", *(f"{modules} modules, {kind} [ms]" for modules, kind in kinds)
     for name, both in evidence.periods.items():
         row: list[Entry] = [name]
         for pair in zip(both["predicted"].tolist(), both["simulated"].tolist(), strict=True):
             shortest = SHORTEST_TRACKED if math.isnan(pair[0]) else SHORTEST
             row += [_period(seconds, shortest) for seconds in pair]
-        rows.append(row)
-    kinds = product(evidence.effort.plants, ("predicted", "simulated"))
-    return _table("periods", rows, [f"{modules} modules, {kind} [ms]" for modules, kind in kinds])
+        yield row
 
 
 def _period(seconds: float, shortest: float) -> Entry:
@@ -258,16 +236,10 @@ def numbers_of(claims: Sequence[Claim]) -> Rows:
                 yield c.letter, str(c.verdict), c.condition, row.name, *row.number, row.unit
 
 
-def timings(evidence: Evidence) -> Table:
+def timings(evidence: Evidence) -> Rows:
     """What a step takes on this machine."""
-    costs = evidence.costs.items()
-    rows = [(n, 1e6 * x.many, 1e6 * x.alone, 100.0 * x.many * RATE) for n, x in costs]
-    return _table("timings", rows)
-
-
-def _table(name: str, rows: Rows, columns: Sequence[str] = ()) -> Table:
-    wording: dict[str, Any] = words()["tables"][name]
-    return Table(name, worded(wording["caption"]), [*wording["columns"], *columns], list(rows))
+    for name, cost in evidence.costs.items():
+        yield name, 1e6 * cost.many, 1e6 * cost.alone, 100.0 * cost.many * RATE
 
 
 def _where(place: dict[str, Any]) -> Iterator[Entry]:

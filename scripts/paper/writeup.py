@@ -10,13 +10,11 @@ from octarm.errors import OctarmError
 from octarm.files import write_files
 from octarm.html import Cell
 from octarm.html import Table as PageTable
-from octarm.reports.statistics import Interval
 from paper import figures
-from paper.claims import PAGES, TEXTS, Claim, claim, worded, words
+from paper.claims import PAGES, TEXTS, Claim, claim, in_parts, in_words, rounded, worded, words
 from paper.evidence import Evidence
-from paper.numbers import Entry, in_parts, in_words, rounded
 from paper.rules import CLAIMS, QUESTIONS
-from paper.tables import Table, all_tables, as_csv, timings
+from paper.tables import Table, all_tables, as_csv
 
 PAGE, TABLES, FIGURES = "report.html", "tables", "figures"
 START, END = "<!-- claims -->", "<!-- /claims -->"
@@ -38,37 +36,34 @@ def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = No
     Raises OctarmError if that has no place for them, and OSError if writing fails.
     """
     claims = all_claims(evidence)
-    written = all_tables(evidence, claims, gains)
-    drawn = list(figures.pictures(evidence))
-    costs = timings(evidence)
-    common = {"claims": claims, "seeds": evidence.effort.seeds}
+    tables = all_tables(evidence, claims, gains)
+    pictures = list(figures.pictures(evidence))
+    common = {"claims": claims, "seeds": evidence.effort.seeds, "tables": tables}
     page = _rendered(
-        "paper.html", **common, tables={**written, "timings": costs}, pictures=drawn[1:],
-        layout=_layout,
-        numbers=lambda one: Table("", "", ("", "measured"), [(r.name, str(r)) for r in one.rows]),
+        "paper.html", **common, pictures=pictures[1:], layout=_layout,
+        numbers=lambda one: _layout(["", "measured"], [(row.name, str(row)) for row in one.rows]),
         versions=", ".join(f"{name} {version(name)}" for name in _PACKAGES),
         gains={label: json.dumps(one.gains) for label, one in evidence.variants.items()},
     )  # fmt: skip
-    common["tables"] = written
     texts = {
-        **{f"{TABLES}/{name}.csv": as_csv(table) for name, table in written.items()},
-        "timings.csv": as_csv(costs),
-        "claims.json": as_json(content(evidence, claims, written)),
+        **{f"{TABLES}/{name}.csv": as_csv(table) for name, table in tables.items()},
+        "claims.json": as_json(content(evidence, claims, tables)),
         "paper.md": _rendered("paper.md", **common, picture_file=f"{FIGURES}/paper.png"),
         PAGE: page,
-        **{f"{FIGURES}/{one.name}.svg": one.svg for one in drawn},
     }
+    texts["timings.csv"] = texts.pop(f"{TABLES}/timings.csv")
     files = {out / name: text.encode() for name, text in texts.items()}
-    files |= {out / FIGURES / f"{one.name}.png": one.png for one in drawn}
+    for one in pictures:
+        files |= one.files(out / FIGURES)
     if root is not None:
         readme, folder = root / "README.md", root / ".readme"
-        numbers = content(evidence, claims, written, timings=True)
+        numbers = content(evidence, claims, tables, timings=True)
         text = _rendered("paper.md", **common, picture_file="paper.png")
         files |= {
             readme: with_claims(readme.read_text(encoding="utf-8"), numbers).encode(),
             folder / "paper.json": as_json(numbers).encode(),
             folder / "paper.md": text.encode(),
-            **{folder / f"{x.name}.png": x.png for x in drawn if x.name in ("paper", "plants")},
+            **{folder / f"{x.name}.png": x.png for x in pictures if x.name in ("paper", "plants")},
         }
     write_files(files)
     return claims
@@ -81,20 +76,20 @@ def content(
     """Verdicts and numbers, ready for JSON; with or without what differs from run to run."""
     strings = {
         name: [list(table.columns), *([in_words(x) for x in row] for row in table.rows)]
-        for name, table in written.items()
-    }
+        for name, table in written.items() if name in ("best", "plants", "periods")
+    }  # fmt: skip
     return {
-        "effort": evidence.effort.name,
-        "seeds": evidence.effort.seeds,
+        "effort": evidence.effort.name, "seeds": evidence.effort.seeds,
         "command": words()["command"],
         "claims": [one.to_dict(timings=timings) for one in claims if one.place],
         "questions": [one.to_dict(timings=timings) for one in claims if not one.place],
-        **{name: strings.get(name, []) for name in ("best", "plants", "periods")},
+        "best": [], "plants": [], "periods": [], **strings,
         "ranking": [
-            {"controller": row[0], "error_with_noise": _triple(row[1]), "error": _triple(row[5])}
-            for row in written["ranking"].rows
+            {"controller": name, "error_with_noise": [*map(rounded, noisy)],
+             "error": [*map(rounded, quiet)]}
+            for name, noisy, _, _, _, quiet, *_ in written["ranking"].rows
         ],
-    }
+    }  # fmt: skip
 
 
 def as_json(value: Mapping[str, Any]) -> str:
@@ -114,16 +109,18 @@ def with_claims(readme: str, numbers: Mapping[str, Any]) -> str:
     return f"{before}{START}\n\n{_rendered('readme.md', **numbers).strip()}\n\n{END}{after}"
 
 
-def _layout(table: Table) -> PageTable:
+def _layout(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> PageTable:
     """A table as pages have it; words stand to the left."""
-    columns = zip(*table.rows, strict=True)
-    kinds = ["left" if any(isinstance(x, str) for x in column) else "" for column in columns]
+    sides = [
+        "left" if any(isinstance(x, str) for x in column) else ""
+        for column in zip(*rows, strict=True)
+    ]
 
-    def cells(row: Sequence[Entry]) -> list[Cell]:
-        parts = [(*in_parts(x), kind) for x, kind in zip(row, kinds, strict=True)]
-        return [Cell(value, [ends] if ends else [], kind) for value, ends, kind in parts]
+    def cells(row: Sequence[Any]) -> list[Cell]:
+        parts = [(*in_parts(x), side) for x, side in zip(row, sides, strict=True)]
+        return [Cell(value, [ends] if ends else [], side) for value, ends, side in parts]
 
-    return PageTable(cells(table.columns), [cells(row) for row in table.rows])
+    return PageTable(cells(columns), [cells(row) for row in rows])
 
 
 def _rendered(template: str, **values: Any) -> str:
@@ -133,8 +130,3 @@ def _rendered(template: str, **values: Any) -> str:
     common |= {"lead": worded(texts["lead"]), "setup": [worded(text) for text in texts["setup"]]}
     templates = PAGES if template.endswith(".html") else TEXTS
     return templates.get_template(template).render(**(common | values)).strip("\n") + "\n"
-
-
-def _triple(entry: Entry) -> list[float | str]:
-    values = entry if isinstance(entry, Interval) else (entry,) * 3
-    return [rounded(float(x)) for x in values]
