@@ -436,7 +436,7 @@ def test_sums_over_groups_are_added_in_order_whatever_the_batch(layout: str, arm
     np.testing.assert_array_equal([groups.rates(one) for one in v], expected)
     np.testing.assert_array_equal(groups.rates(np.stack([v, v]))[1], expected)
     assert not np.signbit(groups.rates(np.full((arms, 60), -0.0))).any()
-    for place, other in zip(tip(v), np.transpose([tip(one) for one in v]), strict=True):
+    for place, other in zip(tip(v), np.array([tip(one) for one in v]).T, strict=True):
         np.testing.assert_array_equal(place, other)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -201,12 +202,13 @@ def test_gains_have_units():
     with pytest.raises(OctarmError, match="lambda is '15N'; its unit must be 1/s or %/s"):
         gain("smc", "lambda", "15N")
     spec = parse_spec("[grid]\ncontroller = ['pd']\n[gains.pd]\nK_p = '5 N/mm'")
-    assert np.all(spec.controller("pd", nominal_parameters(), make_controller).K_p == 5000.0)
+    made: Any = spec.controller("pd", nominal_parameters(), make_controller)
+    assert np.all(made.K_p == 5000.0)
 
 
 def test_a_file_of_gains_may_hold_some_in_si():
     content = {"controller": "pd", "gains": {"K_p": 1.0, "K_d": "8 N s/m"}, "arm": {}}
-    made = make_controller("pd", nominal_parameters(), gain_set=content)
+    made: Any = make_controller("pd", nominal_parameters(), gain_set=content)
     assert np.all(made.K_d == 8.0) and not np.all(made.K_p == 1.0)
 
 
