@@ -66,8 +66,8 @@ def test_rows_are_what_octarm_arm_says_beside_what_simulation_did(made: Path):
         row = found["smc-boundary", str(modules)]
         assert row.loop.longest == loop.longest and row.loop.radius == loop.radius
         assert row.loop.mode == loop.mode
-        assert row.predicted == ("stable" if modules == 3 else "lost")
-        assert (row.episodes, row.lost) == (1, 0 if modules == 3 else 1)
+        assert row.predicted == ("stable" if modules == 3 else "unstable")
+        assert (row.episodes, row.poor) == (1, 0 if modules == 3 else 1)
         assert row.agrees
     smc = found["smc", "3"]
     assert "sgn(s)" in smc.loop.reason and smc.predicted == "" and smc.agrees
@@ -93,7 +93,7 @@ def test_the_page_and_the_terminal_have_them(made: Path, capsys):
     said = capsys.readouterr()
     assert "smc-boundary, plant_modules 15" in said.out
     assert "Prediction and simulation agree in " in said.out
-    assert "lost: diverged, or above a tenth of the error of hanging still.\n" in said.out
+    assert "poor: diverged, or above a tenth of the error of hanging still.\n" in said.out
     assert "damper.py:Damper, the same file as then" in said.err
     page = (made / "p" / "report.html").read_text(encoding="utf-8")
     assert "the sampled loops about rest" in page and "switches by sgn(s)" in page
@@ -119,7 +119,7 @@ def test_other_gains_than_those_of_the_sweep_are_not_taken_for_them(made: Path):
 
 
 @pytest.mark.parametrize(
-    ("longest", "lost", "disturbed", "judged", "agrees"),
+    ("longest", "poor", "disturbed", "judged", "agrees"),
     [
         (1e-3, 0, False, True, True),
         (1e-3, 3, False, True, False),
@@ -130,8 +130,8 @@ def test_other_gains_than_those_of_the_sweep_are_not_taken_for_them(made: Path):
     ],
 )
 def test_disturbances_excuse_only_what_they_can_do(
-    longest: float, lost: int, disturbed: bool, judged: bool, agrees: bool
+    longest: float, poor: int, disturbed: bool, judged: bool, agrees: bool
 ):
     loop = LoopAtRest(period=5e-4, radius=0.9 if longest > 5e-4 else 1.1, longest=longest)
-    row = Row("pd", {}, loop, episodes=8, diverged=0, lost=lost, disturbed=disturbed)
+    row = Row("pd", {}, loop, episodes=8, diverged=0, poor=poor, disturbed=disturbed)
     assert (row.judged, row.agrees) == (judged, agrees)

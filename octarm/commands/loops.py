@@ -45,8 +45,8 @@ class Row(NamedTuple):
         loop: what it does about rest.
         episodes: number of those that were simulated.
         diverged: number of those that did.
-        lost: number of those and of others that tracked nothing, see `Episodes.poor`.
-        disturbed: whether disturbances act in the sweep, which may lose an arm by themselves.
+        poor: number of those and of others that tracked poorly, see `Episodes.poor`.
+        disturbed: whether disturbances act in the sweep, which may do that by themselves.
     """
 
     controller: str
@@ -54,24 +54,24 @@ class Row(NamedTuple):
     loop: LoopAtRest
     episodes: int
     diverged: int
-    lost: int
+    poor: int
     disturbed: bool
 
     @property
     def predicted(self) -> str:
         """What the loop says of the arm; empty if it says nothing."""
-        return "" if self.loop.reason else "stable" if self.loop.stable else "lost"
+        return "" if self.loop.reason else "stable" if self.loop.stable else "unstable"
 
     @property
     def judged(self) -> bool:
         """Whether simulation can tell if the loop says the right thing."""
-        by_disturbances = self.disturbed and self.loop.stable and self.lost > 0
+        by_disturbances = self.disturbed and self.loop.stable and self.poor > 0
         return not self.loop.reason and self.episodes > 0 and not by_disturbances
 
     @property
     def agrees(self) -> bool:
         """Whether simulation did what the loop says, or cannot tell."""
-        return not self.judged or self.loop.stable == (self.lost == 0)
+        return not self.judged or self.loop.stable == (self.poor == 0)
 
 
 class Loops(NamedTuple):
@@ -95,11 +95,11 @@ class Loops(NamedTuple):
         return (
             f"Linear about rest, without disturbances, at the control period of {self._ms} ms"
             f"{', with exact models, where the sweep draws them' if self.drawn else ''}. The "
-            "margin is the longest stable period over that one. Lost are episodes that diverged, "
+            "margin is the longest stable period over that one. Poor are episodes that diverged, "
             "or in which a coordinate had more than a tenth of the error of hanging still. "
-            f"{self._verdict}; the others are coloured: a loop that is stable about rest may be "
-            "lost by a large motion. Where disturbances act, which may lose an arm by themselves, "
-            "only what is predicted as lost, or is not lost, can tell."
+            f"{self._verdict}; the others are coloured: a loop that is stable about rest may do "
+            "poorly in a large motion. Where disturbances act, which may do that by themselves, "
+            "only loops that are predicted as unstable, or do well, can tell."
         )
 
     @property
@@ -121,7 +121,7 @@ class Loops(NamedTuple):
         head = [
             Cell("controller", [", ".join(self.rows[0].where)], "left"),
             Cell("predicted"),
-            Cell("lost in", ["simulation"]),
+            Cell("poor in", ["simulation"]),
             Cell("longest period", ["[ms]"]),
             Cell("margin", [f"over {self._ms} ms"]),
             Cell("spectral radius", [f"at {self._ms} ms"]),
@@ -131,17 +131,17 @@ class Loops(NamedTuple):
 
     def lines(self) -> Iterator[str]:
         """The rows for a terminal."""
-        yield f"longest period  over {self._ms:>4} ms  predicted  lost       loop about rest"
+        yield f"longest period  over {self._ms:>4} ms  predicted  poor       loop about rest"
         for row in self.rows[:_PRINTED]:
             loop, what = row.loop, ", ".join([row.controller, *map(" ".join, row.where.items())])
-            lost = f"{row.lost} of {row.episodes}{'' if row.agrees else ' (!)'}"
+            poor = f"{row.poor} of {row.episodes}{'' if row.agrees else ' (!)'}"
             yield (
                 f"{number(1e3 * loop.longest):>11} ms {number(loop.longest / loop.period):>13}  "
-                f"{row.predicted or '-':<9}  {lost:<10} {what}"
+                f"{row.predicted or '-':<9}  {poor:<10} {what}"
             )
         if self.planned > _PRINTED:
             yield f"and {self.planned - _PRINTED} more"
-        yield f"{self._verdict}; lost: diverged, or above a tenth of the error of hanging still."
+        yield f"{self._verdict}; poor: diverged, or above a tenth of the error of hanging still."
 
 
 def _cells(row: Row) -> list[Cell]:
@@ -152,7 +152,7 @@ def _cells(row: Row) -> list[Cell]:
     return [
         Cell(row.controller, where, "left", look_of(row.controller).color),
         Cell(row.predicted or "-", kind=kind),
-        Cell(f"{row.lost} of {row.episodes}", diverged, kind),
+        Cell(f"{row.poor} of {row.episodes}", diverged, kind),
         Cell(number(1e3 * loop.longest)),
         Cell(number(loop.longest / loop.period)),
         Cell("-" if loop.reason else f"{loop.radius:.4f}"),
@@ -188,11 +188,11 @@ def loops_of(folder: Path, episodes: Episodes, run_code: bool) -> Loops:
             modules = int(value[PLANT_MODULES]) if PLANT_MODULES in value else None
             this = plant(arm, modules, value.get(LAYOUT, PAPER))
             loop = loop_at_rest(this, law, period, held=False)
-        all_of, diverged, lost = (
+        all_of, diverged, poor = (
             int(np.sum(x[here])) for x in (here, episodes.diverged, episodes.poor)
         )
         label, disturbed = episodes.controllers[which], bool(spec.disturbances)
-        return Row(label, where, loop, all_of, diverged, lost, disturbed)
+        return Row(label, where, loop, all_of, diverged, poor, disturbed)
 
     asked: Any = itertools.product(*map(enumerate, values), enumerate(spec.controllers))
     rows = [row(*law, *places) for *places, law in itertools.islice(asked, _MOST)]
