@@ -23,7 +23,7 @@ from recordings import (
 from octarm.arm.lagrange import positions
 from octarm.arm.mjcf import world_position
 from octarm.errors import OctarmError
-from octarm.recordings.blueprints import Plots, reach
+from octarm.recordings.blueprints import Plots, reach, span
 from octarm.recordings.channels import channels_of
 from octarm.recordings.recording import run_recording, write_recording
 from octarm.recordings.rrd import last_instant, telling_instant
@@ -346,8 +346,22 @@ def test_a_rerun_that_is_switched_off_is_an_error(tmp_path, monkeypatch):
 @pytest.mark.parametrize("size", [1e-4, 0.97, 1.0, 4.4, 4.7, 9.3, 55.0, 123.0])
 def test_an_axis_about_zero_has_three_labels(size: float):
     """The viewer labels multiples of the power of ten of which at most nine are in sight."""
-    end = reach(size)
-    assert end is not None and size < end < 2.6 * size
+    ends = reach(size)
+    assert ends is not None and -ends[0] == ends[1]
+    end = ends[1]
+    assert size < end < 2.6 * size
     step = 10.0 ** np.ceil(np.log10(2.0 * end / 8.9))
     assert 2 * np.floor(end / step) + 1 >= 3
     assert reach(0.0) is None and reach(np.inf) is None
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [(121.2, 123.4), (121.4, 121.9), (-0.3, 0.1), (0.0, 9.0), (122.0, 122.95), (-0.02, 0.0)],
+)
+def test_an_axis_anywhere_has_three_labels(low: float, high: float):
+    bottom, top = span(low, high) or (low, high)
+    assert bottom <= low and high <= top and top - bottom < 4.5 * max(high - low, 1e-9)
+    step = 10.0 ** np.ceil(np.log10((top - bottom) / 8.9))
+    assert np.floor(top / step) - np.ceil(bottom / step) >= 2
+    assert span(1.0, 1.0) is None and span(-350.0, 350.0) is None and span(0.0, np.inf) is None

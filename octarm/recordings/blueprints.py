@@ -50,8 +50,8 @@ class Curves(NamedTuple):
     width: float = 1.5
 
 
-def reach(size: float) -> float | None:
-    """The end of an axis from -end to end with three labels at least; None for no finite size.
+def reach(size: float) -> tuple[float, float] | None:
+    """The ends of an axis about zero with three labels at least; None for no finite size.
 
     The viewer labels multiples of a power of ten, of that which leaves room for them: with more
     than nine in sight, of the next one.
@@ -60,7 +60,26 @@ def reach(size: float) -> float | None:
         return None
     end = 1.08 * size
     power = 10.0 ** math.floor(math.log10(end))
-    return end if end <= 4.4 * power else 10.4 * power
+    end = end if end <= 4.4 * power else 10.4 * power
+    return -end, end
+
+
+def span(low: float, high: float) -> tuple[float, float] | None:
+    """The ends of an axis of numbers from low to high with three labels at least, see `reach`.
+
+    None where there are as many anyway, or no finite size.
+    """
+    size = high - low
+    if not 0.0 < size < math.inf:
+        return None
+    step = 10.0 ** math.ceil(math.log10(size / 8.9))
+    first, last = math.ceil(low / step), math.floor(high / step)
+    if last - first >= 2:
+        return None
+    while last - first < 2:
+        below = low - (first - 1) * step < (last + 1) * step - high
+        first, last = (first - 1, last) if below else (first, last + 1)
+    return min(low, first * step) - 0.04 * size, max(high, last * step) + 0.04 * size
 
 
 class Plots:
@@ -78,17 +97,19 @@ class Plots:
         root: str = "",
         largest: Mapping[str, np.ndarray] | None = None,
         events: Mapping[str, str] | None = None,
+        extremes: Mapping[str, np.ndarray] | None = None,
     ) -> None:
         """Plots from 0 to `end` [s].
 
         The largest size of each number of a channel, by name, tells which plots would be empty and
         which bounds are far off; None while the run goes on. Of the entities of `EVENTS` those that
-        there are have a name for the legend.
+        there are have a name for the legend. The extremes are the lowest and the highest number of
+        a plot, as it is recorded, by its first column.
         """
         at = rr.TimeRangeBoundary.absolute
         time = rr.TimeRange(start=at(seconds=0.0), end=at(seconds=1.2 * end))
         self.channels, self.axis, self._root = channels, rrb.TimeAxis(view_range=time), root
-        self._largest, self._events = largest, events or {}
+        self._largest, self._events, self._extremes = largest, events or {}, extremes or {}
 
     def curves(self, name: str, part: str = "") -> Curves:
         """The curves of a part of a channel."""
@@ -98,9 +119,13 @@ class Plots:
         return Curves(channel.entity, f".{channel.column(part)}[]", names, colors)
 
     def view(
-        self, title: str, *curves: Curves, legend: bool = False, largest: float | None = None
+        self,
+        title: str,
+        *curves: Curves,
+        legend: bool = False,
+        ends: tuple[float, float] | None = None,
     ) -> Any:
-        """A plot of curves; from -largest to largest if that is given."""
+        """A plot of curves; the viewer chooses the ends of its axis if they are not given."""
         lines: dict[Any, list[Any]] = {}
         path = curves[0].path.removesuffix("[]")
         marks = [
@@ -129,7 +154,7 @@ class Plots:
             contents=list(lines),
             overrides=lines,
             axis_x=self.axis,
-            axis_y=None if not largest else rrb.ScalarAxis(range=(-largest, largest)),
+            axis_y=None if ends is None else rrb.ScalarAxis(range=ends),
             plot_legend=rrb.PlotLegend("RightTop") if legend else rrb.PlotLegend(visible=False),
         )
 
@@ -147,10 +172,10 @@ class Plots:
             entity, path = f"bounds/{name}", f".{part or 'all'}[]"
             curves.append(Curves(entity, path, names, [_BOUND] * count, 1.0))
             title = f"{title}   grey: {bound.word}"
-        return self.view(title, *curves, legend=legend, largest=self._reach(name, part))
+        return self.view(title, *curves, legend=legend, ends=self._reach(name, part))
 
-    def _reach(self, name: str, part: str) -> float | None:
-        """How far the axis of a plot about zero goes; None where the viewer is to choose."""
+    def _reach(self, name: str, part: str) -> tuple[float, float] | None:
+        """The ends of the axis of a plot about zero; None where the viewer is to choose."""
         if self._largest is None or name not in _ABOUT_ZERO:
             return None
         channel = self.channels[name]
@@ -200,7 +225,9 @@ class Plots:
         wanted = wanted._replace(names=names, colors=colors, width=6.0)
         unit = self.channels["q"].recorded(part)[1]
         title = f"{part}{unit}   wide: desired"
-        both = self.view(title, wanted, self.curves("q", part), legend=True)
+        low, high = self._extremes.get(self.channels["q"].column(part), (0.0, 0.0))
+        ends = span(float(low), float(high))
+        both = self.view(title, wanted, self.curves("q", part), legend=True, ends=ends)
         return [both, self.bounded(f"error of {part}{unit}", "error", part)]
 
     def energy_rate(self) -> Any:
@@ -243,6 +270,7 @@ def blueprint(
     lanes: int,
     largest: Mapping[str, np.ndarray] | None = None,
     events: Mapping[str, str] | None = None,
+    extremes: Mapping[str, np.ndarray] | None = None,
     *,
     listed: bool = False,
     following: bool = False,
@@ -256,10 +284,11 @@ def blueprint(
         lanes: of the state timeline, without those of single coordinates.
         largest: sizes of the numbers of each channel, shape (numbers,), see `Plots`.
         events: see `Plots`.
+        extremes: see `Plots`.
         listed: whether the viewer keeps its list of recordings open.
         following: whether the viewer follows the last instant.
     """
-    plots = Plots(channels, float(description["duration"]), largest=largest, events=events)
+    plots = Plots(channels, float(description["duration"]), "", largest, events, extremes)
     tabs = _tabs(plots, ledger=bool(description.get("disturbances")))
     by_priority = (
         "adaptation",

@@ -137,7 +137,7 @@ class _Layout:
                 f"error of {part} in {name}{unit}",
                 plots.curves("error", part),
                 legend=name == "A",
-                largest=reach(largest) if largest < 1e6 else None,
+                ends=reach(largest) if largest < 1e6 else None,
             )
 
     def _larger(self, part: str) -> Iterator[Any]:

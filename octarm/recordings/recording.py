@@ -276,6 +276,7 @@ class RunRecording:
                 lanes,
                 largest,
                 None if largest is None else self.events(),
+                None if largest is None else self._extremes,
                 listed=bool(self.name),
                 following=self._following,
             )
