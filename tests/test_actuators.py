@@ -285,7 +285,11 @@ def test_every_start_is_fresh_and_a_copy_goes_on_alone(fault: ActuatorFault):
 @pytest.mark.parametrize(
     ("kind", "fields", "message"),
     [
-        (LossOfEffectiveness, {"share": 1.2}, "share of loss is 1.2; it must be at most 1"),
+        (
+            LossOfEffectiveness,
+            {"share": 1.2},
+            r"share of loss is 1.2; it must be at most 1, did you mean 1.2%\?",
+        ),
         (DeadZone, {"width": -1.0}, "width of dead-zone is -1 N; it must be at least 0 N"),
         (Saturation, {"limit": -np.inf}, "limit of saturation holds -inf; it must be finite"),
         (Saturation, {"limit": [1.0, np.nan]}, "limit of saturation holds nan; it must be finite"),
@@ -299,7 +303,7 @@ def test_every_start_is_fresh_and_a_copy_goes_on_alone(fault: ActuatorFault):
         (
             ActuationDelay,
             {"delay": 11.0},
-            "delay of actuation-delay is 11 s; it must be at most 10 s",
+            r"delay of actuation-delay is 11 s; it must be at most 10 s, did you mean 11ms\?",
         ),
     ],
 )

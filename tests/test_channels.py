@@ -119,5 +119,5 @@ def test_notes_tell_what_was_run_and_what_came_of_it():
     assert "| rms_error | 0.001 |" in pages["notes"]
     assert "–" in pages["notes"]
     assert "## payload 200 g" in pages["ledger"]
-    assert "| asked | mass | 0.2 | kg |" in pages["ledger"]
-    assert "| delivered | mass | end 0.4 | kg |" in pages["ledger"]
+    assert "| asked | mass [kg] | 0.2 |" in pages["ledger"]
+    assert "| delivered | mass [kg] | end 0.4 |" in pages["ledger"]

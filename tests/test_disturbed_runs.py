@@ -418,7 +418,9 @@ def test_readings_are_rounded():
 
 
 def test_what_comes_after_the_end_of_time_never_comes():
-    found = run(["payload:1,at=1e300", "pulse:1,at=1e300", "step:1,at=1e12", "loss:1,at=1e9"], 20)
+    found = run(
+        ["payload:1,at=1e300s", "pulse:1,at=1e300s", "step:1,at=1e12s", "loss:1,at=1e9s"], 20
+    )
     assert found.plants[-1].to_dict() == P.to_dict()
     np.testing.assert_array_equal(found.added, 0.0)
     np.testing.assert_allclose(found.received, found.asked, atol=1e-13)
