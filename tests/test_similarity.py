@@ -144,9 +144,9 @@ def test_arms_of_other_sizes_are_not_lost_with_default_gains(arm: str, name: str
     )
     assert np.all(environment.physics.intact())
     bends = np.array(errors)[len(errors) // 2 :, :, true.modules :]
-    # The errors of these grow with the weight, or with what is wrong with the model.
-    if name not in ("pd", "fuzzy", "computed-torque"):
-        assert np.max(np.abs(bends)) < 0.07  # [rad], a fifth of the amplitude
+    if name not in ("pd", "fuzzy"):  # whose errors grow with the weight
+        # [rad], a fifth of the amplitude; with no robust term, a third: the model is wrong
+        assert np.max(np.abs(bends)) < (0.12 if name == "computed-torque" else 0.07)
 
 
 def test_numbers_of_other_modules_are_interpolated_along_the_arm():
