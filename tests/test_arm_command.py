@@ -148,12 +148,12 @@ def test_a_rod_is_written_as_a_file_that_reads_as_the_same_arm():
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--from-rod", "EA=3"], "--from-rod has no modules; it needs modules=N, a whole number"),
-        (["--from-rod", "modules=x"], "--from-rod has modules 'x'; it needs modules=N"),
+        (["--from-rod", "EA=3"], "--from-rod is 'EA=3'; it needs modules=N, a whole number"),
+        (["--from-rod", "modules=x"], "modules of 'modules=x' is 'x'; it must be a number"),
         (["--from-rod", "modules=3,EE=2"], "has no key 'EE'; known are length, EA, EI, density"),
         (["--from-rod", "modules=3,EA=-1"], "EA holds -1; it must be finite and above 0"),
-        (["--from-rod", "modules=3,EA=1:x"], "EA '1:x'; it must be a number, or BASE:TIP"),
-        (["--from-rod", "modules=3,modules=3"], "each key is given once, as KEY=VALUE"),
+        (["--from-rod", "modules=3,EA=1:x"], "EA of 'modules=3,EA=1:x' is '1/x'; its unit must be"),
+        (["--from-rod", "modules=3,modules=3"], "'modules=3,modules=3' gives modules twice"),
         (["--from-rod", "modules=3,EA=1e-3"], "cannot hang in one piece: at rest s1 is"),
         (["eth", "--from-rod", "modules=3"], "--from-rod is given, and so is 'eth'"),
         (["eht"], "unknown arm 'eht', did you mean 'eth'? known are eth, fabric, i-support, oct"),

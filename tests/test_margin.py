@@ -16,7 +16,7 @@ from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.commands import margin as margin_commands
 from octarm.commands.cli import main
-from octarm.commands.options import MarginOptions
+from octarm.commands.many_runs import MarginOptions
 from octarm.disturbances.forces import PulseForce
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.disturbances.varied import NOMINAL, is_varied, parse_varied, usual_range
@@ -429,7 +429,7 @@ def test_several_arms_stand_in_one_table(tmp_path, capsys):
     files = ["--csv", str(tmp_path / "m.csv"), "--json", str(tmp_path / "m.json")]
     assert main([*words, *(f"--arm={arm}" for arm in arms), *files]) == 0
     out = capsys.readouterr().out
-    assert "the arms octarm, fabric" in out
+    assert "--arm=octarm --arm=fabric" in out
     report = json.loads((tmp_path / "m.json").read_text())
     assert report["settings"]["arm"] == ["octarm", "fabric"]
     rows = [(row["arm"], row["controller"]) for row in report["controllers"]]
@@ -454,7 +454,7 @@ def test_an_interrupt_ends_it_in_a_sentence(capsys, monkeypatch):
 def test_shares_are_percentages_and_runs_may_begin_elsewhere():
     noise = parse_varied("noise", None, None)
     options = MarginOptions(disturbance=("noise",), bound=("tip_rms_error:0.01",))
-    heading = margin_commands._heading(options, noise, "sine")
+    heading = margin_commands._heading(options, noise)
     assert heading[0].startswith("largest noise [%] of 0 .. 500 at which 90% of 36 seeds have")
     assert margin_commands._spelt(0.4, noise) == "40"
     rest, moving = (

@@ -106,7 +106,7 @@ def test_an_interrupted_command_finishes_its_shards_and_says_how_to_go_on(
     wait_for(lambda: is_gone(process.pid))
     assert process.returncode == ExitCode.INTERRUPTED
     assert "Traceback" not in error
-    assert f"octarm sweep {spec_file} --out {folder} --workers 2 --resume" in error
+    assert f"octarm sweep {spec_file} --out={folder} --workers=2 --resume" in error
     assert not (folder / ".progress").exists()
     finished = len(octarm.read_sweep(folder, ["episode"]))
     assert 0 < finished < len(longer)

@@ -455,7 +455,7 @@ def test_the_page_says_what_was_run_and_how(written, known):
     body = "".join(ET.fromstring((written / "report.html").read_text()).itertext())
     assert "108 episodes of 4 s: 3 controllers × 2 values of mismatch × 3 values of noise" in body
     assert f"octarm sweep {known}/spec.toml --out {known}-again" in body
-    assert f"octarm report {known} --metric tip_rms_error --metric effort" in body
+    assert f"octarm report {known} --metric=tip_rms_error --metric=effort" in body
     assert METRICS["tip_rms_error"].text in body
     assert "numpy 2" in body
 

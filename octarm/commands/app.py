@@ -22,7 +22,7 @@ from cyclopts.exceptions import (
     UnusedCliTokensError,
 )
 
-from octarm.commands import checks, kinds, many_runs, one_run, yours
+from octarm.commands import checks, kinds, many_runs, one_run, recorded, yours
 from octarm.commands.kinds import SHELLS, Work
 from octarm.commands.pages import arguments_of, commands, is_operand, overview, page, spelling
 from octarm.errors import ExitCode, FileError, OctarmError, closest, printable, quoted
@@ -57,8 +57,8 @@ def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
 
 for title, functions in {
     "one run": (
-        *(one_run.run, one_run.view, one_run.replay, one_run.record),
-        *(one_run.plot, one_run.video, one_run.compare),
+        *(one_run.run, one_run.view, recorded.replay, recorded.record),
+        *(recorded.plot, recorded.video, recorded.compare),
     ),
     "many runs": (many_runs.sweep, many_runs.report, many_runs.margin, many_runs.tune),
     "an arm": (yours.arm,),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,18 +18,24 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
 from octarm.arm.summary import ArmSummary
 from octarm.checks.stability import check_period, linear_plant, loop_at_rest, stability_lines
-from octarm.commands.options import LoopOptions, SourceOptions
+from octarm.commands.yours import LoopOptions, SourceOptions
 from octarm.declared import named
-from octarm.errors import ExitCode, OctarmError, closest, printable, quoted
+from octarm.errors import ExitCode, OctarmError, printable, quoted
+from octarm.fields import Quantity, Words, parsed_fields
 from octarm.files import write_files, write_text
-from octarm.units import Range, is_like_a_number
 
+# The keys of --from-rod; what tapers has a number at the base and one at the tip.
 _ROD = {
-    "length": Range("m", plausible=10.0), "EA": Range("N"), "EI": Range("N m^2"),
-    "density": Range("kg/m"), "rotary_inertia": Range("kg m"),
-    "damping_time": Range("s", plausible=1.0), "gravity": Range("m/s^2"),
-}  # fmt: skip
-_ROD_KEYS = [*_ROD, "modules", "layout"]
+    "length": Quantity("m", plausible=10.0),
+    "EA": Quantity("N", each=True),
+    "EI": Quantity("N m^2", each=True),
+    "density": Quantity("kg/m", each=True),
+    "rotary_inertia": Quantity("kg m", each=True),
+    "damping_time": Quantity("s", plausible=1.0),
+    "gravity": Quantity("m/s^2"),
+    "modules": Quantity("1"),
+    "layout": Words(),
+}
 
 
 def arm(
@@ -117,21 +122,13 @@ def _fitted(given: Arm, modules: int, layout: str) -> Arm:
 
 def _from_rod(text: str) -> Arm:
     """The arm that KEY=VALUE,.. means."""
-    given: dict[str, str] = {}
-    for item in text.split(","):
-        key, equals, value = item.partition("=")
-        if key not in _ROD_KEYS:
-            raise OctarmError(f"--from-rod has no key {quoted(key)}{closest(key, _ROD_KEYS)}")
-        if not equals or key in given:
-            raise OctarmError(
-                f"--from-rod has {quoted(item)}; each key is given once, as KEY=VALUE"
-            )
-        given[key] = value
-    modules, layout = given.pop("modules", ""), given.pop("layout", "paper")
-    if not re.fullmatch(r"[-+]?\d+", modules):
-        what = f"modules {quoted(modules)}" if modules else "no modules"
-        raise OctarmError(f"--from-rod has {what}; it needs modules=N, a whole number")
-    rod = Rod(**{key: _profile(key, value) for key, value in given.items()})
+    given: dict[str, Any] = dict(
+        parsed_fields("--from-rod", text, text.replace(":", "/"), _ROD, "KEY=VALUE,..")
+    )
+    modules, layout = given.pop("modules", None), given.pop("layout", "paper")
+    if modules is None or not modules.is_integer():
+        raise OctarmError(f"--from-rod is {quoted(text)}; it needs modules=N, a whole number")
+    rod = Rod(**{key: np.asarray(value).tolist() for key, value in given.items()})
     p = arm_from_rod(rod, int(modules), layout)
     if violation := cannot_hang(p):
         raise OctarmError(violation)
@@ -144,12 +141,3 @@ def _from_rod(text: str) -> Arm:
         f"a rod of {int(modules)} modules, layout {layout}",
         converted=(f"columns, masses and inertias from a rod with {numbers} in SI units",),
     )
-
-
-def _profile(key: str, word: str) -> Any:
-    """A number, or those at the base and at the tip of a property that tapers."""
-    parts = word.split(":")
-    if not all(map(is_like_a_number, parts)):
-        raise OctarmError(f"--from-rod has {key} {quoted(word)}; it must be a number, or BASE:TIP")
-    base, *tip = (_ROD[key].parse(f"{key} of --from-rod", part) for part in parts)
-    return (base, *tip) if tip else base

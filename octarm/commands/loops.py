@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,7 +31,6 @@ from octarm.runs import folder as runs
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec
 
 _MOST = 60  # rows of a page
-_PRINTED = 20  # rows in a terminal
 _AXES = (ARM, LAYOUT, PLANT_MODULES, "mismatch")
 _UNRUN = "a report runs no code of your own unless --run-code is given"
 
@@ -93,17 +92,18 @@ class Loops(NamedTuple):
     def caption(self) -> str:
         """What the table says and does not say."""
         return (
-            f"Linear about rest, without disturbances, at the control period of {self._ms} ms"
+            "Linear about rest, without disturbances, at the control period of the sweep"
             f"{', with exact models, where the sweep draws them' if self.drawn else ''}. The "
             "margin is the longest stable period over that one. Poor are episodes that diverged, "
             "or in which a coordinate had more than a tenth of the error of hanging still. "
-            f"{self._verdict}; the others are coloured: a loop that is stable about rest may do "
+            f"{self.verdict}; the others are coloured: a loop that is stable about rest may do "
             "poorly in a large motion. Where disturbances act, which may do that by themselves, "
             "only loops that are predicted as unstable, or do well, can tell."
         )
 
     @property
-    def _verdict(self) -> str:
+    def verdict(self) -> str:
+        """In how many rows simulation did what the loop says."""
         known = [row for row in self.rows if row.judged]
         left = f" of the first {len(self.rows)} of all {self.planned}"
         return (
@@ -111,37 +111,19 @@ class Loops(NamedTuple):
             f"{len(known)} rows{left if self.planned > len(self.rows) else ''} that can tell"
         )
 
-    @property
-    def _ms(self) -> str:
-        return f"{1e3 * self.period:g}"
-
     def table(self) -> Table:
         """The rows as a table of a page."""
-        group = len({row.controller for row in self.rows})
+        group, ms = len({row.controller for row in self.rows}), f"{1e3 * self.period:g}"
         head = [
             Cell("controller", [", ".join(self.rows[0].where)], "left"),
             Cell("predicted"),
             Cell("poor in", ["simulation"]),
             Cell("longest period", ["[ms]"]),
-            Cell("margin", [f"over {self._ms} ms"]),
-            Cell("spectral radius", [f"at {self._ms} ms"]),
+            Cell("margin", [f"over {ms} ms"]),
+            Cell("spectral radius", [f"at {ms} ms"]),
             Cell("first to grow", ["beyond the longest period"], "left"),
         ]
         return Table(head, [_cells(row) for row in self.rows], group)
-
-    def lines(self) -> Iterator[str]:
-        """The rows for a terminal."""
-        yield f"longest period  over {self._ms:>4} ms  predicted  poor       loop about rest"
-        for row in self.rows[:_PRINTED]:
-            loop, what = row.loop, ", ".join([row.controller, *map(" ".join, row.where.items())])
-            poor = f"{row.poor} of {row.episodes}{'' if row.agrees else ' (!)'}"
-            yield (
-                f"{number(1e3 * loop.longest):>11} ms {number(loop.longest / loop.period):>13}  "
-                f"{row.predicted or '-':<9}  {poor:<10} {what}"
-            )
-        if self.planned > _PRINTED:
-            yield f"and {self.planned - _PRINTED} more"
-        yield f"{self._verdict}; poor: diverged, or above a tenth of the error of hanging still."
 
 
 def _cells(row: Row) -> list[Cell]:

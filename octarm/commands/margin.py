@@ -7,6 +7,7 @@ import dataclasses
 import functools
 import io
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,14 +16,14 @@ import numpy as np
 from controllers import CONTROLLERS, make_controller
 from octarm.arm.file import read_arm
 from octarm.bars import bar as new_bar
-from octarm.commands.gain_notes import print_unsuited
-from octarm.commands.late_notes import print_late, starts_of
-from octarm.commands.options import ArmOptions, MarginOptions
+from octarm.commands.many_runs import MarginOptions
+from octarm.commands.notes import print_late, print_unsuited, starts_of
+from octarm.commands.options import ArmOptions, spelt
 from octarm.declared import Code, named, short_name
 from octarm.disturbances.episode import Disturbance
-from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance, spelling
+from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.disturbances.varied import NOMINAL, Varied, is_varied
-from octarm.errors import OctarmError
+from octarm.errors import OctarmError, printable
 from octarm.files import write_text
 from octarm.formats import to_json
 from octarm.metrics.declared import ACCUMULATORS, parse_bound
@@ -30,7 +31,6 @@ from octarm.metrics.table import METRICS, Catalogue
 from octarm.references import REFERENCES, recorded_word
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import usual_engine
-from octarm.simulation.start import REST
 from octarm.sweeps.margin import (
     Attempt,
     Brackets,
@@ -75,7 +75,7 @@ def margin(controllers: Sequence[str], options: MarginOptions) -> None:
         row = _row(name, _search(name, run, options.seeds), options.share, varied)
         rows.append({**row, "arm": arm or ""})
         if len(rows) == 1:  # not before it is known that there is something to say
-            print("\n".join(_heading(options, varied, names[len(words)])))
+            print("\n".join(_heading(options, varied)))
         if len(options.models) > 1 and [row["arm"] for row in rows].count(arm) == 1:
             print(f"{arm}:")
         print(_line(rows[-1], varied), flush=True)
@@ -146,35 +146,16 @@ def _row(name: str, brackets: Brackets, share: float, varied: Varied) -> dict[st
     }
 
 
-def _heading(options: MarginOptions, varied: Varied, reference: str) -> list[str]:
-    """What the table is of."""
+def _heading(options: MarginOptions, varied: Varied) -> list[str]:
+    """What the table is of: what is sought, and the options that are not as usual."""
     unit = " [%]" if varied.unit == "1" else f" [{varied.unit}]"
     ends = " .. ".join(_number(x, varied) for x in (varied.low, varied.high))
     bounds = " and ".join(options.bound).replace(":", " <= ")
-    model = options.model
-    around = [f"{reference}, {options.duration:g} s"]
-    around += [f"nominal model wrong by {100.0 * model.mismatch:+g} %"] if model.mismatch else []
-    around += [f"of the nominal model {factor}" for factor in model.nominal]
-    several = "s" * (len(options.arm) > 1)
-    around += [f"the arm{several} {', '.join(options.arm)}"] if options.arm else []
-    around += [f"the model {model.model}"] if model.model is not None else []
-    around += [*model.parameter]
-    if model.plant_modules is not None:
-        read = "" if model.sensing == "groups" else f", read by {model.sensing}"
-        around += [f"a plant of {model.plant_modules} modules, {model.layout}{read}"]
-    around += [f"gain {gain}" for gain in options.gain_options.gain]
-    if corner := options.gain_options.roll_off:
-        around += [f"roll-off {corner:g} Hz"]
-    around += [f"{gains} gains"] if (gains := options.gain_options.gains) else []
-    if options.control_period is not None:
-        around += [f"control period {1e3 * options.control_period:g} ms"]
-    if options.start != REST:
-        around += [f"{options.start} start within {options.start_share:.3g} of the reach"]
-    around += map(spelling, _fixed(options))
-    seeds = f"{options.share:.0%} of {options.seeds} seeds"
+    others = spelt(options, "bound", "low", "high", "seeds", "share", "csv", "json", "force")
     return [
-        f"largest {varied.name}{unit} of {ends} at which {seeds} have {bounds}",
-        f"({'; '.join(around)})",
+        f"largest {varied.name}{unit} of {ends} at which {options.share:.0%} of {options.seeds} "
+        f"seeds have {bounds}",
+        f"({printable(shlex.join(others), 2000)})",
         f"{'controller':<18}{'margin':>10}  {'95 % interval':<24}{'least':>10}{'median':>10}"
         f"{'most':>10}",
     ]

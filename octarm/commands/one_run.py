@@ -1,12 +1,14 @@
-"""The commands on one run and a few: run, view, replay, compare, record, plot, video."""
+"""The commands that run one arm: run, view."""
 
 from __future__ import annotations
 
+import dataclasses
 import os
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
 
 from octarm.commands import kinds
 from octarm.commands.options import NOMINAL_ARM, USUAL_GAINS, ArmOptions, GainOptions
@@ -17,34 +19,12 @@ if TYPE_CHECKING:
     from octarm.runs.experiment import Experiment
 
 
-def run(
-    *,
-    controller: Annotated[str, kinds.CONTROLLER, kinds.EXPERIMENT] = "smc-boundary",
-    reference: Annotated[str, kinds.REFERENCE, kinds.EXPERIMENT] = "sine",
-    disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = (),
-    metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.EXPERIMENT] = (),
-    duration: Annotated[float, kinds.DURATION, kinds.EXPERIMENT] = 10.0,
-    settle: Annotated[float, kinds.SETTLE, kinds.EXPERIMENT] = 2.0,
-    seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0,
-    start: Annotated[str, kinds.START, kinds.EXPERIMENT] = "rest",
-    start_share: Annotated[float, kinds.SHARE, kinds.EXPERIMENT] = 0.1,
-    model: ArmOptions = NOMINAL_ARM,
-    gain_options: GainOptions = USUAL_GAINS,
-    timestep: Annotated[float | str | None, kinds.STEP, kinds.SIMULATION] = None,
-    control_period: Annotated[float | None, kinds.PERIOD, kinds.SIMULATION] = None,
-    actuation: Annotated[str, kinds.ACTUATION, kinds.SIMULATION] = "f-coeff",
-    integrator: Annotated[str, kinds.INTEGRATOR, kinds.SIMULATION] = "rk4",
-    engine: Annotated[str, kinds.ENGINE, kinds.SIMULATION] = "mujoco",
-    out: Annotated[Path | None, kinds.DIR, kinds.OUTPUT] = None,
-    force: Annotated[bool, kinds.OUTPUT] = False,
-    view: Annotated[bool, kinds.OUTPUT] = False,
-    live: Annotated[list[str] | None, kinds.LIVE, kinds.OUTPUT] = None,
-) -> kinds.Work:
-    """Run one controller on the arm and record it.
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """What is run; the fields are those of an experiment, but for words that name things.
 
-    Writes a run folder: run.rrd (the recording), run.npz (all arrays), run.json (what was run).
-
-    Args:
+    Attributes:
         controller: the control law
         reference: the desired motion, NAME[:KEY=VALUE..]; see below
         disturbance: NAME:VALUE[,KEY=VALUE..], what acts on the arm unknown to the controller; see
@@ -56,8 +36,6 @@ def run(
         start: rest, the arm hangs still; random, a place that is drawn; moving, with a speed, too
         start_share: share of what the inputs reach within which the start is drawn; tuned gains
             lose the nominal arm from about 0.2 on
-        model: see `octarm.commands.options`
-        gain_options: likewise
         timestep: physics step [s]; that of models/octarm.xml, 0.0005 s, when not given; auto is the
             longest part of the control period that suits the fastest mode of the arm
         control_period: time between control actions [s], whole physics steps; one step when not
@@ -65,6 +43,73 @@ def run(
         actuation: how input forces act: f-coeff as in eq (2), internal between neighbouring modules
         integrator: rk4, or implicitfast, which is of first order, for arms with very much damping
         engine: what steps the arm: mujoco, or lagrange, the analytic arm, compiled (extra fast)
+    """
+
+    controller: Annotated[str, kinds.CONTROLLER, kinds.EXPERIMENT] = "smc-boundary"
+    reference: Annotated[str, kinds.REFERENCE, kinds.EXPERIMENT] = "sine"
+    disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = ()
+    metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.EXPERIMENT] = ()
+    duration: Annotated[float, kinds.DURATION, kinds.EXPERIMENT] = 10.0
+    settle: Annotated[float, kinds.SETTLE, kinds.EXPERIMENT] = 2.0
+    seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0
+    start: Annotated[str, kinds.START, kinds.EXPERIMENT] = "rest"
+    start_share: Annotated[float, kinds.SHARE, kinds.EXPERIMENT] = 0.1
+    model: ArmOptions = NOMINAL_ARM
+    gain_options: GainOptions = USUAL_GAINS
+    timestep: Annotated[float | str | None, kinds.STEP, kinds.SIMULATION] = None
+    control_period: Annotated[float | None, kinds.PERIOD, kinds.SIMULATION] = None
+    actuation: Annotated[str, kinds.ACTUATION, kinds.SIMULATION] = "f-coeff"
+    integrator: Annotated[str, kinds.INTEGRATOR, kinds.SIMULATION] = "rk4"
+    engine: Annotated[str, kinds.ENGINE, kinds.SIMULATION] = "mujoco"
+
+    def experiment(self) -> Experiment:
+        """The experiment, with short names and the code of what is not built in."""
+        from controllers import CONTROLLERS
+        from octarm.declared import named
+        from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
+        from octarm.metrics.declared import ACCUMULATORS
+        from octarm.references import REFERENCES
+        from octarm.runs.experiment import Experiment
+
+        words = [(CONTROLLERS, self.controller), (REFERENCES, self.reference)]
+        words += [(DISTURBANCES, text) for text in self.disturbance]
+        words += [(ACCUMULATORS, word) for word in self.metric]
+        (controller, reference, *_), code = named(words)
+        parameters, nominal = self.model.both()
+        options = vars(self) | vars(self.model)
+        return Experiment(
+            controller=controller,
+            reference=reference,
+            disturbances=tuple(map(parse_disturbance, self.disturbance)),
+            gains=self.gain_options.values(self.controller),
+            parameters=parameters,
+            nominal=nominal,
+            code=code,
+            **{name: options[name] for name in _AS_GIVEN},
+        )
+
+
+USUAL_RUN = RunOptions()
+_AS_GIVEN = (
+    "duration", "settle", "seed", "start", "start_share", "timestep", "control_period", "actuation",
+    "integrator", "engine", "plant_modules", "layout", "sensing",
+)  # fmt: skip
+
+
+def run(
+    *,
+    options: RunOptions = USUAL_RUN,
+    out: Annotated[Path | None, kinds.DIR, kinds.OUTPUT] = None,
+    force: Annotated[bool, kinds.OUTPUT] = False,
+    view: Annotated[bool, kinds.OUTPUT] = False,
+    live: Annotated[list[str] | None, kinds.LIVE, kinds.OUTPUT] = None,
+) -> kinds.Work:
+    """Run one controller on the arm and record it.
+
+    Writes a run folder: run.rrd (the recording), run.npz (all arrays), run.json (what was run).
+
+    Args:
+        options: see `RunOptions`
         out: run folder to write; runs/DATE-TIME-CONTROLLER when not given
         force: replace an earlier run
         view: open the recording in the viewer when the run is done
@@ -105,34 +150,13 @@ def run(
         if view or len(live) > 1:
             raise OctarmError("--live is given with --view, or twice; one viewer shows a run")
         os.environ.setdefault("RUST_LOG", "off")  # a viewer that goes away is said by octarm
-    gains, (true, nominal) = gain_options.values(controller), model.both()
+    options.gain_options.values(options.controller)  # raises
+    options.model.both()  # raises
     from octarm.commands import run as work
 
     def job() -> int:
-        what = _experiment(
-            controller,
-            reference,
-            disturbance,
-            metric,
-            gains=gains,
-            nominal=nominal,
-            parameters=true,
-            seed=seed,
-            duration=duration,
-            settle=settle,
-            timestep=timestep,
-            control_period=control_period,
-            actuation=actuation,
-            integrator=integrator,
-            engine=engine,
-            plant_modules=model.plant_modules,
-            layout=model.layout,
-            start=start,
-            start_share=start_share,
-            sensing=model.sensing,
-        )
-        url = None if live is None else "".join(live)
-        return work.run(what, gain_options.gains, out, view, url)
+        what, url = options.experiment(), None if live is None else "".join(live)
+        return work.run(what, options.gain_options.gains, out, view, url)
 
     return surviving_output(job)
 
@@ -177,207 +201,30 @@ def view(
     def job() -> None:
         check_display("octarm run and octarm video need none")
         os.environ["MUJOCO_GL"] = "glfw"  # before anything imports MuJoCo
-        from octarm.commands import view as work
+        from dm_control import viewer
 
-        true, nominal = ArmOptions(arm=arm, mismatch=mismatch).both()
-        what = _experiment(
-            controller,
-            reference,
-            disturbance,
-            gains=gain_options.values(controller),
-            nominal=nominal,
-            parameters=true,
+        from controllers import make_controller
+        from octarm.simulation.policy import Policy
+
+        what = RunOptions(
+            controller=controller,
+            reference=reference,
+            disturbance=disturbance,
             seed=seed,
             start=start,
             start_share=start_share,
-            duration=1.0,  # of a run; the window stays open
+            model=ArmOptions(arm=arm, mismatch=mismatch),
+            gain_options=gain_options,
             control_period=control_period,
-        )
-        work.view(what, gain_options.gains)
+        ).experiment()
+        factory = partial(make_controller, gain_set=gain_options.gains)
+        environment, law = what.begin(factory)
+        title = f"{what.controller} on {what.reference}"
+        try:
+            viewer.launch(environment, Policy(environment, law), title=title)
+        except Exception as error:
+            if type(error).__name__ not in ("GLFWError", "FatalError", "RuntimeError"):
+                raise
+            raise OctarmError(f"the window cannot be opened: {error}") from None
 
     return job
-
-
-def replay(
-    *runs: Annotated[Path, kinds.RUN],
-    screenshot: Annotated[Path | None, kinds.file(".png")] = None,
-    time: Annotated[float | None, kinds.S] = None,
-    web: bool = False,
-    force: bool = False,
-) -> kinds.Work:
-    """Open recorded runs in the rerun viewer.
-
-    One run folder, two of them side by side with the difference of their errors, or a sweep folder,
-    of which the recorded episodes are opened.
-
-    Args:
-        runs: run folder, two run folders, or a sweep folder
-        screenshot: write a picture of the viewer instead of opening it; no display
-        time: time shown in the picture [s]; that of the largest bend, or the
-            end of a run that diverged, when not given
-        web: serve the viewer to a browser on this machine; no network
-        force: replace a picture that is there
-
-    Examples:
-      octarm replay runs/my-run
-      octarm replay runs/smc runs/afsmc
-      octarm replay runs/my-run --screenshot picture.png --time 4.5
-    """
-    kinds.check_free(force, screenshot)
-    kinds.check_runs(*(run for run in runs if not run.is_file()), sweeps=True)
-    from octarm.commands import replay as work
-
-    job = partial(work.replay, runs, screenshot, time, web)
-    return surviving_output(job) if screenshot else job
-
-
-def compare(
-    *runs: Annotated[Path, kinds.RUN],
-    out: Annotated[Path, kinds.DIR] = Path("comparison"),
-    force: bool = False,
-) -> kinds.Work:
-    """Put two runs or more into one page and one recording.
-
-    First in what they differ, then their metrics and their errors over time. Runs that had
-    different things to do (another arm, reference, duration, disturbance or seed) are not ranked.
-    Writes a folder: comparison.html, which needs nothing beside itself, and comparison.rrd.
-
-    Args:
-        runs: run folders; the first one is A, the next B
-        out: folder to write
-        force: replace a comparison that is there
-
-    Examples:
-      octarm compare runs/smc runs/afsmc
-      octarm compare runs/a runs/b runs/c --out comparison-of-gains
-    """
-    kinds.check_free(force, out / "comparison.html", out / "comparison.rrd")
-    kinds.check_runs(*runs)
-    if len(runs) < 2:
-        raise OctarmError(f"octarm compare needs two runs or more; {len(runs)} given")
-    from octarm.commands import redraw as work
-
-    return surviving_output(work.compare, runs, out)
-
-
-def record(
-    run: Annotated[Path, kinds.RUN],
-    /,
-    *,
-    out: Annotated[Path | None, kinds.file(".rrd")] = None,
-    force: bool = False,
-) -> kinds.Work:
-    """Rebuild the recording of a run from its arrays.
-
-    The recording is made of run.npz and run.json alone.
-
-    Args:
-        run: run folder
-        out: recording to write; that of the run is made anew when not given
-        force: replace another file that is there
-
-    Examples:
-      octarm record runs/my-run
-    """
-    kinds.check_free(force, out)
-    kinds.check_runs(run)
-    from octarm.commands import redraw as work
-
-    return surviving_output(work.record, run, out)
-
-
-def plot(
-    run: Annotated[Path, kinds.RUN],
-    /,
-    *,
-    out: Annotated[Path | None, kinds.DIR] = None,
-    force: bool = False,
-) -> kinds.Work:
-    """Draw the standard figures of a run, as PNG and SVG.
-
-    Args:
-        run: run folder
-        out: folder to write to; RUN-figures when not given
-        force: replace figures that are there
-
-    Examples:
-      octarm plot runs/my-run --out figures
-    """
-    out = out or _sibling(run, "-figures")
-    kinds.check_free(force, out / "tracking.png")
-    kinds.check_runs(run)
-    from octarm.commands import redraw as work
-
-    return surviving_output(work.plot, run, out)
-
-
-def video(
-    run: Annotated[Path, kinds.RUN],
-    /,
-    *,
-    out: Annotated[Path | None, kinds.file(".mp4")] = None,
-    width: Annotated[int, kinds.N] = 960,
-    height: Annotated[int, kinds.N] = 720,
-    rate: Annotated[float, kinds.HZ] = 30.0,
-    speed: Annotated[float, kinds.X] = 1.0,
-    force: bool = False,
-) -> kinds.Work:
-    """Film a run with MuJoCo's renderer.
-
-    It needs no display, but one of the libraries EGL and OSMesa; octarm doctor tells.
-
-    Args:
-        run: run folder
-        out: film to write; RUN.mp4 when not given
-        width: width [pixel]
-        height: height [pixel]
-        rate: pictures a second [Hz]
-        speed: how much faster than real time the film runs
-        force: replace a film that is there
-
-    Examples:
-      octarm video runs/my-run --out run.mp4 --speed 0.5
-    """
-    out = out or _sibling(run, ".mp4")
-    kinds.check_free(force, out)
-    kinds.check_runs(run)
-    from octarm.recordings.video import choose_renderer
-
-    choose_renderer()  # before anything imports MuJoCo
-    from octarm.commands import redraw as work
-
-    size = (width, height)
-    return surviving_output(work.video, run, out, size=size, rate=rate, speed=speed)
-
-
-def _experiment(
-    controller: str,
-    reference: str,
-    disturbances: Sequence[str],
-    metrics: Sequence[str] = (),
-    **others: Any,
-) -> Experiment:
-    """The experiment that words name, with short names and the code of what is not built in."""
-    from controllers import CONTROLLERS
-    from octarm.declared import named
-    from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
-    from octarm.metrics.declared import ACCUMULATORS
-    from octarm.references import REFERENCES
-    from octarm.runs.experiment import Experiment
-
-    words = [(CONTROLLERS, controller), (REFERENCES, reference)]
-    words += [(DISTURBANCES, text) for text in disturbances]
-    words += [(ACCUMULATORS, word) for word in metrics]
-    names, code = named(words)
-    return Experiment(
-        controller=names[0],
-        reference=names[1],
-        disturbances=tuple(map(parse_disturbance, disturbances)),
-        code=code,
-        **others,
-    )
-
-
-def _sibling(folder: Path, ending: str) -> Path:
-    """A name like the run folder's; the folder itself holds the run and nothing else."""
-    return folder.resolve().with_name(folder.resolve().name + ending)

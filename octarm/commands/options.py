@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
@@ -18,7 +17,6 @@ from octarm.units import Range, is_bare, is_like_a_number
 
 if TYPE_CHECKING:
     from octarm.arm.parameters import ArmParameters
-    from octarm.disturbances.varied import Varied
 
 
 @Parameter(name="*")
@@ -50,10 +48,6 @@ class ModelOptions:
     plant_modules: Annotated[int | None, kinds.COUNT, kinds.MODEL] = None
     layout: Annotated[str, kinds.LAYOUT, kinds.MODEL] = "paper"
     sensing: Annotated[str, kinds.SENSING, kinds.MODEL] = "groups"
-
-    def of(self, arm: str | None) -> ArmOptions:
-        """The same options of an arm."""
-        return ArmOptions(arm=arm, **vars(self))
 
     def factors(self) -> Mapping[str, Any]:
         """The further factors of the controller's model, by parameter; raises OctarmError."""
@@ -110,10 +104,6 @@ class ArmOptions(ModelOptions, OneArm):
         believed = true if self.model is None else read_arm(self.model)
         return true, believed.mismatched(self.mismatch).scaled(**factors)
 
-    def command(self) -> list[str]:
-        """The words of a command line that give the same options."""
-        return _spelt(self)
-
 
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -150,215 +140,26 @@ class GainOptions:
             gains_in_si(controller, gains)
         return gains if self.roll_off is None else {**gains, "roll_off": self.roll_off}
 
-    def command(self) -> list[str]:
-        """The words of a command line that give the same options."""
-        return _spelt(self)
-
 
 FACTOR = Range("1", plausible=20.0)
 ANY_MODEL, NOMINAL_ARM, USUAL_GAINS = ModelOptions(), ArmOptions(), GainOptions()
 
 
-@Parameter(name="*")
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class MarginOptions:
-    """What a margin is sought of, and by which runs.
+def spelt(options: Any, *without: str) -> list[str]:
+    """The words of a command line that give the options of a table which are not as usual.
 
-    Attributes:
-        disturbance: NAME or NAME:KEY=VALUE,.. for what varies, also nominal-mismatch;
-            NAME:VALUE[,KEY=VALUE..] for what acts as well; octarm run --help lists them
-        bound: a column of octarm sweep and its largest absolute value; all are to be met
-        low: value to begin with, which is to be borne; 0 when not given
-        high: value up to which is tried, greater or smaller than low; a usual one when not given
-        seeds: number of seeds
-        share: share of the seeds that have to meet the bounds; 1 for all of them
-        metric: what is measured as well, FILE.py:NAME or MODULE:NAME; for a bound of your own
-        arm: the true arms and the controllers' models of them, as in octarm run; the nominal arm
-            when not given
-        reference: the desired motion, NAME[:KEY=VALUE..], as in octarm run
-        duration: length of each run [s]
-        settle: when errors and other metrics of the steady regime begin to count [s]
-        timestep: physics step [s], or auto for one that suits the fastest mode of all arms
-        control_period: time between control actions [s]
-        seed: seed of all that is random
-        start: where runs begin, as in octarm run: rest, random or moving
-        start_share: share of what the inputs reach within which the start is drawn
-        engine: what steps the arms, mujoco or lagrange; lagrange where it is installed, when not
-            given
-        csv: also write the table to this file
-        json: also write everything: the margins of each seed, and the coarse grid
-        force: replace files that are there
+    Those of tables within it are among them, and options `without` are not.
     """
-
-    disturbance: Annotated[tuple[str, ...], kinds.VARIED, kinds.SOUGHT] = ()
-    bound: Annotated[tuple[str, ...], kinds.BOUND, kinds.SOUGHT] = ()
-    low: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None
-    high: Annotated[str | None, kinds.AMOUNT, kinds.SOUGHT] = None
-    seeds: Annotated[int, kinds.COUNT, kinds.SOUGHT] = 36
-    share: Annotated[float, kinds.SHARE, kinds.SOUGHT] = 0.9
-    metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.SOUGHT] = ()
-    arm: Annotated[tuple[str, ...], kinds.ARM, kinds.MODEL] = ()
-    model: ModelOptions = ANY_MODEL
-    gain_options: GainOptions = USUAL_GAINS
-    reference: Annotated[str, kinds.REFERENCE, kinds.RUNS] = "sine"
-    duration: Annotated[float, kinds.DURATION, kinds.RUNS] = 6.0
-    settle: Annotated[float, kinds.SETTLE, kinds.RUNS] = 2.0
-    timestep: Annotated[float | str | None, kinds.STEP, kinds.RUNS] = None
-    control_period: Annotated[float | None, kinds.PERIOD, kinds.RUNS] = None
-    seed: Annotated[int, kinds.N, kinds.RUNS] = 0
-    start: Annotated[str, kinds.START, kinds.RUNS] = "rest"
-    start_share: Annotated[float, kinds.SHARE, kinds.RUNS] = 0.1
-    engine: Annotated[str | None, kinds.ENGINE, kinds.RUNS] = None
-    csv: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None
-    json: Annotated[Path | None, kinds.file(), kinds.OUTPUT] = None
-    force: Annotated[bool, kinds.OUTPUT] = False
-
-    @property
-    def models(self) -> list[ArmOptions]:
-        """The options of each arm."""
-        return [self.model.of(name) for name in self.arm or (None,)]
-
-    def varied(self) -> Varied:
-        """What varies, the one disturbance without a value.
-
-        Raises OctarmError for options that cannot be meant.
-        """
-        from octarm.disturbances.varied import NOMINAL, is_varied, parse_varied
-        from octarm.metrics.declared import check_measures
-        from octarm.simulation.engines import check_engine, usual_engine
-
-        check_engine(self.engine or usual_engine())
-        if not self.bound:
-            raise OctarmError("no bound is given; --bound METRIC:VALUE, such as tip_rms_error:0.01")
-        if not self.metric:  # which may have any name
-            check_measures(bound.partition(":")[0] for bound in self.bound)
-        varying = [text for text in self.disturbance if is_varied(text)]
-        if len(varying) != 1:
-            raise OctarmError(
-                "one --disturbance goes without a value, the one whose largest value is sought; "
-                f"here it is {' and '.join(varying) or 'none'}"
-            )
-        varied = parse_varied(varying[0], self.low, self.high)
-        if varied.name == NOMINAL and self.model.mismatch:
-            raise OctarmError(f"--mismatch is given, but {NOMINAL} is what varies")
-        return varied
-
-
-@Parameter(name="*")
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class TuneOptions:
-    """What gains are tuned for, and how.
-
-    Attributes:
-        reference: the desired motion, instead of those of the scenarios
-        disturbance: NAME:VALUE[,KEY=VALUE..], what acts as well; octarm run --help lists them
-        out: file to write; CONTROLLER.toml when not given; the search keeps its state beside it
-        budget: what the search may simulate, all arms counted [s]; 16000 s take minutes. The last
-            trials, of the best of its last generation, come on top
-        seed: seed of the search
-        resume: go on with the search that was interrupted
-        force: replace gains that are there, and begin an interrupted search anew
-        engine: what steps the arms of the search, mujoco or lagrange; lagrange where it is
-            installed, when not given. The last trials, which choose the gains, run on mujoco
-        workers: processes; one a core when not given; the gains do not depend on them
-    """
-
-    reference: Annotated[str | None, kinds.REFERENCE, kinds.EXPERIMENT] = None
-    disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = ()
-    model: ArmOptions = NOMINAL_ARM
-    gain_options: GainOptions = USUAL_GAINS
-    out: Annotated[Path | None, kinds.file(".toml")] = None
-    budget: Annotated[float, kinds.BUDGET] = 16000.0
-    seed: Annotated[int, kinds.N] = 0
-    resume: bool = False
-    force: bool = False
-    engine: Annotated[str | None, kinds.ENGINE] = None
-    workers: Annotated[int | None, kinds.whole(1, 4096)] = None
-
-
-@Parameter(name="*")
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class SweepOptions:
-    """With what a sweep is run.
-
-    Attributes:
-        out: folder to write
-        workers: processes, one thread each; one a core when not given
-        resume: go on with the sweep that was begun in the folder
-        force: replace a sweep that is there
-        dry_run: print the number of episodes, and the time and disk they take; run nothing
-        cluster: run on the dask cluster with the scheduler of this address, or on `local`, one of
-            this machine
-        wait_for_workers: how long the cluster may have no worker, at the beginning or later [s]
-        engine: what steps the arms, mujoco or lagrange, which is many times as fast; it takes the
-            place of the spec's
-    """
-
-    out: Annotated[Path | None, kinds.DIR] = None
-    workers: Annotated[int | None, kinds.whole(1, 4096)] = None
-    resume: bool = False
-    force: bool = False
-    dry_run: bool = False
-    cluster: Annotated[str | None, kinds.kind("ADDRESS")] = None
-    wait_for_workers: Annotated[float, kinds.S] = 60.0
-    engine: Annotated[str | None, kinds.ENGINE] = None
-
-
-@Parameter(name="*")
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class SourceOptions:
-    """From what an arm is made.
-
-    Attributes:
-        from_rod: a chain of modules that stands for a rod, with the keys modules, layout (paper or
-            centred), length [m], EA [N], EI [N m^2], density [kg/m], rotary_inertia [kg m],
-            damping_time [s] and gravity [m/s^2], in SI or with a unit as in length=36cm;
-            BASE:TIP for a property that tapers
-        fit_modules: go on with the arm of so many modules that stands best for this one, and say
-            what error remains in statics, modes and transients
-        layout: of the fitted modules, and of the plant of --plant-modules: paper or centred
-    """
-
-    from_rod: Annotated[str | None, kinds.kind("KEY=VALUE,.."), kinds.SOURCE] = None
-    fit_modules: Annotated[int | None, kinds.whole(1, 60), kinds.SOURCE] = None
-    layout: Annotated[str, kinds.LAYOUT, kinds.SOURCE] = "paper"
-
-
-@Parameter(name="*")
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class LoopOptions:
-    """Which sampled loops are looked at.
-
-    Attributes:
-        controller: look at the loop with this controller
-        gains: its gains, as in octarm run
-        roll_off: corner beyond which its force is rolled off, as in octarm run [Hz]
-        control_period: time between control actions [s]; 0.0005 when not given
-        plant_modules: modules of the true arm, as in octarm run
-        model: what the controller believes, as in octarm run
-    """
-
-    controller: Annotated[tuple[str, ...], kinds.CONTROLLER, kinds.LOOP] = ()
-    gains: Annotated[str | None, kinds.GAINS, kinds.LOOP] = None
-    roll_off: Annotated[float | None, kinds.HZ, kinds.LOOP] = None
-    control_period: Annotated[float | None, kinds.PERIOD, kinds.LOOP] = None
-    plant_modules: Annotated[int | None, kinds.COUNT, kinds.LOOP] = None
-    model: Annotated[str | None, kinds.ARM, kinds.LOOP] = None
-
-
-ARMS, SEARCH, SHARDS = MarginOptions(), TuneOptions(), SweepOptions()
-ARM_ITSELF, NO_LOOP = SourceOptions(), LoopOptions()
-
-
-def _spelt(options: ArmOptions | GainOptions) -> list[str]:
-    """The options that are not as usual, a word each."""
-    spelt: list[str] = []
+    words: list[str] = []
     for field in dataclasses.fields(options):
         value: Any = getattr(options, field.name)
-        if value != field.default:
-            option = f"--{field.name.replace('_', '-')}"
-            spelt += [f"{option}={x}" for x in (value if field.default == () else (value,))]
-    return spelt
+        option = f"--{field.name.replace('_', '-')}"
+        if dataclasses.is_dataclass(value):
+            words += spelt(value, *without)
+        elif value != field.default and field.name not in without:
+            several: Any = value if field.default == () else (value,)
+            words += [option if each is True else f"{option}={each}" for each in several]
+    return words
 
 
 def _parameters(option: str, items: Sequence[str]) -> dict[str, Any]:

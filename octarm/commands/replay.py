@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 import tempfile
 from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from octarm.commands.redraw import rows_of, say_partial
+from octarm.commands.rows import rows_of, say_partial
+from octarm.commands.terminal import note
 from octarm.errors import OctarmError, printable
 from octarm.recordings import viewer
 from octarm.recordings.comparison import write_comparison
@@ -71,7 +71,7 @@ def _of_sweep(folder: Path, scratch: Path) -> list[Path]:
             f"{folder} is a sweep without recorded episodes; see [record] in its spec"
         )
     if len(files) > _MOST:
-        print(f"octarm: the first {_MOST} of {len(files)} recordings are shown", file=sys.stderr)
+        note(f"the first {_MOST} of {len(files)} recordings are shown")
     if len(files) == 1:
         return files
     listed: list[Path] = []
@@ -99,7 +99,7 @@ def _of_run(folder: Path, scratch: Path) -> Path:
     if recording.is_file():
         if description["status"] == "interrupted":
             message = printable(description.get("message", ""), 200)
-            print(f"octarm: the run is partial: it was {message}", file=sys.stderr)
+            note(f"the run is partial: it was {message}")
         elif description["status"] == runs.RUNNING:
             say_partial(last_instant(recording))
         return recording

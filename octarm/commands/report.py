@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from octarm.commands.loops import Loops, loops_of
+from octarm.commands.many_runs import ReportOptions
+from octarm.commands.options import spelt
 from octarm.errors import OctarmError, printable
 from octarm.files import write_files
 from octarm.formats import read_toml
@@ -29,25 +31,24 @@ PAGE = "report.html"
 FIGURES = "figures"
 
 
-def report(
-    sweep: Path, baseline: str | None, metrics: tuple[str, ...], run_code: bool, out: Path | None
-) -> None:
+def report(sweep: Path, options: ReportOptions) -> None:
     """`octarm report`: a page, tables and figures on a sweep."""
-    folder = out or sweep / "report"
+    folder = options.out or sweep / "report"
     _check_place(folder, sweep)
-    name, numbers, remarked = reports.report(sweep, baseline, metrics)
-    loops = loops_of(sweep, numbers.episodes, run_code)
+    name, numbers, remarked = reports.report(sweep, options.baseline, options.metric)
+    loops = loops_of(sweep, numbers.episodes, options.run_code)
     drawn = list(pictures(numbers))
     files = tables(numbers)
+    again = [str(sweep / SPEC), "--out", f"{os.path.normpath(sweep)}-again"]
+    commands = [["sweep", *again], ["report", str(sweep), *spelt(options, "force")]]
     source = Source(
         name=name,
         spec=read_toml(sweep / SPEC).text,
-        commands=_commands(sweep, baseline, metrics, run_code, out),
+        commands=[shlex.join(["octarm", *words]) for words in commands],
         files=list(files),
     )
-    _write(
-        folder, page(numbers, remarked, drawn, source, loops.table(), loops.caption), files, drawn
-    )
+    text = page(numbers, remarked, drawn, source, loops.table(), loops.caption)
+    _write(folder, text, files, drawn)
     _print_summary(numbers, remarked, loops)
     print(f"wrote {printable(str(folder / PAGE))}")
 
@@ -98,19 +99,6 @@ def _write(out: Path, text: str, files: dict[str, str], drawn: list[Picture]) ->
             file.unlink(missing_ok=True)  # of another choice of metrics
 
 
-def _commands(
-    sweep: Path, baseline: str | None, metrics: Sequence[str], run_code: bool, out: Path | None
-) -> list[str]:
-    """The command lines that make the sweep and the report again."""
-    words = ["octarm", "report", str(sweep)]
-    words += ["--baseline", baseline] if baseline is not None else []
-    words += [word for name in metrics for word in ("--metric", name)]
-    words += ["--run-code"] if run_code else []
-    words += ["--out", str(out)] if out is not None else []
-    again = ["octarm", "sweep", str(sweep / SPEC), "--out", f"{os.path.normpath(sweep)}-again"]
-    return [shlex.join(again), shlex.join(words)]
-
-
 def _print_summary(numbers: Comparisons, remarked: Sequence[Remark], loops: Loops) -> None:
     """A row a controller, the loops, and the warnings."""
     measure, scale = numbers.episodes.measures[0], scales_of(numbers.episodes)[0]
@@ -121,6 +109,6 @@ def _print_summary(numbers: Comparisons, remarked: Sequence[Remark], loops: Loop
         ends = "" if math.isnan(low) else f"  ({low:.3g} .. {high:.3g})"  # NaN of one seed a cell
         median = f"{middle:.3g}{ends}" if group.episodes else "none finished"
         print(f"{group.controller:<20} {group.episodes:>9} {group.failed:>9}  {median}")
-    print("\n".join(loops.lines()))
+    print(f"{loops.verdict}: the sampled loops about rest")
     for remark in remarked:
         print(f"{'warning' if remark.warning else 'note'}: {remark.text}")

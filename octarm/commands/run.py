@@ -5,22 +5,19 @@ from __future__ import annotations
 import contextlib
 import datetime
 import functools
-import itertools
 import shlex
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
-from dm_control.rl import control
 from tqdm import tqdm
 
 from controllers import make_controller
-from octarm.arm.modes import growth_rate
 from octarm.bars import bar as new_bar
-from octarm.commands.gain_notes import print_unsuited
-from octarm.commands.late_notes import print_late, starts_of
+from octarm.commands.notes import print_late, print_unsuited, starts_of
 from octarm.commands.summary import summary
+from octarm.commands.terminal import note
 from octarm.declared import short_name, word_of
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.recordings import viewer
@@ -30,7 +27,6 @@ from octarm.references import recorded_word
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
-from octarm.simulation.physics import ArmPhysics
 
 
 def run(
@@ -85,35 +81,17 @@ def _run(
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt(f"{out} holds the run up to t = {trajectory.t[-1]:.6g} s")
     if trajectory.status == "diverged":
-        advice = _advice(far, environment)
-        message = f"the run {trajectory.message}; it was kept up to there{advice}"
-        print(f"octarm: {message}", file=sys.stderr)
+        advice = (
+            "; its gains are for another arm or control period, try --gains recommended, --gain "
+            "NAME:VALUE, or a shorter --control-period"
+        )
+        note(f"the run {trajectory.message}; it was kept up to there{advice if far else ''}")
         return ExitCode.DIVERGED
     if view:
         _view(out)
     else:
         print(f"see it: octarm replay {printable(shlex.quote(str(out)))}")
     return ExitCode.FINE
-
-
-def _advice(far: str, environment: control.Environment) -> str:
-    """What a run that diverged may be due to: an arm that does not stay where it hangs, or gains.
-
-    A sentence `far` says that the gains were found for another arm, see `print_unsuited`.
-    """
-    physics: ArmPhysics = environment.physics
-    growth = float(growth_rate(physics.plant().parameters, physics.plant_rest()))
-    if growth > 0.0:
-        return (
-            "; without control this arm does not stay where it hangs: a mode grows e-fold in "
-            f"{1.0 / growth:.3g} s"
-        )
-    if far:
-        return (
-            "; its gains are for another arm or control period, try --gains recommended, --gain "
-            "NAME:VALUE, or a shorter --control-period"
-        )
-    return ""
 
 
 def _view(folder: Path) -> None:
@@ -127,7 +105,4 @@ def _view(folder: Path) -> None:
 
 
 def _dated_folder(controller: str) -> Path:
-    now = datetime.datetime.now().strftime("%Y%m%d-%H%M%S.%f")[:-3]
-    base = Path("runs") / f"{now}-{controller}"
-    names = itertools.chain([base], (Path(f"{base}-{i}") for i in itertools.count(2)))
-    return next(name for name in names if not name.exists())
+    return Path("runs") / f"{datetime.datetime.now():%Y%m%d-%H%M%S.%f}-{controller}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import shlex
-import sys
 from collections.abc import Callable, Generator
 from concurrent.futures import Executor
 from pathlib import Path
@@ -14,9 +13,10 @@ import numpy as np
 
 from controllers import CONTROLLERS, make_controller
 from octarm.bars import bar as new_bar
-from octarm.commands.gain_notes import print_unsuited
-from octarm.commands.late_notes import print_late
-from octarm.commands.options import SweepOptions
+from octarm.commands.many_runs import SweepOptions
+from octarm.commands.notes import print_late, print_unsuited
+from octarm.commands.options import spelt
+from octarm.commands.terminal import note
 from octarm.declared import short_name, word_of
 from octarm.errors import ExitCode, OctarmError, printable, sentence_of
 from octarm.fields import field_kinds
@@ -25,10 +25,9 @@ from octarm.memory import check_batch
 from octarm.metrics.metric import unsettled
 from octarm.references import recorded_word
 from octarm.simulation.engines import LAGRANGE, check_engine
-from octarm.simulation.start import REST
 from octarm.simulation.steps import AUTO
 from octarm.sweeps import engine_check
-from octarm.sweeps.cluster import WAIT, dask_cluster
+from octarm.sweeps.cluster import dask_cluster
 from octarm.sweeps.episodes import COLUMNS, METRIC, FinishedSweep, record_episodes, select
 from octarm.sweeps.execute import estimate
 from octarm.sweeps.execute import sweep as run_sweep
@@ -38,8 +37,6 @@ from octarm.sweeps.spec import SweepSpec
 from octarm.sweeps.spec_file import read_spec
 from octarm.sweeps.store import RECORDED, SweepFolder, read_sweep
 from octarm.sweeps.workers import WorkerProcesses, cores
-
-_RECORDED = 2000  # [byte] a control period; from 1000 without signals to 4000 with rules
 
 
 def sweep(file: Path, options: SweepOptions) -> int:
@@ -51,7 +48,8 @@ def sweep(file: Path, options: SweepOptions) -> int:
         raise OctarmError("there is no folder to write to; give --out DIR, or --dry-run")
     if options.resume and not (options.out.is_dir() and any(options.out.iterdir())):
         raise OctarmError(f"there is nothing in {options.out} to go on with by --resume")
-    again = _resume(file, options)
+    words = ["octarm", "sweep", str(file), *spelt(options, "resume", "force"), "--resume"]
+    again = shlex.join(words)
     _run(spec, options, options.out, again)
     alike = _record(spec, options.out, again)
     _print_summary(options.out)
@@ -70,31 +68,18 @@ def dry_run(file: Path, options: SweepOptions) -> None:
         print(f"a physics step of {spec.timestep:g} s, as a few episodes need it")
     expected = estimate(spec, make_controller)
     print(f"{expected.episodes} episodes of {spec.duration:g} s in {expected.shards} shards")
-    for axis in spec.axes:
-        print(f"  {axis.name}: {', '.join(str(value) for value in axis.values)}")
-    for axis in spec.random:
-        low, high = axis.values
-        print(f"  {axis.name}: {low:g} .. {high:g}, {axis.method}")
-    if spec.start != REST:
-        print(f"  start: {spec.start}, within {100.0 * spec.start_share:g} % of what inputs reach")
-    print(f"  seeds: {spec.episodes} a cell")
+    for axis in (*spec.axes, *spec.random):
+        print(f"  {axis.name}: {', '.join(map(str, axis.values))}")
     busy = min(workers, expected.shards)
     simulated = expected.episodes * spec.duration / expected.seconds * busy
     print(
         f"about {_span(expected.seconds / busy)} on {busy} workers "
         f"({digits(simulated)} simulated s/s), at most {_size(expected.size)} on disk"
     )
-    if spec.record:
-        words = sum(isinstance(which, str) for which in spec.record)
-        count = words * len(spec.controllers) + len(spec.record) - words
-        size = _size(_RECORDED * expected.periods)
-        print(f"then up to {count} recorded episodes, each about {size} and run alone")
     try:
         Plan(spec).check_size()
     except OctarmError as error:
         print(f"octarm sweep will refuse it: {error}")
-    if expected.shards < workers:
-        print(f"a batch below {spec.batch} would make more shards, for all {workers} workers")
 
 
 def _checked_spec(file: Path, options: SweepOptions) -> SweepSpec:
@@ -153,8 +138,8 @@ def _record(spec: SweepSpec, out: Path, again: str) -> bool:
         return True
     done = FinishedSweep(out)
     selection = select(read_sweep(out, COLUMNS), spec.record)
-    for note in selection.notes:
-        print(f"octarm: {printable(note)}", file=sys.stderr)
+    for sentence in selection.notes:
+        note(sentence)
     with (
         SweepFolder(out, done.plan).locked(),
         new_bar(unit=" periods") as bar,
@@ -171,7 +156,7 @@ def _record(spec: SweepSpec, out: Path, again: str) -> bool:
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"all rows are there; {again} goes on") from None
     for sentence in different.values():
-        print(f"octarm: {printable(sentence)}", file=sys.stderr)
+        note(sentence)
     names = [f"{episode} ({', '.join(why)})" for episode, why in selection.reasons.items()]
     print(f"recorded in {printable(str(out / RECORDED))}/: {', '.join(names) or 'none'}")
     return not different
@@ -237,17 +222,6 @@ def _engines_agree(spec: SweepSpec, folder: Path) -> bool:
     difference = column[~np.isnan(column)]
     print(engine_check.sentence(difference, len(column)))
     return bool(np.all(difference <= engine_check.LIMIT))
-
-
-def _resume(file: Path, options: SweepOptions) -> str:
-    """The command line that goes on with the sweep."""
-    words = ["octarm", "sweep", str(file), "--out", str(options.out)]
-    words += ["--workers", str(options.workers)] if options.workers else []
-    words += ["--cluster", options.cluster] if options.cluster else []
-    wait = options.wait_for_workers
-    words += ["--wait-for-workers", f"{wait:g}"] if wait != WAIT else []
-    words += ["--engine", options.engine] if options.engine else []
-    return shlex.join([*words, "--resume"])
 
 
 def _span(seconds: float) -> str:

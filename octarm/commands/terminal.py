@@ -13,9 +13,14 @@ import sys
 from collections.abc import Callable, Generator
 from typing import Any, TextIO
 
-from octarm.errors import OctarmError
+from octarm.errors import OctarmError, printable
 
 _FILES = 48  # that a command may open at a time, worker processes aside
+
+
+def note(sentence: str) -> None:
+    """Prints a sentence on standard error."""
+    print(f"octarm: {printable(sentence)}", file=sys.stderr)
 
 
 def repair_streams() -> None:

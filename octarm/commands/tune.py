@@ -18,7 +18,8 @@ from controllers.gain_sets import GainSet, shortest
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
 from octarm.bars import bar as new_bar
-from octarm.commands.options import USUAL_GAINS, GainOptions, TuneOptions
+from octarm.commands.many_runs import TuneOptions
+from octarm.commands.options import USUAL_GAINS, GainOptions, spelt
 from octarm.declared import Code, lacking, short_name
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import OctarmError, printable
@@ -99,14 +100,10 @@ def _with_gains(
     return make_controller(controller, nominal, {**begun, **gains}, gain_set=gain_set)
 
 
-def _command(controller: str, options: TuneOptions) -> str:
+def _command(controller: str, options: TuneOptions, *more: str) -> str:
     """The command line that finds the same gains."""
-    words = ["octarm", "tune", controller, "--budget", f"{options.budget:g}"]
-    words += ["--seed", str(options.seed)]
-    words += ["--engine", options.engine] if options.engine is not None else []
-    words += ["--reference", options.reference] if options.reference is not None else []
-    words += [f"--disturbance={each}" for each in options.disturbance]
-    return shlex.join([*words, *options.model.command(), *options.gain_options.command()])
+    words = spelt(options, "out", "resume", "force", "workers")
+    return shlex.join(["octarm", "tune", controller, *words, *more])
 
 
 def _search(controller: str, out: Path, budget: Budget, rig: Rig, options: TuneOptions) -> Tuned:
@@ -146,8 +143,8 @@ def _search(controller: str, out: Path, budget: Budget, rig: Rig, options: TuneO
     except KeyboardInterrupt:
         if not file.path.exists():
             raise KeyboardInterrupt("nothing was written") from None
-        more = shlex.join(["--out", str(out), "--resume"])
-        raise KeyboardInterrupt(f"go on by: {_command(controller, options)} {more}") from None
+        again = _command(controller, options, f"--out={out}", "--resume")
+        raise KeyboardInterrupt(f"go on by: {again}") from None
 
 
 def state_file(out: Path) -> Path:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from octarm.bars import bar as new_bar
 from octarm.checks.differences import listed
 from octarm.checks.run_files import sweep_differences
 from octarm.checks.verify import check_episode, check_run
+from octarm.commands.terminal import note
 from octarm.declared import Code, CodeChanged, file_of, samples_of, word_of
 from octarm.errors import ExitCode, OctarmError, printable
 from octarm.formats import Document
@@ -85,7 +85,7 @@ def announce(folder: Path, code: Mapping[str, Code]) -> None:
             continue
         if file_of(path).resolve().is_relative_to(folder.resolve()):
             raise OctarmError(f"{path} is within the folder that is to be verified; it is not run")
-        print(f"octarm: runs {printable(path)}, the same file as then", file=sys.stderr)
+        note(f"runs {path}, the same file as then")
 
 
 def _print_lines(folder: Path, lines: Sequence[str]) -> None:

@@ -2,13 +2,63 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+from cyclopts import Parameter
+
 from octarm.commands import kinds
-from octarm.commands.options import ARM_ITSELF, NO_LOOP, LoopOptions, SourceOptions
 from octarm.commands.terminal import surviving_output
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SourceOptions:
+    """From what an arm is made.
+
+    Attributes:
+        from_rod: a chain of modules that stands for a rod, with the keys modules, layout (paper or
+            centred), length [m], EA [N], EI [N m^2], density [kg/m], rotary_inertia [kg m],
+            damping_time [s] and gravity [m/s^2], in SI or with a unit as in length=36cm;
+            BASE:TIP for a property that tapers
+        fit_modules: go on with the arm of so many modules that stands best for this one, and say
+            what error remains in statics, modes and transients
+        layout: of the fitted modules, and of the plant of --plant-modules: paper or centred
+    """
+
+    from_rod: Annotated[str | None, kinds.kind("KEY=VALUE,.."), kinds.SOURCE] = None
+    fit_modules: Annotated[int | None, kinds.whole(1, 60), kinds.SOURCE] = None
+    layout: Annotated[str, kinds.LAYOUT, kinds.SOURCE] = "paper"
+
+
+ARM_ITSELF = SourceOptions()
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LoopOptions:
+    """Which sampled loops are looked at.
+
+    Attributes:
+        controller: look at the loop with this controller
+        gains: its gains, as in octarm run
+        roll_off: corner beyond which its force is rolled off, as in octarm run [Hz]
+        control_period: time between control actions [s]; 0.0005 when not given
+        plant_modules: modules of the true arm, as in octarm run
+        model: what the controller believes, as in octarm run
+    """
+
+    controller: Annotated[tuple[str, ...], kinds.CONTROLLER, kinds.LOOP] = ()
+    gains: Annotated[str | None, kinds.GAINS, kinds.LOOP] = None
+    roll_off: Annotated[float | None, kinds.HZ, kinds.LOOP] = None
+    control_period: Annotated[float | None, kinds.PERIOD, kinds.LOOP] = None
+    plant_modules: Annotated[int | None, kinds.COUNT, kinds.LOOP] = None
+    model: Annotated[str | None, kinds.ARM, kinds.LOOP] = None
+
+
+NO_LOOP = LoopOptions()
 
 
 def arm(
@@ -31,11 +81,11 @@ def arm(
     Args:
         arms: files NAME.toml with numbers and their units, or arms that come with octarm; the
             nominal arm when none is given
-        source: see `octarm.commands.options`
+        source: see `SourceOptions`
         write: write the arm to this file, in SI units
         out: draw the arm into this file
         force: replace files that are there
-        loop: see `octarm.commands.options`
+        loop: see `LoopOptions`
 
     Examples:
       octarm arm my-arm.toml --out my-arm.png
