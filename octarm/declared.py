@@ -245,10 +245,9 @@ def named(words: Iterable[tuple[Declared[Any], str]]) -> tuple[list[str], dict[s
     for (table, _), (word, rest), code in zip(words, spelt, codes, strict=True):
         if code is not None and table.kind == "disturbance":
             word = str(table[word].name)  # by which its random numbers are called
-        elif code is not None and ":" in word:
+        elif code is not None and (":" in word or samples_of(code.path)):
+            rest = "" if samples_of(code.path) else rest
             word = _short(code.path, paths - {code.path}, {*table, *taken})
-        elif code is not None and samples_of(code.path):
-            word, rest = _short_samples(code.path, paths), ""
         if code is not None and known.setdefault(word, code) != code:
             raise OctarmError(
                 f"{known[word].path} and {code.path} are both called {word}; give one of them "
@@ -298,22 +297,19 @@ def distributions(code: Mapping[str, Code]) -> dict[str, str]:
     return versions
 
 
-def _short_samples(path: str, others: set[str]) -> str:
-    """`file:` with the name of the file, or with its path where others have the same name."""
-
-    def brief(path: str) -> str:
-        file = samples_of(path)
-        return path if file is None else path.replace(str(file), file.name, 1)
-
-    alike = [other for other in others if brief(other) == brief(path)]
-    return path if len(alike) > 1 else brief(path)
-
-
 def _short(path: str, others: set[str], taken: set[str]) -> str:
     """The shortest end of a path that is neither taken nor the end of another path."""
-    parts, *rest = (_PARTS.findall(each.replace(".py:", ":")) for each in (path, *others))
-    for k in range(1, len(parts) + 1):
-        name = ".".join(parts[-k:])
-        if name not in taken and all(other[-k:] != parts[-k:] for other in rest):
-            return name
-    return path
+    ends, *rest = map(_ends, (path, *others))
+    free = (end for end in ends if end not in taken and not any(end in other for other in rest))
+    return next(free, path)
+
+
+def _ends(path: str) -> list[str]:
+    """The ends of a path, of which the first is the shortest."""
+    match = _SAMPLES.fullmatch(path)
+    if match is not None:
+        parts = Path(match[1]).parts
+        files = (os.path.join(*parts[k:]) for k in reversed(range(len(parts))))
+        return [f"file:{file}{match[2]}" for file in files]
+    parts = _PARTS.findall(path.replace(".py:", ":"))
+    return [".".join(parts[k:]) for k in reversed(range(len(parts)))]

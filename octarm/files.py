@@ -71,11 +71,7 @@ def _settle(part: Path) -> None:
 
 
 def _temporary(folder: Path | None, name: str) -> tuple[Path, int | None]:
-    """A new file to write to, and a lock on it.
-
-    What a killed process has left has the same name, and is used again; where another process has
-    the lock, or there are none, the name is one that nobody else has.
-    """
+    """A new file to write to, or what a killed process has left, and a lock if there is one."""
     if folder is not None:
         part = folder / _PART.format(name)
         lock = _locked(part)

@@ -112,10 +112,7 @@ class Document:
         return OctarmError(f"{self.file}{f', line {known[0]}' if known else ''}: {message}")
 
     def _sentence(self, above: Key, errors: list[ErrorDetails]) -> OctarmError:
-        """The first error; those of the alternatives for the same value are one.
-
-        Unknown keys come first, since a misspelt key is a missing one as well.
-        """
+        """The first error, unknown keys before others; a value's alternatives have one."""
         first = next((e for e in errors if e["type"] == "unknown_key"), errors[0])
         place = self._place(above, first)
         alike = [e for e in errors if self._place(above, e) == place]

@@ -232,12 +232,7 @@ class NominalModel(Protocol):
         ...
 
     def largest_error(
-        self,
-        uncertainty: np.ndarray,
-        q: np.ndarray,
-        v: np.ndarray,
-        a: np.ndarray,
-        v_r: np.ndarray,
+        self, uncertainty: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray, v_r: np.ndarray
     ) -> np.ndarray:
         """The largest error of `inverse_dynamics`, shape (..., 2N) [N], [N m].
 

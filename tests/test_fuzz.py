@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 
 from controllers import CONTROLLERS, make_controller
 from octarm.checks import verify
-from octarm.commands import margin, report, rod, run, sweep, tune, validate
+from octarm.commands import margin, report, run, sweep, tune, validate
 from octarm.commands.app import APP
 from octarm.commands.cli import main
 from octarm.commands.pages import arguments_of, commands, is_operand, spelling
@@ -115,9 +115,8 @@ def place(made, tmp_path_factory):
         patch.setattr(tune, "tune_gains", not_run)
         for name in ("estimate", "run_sweep", "dask_cluster"):
             patch.setattr(sweep, name, not_run)
-        for name in ("plant", "ledger", "engines"):
+        for name in ("plant", "ledger", "compare_engines", "study"):
             patch.setattr(validate, name, not_run)
-        patch.setattr(rod, "study", not_run)
         patch.setattr(report, "pictures", lambda _: [])
         patch.setattr(verify, "perform", short)
         patch.setattr(run_figures.NewFigure, "savefig", lambda *_, **__: None)

@@ -11,7 +11,7 @@ from octarm.arm.rod import Rod, arm_from_rod
 from octarm.checks import rod_convergence, rod_motion, rod_theory
 from octarm.checks.rod_convergence import MODULES, Curve, Study, table
 from octarm.commands import cli
-from octarm.commands import rod as command
+from octarm.commands import validate as command
 
 ROD = Rod()
 

@@ -148,7 +148,8 @@ def _sentence(error: CycloptsError, command: str) -> str:
         case ConsumeMultipleError(argument=Argument() as argument):
             return f"{argument.name} takes one value at most"
         case MissingArgumentError(argument=Argument() as argument) if is_operand(argument):
-            return f"octarm {command} needs {spelling(argument)}, {_help(command, argument)}"
+            known = {spelling(a): a.parameter.help for a in arguments_of(APP, command)}
+            return f"octarm {command} needs {spelling(argument)}, {known[spelling(argument)]}"
         case MissingArgumentError(argument=Argument() as argument):
             return f"{argument.name} needs a value after it"
         case CoercionError(msg=str() as sentence):
@@ -157,11 +158,6 @@ def _sentence(error: CycloptsError, command: str) -> str:
             return f"{token.keyword} is {quoted(token.value)}; it is a flag and takes no value"
         case _:
             return " ".join(str(error).split())
-
-
-def _help(command: str, argument: Argument) -> str:
-    texts = {spelling(a): a.parameter.help for a in arguments_of(APP, command)}
-    return str(texts[spelling(argument)])
 
 
 def _as_option(command: str, word: str) -> str:

@@ -94,10 +94,7 @@ def _print_stability(p: ArmParameters, loop: LoopOptions, layout: str) -> bool:
 
 
 def _arms(names: Sequence[str], source: SourceOptions) -> list[Arm]:
-    """The arms that are meant; of fitted ones it prints what error remains.
-
-    Raises OctarmError if one of them is none, cannot hang, or cannot be fitted.
-    """
+    """The arms that are meant; of fitted ones it prints what error remains."""
     if source.from_rod is None:
         given = [*map(read_arm_file, names)] or [Arm(nominal_parameters(), "the nominal arm")]
     elif names:

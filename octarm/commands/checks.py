@@ -2,37 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+from cyclopts import Parameter
+
 from octarm.commands import kinds
 from octarm.commands.terminal import surviving_output
+from octarm.errors import OctarmError
 
 
-def validate(
-    *,
-    controllers: bool = False,
-    engines: bool = False,
-    plant_modules: Annotated[int | None, kinds.COUNT] = None,
-    layout: Annotated[str, kinds.LAYOUT] = "paper",
-    arm: Annotated[str | None, kinds.ARM] = None,
-    rod: bool = False,
-    modules: Annotated[int, kinds.whole(1, 60)] = 3,
-    random_parameters: Annotated[int, kinds.whole(0, 10_000)] = 0,
-    states: Annotated[int | None, kinds.whole(1, 1_000_000)] = None,
-    seed: Annotated[int, kinds.N] = 0,
-    json: Annotated[Path | None, kinds.file()] = None,
-    out: Annotated[Path | None, kinds.DIR] = None,
-    force: bool = False,
-) -> kinds.Work:
-    """Check MuJoCo against the analytic model.
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ValidateOptions:
+    """What is checked.
 
-    Or, with --controllers, the controllers against their proofs; with --engines, the engines
-    against each other; with --rod, chains of modules against rod theory. Prints a report; exit
-    code 1 when a check failed.
-
-    Args:
+    Attributes:
         controllers: check instead that each controller's Lyapunov function falls as its proof
             says, and that the misprints of the paper are noticed
         engines: check instead that mujoco and lagrange move the arm alike for 10 s, with every
@@ -51,6 +38,48 @@ def validate(
         json: also write the report to this file
         out: of --rod: also draw its figures in this folder
         force: replace files that are there
+    """
+
+    controllers: bool = False
+    engines: bool = False
+    plant_modules: Annotated[int | None, kinds.COUNT] = None
+    layout: Annotated[str, kinds.LAYOUT] = "paper"
+    arm: Annotated[str | None, kinds.ARM] = None
+    rod: bool = False
+    modules: Annotated[int, kinds.whole(1, 60)] = 3
+    random_parameters: Annotated[int, kinds.whole(0, 10_000)] = 0
+    states: Annotated[int | None, kinds.whole(1, 1_000_000)] = None
+    seed: Annotated[int, kinds.N] = 0
+    json: Annotated[Path | None, kinds.file()] = None
+    out: Annotated[Path | None, kinds.DIR] = None
+    force: bool = False
+
+    def check(self) -> None:
+        """Raises OctarmError for options that do not go together."""
+        flags = {"--controllers": self.controllers, "--engines": self.engines, "--rod": self.rod}
+        given = [name for name, flag in flags.items() if flag]
+        if len(given) > 1:
+            raise OctarmError(f"{' and '.join(given)} are given; one check at a time")
+        if self.arm is not None and (self.rod or self.modules != 3 or self.random_parameters):
+            raise OctarmError("--arm is given with --modules, --random-parameters or --rod")
+        if not self.engines and (self.plant_modules is not None or self.layout != "paper"):
+            raise OctarmError("--plant-modules or --layout is given without --engines")
+        if self.out is not None and not self.rod:
+            raise OctarmError("--out is given without --rod, which alone draws figures")
+
+
+MUJOCO = ValidateOptions()
+
+
+def validate(*, options: ValidateOptions = MUJOCO) -> kinds.Work:
+    """Check MuJoCo against the analytic model.
+
+    Or, with --controllers, the controllers against their proofs; with --engines, the engines
+    against each other; with --rod, chains of modules against rod theory. Prints a report; exit
+    code 1 when a check failed.
+
+    Args:
+        options: see `ValidateOptions`
 
     Examples:
       octarm validate --modules 5 --json report.json
@@ -58,32 +87,13 @@ def validate(
       octarm validate --engines --plant-modules 9 --layout centred
       octarm validate --rod --out convergence
     """
-    kinds.check_free(force, json, out and out / "convergence.png")
-    from octarm.commands import rod as rods
+    out = options.out
+    kinds.check_free(options.force, options.json, out and out / "convergence.png")
+    options.check()
     from octarm.commands import validate as work
-    from octarm.errors import OctarmError
 
-    flags = {"--controllers": controllers, "--engines": engines, "--rod": rod}
-    given = [name for name, flag in flags.items() if flag]
-    if len(given) > 1:
-        raise OctarmError(f"{' and '.join(given)} are given; one check at a time")
-    if arm is not None and (modules != 3 or random_parameters):
-        raise OctarmError("--arm is given, and so are --modules or --random-parameters")
-    if not engines and (plant_modules is not None or layout != "paper"):
-        raise OctarmError("--plant-modules or --layout is given without --engines, which takes it")
-    if rod:
-        if arm is not None:
-            raise OctarmError("--arm is given, and so is --rod, which has its own chains")
-        job = partial(rods.validate_rod, out, json)
-        return surviving_output(job) if json or out else job
-    if out is not None:
-        raise OctarmError("--out is given without --rod, which alone draws figures")
-    states = (3000 if controllers else 10_000) if states is None else states
-    of_engines = partial(work.engines, plant_modules=plant_modules, layout=layout)
-    compare = work.ledger if controllers else of_engines if engines else work.plant
-    arms = work.arms(arm, modules, random_parameters, seed)
-    job = partial(work.validate, compare, arms, states, seed, json)
-    return surviving_output(job) if json else job
+    job = partial(work.validate, options)
+    return surviving_output(job) if options.json or out else job
 
 
 def verify(

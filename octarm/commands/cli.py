@@ -73,10 +73,7 @@ def _check_controllers() -> None:
 
 
 def _mendable(error: Exception) -> OctarmError:
-    """What a user can mend; raises the error itself if it is a bug.
-
-    Beside `OctarmError` this is what the machine refuses: space, permission, memory, a package.
-    """
+    """What a user can mend, or what the machine refuses; raises the error itself if it is a bug."""
     match error:
         case _ if isinstance(error, MemoryError) or any(w in str(error) for w in _NO_MEMORY):
             return OctarmError(f"there is not enough memory{f': {error}' if str(error) else ''}")

@@ -90,10 +90,7 @@ def _one_of(metavar: str) -> Parameter:
 
 
 def check(metavar: str, word: str, *more: str) -> None:
-    """Raises OctarmError for a word that can mean nothing of a kind, such as CONTROLLER.
-
-    Nothing that takes long is imported for that. More names may be known where the word stands.
-    """
+    """Raises OctarmError for a word that can mean nothing of a kind, such as CONTROLLER."""
     pkgutil.resolve_name(_WORDS[metavar]).check(word, *more)
 
 
@@ -118,11 +115,7 @@ def check_numbers(metavar: str, text: str, *, varied: bool) -> None:
 
 
 def _declared(metavar: str, *more: str, known: bool = True) -> Parameter:
-    """A name, or an import path or file of a user's own; see `octarm.declared`.
-
-    More names may be known, or others than those of octarm; what is not `known` yet is an operand,
-    which is to be looked at after all options, or a name of a sweep.
-    """
+    """A name, or a path of a user's own; what is not `known` yet is looked at after all options."""
 
     def convert(option: str, word: str) -> str:
         from octarm.declared import absolute
@@ -294,10 +287,7 @@ def check_free(force: bool, *files: Path | None) -> None:
 
 
 def check_runs(*folders: Path, sweeps: bool = False) -> None:
-    """Raises OctarmError if one of the folders holds no run, or no sweep where one may be.
-
-    Nothing that takes long is imported for that.
-    """
+    """Raises OctarmError if one of the folders holds no run, or no sweep where one may be."""
     from octarm.runs.folder import read_description
 
     for folder in folders:

@@ -118,10 +118,7 @@ PAGE = ReportOptions()
 
 
 def report(
-    sweep: Annotated[Path | None, kinds.kind("SWEEP")] = None,
-    /,
-    *,
-    options: ReportOptions = PAGE,
+    sweep: Annotated[Path | None, kinds.kind("SWEEP")] = None, /, *, options: ReportOptions = PAGE
 ) -> kinds.Work:
     """Turn a sweep into a page with tables and figures.
 
@@ -212,10 +209,7 @@ class MarginOptions:
         return [ArmOptions(arm=name, **vars(self.model)) for name in self.arm or (None,)]
 
     def varied(self) -> Varied:
-        """What varies, the one disturbance without a value.
-
-        Raises OctarmError for options that cannot be meant.
-        """
+        """What varies; raises OctarmError for options that cannot be meant."""
         from octarm.disturbances.varied import NOMINAL, is_varied, parse_varied
         from octarm.metrics.declared import check_measures
         from octarm.simulation.engines import check_engine, usual_engine

@@ -31,14 +31,7 @@ from octarm.metrics.table import METRICS, Catalogue
 from octarm.references import REFERENCES, recorded_word
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import usual_engine
-from octarm.sweeps.margin import (
-    Attempt,
-    Brackets,
-    MarginRuns,
-    margin_of,
-    search,
-    seeds_needed,
-)
+from octarm.sweeps.margin import Attempt, Brackets, MarginRuns, margin_of, search, seeds_needed
 from octarm.sweeps.workers import cores
 
 _NEVER_ENOUGH = "no number of seeds has one"
@@ -121,7 +114,7 @@ def _search(name: str, run: MarginRuns, seeds: int) -> Brackets:
         def attempt(arms: np.ndarray, shares: np.ndarray) -> Attempt:
             bar.total = (bar.total or 0.0) + len(arms) * run.duration
             values = run.varied.at(np.array([shares.min(), shares.max()]))
-            ends = " .. ".join(_number(x, run.varied) for x in values)
+            ends = " .. ".join(_spelt(x, run.varied) for x in values)
             bar.set_postfix_str(f"{len(arms)} arms, {ends}")
             return counted(arms, shares)
 
@@ -149,7 +142,7 @@ def _row(name: str, brackets: Brackets, share: float, varied: Varied) -> dict[st
 def _heading(options: MarginOptions, varied: Varied) -> list[str]:
     """What the table is of: what is sought, and the options that are not as usual."""
     unit = " [%]" if varied.unit == "1" else f" [{varied.unit}]"
-    ends = " .. ".join(_number(x, varied) for x in (varied.low, varied.high))
+    ends = " .. ".join(_spelt(x, varied) for x in (varied.low, varied.high))
     bounds = " and ".join(options.bound).replace(":", " <= ")
     others = spelt(options, "bound", "low", "high", "seeds", "share", "csv", "json", "force")
     return [
@@ -172,15 +165,11 @@ def _line(row: Mapping[str, Any], varied: Varied) -> str:
 
 
 def _spelt(value: float, varied: Varied) -> str:
+    """A value in the unit of the table, in which shares are percentages."""
     if math.isnan(value):
         return "?"
     if math.isinf(value):
-        return f"> {_number(varied.high, varied)}" if value > 0.0 else "fails"
-    return _number(value, varied)
-
-
-def _number(value: float, varied: Varied) -> str:
-    """A value in the unit of the table, in which shares are percentages."""
+        return f"> {_spelt(varied.high, varied)}" if value > 0.0 else "fails"
     return f"{100.0 * value if varied.unit == '1' else value:.4g}"
 
 
@@ -189,10 +178,10 @@ def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, options: Mar
     seeds = options.seeds
     ends = [row[key] for row in rows for key in _NUMBERS]
     if math.inf in ends:
-        high = _number(varied.high, varied)
+        high = _spelt(varied.high, varied)
         print(f"> {high}: the bound is met there, too; a further --high finds the margin")
     if -math.inf in ends:
-        print(f"fails: the bound is broken at {_number(varied.low, varied)} already")
+        print(f"fails: the bound is broken at {_spelt(varied.low, varied)} already")
     if any(row["alike"] for row in rows):
         print("no interval: nothing random acts, all seeds are the same; --disturbance noise:0.4?")
     if not all(row["alike"] for row in rows):

@@ -188,10 +188,7 @@ def _converted(name: str, value: Any, kind: Range) -> Any:
 
 
 def _named_values(option: str, items: Sequence[str]) -> dict[str, Any]:
-    """Each NAME:VALUES as a text, texts with `,` between them, or rows with `;` between them.
-
-    Raises OctarmError if an item has no name, or its values are not numbers, with a unit or not.
-    """
+    """Each NAME:VALUES as a text, texts with `,` between them, or rows with `;` between them."""
     values: dict[str, Any] = {}
     for item in items:
         name, _, text = item.partition(":")

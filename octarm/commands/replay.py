@@ -46,10 +46,7 @@ def _picture(files: Sequence[Path], screenshot: Path, time: float | None) -> Non
 
 @contextlib.contextmanager
 def _recordings(folders: Sequence[Path]) -> Generator[list[Path]]:
-    """The recordings to open: of one run, of two runs together, or of a sweep.
-
-    Raises OctarmError if there is nothing to replay.
-    """
+    """The recordings to open: of one run, of two runs together, or of a sweep."""
     if not 1 <= len(folders) <= 2:
         raise OctarmError(f"{len(folders)} runs are given; replay shows one, or two side by side")
     with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:

@@ -82,10 +82,7 @@ def _check_place(out: Path, sweep: Path) -> None:
 
 
 def _write(out: Path, text: str, files: dict[str, str], drawn: list[Picture]) -> None:
-    """Writes the report, whole or not at all; the page, last, makes it one.
-
-    Raises FileError if it cannot be written.
-    """
+    """Writes the report, whole or not at all; the page, last, makes it one."""
     contents = {out / name: content.encode() for name, content in files.items()}
     for picture in drawn:
         contents |= picture.files(out / FIGURES)

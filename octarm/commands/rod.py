@@ -1,19 +1,15 @@
-"""What `octarm validate --rod` does."""
+"""The figures of `octarm validate --rod`."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
 from octarm.arm.rod import LAYOUTS
-from octarm.bars import bar as new_bar
 from octarm.checks import rod_motion
 from octarm.checks.rod_convergence import MODULES, Study
-from octarm.checks.rod_convergence import study as study
-from octarm.errors import ExitCode, printable
-from octarm.files import write_files, write_text
+from octarm.files import write_files
 from octarm.reports.convergence import pictures
 
 _DRAWN = (
@@ -34,21 +30,8 @@ _PEERS = {
 }
 
 
-def validate_rod(out: Path | None, file: Path | None) -> int:
-    """`octarm validate --rod`: chains of modules against their rod; figures and JSON, too."""
-    with new_bar(bar_format="checking {desc}") as line:
-        result = study(line.set_description_str)
-    print(result, flush=True)
-    if file is not None:
-        write_text(file, json.dumps([result.to_dict()], indent=2) + "\n")
-    if out is not None:
-        _draw(out, result)
-        print(f"wrote {printable(str(out))}")
-    return ExitCode.FINE if result.table.passed else ExitCode.CHECK_FAILED
-
-
-def _draw(out: Path, result: Study) -> None:
-    """Writes the figures, all or none."""
+def draw(out: Path, result: Study) -> None:
+    """Writes the figures of a convergence study into a folder, all or none."""
     errors: dict[str, dict[str, np.ndarray]] = {case: {} for case in _DRAWN}
     for curve in result.curves:
         if curve.case in errors and curve.layout in LAYOUTS:

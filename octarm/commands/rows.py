@@ -9,10 +9,7 @@ from octarm.runs import folder as runs
 
 
 def rows_of(folder: Path) -> runs.Run:
-    """The arrays of a run, as far as there are any, and its description.
-
-    Raises OctarmError if there are none.
-    """
+    """The arrays of a run, as far as there are any, and its description; raises OctarmError."""
     trajectory, description = runs.map_run(folder)
     if description["status"] == runs.RUNNING:
         say_partial(float(trajectory.t[-1]))

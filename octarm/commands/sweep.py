@@ -10,6 +10,7 @@ from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from controllers import CONTROLLERS, make_controller
 from octarm.bars import bar as new_bar
@@ -72,9 +73,10 @@ def dry_run(file: Path, options: SweepOptions) -> None:
         print(f"  {axis.name}: {', '.join(map(str, axis.values))}")
     busy = min(workers, expected.shards)
     simulated = expected.episodes * spec.duration / expected.seconds * busy
+    time, size = tqdm.format_interval(expected.seconds / busy), tqdm.format_sizeof(expected.size)
     print(
-        f"about {_span(expected.seconds / busy)} on {busy} workers "
-        f"({digits(simulated)} simulated s/s), at most {_size(expected.size)} on disk"
+        f"about {time} on {busy} workers ({digits(simulated)} simulated s/s), at most {size}B on "
+        "disk"
     )
     try:
         Plan(spec).check_size()
@@ -140,10 +142,7 @@ def _record(spec: SweepSpec, out: Path, again: str) -> bool:
     selection = select(read_sweep(out, COLUMNS), spec.record)
     for sentence in selection.notes:
         note(sentence)
-    with (
-        SweepFolder(out, done.plan).locked(),
-        new_bar(unit=" periods") as bar,
-    ):
+    with SweepFolder(out, done.plan).locked(), new_bar(unit=" periods") as bar:
 
         def begin(periods: int, label: str) -> None:
             bar.reset(periods)
@@ -222,18 +221,3 @@ def _engines_agree(spec: SweepSpec, folder: Path) -> bool:
     difference = column[~np.isnan(column)]
     print(engine_check.sentence(difference, len(column)))
     return bool(np.all(difference <= engine_check.LIMIT))
-
-
-def _span(seconds: float) -> str:
-    if seconds < 90.0:
-        return f"{seconds:.0f} s" if seconds >= 0.95 else "a second"
-    minutes = round(seconds / 60.0)
-    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
-
-
-def _size(count: float) -> str:
-    for unit in ("B", "kB", "MB"):
-        if count < 999.5:
-            return f"{count:.3g} {unit}"
-        count /= 1000.0
-    return f"{count:.3g} GB"

@@ -91,11 +91,7 @@ def _factory(controller: str, gains: GainOptions) -> Callable[..., Tunable]:
 
 
 def _with_gains(
-    controller: str,
-    gain_set: str,
-    begun: Mapping[str, Any],
-    nominal: Any,
-    gains: Mapping[str, Any],
+    controller: str, gain_set: str, begun: Mapping[str, Any], nominal: Any, gains: Mapping[str, Any]
 ) -> Tunable:
     return make_controller(controller, nominal, {**begun, **gains}, gain_set=gain_set)
 

@@ -3,76 +3,82 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from controllers import CONTROLLERS, make_controller
-from controllers.proofs.ledger import ledger as ledger
+from controllers.proofs.ledger import ledger
 from octarm.arm.file import read_arm
-from octarm.arm.groups import PAPER
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.modes import rates
 from octarm.arm.parameters import ArmParameters
 from octarm.bars import bar as new_bar
 from octarm.checks.closed_loops import compare_engines
+from octarm.checks.rod_convergence import Study, study
 from octarm.checks.validation import arm_with, random_arm
 from octarm.checks.validation import validate as plant
-from octarm.errors import ExitCode
+from octarm.commands.checks import ValidateOptions
+from octarm.commands.rod import draw
+from octarm.errors import ExitCode, printable
 from octarm.files import write_text
 from octarm.tolerances import CheckTable
 
 SWITCHING = ("smc", "super-twisting")  # laws with sgn(s)
 
-Compare = Callable[[ArmParameters, int, int, Callable[[str], None]], CheckTable]
-
-__all__ = ["arms", "engines", "ledger", "plant", "validate"]
+Check = Callable[[Callable[[str], None]], CheckTable]
 
 
-def engines(
-    arm: ArmParameters,
-    states: int,
-    seed: int,
-    progress: Callable[[str], None],
-    *,
-    plant_modules: int | None = None,
-    layout: str = PAPER,
+def validate(options: ValidateOptions) -> int:
+    """`octarm validate`: MuJoCo and the analytic model, or another of the checks."""
+    reports: list[dict[str, Any]] = []
+    result: Study | CheckTable
+    for check in [study] if options.rod else _checks(options):
+        with new_bar(bar_format="checking {desc}") as line:
+            result = check(line.set_description_str)
+        print(result, flush=True)
+        reports.append(result.to_dict())
+        if options.out is not None and isinstance(result, Study):
+            draw(options.out, result)
+            print(f"wrote {printable(str(options.out))}")
+    if options.json is not None:
+        write_text(options.json, json.dumps(reports, indent=2) + "\n")
+    return ExitCode.FINE if all(r["passed"] for r in reports) else ExitCode.CHECK_FAILED
+
+
+def _checks(options: ValidateOptions) -> Iterator[Check]:
+    """A check for each arm: that of a file, random ones, or the nominal one with N modules."""
+    draws = np.random.default_rng(options.seed)
+    arms = [random_arm(draws, options.modules) for _ in range(options.random_parameters)]
+    if options.arm is not None:
+        arms = [read_arm(options.arm)]
+    for arm in arms or [arm_with(options.modules)]:
+        if options.engines:
+            yield partial(_engines, options, arm)
+        elif options.controllers:
+            yield partial(ledger, arm, options.states or 3000, options.seed)
+        else:
+            yield partial(plant, arm, options.states or 10_000, options.seed)
+
+
+def _engines(
+    options: ValidateOptions, arm: ArmParameters, progress: Callable[[str], None]
 ) -> CheckTable:
-    """Both engines in closed loop, with every controller.
-
-    On a plant of more modules for a second, their forces rolled off at four times the frequency of
-    the model's fastest mode: loops that rattle would make something of every rounding error.
-    """
-    del states  # there are none to draw
+    """Both engines in closed loop; on a finer plant for 1 s, with forces that are rolled off."""
     make, duration = make_controller, 10.0
-    if plant_modules is not None:
+    if options.plant_modules is not None:
         fastest = np.max(np.abs(np.imag(rates(arm, equilibrium(arm))))) / (2.0 * np.pi)
         make, duration = partial(make_controller, gains={"roll_off": 4.0 * fastest}), 1.0
-    plant: dict[str, Any] = {"plant_modules": plant_modules, "layout": layout}
-    plant |= {"duration": duration, "seed": seed, "progress": progress}
-    return compare_engines(arm, make, [*CONTROLLERS], SWITCHING, **plant)
-
-
-def arms(file: str | None, modules: int, random_arms: int, seed: int) -> list[ArmParameters]:
-    """The arms to check: that of a file, random ones, or the nominal one with N modules."""
-    if file is not None:
-        return [read_arm(file)]
-    draw = np.random.default_rng(seed)
-    return [random_arm(draw, modules) for _ in range(random_arms)] or [arm_with(modules)]
-
-
-def validate(
-    compare: Compare, arms: Sequence[ArmParameters], states: int, seed: int, file: Path | None
-) -> int:
-    """`octarm validate`: MuJoCo and the analytic model, or the controllers' Lyapunov ledger."""
-    reports: list[CheckTable] = []
-    for arm in arms:
-        with new_bar(bar_format="checking {desc}") as line:
-            reports.append(compare(arm, states, seed, line.set_description_str))
-        print(reports[-1], flush=True)
-    if file is not None:
-        write_text(file, json.dumps([r.to_dict() for r in reports], indent=2) + "\n")
-    return ExitCode.FINE if all(r.passed for r in reports) else ExitCode.CHECK_FAILED
+    return compare_engines(
+        arm,
+        make,
+        [*CONTROLLERS],
+        SWITCHING,
+        plant_modules=options.plant_modules,
+        layout=options.layout,
+        duration=duration,
+        seed=options.seed,
+        progress=progress,
+    )
