@@ -171,7 +171,7 @@ class Range:
             (self.at_most, "at most", value <= self.at_most),
             (self.below, "below", value < self.below or self.below == math.inf),
         ):
-            if not good:
+            if not good and abs(bound) < math.inf:
                 limit = f"{bound / size:g}{unit}" if text and bound else f"{bound:g}{si}"
                 typed = text or f"{value:g}{si}"
                 raise OctarmError(f"{name} is {typed}; it must be {words} {limit}{meant}")

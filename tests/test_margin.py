@@ -343,7 +343,7 @@ BAD = {
     ("pd", *GOOD[:3], "tip_rms_eror:1"): "no measure 'tip_rms_eror'.*did you mean 'tip_rms_error'",
     ("p", *GOOD): "unknown controller 'p'",
     ("pd", *GOOD, "--seeds", "0"): "seeds is 0; it must be at least 1",
-    ("pd", *GOOD, "--share", "1.5"): "share is 1.5; it must be above 0 and at most 1",
+    ("pd", *GOOD, "--share", "1.5"): "share is 1.5; it must be at most 1",
     ("pd", *GOOD, "--low", "1"): "low is 1 and high 1; they must be two finite numbers",
     ("pd", *GOOD, "--low", "-1"): "mass of payload is -1 kg; it must be at least 0 kg",
     ("pd", *GOOD, "--json", "no/file"): "no/file cannot be written: there is no folder for it",

@@ -342,10 +342,10 @@ def test_spaces_around_keys_do_not_matter():
     [
         (["run", "--nominal", "mass:70"], "mass of --nominal is 70; it must be at most 20 unless "
          "it is spelt 7000%, did you mean 70%?"),
-        (["arm", "--from-rod", "length=360,modules=3"], "length of 'length=360,modules=3' is 360 m; it must be "
-         "at most 10 m unless it is spelt 360m, did you mean 360mm?"),
-        (["arm", "--from-rod", "length=36kg,modules=3"], "length of 'length=36kg,modules=3' is '36kg'; its unit "
-         "must be m, cm, mm or um"),
+        (["arm", "--from-rod", "length=360,modules=3"], "length of 'length=360,modules=3' is "
+         "360 m; it must be at most 10 m unless it is spelt 360m, did you mean 360mm?"),
+        (["arm", "--from-rod", "length=36kg,modules=3"], "length of 'length=36kg,modules=3' is "
+         "'36kg'; its unit must be m, cm, mm or um"),
         (["margin", "pd", "--disturbance", "payload", "--bound", "tip_rms_error:20"],
          "bound of tip_rms_error is 20 m; it must be at most 10 m unless it is spelt 20m, did you "
          "mean 20mm?"),

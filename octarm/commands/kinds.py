@@ -147,20 +147,13 @@ def _gains(option: str, word: str) -> str:
     return word
 
 
-def _within(of: Range) -> Convert:
+def _within(metavar: str, of: Range) -> Parameter:
     def convert(option: str, word: str) -> float:
         value = of.parse(option, word)
-        of.check_bounds(option, value)
+        of.check_bounds(option.strip("-").replace("-", "_"), value)
         return value
 
-    return convert
-
-
-def _duration(option: str, word: str) -> float:
-    seconds = Range("s", above=0.0).parse(option, word)
-    if not seconds > 0.0:
-        raise OctarmError(f"duration is {seconds:g} s; it must be positive")
-    return seconds
+    return kind(metavar, convert)
 
 
 def _step(option: str, word: str) -> float | str:
@@ -176,30 +169,11 @@ def _step(option: str, word: str) -> float | str:
     return seconds
 
 
-def _share(option: str, word: str) -> float:
-    share, name = number(option, word, "1"), option.strip("-").replace("-", "_")
-    if not units.SHARE.allows(share):
-        meant = units.SHARE.meant(share)
-        raise OctarmError(f"{name} is {word}; it must be above 0 and at most 1{meant}")
-    return share
-
-
 def _bound(option: str, word: str) -> str:
     from octarm.metrics.declared import parse_bound
 
     parse_bound(word)  # raises
     return word
-
-
-def _budget(option: str, word: str) -> float:
-    """The message is that of `octarm.sweeps.tune.Budget`, which takes long to import."""
-    seconds = number(option, word, "s")
-    if not GENERATION <= seconds <= 1e8:
-        raise OctarmError(
-            f"budget is {seconds:g} s; it must be at least {GENERATION:g} s, one generation, "
-            "and finite, at most 1e+08 s"
-        )
-    return seconds
 
 
 def _amount(option: str, word: str) -> str:
@@ -253,11 +227,12 @@ def _live(hint: Any, tokens: Sequence[Token]) -> list[str]:
 
 N, COUNT = whole(0), whole(1)
 X, S, HZ = (kind(each, Range(unit).parse) for each, unit in (("X", "1"), ("S", "s"), ("HZ", "Hz")))
-DURATION, STEP = kind("S", _duration), kind("S", _step)
-SETTLE = kind("S", _within(Range("s", at_least=0.0, at_most=1e9)))
+DURATION = _within("S", Range("s", above=0.0))
+SETTLE = _within("S", Range("s", at_least=0.0, at_most=1e9))
+BUDGET = _within("S", Range("s", at_least=GENERATION, at_most=1e8))
 MISMATCH, PERIOD = kind("X", units.MISMATCH.parse), kind("S", units.PERIOD.parse)
-AMOUNT, SHARE = kind("X", _amount), kind("X", _share)
-BOUND, BUDGET = kind("METRIC:VALUE", _bound), kind("S", _budget)
+AMOUNT, SHARE = kind("X", _amount), _within("X", units.SHARE)
+BOUND, STEP = kind("METRIC:VALUE", _bound), kind("S", _step)
 RUN, DIR = kind("RUN"), kind("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
     _declared, ("CONTROLLER", "REFERENCE", "DISTURBANCE", "METRIC")

@@ -277,8 +277,8 @@ class TuneOptions:
         reference: the desired motion, instead of those of the scenarios
         disturbance: NAME:VALUE[,KEY=VALUE..], what acts as well; octarm run --help lists them
         out: file to write; CONTROLLER.toml when not given; the search keeps its state beside it
-        budget: what the search may simulate, all arms counted [s]; 16000 s take minutes. The last
-            trials, of the best of its last generation, come on top
+        budget: what the search may simulate, all arms counted, 1224 s or more [s]; 16000 s take
+            minutes. The last trials, of the best of its last generation, come on top
         seed: seed of the search
         resume: go on with the search that was interrupted
         force: replace gains that are there, and begin an interrupted search anew
