@@ -11,7 +11,7 @@ from small_tuning import BUDGET
 import octarm
 from octarm.arm.mjcf import nominal_parameters
 from octarm.commands.cli import main
-from octarm.commands.options import NOMINAL_ARM, USUAL_GAINS, ArmOptions, GainOptions, spelt
+from octarm.commands.options import ArmOptions, GainOptions, spelt
 from octarm.disturbances.plant import Payload
 from octarm.metrics.table import METRICS
 from octarm.sweeps.scenarios import Scenario
@@ -36,7 +36,7 @@ def test_options_give_an_arm_and_what_is_believed_of_it():
     np.testing.assert_array_equal(true.mass, [0.4, 0.3, 0.2])
     np.testing.assert_allclose(believed.mass, 0.9 * true.mass)
     np.testing.assert_allclose(believed.stiffness, 0.8 * 0.95 * P.stiffness)
-    assert spelt(NOMINAL_ARM) == spelt(USUAL_GAINS) == []
+    assert spelt(ArmOptions()) == spelt(GainOptions()) == []
     options = ArmOptions(arm="eth", nominal=("mass:0.7", "width:1.1"), plant_modules=9)
     words = ["--arm=eth", "--nominal=mass:0.7", "--nominal=width:1.1", "--plant-modules=9"]
     assert spelt(options) == words

@@ -68,10 +68,7 @@ class ValidateOptions:
             raise OctarmError("--out is given without --rod, which alone draws figures")
 
 
-MUJOCO = ValidateOptions()
-
-
-def validate(*, options: ValidateOptions = MUJOCO) -> kinds.Work:
+def validate(*, options: ValidateOptions = ValidateOptions()) -> kinds.Work:
     """Check MuJoCo against the analytic model.
 
     Or, with --controllers, the controllers against their proofs; with --engines, the engines

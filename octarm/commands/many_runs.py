@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from octarm.commands import kinds
-from octarm.commands.options import (
-    ANY_MODEL,
-    NOMINAL_ARM,
-    USUAL_GAINS,
-    ArmOptions,
-    GainOptions,
-    ModelOptions,
-)
+from octarm.commands.options import ArmOptions, GainOptions, ModelOptions
 from octarm.commands.terminal import surviving_output
 from octarm.errors import OctarmError
 
@@ -53,11 +46,8 @@ class SweepOptions:
     engine: Annotated[str | None, kinds.ENGINE] = None
 
 
-SHARDS = SweepOptions()
-
-
 def sweep(
-    spec: Annotated[Path, kinds.kind("SPEC.toml")], /, *, options: SweepOptions = SHARDS
+    spec: Annotated[Path, kinds.kind("SPEC.toml")], /, *, options: SweepOptions = SweepOptions()
 ) -> kinds.Work:
     """Run thousands of episodes as a spec has it.
 
@@ -114,11 +104,11 @@ class ReportOptions:
     force: bool = False
 
 
-PAGE = ReportOptions()
-
-
 def report(
-    sweep: Annotated[Path | None, kinds.kind("SWEEP")] = None, /, *, options: ReportOptions = PAGE
+    sweep: Annotated[Path | None, kinds.kind("SWEEP")] = None,
+    /,
+    *,
+    options: ReportOptions = ReportOptions(),
 ) -> kinds.Work:
     """Turn a sweep into a page with tables and figures.
 
@@ -188,8 +178,8 @@ class MarginOptions:
     share: Annotated[float, kinds.SHARE, kinds.SOUGHT] = 0.9
     metric: Annotated[tuple[str, ...], kinds.METRIC, kinds.SOUGHT] = ()
     arm: Annotated[tuple[str, ...], kinds.ARM, kinds.MODEL] = ()
-    model: ModelOptions = ANY_MODEL
-    gain_options: GainOptions = USUAL_GAINS
+    model: ModelOptions = ModelOptions()
+    gain_options: GainOptions = GainOptions()
     reference: Annotated[str, kinds.REFERENCE, kinds.RUNS] = "sine"
     duration: Annotated[float, kinds.DURATION, kinds.RUNS] = 6.0
     settle: Annotated[float, kinds.SETTLE, kinds.RUNS] = 2.0
@@ -231,10 +221,9 @@ class MarginOptions:
         return varied
 
 
-ARMS = MarginOptions()
-
-
-def margin(*controllers: Annotated[str, kinds.CALLED], options: MarginOptions = ARMS) -> kinds.Work:
+def margin(
+    *controllers: Annotated[str, kinds.CALLED], options: MarginOptions = MarginOptions()
+) -> kinds.Work:
     r"""Find how much of a disturbance controllers bear.
 
     One --disturbance goes without its VALUE: the one whose largest value is sought, by bisection,
@@ -289,8 +278,8 @@ class TuneOptions:
 
     reference: Annotated[str | None, kinds.REFERENCE, kinds.EXPERIMENT] = None
     disturbance: Annotated[tuple[str, ...], kinds.DISTURBANCE, kinds.EXPERIMENT] = ()
-    model: ArmOptions = NOMINAL_ARM
-    gain_options: GainOptions = USUAL_GAINS
+    model: ArmOptions = ArmOptions()
+    gain_options: GainOptions = GainOptions()
     out: Annotated[Path | None, kinds.file(".toml")] = None
     budget: Annotated[float, kinds.BUDGET] = 16000.0
     seed: Annotated[int, kinds.N] = 0
@@ -300,11 +289,8 @@ class TuneOptions:
     workers: Annotated[int | None, kinds.whole(1, 4096)] = None
 
 
-SEARCH = TuneOptions()
-
-
 def tune(
-    controller: Annotated[str, kinds.CALLED], /, *, options: TuneOptions = SEARCH
+    controller: Annotated[str, kinds.CALLED], /, *, options: TuneOptions = TuneOptions()
 ) -> kinds.Work:
     """Find gains for one controller.
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from octarm.commands import kinds
-from octarm.commands.options import NOMINAL_ARM, USUAL_GAINS, ArmOptions, GainOptions
+from octarm.commands.options import ArmOptions, GainOptions
 from octarm.commands.terminal import surviving_output
 from octarm.errors import OctarmError
 
@@ -54,8 +54,8 @@ class RunOptions:
     seed: Annotated[int, kinds.N, kinds.EXPERIMENT] = 0
     start: Annotated[str, kinds.START, kinds.EXPERIMENT] = "rest"
     start_share: Annotated[float, kinds.SHARE, kinds.EXPERIMENT] = 0.1
-    model: ArmOptions = NOMINAL_ARM
-    gain_options: GainOptions = USUAL_GAINS
+    model: ArmOptions = ArmOptions()
+    gain_options: GainOptions = GainOptions()
     timestep: Annotated[float | str | None, kinds.STEP, kinds.SIMULATION] = None
     control_period: Annotated[float | None, kinds.PERIOD, kinds.SIMULATION] = None
     actuation: Annotated[str, kinds.ACTUATION, kinds.SIMULATION] = "f-coeff"
@@ -89,7 +89,6 @@ class RunOptions:
         )
 
 
-USUAL_RUN = RunOptions()
 _AS_GIVEN = (
     "duration", "settle", "seed", "start", "start_share", "timestep", "control_period", "actuation",
     "integrator", "engine", "plant_modules", "layout", "sensing",
@@ -98,7 +97,7 @@ _AS_GIVEN = (
 
 def run(
     *,
-    options: RunOptions = USUAL_RUN,
+    options: RunOptions = RunOptions(),
     out: Annotated[Path | None, kinds.DIR, kinds.OUTPUT] = None,
     force: Annotated[bool, kinds.OUTPUT] = False,
     view: Annotated[bool, kinds.OUTPUT] = False,
@@ -171,7 +170,7 @@ def view(
     start_share: Annotated[float, kinds.SHARE, kinds.EXPERIMENT] = 0.1,
     arm: Annotated[str | None, kinds.ARM, kinds.MODEL] = None,
     mismatch: Annotated[float, kinds.MISMATCH, kinds.MODEL] = 0.0,
-    gain_options: GainOptions = USUAL_GAINS,
+    gain_options: GainOptions = GainOptions(),
     control_period: Annotated[float | None, kinds.PERIOD, kinds.SIMULATION] = None,
 ) -> kinds.Work:
     """Watch the arm in MuJoCo's viewer, moved by a controller.

@@ -142,7 +142,6 @@ class GainOptions:
 
 
 FACTOR = Range("1", plausible=20.0)
-ANY_MODEL, NOMINAL_ARM, USUAL_GAINS = ModelOptions(), ArmOptions(), GainOptions()
 
 
 def spelt(options: Any, *without: str) -> list[str]:

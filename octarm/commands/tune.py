@@ -19,7 +19,7 @@ from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
 from octarm.bars import bar as new_bar
 from octarm.commands.many_runs import TuneOptions
-from octarm.commands.options import USUAL_GAINS, GainOptions, spelt
+from octarm.commands.options import GainOptions, spelt
 from octarm.declared import Code, lacking, short_name
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import OctarmError, printable
@@ -81,7 +81,7 @@ def _rig(options: TuneOptions) -> Rig:
 
 def _start(options: TuneOptions) -> str:
     """What the gains are called that the search begins around."""
-    return "recommended" if options.gain_options == USUAL_GAINS else "start"
+    return "recommended" if options.gain_options == GainOptions() else "start"
 
 
 def _factory(controller: str, gains: GainOptions) -> Callable[..., Tunable]:

@@ -33,9 +33,6 @@ class SourceOptions:
     layout: Annotated[str, kinds.LAYOUT, kinds.SOURCE] = "paper"
 
 
-ARM_ITSELF = SourceOptions()
-
-
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LoopOptions:
@@ -58,16 +55,13 @@ class LoopOptions:
     model: Annotated[str | None, kinds.ARM, kinds.LOOP] = None
 
 
-NO_LOOP = LoopOptions()
-
-
 def arm(
     *arms: Annotated[str, kinds.FILE_OR_ARM],
-    source: SourceOptions = ARM_ITSELF,
+    source: SourceOptions = SourceOptions(),
     write: Annotated[Path | None, kinds.file(".toml"), kinds.OUTPUT] = None,
     out: Annotated[Path | None, kinds.file(".png"), kinds.OUTPUT] = None,
     force: Annotated[bool, kinds.OUTPUT] = False,
-    loop: LoopOptions = NO_LOOP,
+    loop: LoopOptions = LoopOptions(),
 ) -> kinds.Work:
     r"""Say what the numbers of an arm mean.
 
