@@ -7,7 +7,7 @@ import dataclasses
 import datetime
 import functools
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -84,15 +84,10 @@ def _start(options: TuneOptions) -> str:
     return "recommended" if options.gain_options == GainOptions() else "start"
 
 
-def _factory(controller: str, gains: GainOptions) -> Callable[..., Tunable]:
-    """What makes a controller from its nominal model and gains, those not given as at first."""
-    gain_set = gains.gains or "recommended"
-    return functools.partial(_with_gains, controller, gain_set, gains.values())
-
-
 def _with_gains(
     controller: str, gain_set: str, begun: Mapping[str, Any], nominal: Any, gains: Mapping[str, Any]
 ) -> Tunable:
+    """A controller with these gains, and those given not as at first."""
     return make_controller(controller, nominal, {**begun, **gains}, gain_set=gain_set)
 
 
@@ -104,7 +99,9 @@ def _command(controller: str, options: TuneOptions, *more: str) -> str:
 
 def _search(controller: str, out: Path, budget: Budget, rig: Rig, options: TuneOptions) -> Tuned:
     """The search, with a bar on its progress and its state on disk."""
-    factory, nominal = _factory(controller, options.gain_options), rig.arm()
+    gains, nominal = options.gain_options, rig.arm()
+    begun = gains.gains or "recommended", gains.values()
+    factory = functools.partial(_with_gains, controller, *begun)
     space = Space(factory(nominal, {}), nominal.modules)
     depends_on = settings(controller, space, budget, options.seed, rig)
     code = CONTROLLERS.code(controller)
