@@ -1,14 +1,19 @@
 """Set-up shared by all tests."""
 
 import os
+import sys
 
 import pytest
 
+# Or each of hundreds of processes would compile all files anew, and rewrite all assertions.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # Nothing here draws with MuJoCo's renderer; without this, dm_control looks for a display.
 os.environ.setdefault("MUJOCO_GL", "disabled")
 
 from octarm.simulation.engines import ENGINES
 from octarm.simulation.environment import load
+
+sys.dont_write_bytecode = False
 
 
 @pytest.fixture(params=ENGINES)

@@ -282,10 +282,10 @@ def activity(trajectory: Trajectory) -> np.ndarray:
 
 def test_a_wrong_model_is_learnt_without_chattering():
     """At -30 %: at least 4 times the accuracy of a boundary layer, at a 50th of the switching."""
-    sign, layer = run("smc", 3.0), run("smc-boundary", 3.0)
-    settled = layer.t > 2.0
+    sign, layer = run("smc", 2.0), run("smc-boundary", 2.0)
+    settled = layer.t > 1.0
     for name in ADAPTIVE:
-        learning = run(name, 3.0)
+        learning = run(name, 2.0)
         better = rms(layer.error[settled]) / rms(learning.error[settled])
         assert np.all(better[3:5] > 4.0) and np.all(better[:3] > 4.0)
         assert np.all(activity(sign) > 50.0 * activity(learning))
@@ -369,7 +369,7 @@ def least_trend(values: np.ndarray) -> np.ndarray:
     return slope - stats.t.ppf(1.0 - 0.025 / values[0].size, freedom) * spread
 
 
-@pytest.mark.parametrize("seconds", [12, pytest.param(120, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seconds", [12, pytest.param(60, marks=pytest.mark.slow)])
 def test_a_disturbed_arm_stays_within_bounds_and_gets_no_worse(seconds: int):
     controller = hand_set("afsmc", WRONG)
     run = disturbed(controller, seconds)
@@ -383,13 +383,13 @@ def test_a_disturbed_arm_stays_within_bounds_and_gets_no_worse(seconds: int):
 
 
 def test_unbounded_centres_gather_about_zero_and_chatter():
-    """30 times faster than recommended, to see in 12 s what else takes minutes."""
+    """30 times faster than recommended, to see in 8 s what else takes minutes."""
     exact = LagrangeModel(P)
     fast = 30.0 * premise_rate(exact)
     gains = {**gains_of(hand_set("afsmc", exact)), "eta3": fast, "eta4": fast}
     loose = {"alpha_max": np.inf, "sigma_min": 0.0, "sigma_max": np.inf}
-    kept, free = (disturbed(hand_set("afsmc", WRONG, gains | bounds), 12) for bounds in ({}, loose))
+    kept, free = (disturbed(hand_set("afsmc", WRONG, gains | bounds), 8) for bounds in ({}, loose))
     theta1 = 3
     assert np.max(np.abs(free.learnt[-1].alpha[theta1])) < 0.6  # of 1 at the start
     assert np.mean(free.activity[-4:, theta1]) > 4.0 * np.mean(kept.activity[-4:, theta1])
-    assert np.mean(kept.activity[-4:, theta1]) < 1.5 * np.mean(kept.activity[2:6, theta1])
+    assert np.mean(kept.activity[-4:, theta1]) < 1.5 * np.mean(kept.activity[2:4, theta1])

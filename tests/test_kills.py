@@ -18,7 +18,7 @@ import octarm
 from octarm.errors import ExitCode
 
 pytestmark = pytest.mark.slow
-KILLS = 20
+KILLS = int(os.environ.get("OCTARM_KILLS", "12"))
 PAPER_KILLS = int(os.environ.get("OCTARM_KILLS", "2"))
 SIGNALS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 SMALL = (
