@@ -382,14 +382,15 @@ def test_a_disturbed_arm_stays_within_bounds_and_gets_no_worse(seconds: int):
     assert np.all(rms(run.error[2:]) < 0.8 * rms(layer.error[2:]))
 
 
+@pytest.mark.slow
 def test_unbounded_centres_gather_about_zero_and_chatter():
-    """30 times faster than recommended, to see in 8 s what else takes minutes."""
+    """30 times faster than recommended, to see in 12 s what else takes minutes."""
     exact = LagrangeModel(P)
     fast = 30.0 * premise_rate(exact)
     gains = {**gains_of(hand_set("afsmc", exact)), "eta3": fast, "eta4": fast}
     loose = {"alpha_max": np.inf, "sigma_min": 0.0, "sigma_max": np.inf}
-    kept, free = (disturbed(hand_set("afsmc", WRONG, gains | bounds), 8) for bounds in ({}, loose))
+    kept, free = (disturbed(hand_set("afsmc", WRONG, gains | bounds), 12) for bounds in ({}, loose))
     theta1 = 3
     assert np.max(np.abs(free.learnt[-1].alpha[theta1])) < 0.6  # of 1 at the start
     assert np.mean(free.activity[-4:, theta1]) > 4.0 * np.mean(kept.activity[-4:, theta1])
-    assert np.mean(kept.activity[-4:, theta1]) < 1.5 * np.mean(kept.activity[2:4, theta1])
+    assert np.mean(kept.activity[-4:, theta1]) < 1.5 * np.mean(kept.activity[2:6, theta1])
