@@ -21,3 +21,14 @@ def each_engine(request, monkeypatch) -> str:
     """Lets `load` take each of the engines where a test does not say which."""
     monkeypatch.setitem(load.__kwdefaults__, "engine", request.param)
     return request.param
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Tests of a file share what they are tried on: a worker gets its files in order.
+
+    What is left at the end is shared out.
+    """
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log)

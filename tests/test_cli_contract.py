@@ -200,7 +200,7 @@ OPTIONS: dict[str, dict[str, dict[str, str]]] = {
 }
 
 
-def options_of(command: str) -> list[tuple[str, str, str]]:
+def options_of(command: str) -> list[tuple[str, ...]]:
     """Options of a command: the flag, its kind of value, and its default."""
     headings = OPTIONS[command].values()
     return [(flag, *kind.partition(" ")[::2]) for each in headings for flag, kind in each.items()]

@@ -22,7 +22,7 @@ COMMANDS = {
         ["margin", "pd", "--disturbance", "payload", "--bound", "effort_tau1:9", "--seeds", "1",
          "--duration", "0.01", "--json", "m.json"], "m.json"),
     "validate": (["validate", "--states", "2", "--json", "v.json"], "v.json"),
-    "tune": (["tune", "smc", "--out", "t.toml"], "t.toml"),
+    "tune": (["tune", "smc", "--out", "t.toml", "--workers", "1"], "t.toml"),
 }  # fmt: skip
 SMALL = "from small_tuning import BUDGET, Budget; Budget.within = classmethod(lambda c, s: BUDGET)"
 
@@ -58,7 +58,7 @@ def made(place: Path) -> set[str]:
         *(("run", closed, []) for closed in ([0], [1], [2], [1, 2], [0, 1, 2])),
         *(("run", [], full) for full in ([1], [2], [1, 2])),
         *((name, [1], []) for name in COMMANDS if name != "run"),
-        *((name, [], [1]) for name in COMMANDS if name != "run"),
+        *((name, [], [1]) for name in ("record", "margin")),
     ],
 )
 def test_what_is_written_is_a_success_on_any_terminal(name, closed, full, commands, place):
