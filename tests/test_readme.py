@@ -112,7 +112,7 @@ def test_what_is_your_own_runs_as_it_stands(mine: Path):
         if "KIND" not in line:
             assert main(shlex.split(line)[1:]) == 0
     (spec,) = (code for _, code in BLOCKS if code.startswith("metric = "))
-    (mine / "spec.toml").write_text(f"duration = 0.2\nsettle = 0.1\n{spec}", encoding="utf-8")
+    (mine / "spec.toml").write_text(f"duration = 2.1\n{spec}", encoding="utf-8")
     assert read_spec(mine / "spec.toml").controllers == ("Feedforward", "smc-boundary")
     assert main(["sweep", "spec.toml", "--out", "sweep", "--workers", "1"]) == 0
 

@@ -122,7 +122,7 @@ def test_similar_arms_behave_identically(name: str, gain_set: str):
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
-@pytest.mark.parametrize("modules", [1, 10])
+@pytest.mark.parametrize("modules", [1, 5, pytest.param(10, marks=pytest.mark.slow)])
 def test_arms_of_other_lengths_are_not_lost_with_default_gains(modules: int, name: str):
     """Heavier and lighter ones are similar to the nominal one."""
     true, mismatch = arm_of(modules), np.array([-0.3, 0.0, 0.3])
