@@ -20,7 +20,6 @@ from hypothesis import strategies as st
 import octarm
 from controllers import make_controller
 from octarm.arrays import coordinate_names, coordinate_units
-from octarm.commands import report as report_command
 from octarm.commands.cli import main
 from octarm.errors import ExitCode
 from octarm.metrics.table import METRICS
@@ -345,10 +344,8 @@ def test_a_controller_that_always_diverges_is_told(tmp_path):
 
 
 @pytest.mark.parametrize("lost", [False, True])
-def test_none_finished_is_not_all_diverged(tmp_path, capsys, monkeypatch, lost):
+def test_none_finished_is_not_all_diverged(tmp_path, capsys, lost):
     """Of better half of the episodes are finished, of the last controller none."""
-    if not lost:  # drawn once
-        monkeypatch.setattr(report_command, "pictures", lambda _: iter(()))
     table = columns()
     diverge(table, (table["controller"] == "better") & lost)
     folder = write_sweep(tmp_path / "s", table)
