@@ -481,6 +481,7 @@ def test_figures_have_room_for_many_controllers_and_show_failures(tmp_path):
         assert all(look_of(name).color in picture.svg for picture in found.values())
 
 
+@pytest.mark.slow
 def test_the_same_sweep_gives_the_same_files(written, known):
     before = {file: file.read_bytes() for file in written.rglob("*") if file.is_file()}
     code = "import sys; from octarm.commands.cli import main; sys.exit(main(sys.argv[1:]))"
