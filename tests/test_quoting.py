@@ -316,7 +316,9 @@ def test_only_what_is_written_is_read(array, name, capsys):
 NUMBERS = [np.nan, np.inf, -1e308, 5e-324]
 
 
-@pytest.mark.parametrize("turn", range(4))
+@pytest.mark.parametrize(
+    "turn", [0, 1, *(pytest.param(turn, marks=pytest.mark.slow) for turn in (2, 3))]
+)
 def test_any_numbers_can_be_drawn_and_recorded(turn):
     """Those of the motion are others than those of forces."""
     Path("a").mkdir()
