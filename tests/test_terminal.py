@@ -11,6 +11,7 @@ from forked import Forked, forked
 
 from octarm.errors import ExitCode
 
+pytestmark = pytest.mark.slow  # dozens of processes
 ROOT = Path(__file__).parent.parent
 RUN = ["run", "--duration", "0.02", "--out", "a"]
 WHOLE = {"run.json", "run.npz", "run.rrd"}
@@ -134,7 +135,6 @@ def octarm(command: str, folder: Path, **environment: str) -> subprocess.Complet
     )  # fmt: skip
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("limit", [9, 16, 40])
 def test_a_low_limit_of_open_files_is_one_sentence(limit, tmp_path):
     done = octarm(f"ulimit -n {limit}; octarm run --duration 0.02 --out a", tmp_path)
@@ -144,14 +144,12 @@ def test_a_low_limit_of_open_files_is_one_sentence(limit, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("limit", ["-n 64", "-Sn 9"])
 def test_a_limit_that_can_be_raised_or_suffices_is_no_error(limit, tmp_path):
     done = octarm(f"ulimit {limit}; octarm run --duration 0.02 --out a", tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "environment",
     [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}],
