@@ -369,7 +369,7 @@ def least_trend(values: np.ndarray) -> np.ndarray:
     return slope - stats.t.ppf(1.0 - 0.025 / values[0].size, freedom) * spread
 
 
-@pytest.mark.parametrize("seconds", [12, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seconds", [12, pytest.param(120, marks=pytest.mark.slow)])
 def test_a_disturbed_arm_stays_within_bounds_and_gets_no_worse(seconds: int):
     controller = hand_set("afsmc", WRONG)
     run = disturbed(controller, seconds)

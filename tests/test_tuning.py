@@ -646,7 +646,7 @@ def test_default_gains_survive_what_their_law_declares(name: str):
             engine="lagrange",
         )
         nominal = P.mismatched(np.tile(np.repeat([-0.3, 0.3], 64), len(lags)))
-        simulate(environment, make_controller(name, nominal), 2.0)
+        simulate(environment, make_controller(name, nominal), 3.0)
         survived = environment.physics.intact().reshape(-1, 128)
         assert np.all(survived), (step, np.all(survived, axis=1))
 
