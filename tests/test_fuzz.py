@@ -34,7 +34,7 @@ from octarm.reports import run_figures
 from octarm.sweeps.execute import sweep as run_sweep
 from octarm.sweeps.spec_file import read_spec
 
-FACTOR = int(os.environ.get("OCTARM_FUZZ", "4" if os.environ.get("CI") else "1"))
+FACTOR = int(os.environ.get("OCTARM_FUZZ", "10" if os.environ.get("CI") else "1"))
 LONGEST = 2500  # characters of a line on standard error
 
 SPEC = """\
@@ -227,7 +227,7 @@ def command_lines(draw):
     return words
 
 
-@fuzzed(40)
+@fuzzed(60)
 @given(words=command_lines())
 def test_command_lines(made, place, words):
     restore(made)

@@ -18,7 +18,7 @@ import octarm
 from octarm.errors import ExitCode
 
 pytestmark = pytest.mark.slow
-KILLS = int(os.environ.get("OCTARM_KILLS", "12"))
+KILLS = 20
 PAPER_KILLS = int(os.environ.get("OCTARM_KILLS", "2"))
 SIGNALS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 SMALL = (
