@@ -468,8 +468,7 @@ def test_an_interrupted_command_goes_on(capsys, monkeypatch):
     monkeypatch.setattr(StateFile, "write", interrupted)
     assert cli.main(arguments) == 130
     assert capsys.readouterr().err == (
-        "octarm: interrupted; go on by: "
-        "octarm tune smc --seed=5 --out=smc.toml --resume\n"
+        "octarm: interrupted; go on by: octarm tune smc --seed=5 --out=smc.toml --resume\n"
     )
     assert [path.name for path in Path().iterdir()] == ["smc.toml.state"]
     assert cli.main(arguments) == 2
