@@ -16,7 +16,7 @@ from controllers import make_controller
 from octarm.arm.kinematics import positions
 from octarm.arm.lagrange import equilibrium
 from octarm.arrays import coordinate_names
-from octarm.checks.free_motion import undamped_modes
+from octarm.checks.free_motion import undamped_frequencies
 from octarm.checks.validation import arm_with
 from octarm.references import Sine
 
@@ -57,7 +57,7 @@ def main() -> None:
     options = parser.parse_args()
     arm = arm_with(options.modules)
     print("lengths at rest [m]:", *(f"{s:.4f}" for s in equilibrium(arm)[: arm.modules]))
-    print("modes [Hz]:", *(f"{w / (2.0 * np.pi):.1f}" for w in undamped_modes(arm)[0]))
+    print("modes [Hz]:", *(f"{f:.1f}" for f in undamped_frequencies(arm)))
     print("rms error, model wrong by -30 %  ", *(f"{c:>8}" for c in coordinate_names(arm.modules)))
     runs: dict[str, octarm.Trajectory] = {}
     for name in ("smc-boundary", "afsmc"):

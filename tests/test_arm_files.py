@@ -140,7 +140,7 @@ def test_a_module_has_the_axial_and_bending_stiffness_that_the_file_gives(column
         ({"width": "true"}, r"width is true; it must be"),
         ({"width": '{ value = 80 }'}, r"width is .*; it must be a table such as { value = "),
         ({"width": '{ value = "80", unit = "mm" }'}, r"width is .*; it must be a table"),
-        ({"mass": '{ value = [1, [2]], unit = "g" }'}, r"mass is .*; it must be a list of as"),
+        ({"mass": '{ value = [1, [2]], unit = "g" }'}, r"mass is .*; it must be a table whose"),
         ({"mass": "[]"}, r'mass is \[\]; it must be a number with a unit'),
         ({"width": '"nan m"'}, r"width is .*; it must be a number with a unit"),
         ({"mass": None, "modules": "2"}, r"it needs a value of mass$"),

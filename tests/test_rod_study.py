@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from octarm.arm.rod import Rod, arm_from_rod
-from octarm.checks import rod_convergence, rod_motion, rod_theory
+from octarm.checks import rod_convergence, rod_motion
 from octarm.checks.rod_convergence import MODULES, Curve, Study, table
 from octarm.commands import cli
 from octarm.commands import validate as command
@@ -88,28 +88,15 @@ def test_how_many_modules_are_enough(study, case, paper, centred):
             assert 0.5 * listed <= found <= listed
 
 
-@pytest.mark.slow
-def test_a_tip_piece_that_stretched_would_make_the_large_load_second_order(study):
-    plain, stretched = (
-        next(c for c in study.curves if c.case == case and c.layout == "centred")
-        for case in ("tip at 1 rad", "tip at 1 rad, all stretched")
-    )
-    assert plain.observed < 1.5
-    assert abs(stretched.observed - 2.0) < 0.01
-    assert abs(stretched.endless) < 1e-6
-
-
 def test_errors_of_powers_have_their_order_and_limit_and_number_of_modules():
     n = np.array(MODULES, dtype=float)
     first = Curve("a", "paper", 0.3 / n - 0.1 / n**2 + 0.02, 1)
-    assert first.endless == pytest.approx(0.02, rel=1e-12)
     second = Curve("b", "centred", -0.25 / n**2, 2)
     assert second.observed == pytest.approx(2.0, rel=1e-12)
-    assert second.endless == pytest.approx(0.0, abs=1e-15)
     assert [second.needed(x) for x in (0.3, 0.05, 0.01, 1e-5)] == [1, 3, 5, 159]
     failed = [check.what for check in first.checks() if not check.passed]
-    assert failed == ["a, paper: order", "a, paper: error, extrapolated"]
-    assert [check.passed for check in second.checks()] == [True, True]
+    assert failed == ["a, paper: order"]
+    assert [check.passed for check in second.checks()] == [True]
     none = Curve("c", "paper", np.full(7, 1e-12), 0)
     assert [check.passed for check in none.checks()] == [True]
     assert table([first, second]).splitlines()[2].split()[:3] == ["b", "centred", "-25.0"]
@@ -119,11 +106,11 @@ def test_errors_of_powers_have_their_order_and_limit_and_number_of_modules():
     ("field", "rows"),
     [
         ("", set()),
-        ("EI", {"small tip load, centred: error, extrapolated",
+        ("EI", {"small tip load, centred: order",
                 "small tip load, paper: closed form",
-                "bending frequency 1, centred: error, extrapolated"}),
+                "bending frequency 1, centred: order"}),
         pytest.param("EA", {"weight along, centred: largest error",
-                            "axial frequency 1, paper: error, extrapolated"},
+                            "axial frequency 1, paper: order"},
                      marks=pytest.mark.slow),
         pytest.param("density", {"weight across, centred: order",
                                  "axial frequency 1, centred: order"}, marks=pytest.mark.slow),
@@ -143,18 +130,6 @@ def test_the_rod_passes_and_one_that_is_another_by_a_percent_fails(monkeypatch, 
         monkeypatch.setattr(rod_convergence, name, lambda *_: iter(()))
     failed = {c.what for c in rod_convergence.study().table.checks if not c.passed}
     assert rows <= failed and bool(rows) == bool(failed)
-
-
-def test_the_give_of_a_rod_is_that_of_its_static_shape_under_a_small_load():
-    for rod in (ROD, rod_convergence.TAPERED):
-        tip = rod_theory.static_tip(rod, np.array([0.0, 1e-4]), np.zeros(2))
-        np.testing.assert_allclose(rod_theory.tip_compliance(rod), 1e4 * tip[1], rtol=1e-8)
-    # EI = a + b y with y = L - x: the integral of y^2 / EI in closed form, with c = a / b.
-    rod = rod_convergence.TAPERED
-    b = (0.5 - 0.2) / rod.length
-    c = 0.2 / b
-    exact = (0.5 * rod.length**2 - c * rod.length + c * c * np.log(0.5 / 0.2)) / b
-    np.testing.assert_allclose(rod_theory.tip_compliance(rod), exact, rtol=1e-12)
 
 
 def test_both_engines_let_a_chain_go_alike(monkeypatch):

@@ -101,11 +101,17 @@ def test_a_batch_has_the_bits_of_its_arms(name: str):
 def test_the_linear_loop_has_the_filter_that_the_law_has(name: str):
     """Slopes of the filtered law by differences, against the filter put behind the law's slopes."""
     period, plant = 7e-4, LinearPlant.of(ARM)
-    loop = Loop(plant, law_of(name, 25.0))
-    by_differences = linear_law(law_of(name, 25.0), plant.rest, period)
+    rolled_off, law = law_of(name, 25.0), linear_law(law_of(name), plant.rest, period)
+    a = np.broadcast_to(rolled_off.decay(period), 6)[:, None]
     phi, gamma = plant.sampled(period)
-    law = by_differences
-    whole = np.block([[phi + gamma @ law.F @ plant.M, gamma @ law.C], [law.R @ plant.M, law.S]])
+    F, C = (1.0 - a) * law.F @ plant.M, (1.0 - a) * law.C
+    held, none = a * np.eye(6), np.zeros((len(law.S), 6))
+    whole = np.block([
+        [phi + gamma @ F, gamma @ C, gamma @ held],
+        [law.R @ plant.M, law.S, none],
+        [F, C, held],
+    ])  # fmt: skip
+    loop = Loop(plant, rolled_off)
     one, other = (np.abs(np.linalg.eigvals(x)) for x in (whole, loop.matrix(period)))
     one, other = (np.sort(x[x > 1e-3])[::-1] for x in (one, other))
     np.testing.assert_allclose(one[:12], other[:12], rtol=1e-4)

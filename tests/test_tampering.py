@@ -275,7 +275,7 @@ def test_an_array_more_and_bytes_between_arrays(run):
     np.savez(run / "run.npz", **arrays, extra=np.zeros(40))
     restate(run)
     found = check(run)
-    assert found is None or [d.key for d in found.differences] == ["shape of extra"]
+    assert found is None or [d.key for d in found.differences] == ["form of extra"]
     np.savez(run / "run.npz", **arrays)
     restate(run)
     assert not noticed(run)

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from octarm.arm import lagrange
+from octarm.arm import lagrange, modes
 from octarm.arm.file import read_arm
-from octarm.arm.mjcf import build_model, model_path, nominal_parameters
+from octarm.arm.mjcf import build_model, nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.checks import forced_motion, free_motion, mechanics, validation
 from octarm.checks.validation import arm_with, random_arm, validate
@@ -80,13 +80,12 @@ def test_progress_names_each_part_before_it_starts():
     parts = []
     validate(arm_with(1), states=5, progress=parts.append)
     assert parts == [
-        "the template",
         "5 random states",
         "static equilibrium",
         "small motions",
         "free motion",
         "forced motion",
-        "energy balance",
+        "energy",
     ]
 
 
@@ -125,16 +124,13 @@ def patch_entry(
             (2, 2),
             {"F_coeff, by forces and couples on the bodies", "actuators: F_coeff tau"},
         ),
-        ("damping_matrix", (0, 0), {"dampers", "eigenvalues of the linearised arm"}),
+        ("damping_matrix", (0, 0), {"dampers"}),
         ("stiffness_matrix", (3, 3), {"springs"}),
         ("potential_force", (0,), {"potential force G"}),
         (
             "potential_hessian",
             (2, 2),
-            {
-                "eigenvalues of the linearised arm",
-                "frequencies of small undamped oscillations",
-            },
+            {"frequencies of small undamped oscillations"},
         ),
         ("positions", (1, 0), {"positions of the modules"}),
     ],
@@ -270,30 +266,20 @@ def test_one_module_oscillates_as_two_springs_on_a_mass():
     p = arm_with(1)
     k = p.stiffness[:, 0].sum()
     slide, hinge = np.sqrt(k / p.mass[0]), np.sqrt(k * (0.5 * p.width[0]) ** 2 / p.inertia[0])
-    frequencies, _ = free_motion.undamped_modes(p)
+    frequencies = 2.0 * np.pi * free_motion.undamped_frequencies(p)
     np.testing.assert_allclose(frequencies, sorted([slide, hinge]), rtol=1e-14)
-    rates = np.linalg.eigvals(free_motion.analytic_linearisation(p))
+    fastest = modes.rates(p, lagrange.equilibrium(p))
     c = p.damping[:, 0].sum()
-    np.testing.assert_allclose(rates.real.min(), -0.5 * c / p.mass[0], rtol=1e-12)
+    np.testing.assert_allclose(fastest.real.min(), -0.5 * c / p.mass[0], rtol=1e-12)
 
 
 def test_slow_modes_are_measured_with_steps_that_the_fastest_mode_bears():
     p = arm_with(2).scaled(stiffness=np.array([1.0, 3e3]))
-    frequencies, _ = free_motion.undamped_modes(p)
+    frequencies = free_motion.undamped_frequencies(p)
     # A 200th of the longest period is beyond what RK4 bears of the shortest one.
-    assert 2.0 * np.pi / frequencies[0] / 200 > np.sqrt(8.0) / frequencies[-1]
+    assert 1.0 / frequencies[0] / 200 > np.sqrt(8.0) / (2.0 * np.pi * frequencies[-1])
     measured = free_motion.measured_frequencies(build_model(p), p)
     np.testing.assert_allclose(measured, frequencies, rtol=1e-6)
-
-
-@pytest.mark.parametrize("factor", [10.0, 40.0])
-def test_the_energy_balance_holds_however_strong_the_dampers_are(factor: float):
-    p = arm_with(2).scaled(damping=factor)
-    model, rng = build_model(p, 0.5e-4), np.random.default_rng(2)
-    q, v = free_motion.initial_motion(p, rng)
-    tau = rng.uniform(-5.0, 5.0, 4)
-    assert free_motion.energy_imbalance(model, p, q, v, tau, 1e-4) < 1e-4
-    assert free_motion.energy_imbalance(model, p, q, v, 2.0 * tau, 1e-6) < 1e-6
 
 
 def test_a_step_too_long_for_the_reference_is_taken_back():
@@ -358,7 +344,7 @@ def test_random_arms_hang_stably_and_suit_rk4_at_1_ms(modules: int):
     rng = np.random.default_rng(2)
     for _ in range(50):
         p = random_arm(rng, modules)
-        rates = np.linalg.eigvals(free_motion.analytic_linearisation(p))
+        rates = modes.rates(p, lagrange.equilibrium(p))
         assert rates.real.max() < 0.0
         z = 1e-3 * rates
         growth = 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
@@ -424,23 +410,3 @@ def test_the_table_is_aligned_and_has_every_row(nominal: CheckTable):
         assert row.startswith(check.what)
         assert row[header.index("allowed") :].startswith(check.allowed)
     assert lines[-1] == f"all {len(nominal.checks)} checks passed"
-
-
-@pytest.mark.parametrize(
-    ("written", "edited"),
-    [
-        ('joint="theta_1" coef="-0.04"', 'joint="theta_1" coef="-0.06"'),
-        ('gravity="0 0 -9.81"', 'gravity="1 0 -9.81"'),
-        ('springlength="0.12"', 'springlength="0.10 0.14"'),
-        ('autoreset="disable"', 'autoreset="enable"'),
-        ('integrator="RK4"', 'integrator="Euler"'),
-        ('<key name="hanging" qpos="0.123', '<key name="hanging" qpos="0.124'),
-    ],
-)
-def test_a_slip_in_the_model_file_fails(written, edited, monkeypatch):
-    text = model_path().read_text()
-    assert written in text
-    wrong = mujoco.MjModel.from_xml_string(text.replace(written, edited))
-    monkeypatch.setattr(validation, "template_model", lambda: wrong)
-    checks = list(validation._compare_template())
-    assert [check.passed for check in checks].count(False) == 1

@@ -148,7 +148,7 @@ def test_a_run_that_diverged_comes_out_again(tmp_path):
     assert check(tmp_path / "run").identical
     edit(tmp_path / "run", "message", to=lambda text: text.replace("diverged", "turned"))
     found = check(tmp_path / "run")
-    assert [d.key for d in found.differences] == ["message"]
+    assert [d.key for d in found.differences] == ["message", "sha256.run.json"]
 
 
 def test_a_run_that_was_interrupted_comes_out_again(tmp_path):
@@ -190,7 +190,7 @@ def test_one_bit_is_found_in_any_array(run, array, place, of):
     assert found.was == known[array][place]
 
 
-def test_a_changed_array_is_told_from_a_run_that_differs(run, capsys):
+def test_where_an_array_was_changed_is_said(run, capsys):
     flip(run, "v", (117, 4))
     assert main(["verify", str(run)]) == 1
     out = capsys.readouterr().out
@@ -199,7 +199,7 @@ def test_a_changed_array_is_told_from_a_run_that_differs(run, capsys):
         f"different from t = 0.0585 s on, control instant 117 of 200: v of theta2 was {stored!r}"
         in out
     )
-    assert "the digest that run.json states: run.npz was changed" in out
+    assert "sha256.run.npz" in out and "sha256.run.json" not in out
 
 
 def test_a_zero_that_lost_its_sign_is_a_difference(run):
@@ -240,8 +240,7 @@ def test_any_other_input_is_found_out(run, keys, to):
     edit(run, *keys, to=to)
     found = check(run)
     assert found.deviations
-    assert found.digests[0] == found.digests[1] != found.digests[2]
-    assert "run.json or the code was changed" in "\n".join(found.lines())
+    assert {"digest", "digest in run.npz"} <= {d.key for d in found.differences}
 
 
 def test_the_earliest_difference_comes_first(run):
@@ -264,7 +263,7 @@ def test_what_run_json_says_beside_is_compared_too(run, keys, key):
     edit(run, *keys, to=slightly)
     found = check(run)
     assert not found.identical
-    assert [d.key for d in found.differences] == [key]
+    assert [d.key for d in found.differences] == [key, "sha256.run.json"]
     assert "q and v are the same" in found.lines()[0]
 
 
@@ -272,7 +271,7 @@ def test_another_digest_is_found_out(run):
     edit(run, "digest", to=lambda text: text[::-1])
     found = check(run)
     assert not found.identical and not found.deviations
-    assert "the digest that run.npz states: run.json was changed" in "\n".join(found.lines())
+    assert [d.key for d in found.differences] == ["digest", "sha256.run.json"]
 
 
 def test_rows_that_are_missing_are_found_out(run):
@@ -280,9 +279,9 @@ def test_rows_that_are_missing_are_found_out(run):
         content = {k: x[:150] if x.ndim else x for k, x in file.items() if k != "s"}
     np.savez(run / "run.npz", **content)
     found = check(run)
-    assert [(d.key, d.was, d.now) for d in found.differences] == [
+    assert [(d.key, d.was, d.now) for d in found.differences[:2]] == [
         ("rows", 150, 200),
-        ("shape of s", "absent", (6,)),
+        ("form of s", "absent", "<f8 (6,) by rows"),
     ]
 
 
@@ -290,13 +289,8 @@ def test_versions_and_machine_of_both_sides_are_said(run):
     edit(run, "versions", "numpy", to=lambda _: "1.0")
     edit(run, "host", "kernels", to=lambda _: "ABACUS")
     assert check(run).identical
-    assert check(run).lines()[1:] == [
-        f"  although numpy was 1.0 and is {np.__version__}",
-        f"  although kernels was ABACUS and is {check(run).now['kernels']}",
-    ]
     edit(run, "seed", to=lambda x: x + 1)
     lines = check(run).lines()
-    assert "changed since the run: numpy, kernels" in lines
     marked = [line.split() for line in lines if line.startswith("*")]
     assert marked[0] == ["*", "numpy", "1.0", np.__version__]
     assert marked[1][:3] == ["*", "kernels", "ABACUS"] and len(marked) == 2
@@ -432,18 +426,6 @@ def test_a_measure_that_was_changed_is_found(sweep):
     assert found.between is None
     assert [d.key for d in found.differences] == ["energy_s2"]
     assert "the motion is the same" in found.lines()[0]
-
-
-def test_gains_that_are_not_what_they_were_are_told(sweep):
-    was = float(vars(make_controller("smc-boundary", P))["lambda_"])
-
-    def retuned(name, nominal, gains):
-        return make_controller(name, nominal, {"lambda": 14.0, **gains})
-
-    found = check_episode(FinishedSweep(sweep), 0, retuned)
-    assert found.between is not None
-    assert [(d.key, d.was, d.now) for d in found.gains] == [("lambda_", was, 14.0)]
-    assert any(line.split() == ["lambda_", f"{was}", "->", "14.0"] for line in found.lines())
 
 
 def test_the_command_verifies_episodes(sweep, capsys):

@@ -8,13 +8,15 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, cast
 
 import numpy as np
-from pydantic import AfterValidator, Field, create_model
+from pydantic import AfterValidator, Field, TypeAdapter, create_model
 
 from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
 from octarm.errors import OctarmError
 from octarm.formats import Array, Model, one_of, spelt
 from octarm.units import NUMBER, UNITS, closed_up
+
+_NUMBERS = TypeAdapter[Any](float | list[float] | list[list[float]])
 
 
 def quantity(kind: str, given: Any) -> np.ndarray:
@@ -46,19 +48,12 @@ def quantity(kind: str, given: Any) -> np.ndarray:
 
 
 def _numbers(value: Any) -> np.ndarray:
-    rows: list[Any] = [value]
-    while rows:
-        part = rows.pop()
-        if isinstance(part, list | tuple):
-            rows += cast(Sequence[Any], part)
-        elif isinstance(part, bool) or not isinstance(part, int | float):
-            raise ValueError("a table whose value is a number, or a list of numbers")
     try:
-        numbers = np.array(value, dtype=np.float64)
+        numbers = np.array(_NUMBERS.validate_python(value, strict=True), dtype=np.float64)
     except (ValueError, OverflowError):
-        raise ValueError("a list of as many numbers in each row") from None
+        numbers = np.empty(0)
     if not numbers.size or np.isnan(numbers).any():
-        raise ValueError("a list of as many numbers in each row")
+        raise ValueError("a table whose value is a number, or a list of as many in each row")
     return numbers
 
 
@@ -106,7 +101,10 @@ _ROD_KINDS = {
     "damping_time": "time",
 }
 _GRAVITY = np.array(9.81)
-_WHOLE = ("axial_stiffness", "bending_stiffness", "axial_damping", "bending_damping")
+_OF_MODULES = (
+    "mass", "inertia", "width", "rest_length", "rest_angle", "axial_stiffness",
+    "bending_stiffness", "axial_damping", "bending_damping", "stiffness", "damping",
+)  # fmt: skip
 
 Modules = Annotated[int, Field(ge=1, le=MOST_MODULES)]
 
@@ -170,7 +168,7 @@ class _Reader:
         self._modules = modules or self._counted()
 
     def parameters(self) -> ArmParameters:
-        given, width = self._given, self._each("width")
+        given, width = self._given, self._value("width")
         stiffness, springs = self._shares("stiffness", width)
         damping, dampers = self._damping(width, stiffness, springs)
         length, angle = self._shape(width)
@@ -180,8 +178,8 @@ class _Reader:
         if "input_range" in given:
             others["input_range"] = _range(given["input_range"], self._modules)
         return ArmParameters(
-            mass=self._each("mass"),
-            inertia=self._each("inertia"),
+            mass=self._value("mass"),
+            inertia=self._value("inertia"),
             width=width[:1] if np.all(width == width[0]) else width,
             stiffness=stiffness,
             damping=damping,
@@ -192,45 +190,29 @@ class _Reader:
             **others,
         )
 
-    def _value(self, key: str) -> np.ndarray:
-        if key not in self._given:
-            raise OctarmError(f"it needs a value of {key}")
-        return self._given[key]
-
     def _counted(self) -> int:
-        for key in ("mass", "inertia", "width", "rest_length", "rest_angle", *_WHOLE):
-            if key in self._given and self._given[key].ndim == 1:
-                return len(self._given[key])
-        for key in ("stiffness", "damping", "rest_length"):
-            value = self._given.get(key, np.zeros(()))
-            if value.ndim and value.shape[-1] > 1:
+        for value in (self._given[key] for key in _OF_MODULES if key in self._given):
+            if value.ndim == 1 or value.shape[-1:] > (1,):
                 return value.shape[-1]
         raise OctarmError("it needs a value of modules, since no list says how many there are")
 
-    def _each(self, key: str) -> np.ndarray:
-        value = self._value(key)
-        if value.shape not in ((), (1,), (self._modules,)):
-            raise OctarmError(f"{key} has {_size(value)}; it needs {self._one_or_all()}")
-        return np.broadcast_to(value, self._modules)
-
-    def _columns(self, key: str) -> np.ndarray:
-        value = self._value(key)
-        rows = value if value.ndim == 2 else value[None]
-        if value.ndim > 2 or len(rows) > 2 or rows.shape[-1:] not in ((), (1,), (self._modules,)):
-            raise OctarmError(
-                f"{key} has {_size(value)}; it needs {self._one_or_all()}, or a row of them for "
-                "each of the two columns"
-            )
-        return np.broadcast_to(rows, (2, self._modules))
-
-    def _one_or_all(self) -> str:
-        return f"1 or {self._modules}, one for each module" if self._modules > 1 else "1"
+    def _value(self, key: str, *rows: int) -> np.ndarray:
+        """A quantity of all modules, shape (N,), or of all columns, shape (2, N) with rows 2."""
+        n = self._modules
+        if key not in self._given:
+            raise OctarmError(f"it needs a value of {key}")
+        try:
+            return np.broadcast_to(self._given[key], (*rows, n))
+        except ValueError:
+            allowed = f"1 or {n}, one for each module" if n > 1 else "1"
+            allowed += ", or a row of them for each of the two columns" if rows else ""
+            raise OctarmError(f"{key} has {_size(self._given[key])}; it needs {allowed}") from None
 
     def _whole(self, key: str) -> np.ndarray | None:
         """What a whole module has, shape (N,), where it is given."""
         if key not in self._given:
             return None
-        value = self._each(key)
+        value = self._value(key)
         if np.any(value < 0.0):
             raise OctarmError(f"{key} holds {np.min(value):g}; it must be at least 0")
         return value
@@ -249,10 +231,10 @@ class _Reader:
         """What columns and backbone have of stiffness or damping, shapes (2, N)."""
         whole = self._whole(f"axial_{what}"), self._whole(f"bending_{what}")
         left_out = what not in self._given and not any(x is None for x in whole)
-        return _shared(None if left_out else self._columns(what), whole, width, what)
+        return _shared(None if left_out else self._value(what, 2), whole, width, what)
 
     def _shape(self, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        first, second = self._columns("rest_length")
+        first, second = self._value("rest_length", 2)
         if not np.array_equal(first, second):
             if "rest_angle" in self._given:
                 raise OctarmError(
@@ -260,7 +242,7 @@ class _Reader:
                 )
             return 0.5 * (first + second), (first - second) / width
         bent = "rest_angle" in self._given
-        return first, self._each("rest_angle") if bent else np.zeros(self._modules)
+        return first, self._value("rest_angle") if bent else np.zeros(self._modules)
 
 
 def _shared(

@@ -16,36 +16,26 @@ from octarm.units import MISMATCH, Range
 
 MOST_MODULES = 100
 
-# field: (number of axes after the batch axes, smallest value allowed, may it equal that value)
-_RULES: dict[str, tuple[int, float, bool]] = {
-    "mass": (1, 0.0, False),
-    "inertia": (1, 0.0, False),
-    "width": (1, 0.0, False),
-    "stiffness": (2, 0.0, False),
-    "damping": (2, 0.0, True),
-    "rest_length": (1, 0.0, False),
-    "gravity": (0, -np.inf, True),
-    "tip_length": (0, 0.0, True),
-    "input_range": (2, -np.inf, True),
-    "rest_angle": (1, -np.inf, True),
-    "backbone_stiffness": (2, 0.0, True),
-    "backbone_damping": (2, 0.0, True),
-}
-# What numbers without batch axes are, for people.
+# What numbers without batch axes are, for people, and what is allowed.
 PARAMETERS = {
-    "mass": Range("kg", plausible=100.0),
-    "inertia": Range("kg m^2"),
-    "width": Range("m", plausible=10.0),
-    "stiffness": Range("N/m"),
-    "damping": Range("N s/m"),
-    "rest_length": Range("m", plausible=10.0),
+    "mass": Range("kg", above=0.0, plausible=100.0),
+    "inertia": Range("kg m^2", above=0.0),
+    "width": Range("m", above=0.0, plausible=10.0),
+    "stiffness": Range("N/m", above=0.0),
+    "damping": Range("N s/m", at_least=0.0),
+    "rest_length": Range("m", above=0.0, plausible=10.0),
     "gravity": Range("m/s^2"),
-    "tip_length": Range("m", plausible=10.0),
+    "tip_length": Range("m", at_least=0.0, plausible=10.0),
     "input_range": Range("N", plausible=1e6),
     "rest_angle": Range("rad", plausible=2.0 * np.pi),
-    "backbone_stiffness": Range("N/m or N m/rad"),
-    "backbone_damping": Range("N s/m or N m s/rad"),
+    "backbone_stiffness": Range("N/m or N m/rad", at_least=0.0),
+    "backbone_damping": Range("N s/m or N m s/rad", at_least=0.0),
 }
+# Number of axes after the batch axes: modules, or columns or directions and modules.
+_AXES = dict.fromkeys(PARAMETERS, 1) | {
+    "gravity": 0, "tip_length": 0, "stiffness": 2, "damping": 2, "input_range": 2,
+    "backbone_stiffness": 2, "backbone_damping": 2,
+}  # fmt: skip
 _MOSTLY_ZERO = ("rest_angle", "backbone_stiffness", "backbone_damping")
 # What a factor on a parameter multiplies as well.
 _FOLLOWING = {
@@ -147,7 +137,7 @@ class ArmParameters:
 
     def __post_init__(self) -> None:
         *arms, modules = read_only("mass", self.mass).shape or (0,)
-        for name, (axes, smallest, inclusive) in _RULES.items():
+        for name, axes in _AXES.items():
             if name == "input_range":
                 value = _checked_range(self.input_range, arms, 2 * modules)
             else:
@@ -160,7 +150,7 @@ class ArmParameters:
                 if modules and not value.ndim:
                     value = read_only(name, np.full(shape, value))
                 _check_shape(name, value, shape)
-                _check_bound(name, value, smallest, inclusive)
+                _check_bound(name, value, PARAMETERS[name])
             object.__setattr__(self, name, value)
         _ = self.batch_shape  # raises when the batch axes do not fit together
 
@@ -168,7 +158,7 @@ class ArmParameters:
         return functools.partial(ArmParameters, **self._fields()), ()
 
     def _fields(self) -> dict[str, np.ndarray]:
-        return {name: getattr(self, name) for name in _RULES}
+        return {name: getattr(self, name) for name in PARAMETERS}
 
     @functools.cached_property
     def modules(self) -> int:
@@ -183,7 +173,7 @@ class ArmParameters:
     @functools.cached_property
     def batch_shape(self) -> tuple[int, ...]:
         """Batch axes that the fields broadcast to; () for one arm."""
-        batch = {n: x.shape[: x.ndim - _RULES[n][0]] for n, x in self._fields().items()}
+        batch = {n: x.shape[: x.ndim - _AXES[n]] for n, x in self._fields().items()}
         try:
             return np.broadcast_shapes(*batch.values())
         except ValueError:
@@ -195,7 +185,7 @@ class ArmParameters:
         """The parameters entry by entry: floats for one arm, views of shape (...) for a batch."""
         by_axes = (entry, split, _two_rows)
         fields = [(name, x) for name, x in self._fields().items() if name in Entries._fields]
-        parts: dict[str, Any] = {name: by_axes[_RULES[name][0]](x) for name, x in fields}
+        parts: dict[str, Any] = {name: by_axes[_AXES[name]](x) for name, x in fields}
         plain = not any(np.any(getattr(self, name)) for name in _MOSTLY_ZERO)
         return Entries(half_width=split(0.5 * self.widths), plain=plain, **parts)
 
@@ -217,7 +207,7 @@ class ArmParameters:
     def arm(self, i: int | slice) -> ArmParameters:
         """The parameters of arm i, or of some arms, of a batch with one batch axis."""
         fields = self._fields().items()
-        return ArmParameters(**{n: x[i] if x.ndim > _RULES[n][0] else x for n, x in fields})
+        return ArmParameters(**{n: x[i] if x.ndim > _AXES[n] else x for n, x in fields})
 
     def scaled(self, **factors: npt.ArrayLike) -> ArmParameters:
         """A copy with the named fields multiplied by factors [1] that broadcast against them.
@@ -228,10 +218,10 @@ class ArmParameters:
         """
         changed: dict[str, Any] = {}
         for name, factor in factors.items():
-            if name not in _RULES:
-                raise OctarmError(f"unknown parameter {quoted(name)}{closest(name, _RULES)}")
+            if name not in PARAMETERS:
+                raise OctarmError(f"unknown parameter {quoted(name)}{closest(name, PARAMETERS)}")
             by, field = read_only(f"factor of {name}", factor), getattr(self, name)
-            _check_bound(f"factor of {name}", by, *_RULES[name][1:])
+            _check_bound(f"factor of {name}", by, PARAMETERS[name])
             try:
                 changed[name] = changed.get(name, field) * by
             except ValueError:
@@ -276,10 +266,10 @@ class ArmParameters:
     def from_dict(cls, fields: Mapping[str, Any]) -> ArmParameters:
         """The inverse of `to_dict`; OctarmError if a field is missing, unknown or invalid."""
         optional = {"tip_length", *_MOSTLY_ZERO}  # have defaults
-        wrong = (set(fields) ^ set(_RULES)) - optional
+        wrong = (set(fields) ^ set(PARAMETERS)) - optional
         if wrong:
             raise OctarmError(
-                f"parameters need exactly the fields {', '.join(_RULES)}; "
+                f"parameters need exactly the fields {', '.join(PARAMETERS)}; "
                 f"missing or unknown: {', '.join(sorted(wrong))}"
             )
         return cls(**fields)
@@ -321,8 +311,8 @@ def _checked_range(value: npt.ArrayLike, arms: Sequence[int], columns: int) -> n
     return bounds
 
 
-def _check_bound(name: str, value: np.ndarray, smallest: float, inclusive: bool) -> None:
-    good = (value >= smallest) if inclusive else (value > smallest)
+def _check_bound(name: str, value: np.ndarray, kind: Range) -> None:
+    good = kind.allows(value)
     if not np.all(good):
-        allowed = f"{'at least' if inclusive else 'above'} {smallest:g}"
-        raise OctarmError(f"{name} holds {value[~good].flat[0]:g}; it must be {allowed}")
+        allowed = "at least" if np.isinf(kind.above) else "above"
+        raise OctarmError(f"{name} holds {value[~good].flat[0]:g}; it must be {allowed} 0")

@@ -31,12 +31,10 @@ class Reach(NamedTuple):
     Attributes:
         alone: of each module while the others are straight, shape (2, N) [rad].
         alike: of all modules together, of each of them, shape (2,) [rad].
-        poses: the arm bent so, of `alike`, shape (2, 2N) [m], [rad].
     """
 
     alone: np.ndarray
     alike: np.ndarray
-    poses: np.ndarray
 
 
 def reach(p: ArmParameters) -> Reach:
@@ -56,9 +54,7 @@ def reach(p: ArmParameters) -> Reach:
         rows = np.arange(len(last))
         least, most = sizes[rows, last], sizes[rows, np.minimum(last + 1, _POINTS - 1)]
     low = least.reshape(2, n + 1)
-    alike = low[:, -1] * [-1.0, 1.0]
-    _, poses = hold(p, np.outer(alike, np.ones(n)))
-    return Reach(low[:, :-1] * [[-1.0], [1.0]], alike, poses)
+    return Reach(low[:, :-1] * [[-1.0], [1.0]], low[:, -1] * [-1.0, 1.0])
 
 
 def hold(p: ArmParameters, bends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

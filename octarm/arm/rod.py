@@ -24,8 +24,21 @@ import numpy as np
 
 from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.errors import OctarmError, closest
+from octarm.units import Range
 
 LAYOUTS = ("paper", "centred")
+
+# What the properties of a rod may be.
+PROPERTIES = {
+    "length": Range("m", above=0.0, plausible=10.0),
+    "EA": Range("N", above=0.0),
+    "EI": Range("N m^2", above=0.0),
+    "density": Range("kg/m", above=0.0),
+    "rotary_inertia": Range("kg m", above=0.0),
+    "damping_time": Range("s", at_least=0.0, plausible=1.0),
+    "gravity": Range("m/s^2", at_least=0.0),
+}
+PROFILES = ("EA", "EI", "density", "rotary_inertia")
 
 # A property along the rod: one number, or its values at the base and at the tip, linear between.
 Profile = float | tuple[float, float]
@@ -58,20 +71,19 @@ class Rod:
     gravity: float = 9.81
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            values = np.atleast_1d(np.asarray(getattr(self, field.name), dtype=np.float64))
-            may_be_zero = field.name in ("damping_time", "gravity")
-            ends = 1 if may_be_zero or field.name == "length" else 2
+        for name, kind in PROPERTIES.items():
+            values = np.atleast_1d(np.asarray(getattr(self, name), dtype=np.float64))
+            ends = 2 if name in PROFILES else 1
             if values.ndim != 1 or values.size > ends:
                 raise OctarmError(
-                    f"{field.name} of a rod has shape {values.shape}; it must be a number"
+                    f"{name} of a rod has shape {values.shape}; it must be a number"
                     + (" or a pair, at the base and at the tip" if ends == 2 else "")
                 )
-            good = np.isfinite(values) & ((values >= 0.0) if may_be_zero else (values > 0.0))
+            good = np.isfinite(values) & kind.allows(values)
             if not good.all():
-                allowed = "at least 0" if may_be_zero else "above 0"
+                allowed = "at least 0" if np.isinf(kind.above) else "above 0"
                 raise OctarmError(
-                    f"{field.name} holds {values[~good][0]:g}; it must be finite and {allowed}"
+                    f"{name} holds {values[~good][0]:g}; it must be finite and {allowed}"
                 )
 
     def at(self, profile: Profile) -> Callable[[float], float]:

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from octarm.arm import lagrange
 from octarm.arm.file import Arm
 from octarm.arm.kinematics import tip_position
-from octarm.arm.modes import INTEGRATORS, Mode, growth_rate, longest_step, modes
+from octarm.arm.modes import INTEGRATORS, Mode, longest_step, modes
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.reach import Reach, reach
-from octarm.arrays import coordinate_names
 from octarm.errors import printable
 
-_LISTED = 12  # modes; of more the fastest one is listed as well
+_LISTED = 12  # modules; of more the first and the last three
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -27,125 +26,95 @@ class ArmSummary:
     Attributes:
         rest: where it hangs, shape (2N,) [m], [rad].
         modes: about that, by ascending frequency.
-        steps: longest stable physics step by integrator [s].
-        growth: rate of the fastest growing mode, 0 if it stays where it hangs [1/s].
-        conditions: of the mass and of the stiffness matrix at rest, in coordinates that give each a
-            diagonal of ones, so that units do not count [1].
     """
 
     arm: Arm
     rest: np.ndarray
     modes: Sequence[Mode]
-    steps: Mapping[str, float]
-    growth: float
     reach: Reach
-    conditions: tuple[float, float]
 
     @classmethod
     def of(cls, arm: Arm) -> ArmSummary:
         """Computes all that."""
         p = arm.parameters
         rest = lagrange.equilibrium(p)
-        matrices = lagrange.mass_matrix(p, rest), lagrange.potential_hessian(p, rest)
-        mass, stiffness = map(_condition, matrices)
-        return cls(
-            arm=arm,
-            rest=rest,
-            modes=modes(p, rest),
-            steps={name: float(longest_step(p, rest, name)) for name in INTEGRATORS},
-            growth=float(growth_rate(p, rest)),
-            reach=reach(p),
-            conditions=(mass, stiffness),
-        )
+        return cls(arm, rest, modes(p, rest), reach(p))
 
     def lines(self) -> Iterator[str]:
         """The text, line by line."""
-        p = self.arm.parameters
+        p, rest = self.arm.parameters, self.rest
         length, mass = np.sum(p.rest_length) + p.tip_length, np.sum(p.mass)
         modules = f"{p.modules} module{'s' if p.modules > 1 else ''}"
         yield f"{printable(self.arm.name) or 'arm'}: {modules}, {length:.4g} m, {mass:.4g} kg"
         for what in ("source", "converted", "assumed"):
             for sentence in getattr(self.arm, what):
                 yield f"  {what}: {printable(sentence)}"
-        yield from self._parameters(p)
-        yield from self._rest(p)
-        yield from self._modes()
-        steps = ", ".join(f"{name} {milliseconds(step)}" for name, step in self.steps.items())
-        yield f"longest stable physics step: {steps}"
+        yield from _parameters(p)
+        x = tip_position(rest, p.entries.tip_length)
+        yield f"at rest it hangs {-1e3 * x[2]:.4g} mm down and {1e3 * x[0]:.4g} mm to the side"
+        if any(math.isnan(mode.frequency) for mode in self.modes):
+            yield "without control it does not stay where it hangs"
+        yield "mode  frequency [Hz]  damping ratio"
+        yield from _few([f"{k:<4}  {_mode(mode)}" for k, mode in enumerate(self.modes, 1)])
+        steps = (
+            f"{name} {milliseconds(float(longest_step(p, rest, name)))}" for name in INTEGRATORS
+        )
+        yield f"longest stable physics step: {', '.join(steps)}"
         yield from self._reach(p)
-        mass, stiffness = self.conditions
-        yield (
-            f"condition, of a diagonal of ones: mass matrix {mass:.3g}, stiffness matrix "
-            f"{stiffness:.3g}"
+        matrices = lagrange.mass_matrix(p, rest), lagrange.potential_hessian(p, rest)
+        conditions = "mass matrix {:.3g}, stiffness matrix {:.3g}".format(
+            *map(_condition, matrices)
         )
-
-    def _parameters(self, p: ArmParameters) -> Iterator[str]:
-        n = p.modules
-        springs, dampers = (
-            np.diagonal(of(p)).reshape(2, n)
-            for of in (lagrange.stiffness_matrix, lagrange.damping_matrix)
-        )
-        low, high = p.input_bounds(())
-        yield "module  length     mass     inertia   width    stiffness             damping"
-        yield "        [mm]       [kg]     [kg m^2]  [mm]     [N/m]     [N m/rad]  [N s/m]  [N m s]"
-        rows = [f"{i + 1:<6}  {1e3 * p.rest_length[i]:<9.4g}  {p.mass[i]:<7.4g}  "
-                f"{p.inertia[i]:<8.3g}  {1e3 * p.widths[i]:<7.4g}  {springs[0, i]:<8.4g}  "
-                f"{springs[1, i]:<9.4g}  {dampers[0, i]:<7.4g}  {dampers[1, i]:.4g}"
-                for i in range(n)]  # fmt: skip
-        yield from rows if n <= _LISTED else [*rows[:3], "..", *rows[-3:]]
-        ends = sorted({*zip(low.tolist(), high.tolist(), strict=True)})
-        if ends == [(-math.inf, math.inf)]:
-            return
-        ranges = ", ".join(f"{a:g} .. {b:g} N" for a, b in ends[:4])
-        yield f"input range of the columns: {ranges}{', ..' if len(ends) > 4 else ''}"
-
-    def _rest(self, p: ArmParameters) -> Iterator[str]:
-        x = tip_position(self.rest, p.entries.tip_length)
-        n = p.modules
-        stretch = 100.0 * (np.sum(self.rest[:n]) / np.sum(p.rest_length) - 1.0)
-        yield (
-            f"at rest it hangs {-1e3 * x[2]:.4g} mm down and {1e3 * x[0]:.4g} mm to the side, "
-            f"{stretch:.3g} % longer than without weight, its tip turned by "
-            f"{np.sum(self.rest[n:]):.4g} rad"
-        )
-        if self.growth > 0.0:
-            yield (
-                "without control it does not stay where it hangs: a mode grows e-fold in "
-                f"{1.0 / self.growth:.3g} s"
-            )
-
-    def _modes(self) -> Iterator[str]:
-        names = coordinate_names(self.arm.parameters.modules)
-        yield "mode  frequency [Hz]  damping ratio  mostly"
-        for k, mode in enumerate(self.modes, 1):
-            if k > _LISTED and k < len(self.modes):
-                continue
-            if k == len(self.modes) > _LISTED + 1:
-                yield ".."
-            kind = "slides" if mode.slides > 0.5 else "bends"
-            share = max(mode.slides, 1.0 - mode.slides)
-            most = names[int(np.argmax(np.abs(mode.shape) * self._weights()))]
-            numbers = f"{mode.frequency:<14.4g}  {mode.damping_ratio:<13.3g}"
-            if math.isnan(mode.frequency):
-                numbers = f"{'grows':<14}  {'':<13}"
-            yield f"{k:<4}  {numbers}  {kind} ({share:.0%}), {most}"
-
-    def _weights(self) -> np.ndarray:
-        """By which coordinates are compared: roots of what they move, shape (2N,)."""
-        return np.sqrt(np.diagonal(lagrange.mass_matrix(self.arm.parameters, self.rest)))
+        yield f"condition, of a diagonal of ones: {conditions}"
 
     def _reach(self, p: ArmParameters) -> Iterator[str]:
         if np.all(np.isinf(p.input_range)):
             yield "no input range limits how far it bends"
             return
-        alone, alike = self.reach.alone, self.reach.alike
-        few = range(p.modules) if p.modules <= _LISTED else (0, p.modules // 2, p.modules - 1)
-        bends = ", ".join(f"theta{i + 1} {_pair(alone[:, i])}" for i in few)
-        yield f"largest bend held within the input range, other modules straight [rad]: {bends}"
-        yield f"all modules bent alike [rad]: {_pair(alike)} each"
+        alone = self.reach.alone
+        bends = _few([f"theta{i + 1} {_pair(alone[:, i])}" for i in range(p.modules)])
+        yield (
+            "largest bend held within the input range, other modules straight [rad]: "
+            f"{', '.join(bends)}"
+        )
+        yield f"all modules bent alike [rad]: {_pair(self.reach.alike)} each"
+
+
+def _parameters(p: ArmParameters) -> Iterator[str]:
+    n = p.modules
+    springs, dampers = (
+        np.diagonal(of(p)).reshape(2, n)
+        for of in (lagrange.stiffness_matrix, lagrange.damping_matrix)
+    )
+    low, high = p.input_bounds(())
+    yield "module  length     mass     inertia   width    stiffness             damping"
+    yield "        [mm]       [kg]     [kg m^2]  [mm]     [N/m]     [N m/rad]  [N s/m]  [N m s]"
+    yield from _few([
+        f"{i + 1:<6}  {1e3 * p.rest_length[i]:<9.4g}  {p.mass[i]:<7.4g}  {p.inertia[i]:<8.3g}  "
+        f"{1e3 * p.widths[i]:<7.4g}  {springs[0, i]:<8.4g}  {springs[1, i]:<9.4g}  "
+        f"{dampers[0, i]:<7.4g}  {dampers[1, i]:.4g}"
+        for i in range(n)
+    ])  # fmt: skip
+    ends = sorted({*zip(low.tolist(), high.tolist(), strict=True)})
+    if ends != [(-math.inf, math.inf)]:
+        ranges = _few([f"{a:g} .. {b:g} N" for a, b in ends])
+        yield f"input range of the columns: {', '.join(ranges)}"
+
+
+def _few(words: list[str]) -> list[str]:
+    return words if len(words) <= _LISTED else [*words[:3], "..", *words[-3:]]
+
+
+def _mode(mode: Mode) -> str:
+    kind = "slides" if mode.slides > 0.5 else "bends"
+    if math.isnan(mode.frequency):
+        return f"{'grows':<31}  {kind}"
+    share = max(mode.slides, 1.0 - mode.slides)
+    return f"{mode.frequency:<14.4g}  {mode.damping_ratio:<13.3g}  {kind} ({share:.0%})"
 
 
 def _condition(matrix: np.ndarray) -> float:
+    """In coordinates that give it a diagonal of ones, so that units do not count."""
     root = np.sqrt(np.abs(np.diagonal(matrix)))
     return float(np.linalg.cond(matrix / np.outer(root, root)))
 

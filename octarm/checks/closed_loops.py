@@ -12,7 +12,7 @@ instant. So is an arm whose readings are rounded, up to the first reading that c
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -36,20 +36,10 @@ _PERCENT = 0.01
 _ROUNDED, _STEP = "quantisation", 1e-10  # [m], [rad]; far below a step of the readings
 
 
-class Motion(NamedTuple):
-    """A run of n arms at T control instants.
-
-    Attributes:
-        t: time, shape (T,) [s].
-        q: true coordinates of all modules, shape (T, n, 2N) [m], [rad].
-        read: what was read of the model's modules, shape (T, n, 2M).
-        s: the sliding variable, shape (T, n, 2N) [m/s], [rad/s]; ones for a law without one.
-    """
-
-    t: np.ndarray
-    q: np.ndarray
-    read: np.ndarray
-    s: np.ndarray
+# A run of n arms at T control instants: time t, shape (T,) [s]; the true coordinates q of all
+# modules, (T, n, 2N) [m], [rad]; what was read of the model's modules, (T, n, 2M); the sliding
+# variable s, (T, n, 2M) [m/s], [rad/s], ones for a law without one.
+_Motion = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def compare_engines(
@@ -110,7 +100,7 @@ def one_each() -> list[Disturbance]:
     return listed
 
 
-def _motion(controller: Controller, duration: float, **loaded: Any) -> Motion:
+def _motion(controller: Controller, duration: float, **loaded: Any) -> _Motion:
     """A run in an environment that is loaded with all disturbances, and with what is given."""
     environment = load("sine", disturbances=one_each(), batch=len(DISTURBANCES) + 1, **loaded)
     rows: list[tuple[float, np.ndarray, np.ndarray, np.ndarray]] = []
@@ -121,21 +111,22 @@ def _motion(controller: Controller, duration: float, **loaded: Any) -> Motion:
         rows.append((instant.measurement.t, q, instant.measurement.q, s))
 
     simulate(environment, controller, duration, observe)
-    return Motion(*map(np.array, zip(*rows, strict=True)))
+    t, q, read, s = map(np.array, zip(*rows, strict=True))
+    return t, q, read, s
 
 
-def _check(law: str, one: Motion, two: Motion, lever: np.ndarray, switches: bool) -> Check:
+def _check(law: str, one: _Motion, two: _Motion, lever: np.ndarray, switches: bool) -> Check:
     """One row: the largest distance of all arms, each up to where rounding decides."""
-    rows = min(len(one.q), len(two.q))  # fewer when all arms are lost
-    (t, q, read, s), other = (Motion(*(x[:rows] for x in motion)) for motion in (one, two))
+    rows = min(len(one[0]), len(two[0]))  # fewer when all arms are lost
+    (t, q, read, s), (_, q_2, read_2, s_2) = ([x[:rows] for x in motion] for motion in (one, two))
     decided = np.zeros(q.shape[:2], dtype=bool)
     if switches:
-        size = np.maximum(np.abs(s), np.abs(other.s))
-        decided = np.any(np.abs(s - other.s) > _PERCENT * size, axis=-1)
+        size = np.maximum(np.abs(s), np.abs(s_2))
+        decided = np.any(np.abs(s - s_2) > _PERCENT * size, axis=-1)
     rounded = 1 + list(DISTURBANCES).index(_ROUNDED)
-    decided[:, rounded] |= np.any(np.abs(read - other.read)[:, rounded] > _STEP, axis=-1)
+    decided[:, rounded] |= np.any(np.abs(read - read_2)[:, rounded] > _STEP, axis=-1)
     ends = np.where(decided.any(axis=0), np.argmax(decided, axis=0), rows - 1)
-    distance = np.max(np.abs(q - other.q) * lever, axis=-1)
+    distance = np.max(np.abs(q - q_2) * lever, axis=-1)
     compared = np.arange(rows)[:, None] <= ends
     largest = np.max(np.where(compared, distance, 0.0), axis=0)
     worst = ["no disturbance", *DISTURBANCES][int(np.argmax(largest))]

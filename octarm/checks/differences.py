@@ -11,7 +11,6 @@ from octarm.errors import printable, quoted
 
 _LISTED = 12  # differences that are printed
 ABSENT = "absent"  # instead of a value that is missing
-_HARMLESS = ("name", "cores")  # of a machine; no result depends on them
 
 
 class Difference(NamedTuple):
@@ -71,24 +70,13 @@ class Comparison:
     then: Mapping[str, str]
     now: Mapping[str, str]
 
-    def changes(self) -> list[str]:
-        """Versions and properties of the machine that have changed and may change results."""
-        kept = (key for key in self.then if key in self.now and key not in _HARMLESS)
-        return [key for key in kept if self.then[key] != self.now[key]]
-
-    def harmless_changes(self) -> list[str]:
-        """Changes although the result is the same, a line each."""
-        then, now = self.then, self.now
-        return [f"  although {key} was {then[key]} and is {now[key]}" for key in self.changes()]
-
     def origins(self) -> list[str]:
-        """Versions and machines side by side, a line each."""
+        """Versions and machines side by side, a line each; a star marks what has changed."""
         width = max([7, *map(len, self.then.values())]) + 2
         lines = [f"  {'':<12}  {'then':<{width}}now"]
-        changed = self.changes()
         for key in dict.fromkeys((*self.then, *self.now)):
             was, now = self.then.get(key, "unknown"), self.now.get(key, "unknown")
-            lines.append(f"{'*' if key in changed else ' '} {key:<12}  {was:<{width}}{now}")
+            lines.append(f"{' ' if was == now else '*'} {key:<12}  {was:<{width}}{now}")
         return lines
 
 

@@ -1,6 +1,6 @@
 """The arm let go: MuJoCo's integrators against an accurate solution of the analytic equations.
 
-Also what follows from motion alone: the energy balance, and the frequencies of small oscillations.
+Also what follows from motion alone: the energy kept, and the frequencies of small oscillations.
 Time is a count of steps, so that every run ends at the same instant whatever its timestep.
 """
 
@@ -13,13 +13,11 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from scipy.integrate import simpson, solve_ivp
-from scipy.linalg import eigh
+from scipy.integrate import solve_ivp
 
 from octarm.arm import lagrange
-from octarm.arm.actuation import InternalActuation
 from octarm.arm.mjcf import paper_order
-from octarm.arm.modes import state_matrix
+from octarm.arm.modes import modes, rates
 from octarm.arm.parameters import ArmParameters
 from octarm.checks.mechanics import levers
 
@@ -153,70 +151,37 @@ class Motion(NamedTuple):
 
 def fastest_rate(p: ArmParameters) -> float:
     """The largest absolute eigenvalue of the arm's motion about its equilibrium [1/s]."""
-    return float(np.max(np.abs(np.linalg.eigvals(analytic_linearisation(p)))))
+    return float(np.max(np.abs(rates(p, lagrange.equilibrium(p)))))
 
 
-def analytic_linearisation(p: ArmParameters) -> np.ndarray:
-    """d(v, v')/d(q, v) at the equilibrium by D, B and the Hessian of V, shape (4N, 4N)."""
-    return state_matrix(p, lagrange.equilibrium(p))
-
-
-def mujoco_linearisation(model: mujoco.MjModel, q: np.ndarray) -> np.ndarray:
-    """d(v, v')/d(q, v) of MuJoCo at rest at q, shape (4N, 4N), by differences of its accelerations.
-
-    Not by mjd_transitionFD, whose answer is that of one integrator at one timestep.
-    """
-    qpos, dof = paper_order(model)
-    data = mujoco.MjData(model)
-
-    def acceleration(state: np.ndarray) -> np.ndarray:
-        data.qpos[qpos], data.qvel[dof] = np.split(state, 2)
-        mujoco.mj_forward(model, data)
-        return data.qacc[dof]
-
-    def slopes(h: float) -> np.ndarray:
-        steps = h * np.eye(2 * q.size)
-        rest = np.concatenate([q, np.zeros_like(q)])
-        differences = [acceleration(rest + d) - acceleration(rest - d) for d in steps]
-        return np.stack(differences, axis=1) / (2.0 * h)
-
-    richardson = (4.0 * slopes(1e-4) - slopes(2e-4)) / 3.0  # of fourth order
-    return np.vstack([np.eye(*richardson.shape, k=q.size), richardson])
-
-
-def undamped_modes(p: ArmParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies about the equilibrium, ascending, and modes as columns, orthonormal by D.
-
-    They have shapes (2N,) [rad/s], NaN for an unstable mode, and (2N, 2N).
-    """
-    q = lagrange.equilibrium(p)
-    squares, modes = eigh(lagrange.potential_hessian(p, q), lagrange.mass_matrix(p, q))
-    return np.sqrt(np.where(squares > 0.0, squares, np.nan)), modes
+def undamped_frequencies(p: ArmParameters) -> np.ndarray:
+    """Those about the equilibrium, ascending, shape (2N,) [Hz]; NaN for an unstable mode."""
+    return np.array([mode.frequency for mode in modes(p, lagrange.equilibrium(p))])
 
 
 def measured_frequencies(model: mujoco.MjModel, p: ArmParameters) -> np.ndarray:
-    """Frequencies at which MuJoCo's arm oscillates in `undamped_modes(p)`, shape (2N,) [rad/s].
+    """Frequencies at which MuJoCo's arm oscillates in its undamped modes, shape (2N,) [Hz].
 
     Each mode is let go 1 um from the equilibrium and followed for ten periods of 200 steps or more,
     of which RK4 misjudges the length by 8e-9. The steps are also short enough for the fastest mode
     of the arm, or rounding would grow in it while a slow one is followed. A sampled sine has
     x[k+1] + x[k-1] = 2 cos(w h) x[k], so that w is measured without being presupposed.
     """
-    model = undamped(model)
-    still = lagrange.equilibrium(p)
-    frequencies, modes = undamped_modes(p)
-    weights = lagrange.mass_matrix(p, still) @ modes
-    measured, fastest = np.full_like(frequencies, np.nan), np.nanmax(frequencies)
-    for k in np.flatnonzero(np.isfinite(frequencies)):
-        period = 2.0 * np.pi / frequencies[k]
-        steps = max(200, int(np.ceil(0.5 * period * fastest)))  # RK4 bears 2.83 a step
-        model.opt.timestep = period / steps
-        start = 1e-6 * modes[:, k] / np.max(np.abs(modes[:, k]) * levers(p))
+    model, still = undamped(model), lagrange.equilibrium(p)
+    inertia, fastest = lagrange.mass_matrix(p, still), np.nanmax(undamped_frequencies(p))
+    measured: list[float] = []
+    for mode in modes(p, still):
+        if np.isnan(mode.frequency):
+            measured.append(np.nan)
+            continue
+        steps = max(200, int(np.ceil(np.pi * fastest / mode.frequency)))  # RK4 bears 2.83 a step
+        h = model.opt.timestep = 1.0 / mode.frequency / steps
+        start = 1e-6 * mode.shape / np.max(np.abs(mode.shape) * levers(p))
         q, _ = simulate(model, still + start, np.zeros_like(still), 10 * steps)
-        x = (q - still) @ weights[:, k]
+        x = (q - still) @ inertia @ mode.shape
         cosine = np.sum(x[1:-1] * (x[2:] + x[:-2])) / (2.0 * np.sum(x[1:-1] ** 2))
-        measured[k] = np.arccos(cosine) / model.opt.timestep
-    return measured
+        measured.append(float(np.arccos(cosine)) / (2.0 * np.pi * h))
+    return np.array(measured)
 
 
 def undamped(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -235,34 +200,3 @@ def energy_drift(model: mujoco.MjModel, p: ArmParameters, q: np.ndarray, v: np.n
     kinetic, potential = lagrange.energy(p, *simulate(undamped(model), q, v, steps))
     total = kinetic + potential
     return float(np.max(np.abs(total - total[0])) / np.max(kinetic))
-
-
-def energy_imbalance(
-    model: mujoco.MjModel,
-    p: ArmParameters,
-    q: np.ndarray,
-    v: np.ndarray,
-    tau: np.ndarray,
-    allowed: float,
-) -> float:
-    """T + V - (T + V)_0 - work + dissipated energy after DURATION, relative to the largest T [1].
-
-    From q, v, shape (2N,), under constant inputs, shape (2N,) [N], between neighbouring modules:
-    their generalised force is constant, so that their work is exact. Dissipation is integrated by
-    Simpson's rule, whose error for a mode of rate r is (2 r h)^4 / 180 of what it dissipates; the
-    model's timestep is divided until a quarter of `allowed` [1] holds it for the fastest one, which
-    leaves room for rates that are 40 % above those at rest.
-    """
-    model = copy.copy(model)
-    longest = (180.0 * allowed / 4.0) ** 0.25 / (2.0 * fastest_rate(p))
-    model.opt.timestep /= np.ceil(model.opt.timestep / longest)
-    steps = round(DURATION / model.opt.timestep)
-    internal = InternalActuation(p.widths)
-    q_t, v_t = simulate(model, q, v, steps, ctrl=internal.ctrl(tau))
-    ends = [0, -1]
-    kinetic, potential = lagrange.energy(p, q_t[ends], v_t[ends])
-    work = (q_t[-1] - q_t[0]) @ internal.force(q, tau)
-    power = np.sum(v_t * (v_t @ lagrange.damping_matrix(p)), axis=-1)
-    dissipated = simpson(power, dx=model.opt.timestep)
-    change = float(np.diff(kinetic + potential)[0])
-    return float(abs(change - work + dissipated) / np.max(lagrange.kinetic_energy(p, q_t, v_t)))

@@ -1,7 +1,7 @@
 """How many modules are enough: chains of both layouts against the rod that they stand for.
 
-Errors at N = 1 .. 40 of statics, frequencies and motion, the orders at which they vanish, and what
-they tend to. `rod_theory` has the exact statics and the frequencies, `rod_motion` the motions.
+Errors at N = 1 .. 40 of statics, frequencies and motion, and the orders at which they vanish.
+`rod_theory` has the exact statics and the frequencies, `rod_motion` the motions.
 """
 
 from __future__ import annotations
@@ -18,13 +18,65 @@ from octarm.arm.rod import Rod, arm_from_rod
 from octarm.checks import rod_motion, rod_study, rod_theory
 from octarm.tolerances import Check, CheckTable, run_checks
 
+MODULES = (1, 2, 3, 5, 10, 20, 40)
 ORDERS = {"paper": 1, "centred": 2}
 HALVES = "half-half"  # a layout that no arm has; see `octarm.checks.rod_study`
 TAPERED = Rod(EA=(300.0, 150.0), EI=(0.5, 0.2), density=(3.0, 1.0), rotary_inertia=(4e-3, 1e-3))
 
 _SMALL = 1e-4  # load on the tip [N]
 _ANGLE = 1.0  # of the tip under the large load [rad]
+_CLOSE = 0.15  # of an observed order to that of theory
 _APART = 2e-3  # [1]; PyElastica's rod from its chain, as both shear and stretch in their own ways
+
+
+class Curve(NamedTuple):
+    """The errors of one quantity over the number of modules.
+
+    Attributes:
+        case: what is compared.
+        layout: of the chains.
+        errors: relative to the rod's value, at each of MODULES, shape (7,) [1]; NaN where a chain
+            has no such quantity. Those of a motion are distances in lengths of the rod.
+        order: at which they vanish; 0 where they are zero, None where terms cancel up to N = 40.
+    """
+
+    case: str
+    layout: str
+    errors: np.ndarray
+    order: int | None
+
+    @property
+    def observed(self) -> float:
+        """The order between the two largest numbers of modules [1]."""
+        return float(np.log2(np.abs(self.errors[-2] / self.errors[-1])))
+
+    def needed(self, error: float) -> int:
+        """The number of modules from which on errors are at most `error` [1].
+
+        Between MODULES by straight lines in logarithmic scales, beyond them by the order.
+        """
+        size = np.abs(self.errors)
+        above = np.flatnonzero(~(size <= error))
+        if not above.size:
+            return MODULES[0]
+        i, slope = int(above[-1]), float(self.order or 1)
+        if i < len(size) - 1:
+            slope = math.log(size[i] / size[i + 1]) / math.log(MODULES[i + 1] / MODULES[i])
+        return math.ceil(MODULES[i] * (size[i] / error) ** (1.0 / slope) * (1.0 - 1e-9))
+
+    def checks(self) -> Iterator[Check]:
+        """The order, or that the errors are zero."""
+        what = f"{self.case}, {self.layout}"
+        if self.order == 0:
+            yield Check(f"{what}: largest error", float(np.max(np.abs(self.errors))), 1e-9)
+        elif self.order is not None:
+            low, high = self.order - _CLOSE, self.order + _CLOSE
+            yield Check(f"{what}: order", self.observed, high, low)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The errors for JSON; None where there is none."""
+        errors = [None if math.isnan(x) else float(x) for x in self.errors]
+        return {"case": self.case, "layout": self.layout, "error": errors}
 
 
 class Study(NamedTuple):
@@ -64,23 +116,28 @@ def study(progress: Callable[[str], object] | None = None) -> Study:
     """
     rod, curves = Rod(), list[Curve]()
     motions, peer = dict[str, np.ndarray](), dict[str, np.ndarray]()
+
+    def listed(some: Iterator[Curve]) -> Iterator[Check]:
+        for curve in some:
+            curves.append(curve)
+            yield from curve.checks()
+
     parts = {
         "closed forms": _closed_forms(rod),
-        "statics": _listed(_statics(rod), curves),
-        "a rod that tapers": _listed(_tapered(), curves),
-        "frequencies": _listed(_frequencies(rod), curves),
-        "motion": _listed(_motion(rod, motions), curves),
+        "statics": listed(_statics(rod)),
+        "a rod that tapers": listed(_tapered()),
+        "frequencies": listed(_frequencies(rod)),
+        "motion": listed(_motion(rod, motions)),
     }
     if rod_motion.installed():
         parts["PyElastica"] = _peer(peer)
     checks = run_checks(parts, progress)
     title = f"chains of up to {MODULES[-1]} modules against the extensible rod"
-    table = CheckTable(title, dataclasses.asdict(rod), 0, 0, checks)
-    return Study(curves, motions, peer, table)
+    return Study(curves, motions, peer, CheckTable(title, dataclasses.asdict(rod), 0, 0, checks))
 
 
 def _closed_forms(rod: Rod) -> Iterator[Check]:
-    beam = rod_theory.tip_compliance(rod)
+    beam = rod.length**3 / (3.0 * rod.at(rod.EI)(0.0))
     factors: dict[str, Callable[[int], float]] = {
         "paper": lambda n: 1.0 - 1.5 / n + 0.5 / n**2,
         "centred": lambda n: 1.0 - 0.25 / n**2,
@@ -93,61 +150,36 @@ def _closed_forms(rod: Rod) -> Iterator[Check]:
         yield Check(f"small tip load, {layout}: closed form", max(errors), 1e-9)
 
 
-def _listed(curves: Iterator[Curve], listed: list[Curve]) -> Iterator[Check]:
-    for curve in curves:
-        listed.append(curve)
-        yield from curve.checks()
-
-
-def _tips(rod: Rod, layout: str, force: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-    """The static tip of each chain, x, y and the angle there, shape (7, 3) [m], [m], [rad]."""
-    if layout == HALVES:
-        return np.array([rod_study.halves_tip(rod, n, force, gravity) for n in MODULES])
-    chains = [arm_from_rod(rod, n, layout) for n in MODULES]
-    return np.array([rod_study.static_tip(p, force, gravity) for p in chains])
-
-
 def _deflections(
-    rod: Rod, case: str, force: np.ndarray, gravity: np.ndarray, *, along: bool = False
+    rod: Rod, case: str, force: np.ndarray, gravity: np.ndarray, orders: Sequence[int | None]
 ) -> Iterator[Curve]:
-    """The deflection of the tip in every layout, along the rod or across it."""
+    """The deflection of the tip by a load along the rod or across it, in every layout."""
+    along = bool(gravity[0])
     place, unloaded = (0, rod.length) if along else (1, 0.0)
     exact = rod_theory.static_tip(rod, force, gravity)[place] - unloaded
-    for layout, order in {**ORDERS, HALVES: 2}.items():
-        tips = _tips(rod, layout, force, gravity)[:, place] - unloaded
-        known = 0 if along and layout != "paper" else order
-        yield Curve(case, layout, tips / exact - 1.0, known)
+    for layout, order in zip((*ORDERS, HALVES), orders, strict=True):
+        tips = [
+            rod_study.halves_tip(rod, n, force, gravity)
+            if layout == HALVES
+            else rod_study.static_tip(arm_from_rod(rod, n, layout), force, gravity)
+            for n in MODULES
+        ]
+        yield Curve(case, layout, (np.array(tips)[:, place] - unloaded) / exact - 1.0, order)
 
 
 def _statics(rod: Rod) -> Iterator[Curve]:
-    none = np.zeros(2)
-    yield from _deflections(rod, "small tip load", np.array([0.0, _SMALL]), none)
+    none, across = np.zeros(2), np.array([0.0, 1.0])
+    yield from _deflections(rod, "small tip load", _SMALL * across, none, (1, 2, 2))
     yield from _large_load(rod)
-    yield from _deflections(rod, "weight across", none, np.array([0.0, rod.gravity]))
-    yield from _deflections(rod, "weight along", none, np.array([rod.gravity, 0.0]), along=True)
+    yield from _deflections(rod, "weight across", none, rod.gravity * across, (1, 2, 2))
+    along = np.array([rod.gravity, 0.0])
+    yield from _deflections(rod, "weight along", none, along, (1, 0, 0))
 
 
 def _large_load(rod: Rod) -> Iterator[Curve]:
-    """The deflection under a load that turns the tip by 1 rad.
-
-    The tip piece of the centred layout, h/2 long, does not stretch. Without its compliance
-    c = h / (2 EA) under the axial force n = F sin phi(L) the potential is larger by c n^2 / 2, and
-    by Castigliano's theorem the deflection smaller by c n dn/dF: of first order in h, like the
-    error of the paper's layout. What is left is of second order.
-    """
-    none, force = np.zeros(2), _force_for(rod, _ANGLE)
-    forces = force * np.array([1.0, 1.0 - 1e-4, 1.0 + 1e-4])
-    tips = [rod_theory.static_tip(rod, np.array([0.0, f]), none) for f in forces]
-    pulls = [f * math.sin(tip[2]) for f, tip in zip(forces, tips, strict=True)]
-    slope = (pulls[2] - pulls[1]) / (forces[2] - forces[1])
-    give = rod.length / (2.0 * np.array(MODULES) * rod.at(rod.EA)(rod.length))
-    for curve in _deflections(rod, "tip at 1 rad", np.array([0.0, force]), none):
-        if curve.layout != "centred":
-            yield curve
-            continue
-        yield curve._replace(order=None)
-        errors = curve.errors + give * pulls[0] * slope / tips[0][1]
-        yield Curve("tip at 1 rad, all stretched", curve.layout, errors, 2)
+    # The rigid tip piece of the centred layout does not stretch, an error of first order.
+    force = np.array([0.0, _force_for(rod, _ANGLE)])
+    yield from _deflections(rod, "tip at 1 rad", force, np.zeros(2), (1, None, 2))
 
 
 def _force_for(rod: Rod, angle: float) -> float:
@@ -162,9 +194,9 @@ def _force_for(rod: Rod, angle: float) -> float:
 
 def _tapered() -> Iterator[Curve]:
     """Deflections of a rod whose properties change along it."""
-    none, weight = np.zeros(2), np.array([0.0, TAPERED.gravity])
-    yield from _deflections(TAPERED, "small tip load, tapered", np.array([0.0, _SMALL]), none)
-    yield from _deflections(TAPERED, "weight across, tapered", none, weight)
+    none, load, weight = np.zeros(2), np.array([0.0, _SMALL]), np.array([0.0, TAPERED.gravity])
+    yield from _deflections(TAPERED, "small tip load, tapered", load, none, (1, 2, 2))
+    yield from _deflections(TAPERED, "weight across, tapered", none, weight, (1, 2, 2))
 
 
 def _frequencies(rod: Rod) -> Iterator[Curve]:
@@ -189,7 +221,7 @@ def _motion(rod: Rod, motions: dict[str, np.ndarray]) -> Iterator[Curve]:
         for case, last in (("in .3 s", rod_motion.FIRST), ("in 1 s", rod_motion.SAMPLES)):
             exact, *others = (tip[: last + 1] for tip in (motions["rod"], *tips))
             errors = [rod_motion.distance(rod, tip, exact) for tip in others]
-            yield Curve(f"release, tip {case}", layout, np.array(errors), order, signed=False)
+            yield Curve(f"release, tip {case}", layout, np.array(errors), order)
 
 
 def _peer(motions: dict[str, np.ndarray]) -> Iterator[Check]:
@@ -202,82 +234,14 @@ def _peer(motions: dict[str, np.ndarray]) -> Iterator[Check]:
         chain = motions[f"the same chain, N = {n}"] = rod_motion.released(rod_motion.like(rod, n))
         apart = rod_motion.distance(rod, tips, chain)
         yield Check(f"slim rod let go: PyElastica, n = {n}, against its chain", apart, _APART)
-    limit = motions["PyElastica, extrapolated"] = rod_motion.extrapolated(*peers)
+    # From n, 2n and 4n elements, without the errors of the orders 1/n and 1/n^2.
+    limit = (peers[0] - 6.0 * peers[1] + 8.0 * peers[2]) / 3.0
+    motions["PyElastica, extrapolated"] = limit
     part = slice(rod_motion.FIRST + 1)
     apart = rod_motion.distance(rod, limit[part], motions["rod"][part])
     # The weights of the extrapolation, in sum 5, magnify what PyElastica's rods differ by.
     what = "slim rod let go, .3 s: PyElastica extrapolated, against the rod"
     yield Check(what, apart, 5.0 * _APART)
-
-
-MODULES = (1, 2, 3, 5, 10, 20, 40)
-
-# Weights of the errors at N = 10, 20, 40 that leave out the terms 1/N and 1/N^2, or 1/N^2 and
-# 1/N^4; and the error that may be left, of the order 1/N^3 or 1/N^6.
-_ENDLESS = {1: np.array([1.0, -6.0, 8.0]) / 3.0, 2: np.array([1.0, -20.0, 64.0]) / 45.0}
-_LEFT = {1: 2e-4, 2: 1e-6}
-_CLOSE = 0.15  # of an observed order to that of theory
-
-
-class Curve(NamedTuple):
-    """The errors of one quantity over the number of modules.
-
-    Attributes:
-        case: what is compared.
-        layout: of the chains.
-        errors: relative to the rod's value, at each of MODULES, shape (7,) [1]; NaN where a chain
-            has no such quantity. Those of a motion are distances in lengths of the rod.
-        order: at which they vanish; 0 where they are zero, None where terms cancel up to N = 40.
-        signed: whether errors have a sign, so that they can be extrapolated.
-    """
-
-    case: str
-    layout: str
-    errors: np.ndarray
-    order: int | None
-    signed: bool = True
-
-    @property
-    def observed(self) -> float:
-        """The order between the two largest numbers of modules [1]."""
-        return float(np.log2(np.abs(self.errors[-2] / self.errors[-1])))
-
-    @property
-    def endless(self) -> float:
-        """The error to which those of the three largest numbers of modules tend [1]."""
-        return float(_ENDLESS[self.order or 1] @ self.errors[-3:])
-
-    def needed(self, error: float) -> int:
-        """The number of modules from which on errors are at most `error` [1].
-
-        Between MODULES by straight lines in logarithmic scales, beyond them by the order.
-        """
-        size = np.abs(self.errors)
-        above = np.flatnonzero(~(size <= error))
-        if not above.size:
-            return MODULES[0]
-        i, slope = int(above[-1]), float(self.order or 1)
-        if i < len(size) - 1:
-            slope = math.log(size[i] / size[i + 1]) / math.log(MODULES[i + 1] / MODULES[i])
-        return math.ceil(MODULES[i] * (size[i] / error) ** (1.0 / slope) * (1.0 - 1e-9))
-
-    def checks(self) -> Iterator[Check]:
-        """The order, and what errors tend to; or that they are zero."""
-        what = f"{self.case}, {self.layout}"
-        if self.order == 0:
-            yield Check(f"{what}: largest error", float(np.max(np.abs(self.errors))), 1e-9)
-            return
-        if self.order is not None:
-            low, high = self.order - _CLOSE, self.order + _CLOSE
-            yield Check(f"{what}: order", self.observed, high, low)
-        if self.signed:
-            left = _LEFT[self.order or 1]
-            yield Check(f"{what}: error, extrapolated", abs(self.endless), left)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The errors for JSON; None where there is none."""
-        errors = [None if math.isnan(x) else float(x) for x in self.errors]
-        return {"case": self.case, "layout": self.layout, "error": errors}
 
 
 def table(curves: Sequence[Curve]) -> str:
@@ -292,9 +256,8 @@ def table(curves: Sequence[Curve]) -> str:
 
 def _row(curve: Curve) -> tuple[str, ...]:
     errors = ["-" if math.isnan(x) else _percent(x) for x in curve.errors]
-    zero = curve.order == 0
-    order = "-" if zero or curve.order is None else f"{curve.observed:.2f}"
-    needed = ["1" if zero else str(curve.needed(x)) for x in (0.05, 0.01)]
+    order = f"{curve.observed:.2f}" if curve.order else "-"
+    needed = ["1" if curve.order == 0 else str(curve.needed(x)) for x in (0.05, 0.01)]
     return (curve.case, curve.layout, *errors, order, *needed)
 
 

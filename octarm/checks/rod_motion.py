@@ -124,14 +124,6 @@ def peer_released(rod: Rod, elements: int) -> np.ndarray:
     return tips
 
 
-def extrapolated(coarse: np.ndarray, middle: np.ndarray, fine: np.ndarray) -> np.ndarray:
-    """The tip of endlessly many elements, from n, 2n and 4n, each of shape (T, 2) [m].
-
-    It leaves out their errors of the orders 1/n and 1/n^2.
-    """
-    return (coarse - 6.0 * middle + 8.0 * fine) / 3.0
-
-
 def cosserat_rod(rod: Rod, elements: int, shear: float = 1.0) -> Any:
     """PyElastica's rod along x, with a multiple of the shear stiffness.
 

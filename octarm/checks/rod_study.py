@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from octarm.arm import lagrange
-from octarm.arm.kinematics import tip_force
+from octarm.arm.kinematics import jacobian, last_axis, positions, tip_force
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
 from octarm.errors import OctarmError
@@ -31,33 +31,17 @@ def static_tip(p: ArmParameters, end_force: np.ndarray, gravity: np.ndarray) -> 
     Loads are a force on the tip, shape (2,) [N], and an acceleration of the masses, shape (2,)
     [m/s^2]; the chain's own gravity does not count. See `lagrange.newton` for errors.
     """
-    n, springs = p.modules, lagrange.stiffness_matrix(p)
+    n, springs, b = p.modules, lagrange.stiffness_matrix(p), p.entries.tip_length
     rest = np.concatenate([p.rest_length, np.zeros(n)])
-    loads = np.concatenate([p.mass[:, None] * gravity, end_force[None, :]])
-    carried = np.cumsum(loads[::-1], axis=0)[::-1]  # by each segment, the tip piece last
-
-    def segments(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lengths and angles of the modules and the tip piece."""
-        return (
-            np.insert(q[..., :n], n, p.tip_length, axis=-1),
-            np.insert(np.cumsum(q[..., n:], axis=-1), 0, 0.0, axis=-1),
-        )
+    fx, fy = map(float, end_force)
 
     def balance(q: np.ndarray, share: float) -> np.ndarray:
-        lengths, phi = segments(q)
-        along, across = _components(share * carried, phi)
-        turning = np.cumsum((lengths * across)[..., ::-1], axis=-1)[..., ::-1]
-        loads = np.concatenate([along[..., :n], turning[..., 1:]], axis=-1)
-        return (q - rest) @ springs - loads
+        weight = np.einsum("b,...bxi,x->...i", p.mass, jacobian(q), gravity)
+        return (q - rest) @ springs - share * (weight + tip_force(q, fx, fy, b))
 
-    lengths, phi = segments(_loaded(balance, rest))
-    return np.array([lengths @ np.cos(phi), lengths @ np.sin(phi), phi[-1]])
-
-
-def _components(force: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of forces, shape (k, 2), along plates and across them, for angles of shape (..., k)."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return cos * force[:, 0] + sin * force[:, 1], cos * force[:, 1] - sin * force[:, 0]
+    q = _loaded(balance, rest)
+    end = positions(q)[-1] + p.tip_length * np.array(last_axis(q))
+    return np.append(end, np.sum(q[n:]))
 
 
 def _loaded(balance: Callable[[np.ndarray, float], np.ndarray], rest: np.ndarray) -> np.ndarray:
@@ -100,26 +84,28 @@ def tip_compliance(p: ArmParameters) -> float:
 
 
 def halves_tip(rod: Rod, modules: int, end_force: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-    """The same for a rod that is cut into N modules with a hinge in the middle of each, shape (3,).
+    """`static_tip` of a rod cut into N modules with a hinge in the middle of each, shape (3,).
 
     Each end of a module has half the mass of the modules beside it.
     """
     p, h = arm_from_rod(rod, modules), rod.length / modules
     axial, bending = np.split(np.diag(lagrange.stiffness_matrix(p)), 2)
-    nodes = 0.5 * (p.mass + np.append(p.mass[1:], 0.0))
-    loads = nodes[:, None] * gravity
+    loads = 0.5 * (p.mass + np.append(p.mass[1:], 0.0))[:, None] * gravity
     loads[-1] += end_force
     carried = np.cumsum(loads[::-1], axis=0)[::-1]
 
     def balance(x: np.ndarray, share: float) -> np.ndarray:
         """Springs less loads by x = [s_1 .. s_N, phi_1 .. phi_N]."""
         s, phi = x[..., :modules], np.insert(x[..., modules:], 0, 0.0, axis=-1)
-        halves = [_components(0.5 * share * carried, x) for x in (phi[..., :-1], phi[..., 1:])]
-        (along, before), (along_after, after) = halves
+        cos, sin = np.cos(phi), np.sin(phi)
+        fx, fy = 0.5 * share * carried.T
+        along = fx * (cos[..., :-1] + cos[..., 1:]) + fy * (sin[..., :-1] + sin[..., 1:])
+        across = fy * cos[..., 1:] - fx * sin[..., 1:]  # along the plate that ends the module
+        before = fy * cos[..., :-1] - fx * sin[..., :-1]
         turn = np.diff(phi) * bending
-        couples = turn - after * s
+        couples = turn - across * s
         couples[..., :-1] -= turn[..., 1:] + (before * s)[..., 1:]
-        return np.concatenate([axial * (s - h) - along - along_after, couples], axis=-1)
+        return np.concatenate([axial * (s - h) - along, couples], axis=-1)
 
     x = _loaded(balance, np.concatenate([np.full(modules, h), np.zeros(modules)]))
     phi = np.append(0.0, x[modules:])

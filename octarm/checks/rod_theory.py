@@ -7,7 +7,7 @@ are the references that chains of modules are compared with; nothing here knows 
 from __future__ import annotations
 
 import numpy as np
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, root_scalar
 
 from octarm.arm.rod import Rod
@@ -60,16 +60,6 @@ def static_tip(rod: Rod, tip_force: np.ndarray, gravity: np.ndarray) -> np.ndarr
             raise OctarmError("the static shape of the rod was not found; the load is too large")
         moment = solution.root
     return end(moment, 1.0)[:3]
-
-
-def tip_compliance(rod: Rod) -> float:
-    """Deflection of the tip by a small force across it [m/N]: the integral of (L - x)^2 / EI."""
-    stiffness = rod.at(rod.EI)
-
-    def slope(x: float) -> float:
-        return (rod.length - x) ** 2 / stiffness(x)
-
-    return float(quad(slope, 0.0, rod.length, epsabs=0.0, epsrel=1e-13)[0])
 
 
 def bending_frequencies(rod: Rod, count: int) -> np.ndarray:

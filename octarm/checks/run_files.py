@@ -77,47 +77,45 @@ def array_differences(
     Both are rows of shape (T, ...) with the ending, of `stored_arrays` and of `saved_arrays`. Rows
     are compared of arrays that both sides have in the same form.
     """
-    form, deviations = list[Difference](), list[Deviation | None]()
+    form, deviations = list[Difference](), list[Deviation]()
     if len(was["t"]) != len(now["t"]):
         form.append(Difference("rows", len(was["t"]), len(now["t"])))
     for name in dict.fromkeys((*was, *now)):
-        one, other = was.get(name), now.get(name)
-        if one is None or other is None:
-            forms = (ABSENT if x is None else _row_shape(name, x) for x in (one, other))
-            form.append(Difference(f"shape of {name}", *forms))
-        elif name in _ENDING and repr(one.tolist()) != repr(other.tolist()):
-            key = f"{name} in {runs.ARRAYS}"
-            form += compare({key: one.tolist()}, {key: other.tolist()})
-        elif one.dtype.str != other.dtype.str:
-            form.append(Difference(f"type of {name}", one.dtype.str, other.dtype.str))
-        elif (shapes := [_row_shape(name, x) for x in (one, other)])[0] != shapes[1]:
-            form.append(Difference(f"shape of {name}", *shapes))
-        elif name not in _ENDING:
-            if len(one) != len(was["t"]):
-                form.append(Difference(f"rows of {name}", len(one), len(other)))
-            deviations.append(_deviation(name, one, other, now["t"], coordinates))
-    return form, sorted((d for d in deviations if d is not None), key=lambda d: d.row)
+        forms = [_form(name, arrays) for arrays in (was, now)]
+        if forms[0] != forms[1] or name in _ENDING:
+            form += compare(*forms)
+        else:
+            deviations += _deviation(name, was[name], now[name], now["t"], coordinates)
+    return form, sorted(deviations, key=lambda d: d.row)
 
 
-def _row_shape(name: str, array: np.ndarray) -> tuple[int, ...]:
-    return array.shape if name in _ENDING or not array.ndim else array.shape[1:]
+def _form(name: str, arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """The form of an array, and the value of one without rows."""
+    if name not in arrays:
+        return {f"form of {name}": ABSENT}
+    array, rows = arrays[name], len(arrays["t"])
+    if name in _ENDING:
+        value = {f"{name} in {runs.ARRAYS}": array.tolist()}
+        return value | {f"form of {name}": f"{array.dtype.str} {array.shape}"}
+    shape = f"{array.shape[1:]} by rows" if array.shape[:1] == (rows,) else f"{array.shape}"
+    return {f"form of {name}": f"{array.dtype.str} {shape}"}
 
 
 def _deviation(
     name: str, was: np.ndarray, now: np.ndarray, t: np.ndarray, coordinates: Sequence[str]
-) -> Deviation | None:
+) -> Iterator[Deviation]:
     rows = min(len(was), len(now))
     one, other = (np.ascontiguousarray(x[:rows]) for x in (was, now))
     differs = one.view(np.uint64) != other.view(np.uint64)
     if not differs.any():
-        return None
+        return
     row, *place = here = tuple(int(i) for i in np.argwhere(differs)[0])
     words = ", ".join(map(str, place)) or "-"
     if now.shape[1:] == (len(coordinates),):
         words = f"tau{place[0] + 1}" if name == "tau" else coordinates[place[0]]
     with np.errstate(all="ignore"):
         largest = float(np.max(np.abs(one - other)[differs]))
-    return Deviation(name, row, float(t[row]), words, float(one[here]), float(other[here]), largest)
+    yield Deviation(name, row, float(t[row]), words, float(one[here]), float(other[here]), largest)
 
 
 def checksum_differences(folder: Path, description: Mapping[str, Any]) -> list[Difference]:
@@ -156,25 +154,12 @@ def recording_differences(
 
 
 def _same(was: pa.Array, now: pa.Array) -> bool:
-    pairs = zip(_leaves(was), _leaves(now), strict=False)
-    return was.type == now.type and len(was) == len(now) and all(a.equals(b) for a, b in pairs)
+    """Whether all bits of their values are the same."""
+    return was.type == now.type and _bytes(was) == _bytes(now)
 
 
-def _leaves(array: pa.Array) -> Iterator[pa.Array]:
-    """The arrays of plain values within nested ones, and the lengths of lists; floats as bits."""
-    kind = array.type
-    if pa.types.is_struct(kind):
-        for field in array.flatten():
-            yield from _leaves(field)
-    elif pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind):
-        yield array.is_valid()
-        if pa.types.is_list(kind):
-            yield array.value_lengths()
-        yield from _leaves(array.flatten())
-    elif pa.types.is_floating(kind):
-        yield array.view({16: pa.uint16(), 32: pa.uint32(), 64: pa.uint64()}[kind.bit_width])
-    else:
-        yield array
+def _bytes(array: pa.Array) -> bytes:
+    return pa.record_batch([array], ["values"]).serialize().to_pybytes()
 
 
 def sweep_differences(sweep: FinishedSweep, factory: ControllerFactory) -> list[Difference]:

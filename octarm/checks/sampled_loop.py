@@ -15,7 +15,6 @@ for any motion about rest, and sufficient for small ones. States of the law that
 such as the centres of rules that have learnt nothing, are left out: they do not move.
 
 A plant of more modules than the model is measured by q_model = B q, and Q = B^T Q_model acts on it.
-Where the law's force is rolled off, see `octarm.roll_off`, the filter's force is a state, too.
 """
 
 from __future__ import annotations
@@ -35,7 +34,6 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arrays import coordinate_names
 from octarm.errors import OctarmError
 from octarm.interfaces import Controller, Measurement, Reference
-from octarm.roll_off import RolledOff
 
 SHORTEST, LONGEST = 1e-6, 0.2  # control periods that are looked at [s]
 _FACTOR = 1.1  # between periods that are tried
@@ -155,37 +153,35 @@ def _slopes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """d(Q, z')/d(q, v) and d(Q, z')/dz, shapes (2N + k, 4N) and (2N + k, k)."""
     n = len(rest)
-    zero = np.zeros_like(rest)
-    still = Measurement(0.0, rest[None], zero[None]), Reference(rest[None], zero[None], zero[None])
-    _, after = controller(controller.initial_state((1,)), *still)  # so that it knows the time
-    k = len(_flat(after, 1)[0])
+
+    def answers(away: np.ndarray, turned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(Q, z') and the z before, for changes of (q, v) and of z, if any, a row each."""
+        rows = len(away)
+        still, zero = np.tile(rest, (rows, 1)), np.zeros((rows, n))
+        reference = Reference(still, zero, zero)
+        start = controller.initial_state((rows,))
+        _, state = controller(start, Measurement(0.0, still, zero), reference)  # knows the time now
+        z, begin = _flat(state, rows), 0
+        for array in _arrays(state, rows) if turned.size else []:
+            end = begin + array[0].size
+            array += turned[:, begin:end].reshape(array.shape)
+            begin = end
+        measured = Measurement(period, rest + away[:, :n], away[:, n:])
+        command, after = controller(state, measured, reference)
+        force = np.broadcast_to(command.force, (rows, n))
+        return np.concatenate([force, _flat(after, rows)], axis=1), z
+
     steps = h * np.concatenate([np.abs(rest[: n // 2]), np.ones(n // 2), np.ones(n)])
-    places = np.concatenate([np.diag(steps), -np.diag(steps), np.zeros((2 * k, 2 * n))])
-    rows = len(places)
-    q, v = rest + places[:, :n], places[:, n:]
-    _, state = controller(
-        controller.initial_state((rows,)),
-        Measurement(0.0, np.tile(rest, (rows, 1)), np.zeros((rows, n))),
-        _resting(rest, rows),
-    )
-    z = _flat(state, rows)
+    out, z = answers(np.concatenate([np.diag(steps), -np.diag(steps)]), np.empty(0))
+    by_y = (out[: 2 * n] - out[2 * n :]) / (2.0 * steps[:, None])
+    k = z.shape[1]
+    if not k:
+        return by_y.T, np.empty((n, 0))
     # A state may be small: an integral of e that gives way at 1e-5 m s acts like any other.
-    learnt = 1e-3 * h * (1.0 + np.abs(z[-1])) if k else np.empty(0)
-    z = z.copy()
-    z[4 * n : 4 * n + k] += np.diag(learnt)
-    z[4 * n + k :] -= np.diag(learnt)
-    state = _filled(state, rows, z)
-    command, after = controller(state, Measurement(period, q, v), _resting(rest, rows))
-    force = np.broadcast_to(command.force, (rows, n))
-    out = np.concatenate([force, _flat(after, rows)], axis=1)
-    by_y = (out[: 2 * n] - out[2 * n : 4 * n]) / (2.0 * steps[:, None])
-    by_z = (out[4 * n : 4 * n + k] - out[4 * n + k :]) / (2.0 * learnt[:, None])
-    return by_y.T, by_z.T
-
-
-def _resting(rest: np.ndarray, rows: int) -> Reference:
-    zero = np.zeros((rows, len(rest)))
-    return Reference(np.tile(rest, (rows, 1)), zero, zero)
+    learnt = 1e-3 * h * (1.0 + np.abs(z[-1]))
+    changes = np.concatenate([np.diag(learnt), -np.diag(learnt)])
+    out, _ = answers(np.zeros((2 * k, 2 * n)), changes)
+    return by_y.T, ((out[:k] - out[k:]) / (2.0 * learnt[:, None])).T
 
 
 def _flat(state: Any, rows: int) -> np.ndarray:
@@ -209,16 +205,6 @@ def _arrays(state: Any, rows: int) -> list[np.ndarray]:
         case _:
             return []
     return [array for part in parts for array in _arrays(part, rows)]
-
-
-def _filled(state: Any, rows: int, numbers: np.ndarray) -> Any:
-    """The state with other numbers, of shape (rows, k); the arrays are written to."""
-    begin = 0
-    for array in _arrays(state, rows):
-        end = begin + array[0].size
-        array[...] = numbers[:, begin:end].reshape(array.shape)
-        begin = end
-    return state
 
 
 def _seen(law: LinearLaw) -> LinearLaw:
@@ -246,48 +232,20 @@ def loop_matrix(plant: LinearPlant, law: LinearLaw, period: float) -> np.ndarray
     return np.block([[phi + gamma @ law.F @ plant.M, gamma @ law.C], [law.R @ plant.M, law.S]])
 
 
-def _rolled_off(law: LinearLaw, decay: np.ndarray) -> LinearLaw:
-    """A law and the roll-off of its force f = a f + (1 - a) Q, which is a further state."""
-    n, k = law.C.shape
-    a = np.broadcast_to(decay, n)[:, None]
-    F, C = (1.0 - a) * law.F, np.hstack([(1.0 - a) * law.C, a * np.eye(n)])
-    S = np.hstack([law.S, np.zeros((k, n))])
-    return LinearLaw(F, C, np.vstack([law.R, F]), np.vstack([S, C]))
-
-
 class Loop:
-    """A plant and a law, at any control period.
+    """A plant and a law, at any control period."""
 
-    Attributes:
-        plant: what is controlled.
-        states: number of states of the law that show in Q, but for those of a roll-off.
-    """
-
-    def __init__(
-        self, plant: LinearPlant, controller: Controller, *, learning: bool = True
-    ) -> None:
-        """The loop; `NoSlopeError` if the law has no derivative at rest.
-
-        Unless it is learning, the law's state stays what it is after a first call at rest; that of
-        a roll-off moves all the same.
-        """
+    def __init__(self, plant: LinearPlant, controller: Controller) -> None:
+        """The loop; `NoSlopeError` if the law has no derivative at rest."""
         self.plant = plant
-        self._filter = controller if isinstance(controller, RolledOff) else None
-        inner = controller if self._filter is None else self._filter.law
-        self._law: Callable[[float], LinearLaw] = lambda T: linear_law(inner, plant.rest, T)
+        self._law: Callable[[float], LinearLaw] = lambda T: linear_law(controller, plant.rest, T)
         first = self._law(1e-3)
-        self.states = len(first.S) if learning else 0
-        if not self.states:  # what has no state does not depend on the time between calls
-            n = len(first.F)
-            first = LinearLaw(first.F, np.empty((n, 0)), np.empty((0, 2 * n)), np.empty((0, 0)))
+        if not len(first.S):  # what has no state does not depend on the time between calls
             self._law = lambda T: first
 
     def matrix(self, period: float) -> np.ndarray:
         """`loop_matrix` for a control period [s], shape (m + k, m + k)."""
-        law = self._law(period)
-        if self._filter is not None:
-            law = _rolled_off(law, self._filter.decay(period))
-        return loop_matrix(self.plant, law, period)
+        return loop_matrix(self.plant, self._law(period), period)
 
     def radius(self, period: float) -> float:
         """The spectral radius at a control period [s]; the loop is stable where it is below 1."""

@@ -25,8 +25,6 @@ class LoopAtRest:
         longest: control period up to which it is stable, see `Loop.longest_period` [s].
         mode: what grows first beyond that; None where nothing does, or all periods are too long.
         reason: why nothing is known of it, a sentence; empty if something is.
-        held: the same while the law's state stays what it is; None if the law has none, or that
-            was not asked for.
     """
 
     period: float
@@ -34,7 +32,6 @@ class LoopAtRest:
     longest: float = math.nan
     mode: Mode | None = None
     reason: str = ""
-    held: LoopAtRest | None = None
 
     @property
     def stable(self) -> bool:
@@ -71,25 +68,12 @@ def linear_plant(p: ArmParameters, groups: Groups | None = None) -> LinearPlant:
     return LinearPlant.of(groups.plant, groups.matrix, rest)
 
 
-def loop_at_rest(
-    plant: LinearPlant, controller: Controller, period: float, *, held: bool = True
-) -> LoopAtRest:
-    """The loop of a plant and a controller about rest at a control period [s].
-
-    With `held` it is also looked at while the law's state stays what it is.
-    """
+def loop_at_rest(plant: LinearPlant, controller: Controller, period: float) -> LoopAtRest:
+    """The loop of a plant and a controller about rest at a control period [s]."""
     try:
         loop = Loop(plant, controller)
     except NoSlopeError as error:
         return LoopAtRest(period, reason=str(error))
-    seen = _seen(loop, period)
-    if not (held and loop.states):
-        return seen
-    still = Loop(plant, controller, learning=False)
-    return dataclasses.replace(seen, held=_seen(still, period))
-
-
-def _seen(loop: Loop, period: float) -> LoopAtRest:
     longest = loop.longest_period()
     some = 0.0 < longest < math.inf
     mode = first_mode(loop, 1.001 * longest) if some else None
@@ -102,8 +86,6 @@ def stability_lines(loops: Mapping[str, LoopAtRest], period: float) -> list[str]
     lines = [head]
     for name, loop in loops.items():
         lines.append(f"{name:<18}  {loop.reason or _row(loop)}")
-        if loop.held is not None:
-            lines.append(f"  its state held    {_row(loop.held)}")
     return lines
 
 

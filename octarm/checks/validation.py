@@ -8,10 +8,9 @@ from collections.abc import Callable, Iterator
 
 import mujoco
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from octarm.arm import lagrange
-from octarm.arm.mjcf import build_model, nominal_parameters, paper_order, template_model
+from octarm.arm.mjcf import build_model, nominal_parameters, paper_order
 from octarm.arm.modes import longest_step
 from octarm.arm.parameters import MOST_MODULES, ArmParameters
 from octarm.checks import forced_motion, free_motion, mechanics
@@ -22,13 +21,6 @@ from octarm.tolerances import Check, CheckTable, run_checks
 
 _BYTES = 400.0  # [byte] that a state takes for each pair of modules, measured
 _RK4 = mujoco.mjtIntegrator.mjINT_RK4
-_BALANCED = 1e-4  # share of the energy
-
-# What build_model writes into a model, or must find there.
-_PHYSICS = (
-    "body_mass", "body_inertia", "body_ipos", "tendon_stiffness", "tendon_damping",
-    "tendon_lengthspring", "wrap_prm", "actuator_gear", "key_qpos",
-)  # fmt: skip
 
 
 def arm_with(modules: int) -> ArmParameters:
@@ -106,13 +98,12 @@ def validate(
     model.opt.timestep, _ = fitting_step(float(longest), None)
     at_states, in_motion = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2))
     parts = {
-        "the template": _compare_template(),
         f"{states} random states": _compare_states(model, parameters, states, at_states),
         "static equilibrium": _compare_equilibrium(model, parameters),
         "small motions": _compare_small_motions(model, parameters),
         "free motion": _compare_free_motion(model, parameters, in_motion),
         "forced motion": _compare_forced_motion(model, parameters),
-        "energy balance": _compare_energy(model, parameters, in_motion),
+        "energy": _compare_energy(model, parameters, in_motion),
     }
     checks = run_checks(parts, progress)
     n = parameters.modules
@@ -121,20 +112,6 @@ def validate(
         f"{np.sum(parameters.mass):.3g} kg, {states} states, seed {seed}"
     )
     return CheckTable(title, parameters.to_dict(), states, seed, checks)
-
-
-def _compare_template() -> Iterator[Check]:
-    """The file from which all arms are made, against the arm made from the numbers read in it."""
-    file, built = template_model(), build_model(nominal_parameters())
-    pairs = [(file.opt.gravity, built.opt.gravity)]
-    pairs += [(getattr(file, name), getattr(built, name)) for name in _PHYSICS]
-    difference = max(float(np.max(np.abs(a - b))) for a, b in pairs)
-    yield Check("models/octarm.xml, against the arm built from it", difference, 1e-12)
-    off = mujoco.mjtDisableBit
-    needed = off.mjDSBL_CONTACT | off.mjDSBL_CONSTRAINT | off.mjDSBL_AUTORESET
-    right = (file.opt.disableflags & needed) == needed
-    right &= file.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
-    yield Check("models/octarm.xml, options that are not as they must be", float(not right), 0.0)
 
 
 def _compare_states(
@@ -185,14 +162,8 @@ def _compare_equilibrium(model: mujoco.MjModel, p: ArmParameters) -> Iterator[Ch
 
 
 def _compare_small_motions(model: mujoco.MjModel, p: ArmParameters) -> Iterator[Check]:
-    expected = np.linalg.eigvals(free_motion.analytic_linearisation(p))
-    linearisation = free_motion.mujoco_linearisation(model, lagrange.equilibrium(p))
-    distance = np.abs(expected[:, None] - np.linalg.eigvals(linearisation))
-    pairs = linear_sum_assignment(distance)
-    error = np.max(distance[pairs] / np.abs(expected))
-    yield Check("eigenvalues of the linearised arm", float(error), 1e-6)
-    frequencies, _ = free_motion.undamped_modes(p)
-    error = np.max(np.abs(free_motion.measured_frequencies(model, p) / frequencies - 1.0))
+    measured = free_motion.measured_frequencies(model, p)
+    error = np.max(np.abs(measured / free_motion.undamped_frequencies(p) - 1.0))
     yield Check("frequencies of small undamped oscillations", float(error), 1e-6)
 
 
@@ -238,11 +209,8 @@ def _compare_energy(
     # A step takes the fraction z^6 / 72 off the energy of an oscillation, z = frequency * timestep.
     # Three times that of the fastest mode leaves room for frequencies 20 % above those at rest.
     h = model.opt.timestep
-    z = np.max(free_motion.undamped_modes(p)[0]) * h
+    z = 2.0 * np.pi * np.max(free_motion.undamped_frequencies(p)) * h
     loss = 3.0 * free_motion.DURATION / h * z**6 / 72.0
     q, v = free_motion.initial_motion(p, rng)
     drift = free_motion.energy_drift(model, p, q, v)
     yield Check("energy drift without damping", drift, loss)
-    forces = rng.uniform(-5.0, 5.0, p.coordinates)
-    imbalance = free_motion.energy_imbalance(model, p, q, v, forces, _BALANCED)
-    yield Check("energy change - work + dissipation", imbalance, _BALANCED)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from octarm.checks import run_files
-from octarm.checks.differences import Comparison, Difference, compare, listed, origin
+from octarm.checks.differences import Comparison, compare, listed, origin
 from octarm.declared import CodeChanged
 from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory
@@ -25,8 +25,6 @@ from octarm.sweeps.plan import Plan
 from octarm.sweeps.shards import run_arms
 from octarm.sweeps.store import RECORDED, origin_of
 
-_RESULTS = ("disturbances", "metrics", "status", "message", "digest")
-
 # All that may differ: versions and machine, which are named instead; the command, which the
 # SHA-256 of run.json covers; and what depends on where within a period a run was interrupted.
 _MAY_DIFFER = (*runs.NAMED, "command")
@@ -37,36 +35,36 @@ _OF_INTERRUPTED = ("disturbances", "message")
 class RunCheck(Comparison):
     """A run folder beside a re-run of what its `run.json` says.
 
-    Differences are those of `run.json`, of the form of arrays, of checksums and of files; those of
-    results only when no array deviates, and those of the recording when nothing else differs. The
-    digests are those that `run.json` and `run.npz` state, and that of the re-run.
+    Differences are those of `run.json`, of the form of arrays, of checksums and of files, and those
+    of the recording when nothing else differs.
     """
 
     rows: int
     arrays: int
     recorded: bool
     deviations: tuple[run_files.Deviation, ...]
-    digests: tuple[str, str, str]
 
     @property
     def identical(self) -> bool:
         """Whether everything came out again."""
-        return not self.deviations and not self.differences and len(set(self.digests)) == 1
+        return not self.deviations and not self.differences
 
     def lines(self) -> list[str]:
         """The outcome, for the terminal."""
         if self.identical:
             recording = ", the recording" if self.recorded else ""
             same = f"{self.rows} control instants, {self.arrays} arrays{recording} and run.json"
-            return [f"identical: {same}, bit for bit", *self.harmless_changes()]
-        lines = [f"different, although q and v are the same at all {self.rows} control instants"]
-        if {"rows", *(f"{x} of {a}" for x in ("type", "shape") for a in "qv")} & {
-            d.key for d in self.differences
-        }:
-            lines = ["different"]
-        for d in [d for d in self.deviations if d.array in ("q", "v")][:1]:
+            return [f"identical: {same}, bit for bit"]
+        moved = [d for d in self.deviations if d.array in ("q", "v")]
+        lines = ["different"]
+        if moved:
+            d, *_ = moved
             begin = f"different from t = {d.t:.9g} s on, control instant {d.row} of {self.rows}"
             lines = [f"{begin}: {d.array} of {d.place} was {d.was!r} and is {d.now!r}"]
+        elif not {"rows", "form of q", "form of v"} & {d.key for d in self.differences}:
+            lines = [
+                f"different, although q and v are the same at all {self.rows} control instants"
+            ]
         if self.deviations:
             lines.append(
                 "  array               first at t [s]  of        was -> is (largest difference)"
@@ -74,25 +72,7 @@ class RunCheck(Comparison):
         for d in self.deviations:
             numbers = f"{d.was!r} -> {d.now!r} ({d.largest:.2g})"
             lines.append(f"  {d.array:<18}  {d.t:<14.9g}  {d.place:<8}  {numbers}")
-        lines += [*listed(self.differences, "entry"), self._diagnosis()]
-        return lines if self.digests[0] == self.digests[2] else [*lines, *self.origins()]
-
-    def _diagnosis(self) -> str:
-        stated, kept, now = self.digests
-        if now == stated and (self.deviations or kept != now):
-            return "the re-run has the digest that run.json states: run.npz was changed"
-        if now == stated:
-            return (
-                "the motion came out again: the files were changed, or this version writes "
-                "something else"
-            )
-        if now == kept and not self.deviations:
-            return "the re-run has the digest that run.npz states: run.json was changed"
-        if changes := self.changes():
-            return f"changed since the run: {', '.join(changes)}"
-        unknown = [key for key in self.now if key not in self.then]
-        missing = f", and {', '.join(unknown)} are not known" if unknown else ""
-        return f"run.json or the code was changed: versions and machine are as then{missing}"
+        return [*lines, *listed(self.differences, "entry"), *self.origins()]
 
 
 def check_run(
@@ -125,25 +105,22 @@ def check_run(
     names = environment.physics.coordinates.names
     form, deviations = run_files.array_differences(was, now, names)
     stated = {key: value for key, value in description.items() if key != runs.SUMS}
-    if deviations:  # what was measured of another motion is another one anyway
-        form = [d for d in form if d.key != f"digest in {runs.ARRAYS}"]
-        stated |= {key: written[key] for key in _RESULTS if key in stated}
     may_differ = (*_MAY_DIFFER, *(_OF_INTERRUPTED if interrupted else ()))
-    entries = [*compare(stated, written, may_differ)]
-    sums = _unexplained(
-        run_files.checksum_differences(folder, description), entries, [*form, *deviations]
-    )
+    differences = [
+        *form,
+        *compare(stated, written, may_differ),
+        *run_files.checksum_differences(folder, description),
+    ]
     recording = folder / runs.RECORDING
-    if recording.is_file() and not (entries or form or deviations or sums):
+    if recording.is_file() and not (differences or deviations):
         as_then = written | {key: description[key] for key in may_differ}
-        sums = [*run_files.recording_differences(recording, again, as_then)]
+        differences = [*run_files.recording_differences(recording, again, as_then)]
     return RunCheck(
         rows=len(was["t"]),
         arrays=len(was.keys() - Ending._fields),
         recorded=recording.is_file(),
         deviations=tuple(deviations),
-        differences=(*form, *entries, *sums),
-        digests=(str(description.get("digest")), str(was.get("digest")), again.digest),
+        differences=tuple(differences),
         then=origin(description),
         now=origin(described),
     )
@@ -171,39 +148,29 @@ def _interrupting(rows: int, progress: Callable[[], object] | None) -> Callable[
     return step
 
 
-def _unexplained(
-    sums: Sequence[Difference], entries: Sequence[object], arrays: Sequence[object]
-) -> list[Difference]:
-    """The differing checksums but those of files of which it is known already what differs."""
-    known = {runs.DESCRIPTION: entries or arrays, runs.ARRAYS: arrays}
-    return [d for d in sums if not known.get(d.key.removeprefix(f"{runs.SUMS}."))]
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EpisodeCheck(Comparison):
     """A row of a sweep's table compared with that of the episode run alone.
 
-    Differences are those of the columns, the checkpoints aside, and of the controller's gains for
-    the nominal arm. The motion parts between two instants [s], if it does.
+    Differences are those of the columns, the checkpoints aside. The motion parts between two
+    instants [s], if it does.
     """
 
     episode: int
     label: str
     between: tuple[float, float] | None
-    gains: tuple[Difference, ...]
     recorded: Path | None
 
     @property
     def identical(self) -> bool:
         """Whether everything came out again."""
-        return self.between is None and not self.differences and not self.gains
+        return self.between is None and not self.differences
 
     def lines(self) -> list[str]:
         """The outcome, for the terminal."""
         head = f"episode {self.episode} ({self.label})"
         if self.identical:
-            same = f"{head}: identical when run alone: digest, checkpoints and all measures"
-            return [same, *self.harmless_changes()]
+            return [f"{head}: identical when run alone: digest, checkpoints and all measures"]
         if self.between is None:
             lines = [f"{head}: the motion is the same, but not what the table says of it"]
         else:
@@ -211,8 +178,7 @@ class EpisodeCheck(Comparison):
             lines = [f"{head}: different from an instant between t = {begin:g} s and {end:g} s on"]
             if self.recorded is not None:
                 lines.append(f"  octarm verify {self.recorded} says from which one on")
-        lines += [*listed(self.differences, "column"), *listed(self.gains, "gain")]
-        return [*lines, *self.origins()]
+        return [*lines, *listed(self.differences, "column"), *self.origins()]
 
 
 def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory) -> EpisodeCheck:
@@ -227,13 +193,11 @@ def check_episode(sweep: FinishedSweep, episode: int, factory: ControllerFactory
     was, now = (values.pop("checkpoints") for values in (stored, again))
     for values in (stored, again):  # that an episode alone does not show again
         values.pop(engine_check.COLUMN, None)
-    gains = runs.gains_of(spec.controller(arms.controller, spec.all_believed()[0], factory))
     return EpisodeCheck(
         episode=episode,
         label=_label(sweep.plan, episode),
         between=first_difference(was, now, spec.duration),
         differences=tuple(compare(stored, again, ["wall_time"])),
-        gains=tuple(compare(sweep.gains.get(arms.controller, {}), gains)),
         recorded=next(iter((sweep.path / RECORDED).glob(f"{episode}-*")), None),
         then=origin(origin_of(row)),
         now=origin({"versions": versions(spec.engine, spec.code), "host": host()}),

@@ -15,7 +15,7 @@ from octarm.arm.fit import fit_modules
 from octarm.arm.groups import grouped, groups_of
 from octarm.arm.mjcf import nominal_parameters, physics_step
 from octarm.arm.parameters import ArmParameters
-from octarm.arm.rod import Rod, arm_from_rod
+from octarm.arm.rod import PROFILES, PROPERTIES, Rod, arm_from_rod
 from octarm.arm.summary import ArmSummary
 from octarm.checks.stability import check_period, linear_plant, loop_at_rest, stability_lines
 from octarm.commands.yours import LoopOptions, SourceOptions
@@ -25,17 +25,11 @@ from octarm.fields import Quantity, Words, parsed_fields
 from octarm.files import write_files, write_text
 
 # The keys of --from-rod; what tapers has a number at the base and one at the tip.
-_ROD = {
-    "length": Quantity("m", plausible=10.0),
-    "EA": Quantity("N", each=True),
-    "EI": Quantity("N m^2", each=True),
-    "density": Quantity("kg/m", each=True),
-    "rotary_inertia": Quantity("kg m", each=True),
-    "damping_time": Quantity("s", plausible=1.0),
-    "gravity": Quantity("m/s^2"),
-    "modules": Quantity("1"),
-    "layout": Words(),
+_ROD: dict[str, Any] = {
+    name: Quantity(**dataclasses.asdict(kind), each=name in PROFILES)
+    for name, kind in PROPERTIES.items()
 }
+_ROD |= {"modules": Quantity("1"), "layout": Words()}
 
 
 def arm(

@@ -169,7 +169,7 @@ def loops_of(folder: Path, episodes: Episodes, run_code: bool) -> Loops:
             law = spec.controller(name, model, make_controller)
             modules = int(value[PLANT_MODULES]) if PLANT_MODULES in value else None
             this = plant(arm, modules, value.get(LAYOUT, PAPER))
-            loop = loop_at_rest(this, law, period, held=False)
+            loop = loop_at_rest(this, law, period)
         all_of, diverged, poor = (
             int(np.sum(x[here])) for x in (here, episodes.diverged, episodes.poor)
         )

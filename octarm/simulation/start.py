@@ -68,7 +68,7 @@ def _reached(p: ArmParameters, share: float) -> np.ndarray:
     """How far coordinates of one arm go to either side of rest, and how fast, shape (3, 2N)."""
     n, limits, rest = p.modules, Limits.of(p), equilibrium(p)
     axial = np.diagonal(stiffness_matrix(p))[:n]
-    alone, alike, _ = reach(p)
+    alone, alike = reach(p)
     bends = np.maximum(alone[0], alike[0]), np.minimum(alone[1], alike[1])
     ends: list[np.ndarray] = []
     for inputs, limit, bend in zip(
