@@ -276,5 +276,5 @@ def test_a_margin_and_a_check_take_an_arm():
         "rms_error_theta1:0.3", "--seeds", "1", "--settle", "0.1", "--duration", "0.2",
         "--high", "0.01",
     )  # fmt: skip
-    assert "the arm fabric" in text
+    assert "--arm=fabric" in text
     assert said("validate", "--arm", "mine.toml", "--modules", "4", code=2)
