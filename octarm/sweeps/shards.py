@@ -28,7 +28,6 @@ from octarm.simulation.rollout import simulate
 from octarm.sweeps.engine_check import COLUMN, TipPaths, checked_episodes
 from octarm.sweeps.plan import Arms, Plan, setup_of
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SENSING, SweepSpec
-from octarm.sweeps.spec_file import range_of
 
 Observe = Callable[[Instant], object]
 
@@ -284,7 +283,7 @@ def schema(spec: SweepSpec) -> pa.Schema:
     ]
     for axis in (*spec.axes, *spec.random):
         if axis.name != "controller":
-            numbers, kind = range_of(axis, spec.code), word if axis.words else number
+            numbers, kind = axis.range(spec.code), word if axis.words else number
             fields.append(field(axis.name, kind, axis.disturbance, numbers.unit if numbers else ""))
     arm = LagrangeModel(max(spec.all_believed(), key=lambda arm: arm.modules))
     for column in columns(arm.names, arm.units, spec.metrics()):

@@ -16,7 +16,7 @@ from octarm.arrays import plain
 from octarm.declared import Code, word_of
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES
-from octarm.fields import field_keys
+from octarm.fields import field_keys, field_kinds
 from octarm.formats import to_toml
 from octarm.interfaces import Controller, ControllerFactory
 from octarm.metrics.declared import declared_metrics, measured
@@ -25,6 +25,7 @@ from octarm.metrics.table import Catalogue
 from octarm.runs.description import USUAL, unusual
 from octarm.simulation.engines import MUJOCO
 from octarm.simulation.start import REST, SHARE
+from octarm.units import MISMATCH, Range
 
 Value = float | str
 ARM, PLANT_MODULES, LAYOUT, SENSING = "arm", "plant_modules", "layout", "sensing"
@@ -78,6 +79,20 @@ class Axis:
     def apart(self) -> bool:
         """Whether arms that differ in it do not share a batch: words, and sizes of the plant."""
         return self.words or self.name == PLANT_MODULES
+
+    def range(self, code: Mapping[str, Code]) -> Range | None:
+        """What its numbers may be, as far as it is known; None for words and counts.
+
+        No code is imported.
+        """
+        if not self.disturbance:
+            return MISMATCH if self.name == "mismatch" else None
+        kind = which(self.disturbance)[0]
+        if kind in code:
+            said = next(x for x in code[kind].declares.values() if x["field"] == self.field)
+            return Range(str(said["unit"])) if said["number"] else None
+        declared = field_kinds(DISTURBANCES[kind])[self.field]
+        return declared if isinstance(declared, Range) else None
 
 
 SETTINGS = (
