@@ -230,7 +230,7 @@ class SweepSpec:
 
     def hash(self) -> str:
         """SHA-256 of `content`: files that ask for the same rows have the same."""
-        return hash_of(self.content())
+        return hashlib.sha256(json.dumps(self.content(), sort_keys=True).encode()).hexdigest()
 
     def to_toml(self) -> str:
         """A file that `octarm.sweeps.spec_file.parse_spec` makes this spec of."""
@@ -259,8 +259,3 @@ class SweepSpec:
             keys = keys_of(axis.disturbance, self.code).items()
             key = next(key for key, field in keys if field == axis.field)
         table[key] = value
-
-
-def hash_of(content: Any) -> str:
-    """SHA-256 of what `SweepSpec.content` gives, or of what was read back of it."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
