@@ -170,7 +170,7 @@ def test_arms_of_a_batch_that_mujoco_steps_are_those_of_mujoco(text: str):
     """Also under changes of the plant, when arms are lost, and on finer plants."""
     plan = Plan(with_step(parse_spec(text)))
     mujoco = Plan(dataclasses.replace(plan.spec, engine="mujoco"))
-    shard = np.array(plan.shards[0])
+    shard = np.array(plan.shard(0))
     again = shard[[0, 1, -1]]
     physics = begin(mujoco.spec, plan.arms(again), make_controller)[0].physics
     both = plan.arms(np.concatenate([shard, again]))

@@ -121,7 +121,7 @@ def write_sweep(folder: Path, table: dict[str, np.ndarray], **settings) -> Path:
     sweep = SweepFolder(folder, plan)
     with sweep.locked():
         sweep.begin({name: {"K": 1.0} for name in plan.spec.controllers})
-        for i, episodes in enumerate(plan.shards):
+        for i, episodes in enumerate(map(plan.shard, plan.shards)):
             sweep.write(i, whole.slice(episodes.start, len(episodes)))
     manifest = open_sweep(folder)[1]
     host = {"cpu": "x", "cores": 2}

@@ -210,7 +210,7 @@ def _pool(options: SweepOptions, plan: Plan) -> Generator[tuple[Executor, int | 
             yield cluster
         return
     workers = min(workers, len(plan.shards))
-    check_batch(len(plan.shards[0]), plan.spec.most_modules, workers)
+    check_batch(len(plan.shard(0)), plan.spec.most_modules, workers)
     with WorkerProcesses(workers) as processes:
         yield processes, workers
 

@@ -55,7 +55,7 @@ def new_folder(folder: Path) -> Generator[Path]:
             for stale in (spare, earlier):  # of killed processes: this one has the place to itself
                 shutil.rmtree(stale, ignore_errors=True)
             if not names:
-                with _on_failure(lambda: _empty(folder)), _kept_in_reserve():
+                with _on_failure(lambda: _empty(folder)):
                     yield folder
                 return
             if Path.cwd().is_relative_to(folder):
@@ -63,7 +63,7 @@ def new_folder(folder: Path) -> Generator[Path]:
                     f"{folder} holds an earlier run, and is the current folder; it cannot be "
                     "replaced from within"
                 )
-            with _replacing(folder, spare, earlier), _kept_in_reserve():
+            with _replacing(folder, spare, earlier):
                 yield spare
     except OSError as error:
         if isinstance(error, OctarmError):
@@ -140,15 +140,6 @@ def _empty(folder: Path) -> None:
     for path in folder.iterdir():
         if _FILE.fullmatch(path.name):
             path.unlink()
-
-
-@contextmanager
-def _kept_in_reserve() -> Generator[None]:
-    """Keeps a few files open, so that a block that fails for want of some can be cleaned up."""
-    with contextlib.ExitStack() as reserve:
-        for _ in range(3):
-            reserve.enter_context(open(os.devnull, "rb"))
-        yield
 
 
 @contextmanager

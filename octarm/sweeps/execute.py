@@ -101,8 +101,8 @@ def sweep(
             for change in folder.begin(gains):
                 say(change)
             done = set(folder.finished())
-            progress(sum(len(plan.shards[i]) for i in done))
-            todo = [i for i in range(len(plan.shards)) if i not in done]
+            progress(sum(len(plan.shard(i)) for i in done))
+            todo = [i for i in plan.shards if i not in done]
             run = _Run(plan, factory, folder, notes, executor, progress, partial, say, todo)
             run.go(in_flight if callable(in_flight) else in_flight or cores())
     run.report()
@@ -142,7 +142,7 @@ class _Run:
                     del self._at_work[future]
                 future = None  # a cluster keeps the result for as long as anybody might ask for it
                 shards = self._at_work.values()
-                self.partial(sum(self.notes.share(i) * len(self.plan.shards[i]) for i in shards))
+                self.partial(sum(self.notes.share(i) * len(self.plan.shard(i)) for i in shards))
             except KeyboardInterrupt:
                 if self._interrupted or not useful:
                     raise KeyboardInterrupt(self._left()) from None
@@ -203,7 +203,7 @@ class _Run:
         else:
             self.folder.write(shard, table)
             self.notes.forget(shard)
-            self.progress(len(self.plan.shards[shard]))
+            self.progress(len(self.plan.shard(shard)))
 
 
 def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
@@ -212,9 +212,8 @@ def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
     It returns the gains of each controller for the first arm, ready for JSON.
     """
     nominal = plan.spec.all_believed()[0]
-    check_batch(
-        len(plan.shards[0]), plan.spec.most_modules
-    )  # no shard is larger by more than one arm
+    # No shard is larger by more than one arm.
+    check_batch(len(plan.shard(0)), plan.spec.most_modules)
     gains: dict[str, object] = {
         name: runs.gains_of(plan.spec.controller(name, nominal, factory))
         for name in plan.spec.controllers
@@ -246,21 +245,18 @@ def estimate(spec: SweepSpec, factory: ControllerFactory) -> Forecast:
     spec = with_step(spec, probes=True)
     plan = Plan(spec)
     rehearse(plan, factory)
-    controllers = len(spec.controllers)  # the slowest axis
-    each = len(plan.shards) // controllers
-    parts = [_estimate(plan, i * each, each, factory) for i in range(controllers)]
-    return Forecast(
-        episodes=plan.episodes,
-        periods=parts[0].periods,
-        shards=len(plan.shards),
-        seconds=sum(part.seconds for part in parts),
-        size=sum(part.size for part in parts),
+    each = len(plan.shards) // len(spec.controllers)  # which are the slowest axis
+    periods, seconds, size = zip(
+        *(_estimate(plan, i, each, factory) for i in plan.shards[::each]), strict=True
     )
+    return Forecast(plan.episodes, periods[0], len(plan.shards), sum(seconds), sum(size))
 
 
-def _estimate(plan: Plan, first: int, count: int, factory: ControllerFactory) -> Forecast:
-    """What so many shards of one controller take, by the first control periods of the first."""
-    arms, instants = plan.arms(plan.shards[first]), list[float]()
+def _estimate(
+    plan: Plan, first: int, count: int, factory: ControllerFactory
+) -> tuple[int, float, int]:
+    """Periods of an episode, and time [s] and size [byte] of the shards of one controller."""
+    arms, instants = plan.arms(plan.shard(first)), list[float]()
     period = begin(plan.spec, arms, factory)[0].control_timestep()
     periods = whole_periods(plan.spec.duration, period)
 
@@ -274,11 +270,5 @@ def _estimate(plan: Plan, first: int, count: int, factory: ControllerFactory) ->
     rate = (warm[-1] - warm[0]) / max(1, len(warm) - 1)
     once = max(0.0, elapsed - len(instants) * rate)  # a shard, before and after its periods
     empty = len(shard_bytes(table.slice(0, 0)))
-    episodes, measured = plan.episodes // len(plan.spec.controllers), len(arms.seeds)
-    return Forecast(
-        episodes=episodes,
-        periods=periods,
-        shards=count,
-        seconds=once * count + rate * periods / measured * episodes,
-        size=int(empty * count + table.nbytes / measured * episodes),
-    )
+    more = plan.episodes // len(plan.spec.controllers) / len(arms.seeds)  # times as many arms
+    return periods, once * count + rate * periods * more, int(empty * count + table.nbytes * more)

@@ -78,7 +78,7 @@ def new_manifest(plan: Plan, gains: Mapping[str, Any], spec_file: bytes) -> dict
                 "episodes": len(each),
                 "sha256": "",
             }
-            for i, each in enumerate(plan.shards)
+            for i, each in enumerate(map(plan.shard, plan.shards))
         ],
         "starts": [],
     }

@@ -26,7 +26,7 @@ from octarm.simulation.physics import BatchPhysics
 from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
 from octarm.sweeps.engine_check import COLUMN, TipPaths, checked_episodes
-from octarm.sweeps.plan import Arms, Plan, setup_of
+from octarm.sweeps.plan import Arms, Plan
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SENSING, SweepSpec
 
 Observe = Callable[[Instant], object]
@@ -44,7 +44,7 @@ def run_shard(
     first arm.
     """
     plan = Plan(spec)
-    arms = plan.arms(plan.shards[shard])
+    arms = plan.arms(plan.shard(shard))
     again = np.intersect1d(arms.episodes, checked_episodes(plan))
     if again.size:
         table = _checked_rows(plan, arms, again, factory, *observers)
@@ -68,8 +68,8 @@ def _checked_rows(
     would go to what a call of a controller takes, however few the arms are.
     """
     count, twins = len(arms.episodes), np.arange(len(again)) + len(arms.episodes)
-    mujoco = dataclasses.replace(plan.spec, engine=MUJOCO)
-    environment, _ = begin(mujoco, plan.arms(again), factory)
+    mujoco = dataclasses.replace(plan.arms(again), engine=MUJOCO)
+    environment, _ = begin(plan.spec, mujoco, factory)
     places = np.searchsorted(arms.episodes, again)
     periods = whole_periods(plan.spec.duration, environment.control_timestep())
     paths, others = TipPaths(places, periods), TipPaths(twins, periods)
@@ -132,7 +132,7 @@ def begin(
     Raises OctarmError if an arm, a disturbance or a controller cannot be made.
     """
     model = spec.believed(arms.arm)
-    environment = setup_of(spec, arms).load(
+    environment = arms.load(
         model,
         reference=recorded_word(arms.reference, spec.code),
         batch=arms.batch,

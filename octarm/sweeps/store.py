@@ -57,8 +57,8 @@ def read_row(folder: str | Path, episode: int) -> pa.Table:
     Raises OctarmError if the folder holds no sweep, or the episode is not finished or damaged.
     """
     plan, manifest = open_sweep(Path(folder))
-    for i, episodes in enumerate(plan.shards):
-        if episode in episodes:
+    for i in plan.shards:
+        if episode in (episodes := plan.shard(i)):
             table = read_shard(Path(folder), plan, manifest, i)
             if table is not None:
                 return table.slice(episode - episodes.start, 1)
@@ -189,7 +189,7 @@ class SweepFolder:
     def finished(self) -> list[int]:
         """The shards that are there and undamaged; a damaged one is run again."""
         whole: list[int] = []
-        for i in range(len(self._plan.shards)):
+        for i in self._plan.shards:
             with contextlib.suppress(OctarmError):
                 if read_shard(self.path, self._plan, self._manifest, i, ()) is not None:
                     whole.append(i)
@@ -229,7 +229,7 @@ def read_shard(
             f"{file} is damaged: it does not have the SHA-256 that {MANIFEST} states; "
             "--resume runs it again"
         )
-    episodes = np.asarray(plan.shards[shard])
+    episodes = np.asarray(plan.shard(shard))
     rows = {"episode": episodes, "seed": plan.seeds(episodes), **plan.values(episodes)}
     needed = [*dict.fromkeys((*rows, *(columns or ())))]
     try:
@@ -257,7 +257,7 @@ def read_shard(
 def _shards(folder: Path, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
     """The rows of the finished shards, of which there is at least one."""
     plan, manifest = open_sweep(folder)
-    tables = (read_shard(folder, plan, manifest, i, columns) for i in range(len(plan.shards)))
+    tables = (read_shard(folder, plan, manifest, i, columns) for i in plan.shards)
     finished = (table for table in tables if table is not None)
     if (first := next(finished, None)) is None:
         raise OctarmError(f"{folder} has no finished episode yet")
