@@ -172,7 +172,7 @@ def test_arms_of_a_batch_that_mujoco_steps_are_those_of_mujoco(text: str):
     mujoco = Plan(dataclasses.replace(plan.spec, engine="mujoco"))
     shard = np.array(plan.shard(0))
     again = shard[[0, 1, -1]]
-    physics = begin(mujoco.spec, plan.arms(again), make_controller)[0].physics
+    physics = begin(mujoco.spec, mujoco.arms(again), make_controller)[0].physics
     both = plan.arms(np.concatenate([shard, again]))
     rows = run_arms(plan, both, make_controller, twins=physics)
     alone = run_arms(plan, plan.arms(shard), make_controller)

@@ -191,7 +191,6 @@ def _run(spec: SweepSpec, options: SweepOptions, out: Path, again: str) -> None:
                 resume=options.resume,
                 replace=options.force,
                 progress=bar.update,
-                partial=bar.go_on,
                 say=bar.say,
             )
         except KeyboardInterrupt as interrupt:

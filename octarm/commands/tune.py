@@ -239,13 +239,9 @@ def _print_summary(controller: str, budget: Budget, tuned: Tuned, start: str) ->
     ):
         means = f"{trial.mean(costs.tuned):>11.5f} {trial.mean(costs.by_hand):>12.5f}"
         print(f"  {name:<10} of {trial.duration:>4g} s {means}")
-    lost = [
-        s
-        for s, cost in zip(budget.long.scenarios, tuned.long.tuned, strict=True)
-        if cost >= LARGEST
-    ]
-    for scenario in lost:
-        print(f"  lost: {', '.join(f'{name} {x}' for name, x in _unusual(scenario).items())}")
+    for scenario, cost in zip(budget.long.scenarios, tuned.long.tuned, strict=True):
+        if cost >= LARGEST:
+            print(f"  lost: {', '.join(f'{name} {x}' for name, x in _unusual(scenario).items())}")
     if tuned.at_bounds:
         print(f"  as small or large as allowed: {', '.join(tuned.at_bounds)}")
 

@@ -76,16 +76,10 @@ def new_folder(folder: Path) -> Generator[Path]:
 def _made(folder: Path) -> list[Path]:
     """Makes a folder and the parents that it needs; those that this call has made, inmost first."""
     made: list[Path] = []
-    for attempt in range(10):
-        try:
-            for path in (*reversed(folder.parents), folder):
-                with contextlib.suppress(FileExistsError):
-                    path.mkdir()
-                    made.insert(0, path)
-            break
-        except FileNotFoundError:  # another run failed, and removed a parent that it had made
-            if attempt == 9:
-                raise
+    for path in (*reversed(folder.parents), folder):
+        with contextlib.suppress(FileExistsError):
+            path.mkdir()
+            made.insert(0, path)
     if not folder.is_dir():
         raise _taken(folder)
     return made

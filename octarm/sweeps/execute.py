@@ -45,8 +45,7 @@ def sweep(
     in_flight: int | Callable[[], int] | None = None,
     resume: bool = False,
     replace: bool = False,
-    progress: Callable[[int], object] = lambda episodes: None,
-    partial: Callable[[float], object] = lambda episodes: None,
+    progress: Callable[[float], object] = lambda episodes: None,
     say: Callable[[str], object] = lambda sentence: None,
 ) -> Path:
     """Runs the episodes of a sweep that are not there yet; `read_sweep` gives the table.
@@ -64,10 +63,9 @@ def sweep(
             one a core when not given.
         resume: whether a sweep that was begun in the folder goes on.
         replace: whether another sweep in the folder is removed first.
-        progress: called with the number of episodes that have just been finished, first with that
-            of those that were already there.
-        partial: called about once a second with how many episodes the finished parts of those at
-            work are worth.
+        progress: called with the number of episodes that are finished, first with that of those
+            that were already there, then with what finished parts of others are worth added:
+            after every shard, and about once a second.
         say: called with sentences on what happens meanwhile.
 
     Raises:
@@ -101,9 +99,10 @@ def sweep(
             for change in folder.begin(gains):
                 say(change)
             done = set(folder.finished())
-            progress(sum(len(plan.shard(i)) for i in done))
+            there = sum(len(plan.shard(i)) for i in done)
+            progress(there)
             todo = [i for i in plan.shards if i not in done]
-            run = _Run(plan, factory, folder, notes, executor, progress, partial, say, todo)
+            run = _Run(plan, factory, folder, notes, executor, progress, say, todo, there)
             run.go(in_flight if callable(in_flight) else in_flight or cores())
     run.report()
     return folder.path
@@ -118,10 +117,10 @@ class _Run:
     folder: SweepFolder
     notes: Notes
     pool: Executor
-    progress: Callable[[int], object]
-    partial: Callable[[float], object]
+    progress: Callable[[float], object]
     say: Callable[[str], object]
     pending: list[int]
+    finished: int  # episodes
 
     def __post_init__(self) -> None:
         self._at_work: dict[Future[pa.Table], int] = {}
@@ -140,9 +139,9 @@ class _Run:
                 for future in first_of(self._at_work, _GLANCE, "FIRST_COMPLETED").done:
                     self._take(self._at_work[future], future)
                     del self._at_work[future]
+                    self._tell()
                 future = None  # a cluster keeps the result for as long as anybody might ask for it
-                shards = self._at_work.values()
-                self.partial(sum(self.notes.share(i) * len(self.plan.shard(i)) for i in shards))
+                self._tell()
             except KeyboardInterrupt:
                 if self._interrupted or not useful:
                     raise KeyboardInterrupt(self._left()) from None
@@ -156,6 +155,10 @@ class _Run:
             return limit() if callable(limit) else limit
         except OctarmError as error:
             raise OctarmError(f"{error}; {self._left()}") from error
+
+    def _tell(self) -> None:
+        parts = (self.notes.share(i) * len(self.plan.shard(i)) for i in self._at_work.values())
+        self.progress(self.finished + sum(parts))
 
     def report(self) -> None:
         if self._interrupted:
@@ -203,7 +206,7 @@ class _Run:
         else:
             self.folder.write(shard, table)
             self.notes.forget(shard)
-            self.progress(len(self.plan.shard(shard)))
+            self.finished += len(self.plan.shard(shard))
 
 
 def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:

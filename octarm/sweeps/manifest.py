@@ -71,17 +71,14 @@ def new_manifest(plan: Plan, gains: Mapping[str, Any], spec_file: bytes) -> dict
         "spec_sha256": hashlib.sha256(spec_file).hexdigest(),
         "episodes": plan.episodes,
         "gains": gains,
-        "shards": [
-            {
-                "file": f"{EPISODES}/{i:05d}.parquet",
-                "first": each.start,
-                "episodes": len(each),
-                "sha256": "",
-            }
-            for i, each in enumerate(map(plan.shard, plan.shards))
-        ],
+        "shards": [_new_shard(i, plan.shard(i)) for i in plan.shards],
         "starts": [],
     }
+
+
+def _new_shard(i: int, episodes: range) -> dict[str, Any]:
+    file = f"{EPISODES}/{i:05d}.parquet"
+    return {"file": file, "first": episodes.start, "episodes": len(episodes), "sha256": ""}
 
 
 def open_sweep(folder: Path) -> tuple[Plan, dict[str, Any]]:

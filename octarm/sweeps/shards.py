@@ -18,6 +18,7 @@ from octarm.metrics.metric import SETTLED_AFTER
 from octarm.metrics.table import METRICS, Catalogue, Metrics, columns
 from octarm.references import recorded_word
 from octarm.runs.digest import CHECKPOINTS, StateDigest
+from octarm.runs.experiment import metrics_of
 from octarm.runs.folder import gains_of
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import LAGRANGE, MUJOCO
@@ -175,23 +176,17 @@ class Observer:
     ) -> None:
         """An observer of a run of so many seconds, for `simulate`; see `measure`."""
         self._catalogue, self._settle = catalogue, settle
+        self._environment = environment
         self._physics: AnyPhysics = environment.physics
-        self._period = environment.control_timestep()
-        periods = whole_periods(duration, self._period)
+        periods = whole_periods(duration, environment.control_timestep())
         self._digest = StateDigest(periods, self._physics.intact)
         self._measured: tuple[Metrics, Recorder] | None = None
 
     def __call__(self, instant: Instant) -> None:
         """Takes a control instant."""
         if self._measured is None:
-            metrics = Metrics(
-                control_period=self._period,
-                input_range=self._physics.reachable_inputs(),
-                layer=instant.command.layer,
-                settle=self._settle,
-                actuation=self._physics.actuation,
-                catalogue=self._catalogue,
-            )
+            layer = instant.command.layer
+            metrics = metrics_of(self._environment, layer, self._settle, self._catalogue)
             # Without a cycle of references, so that the arms' memory is free when the run is over.
             self._measured = metrics, Recorder(metrics.update, fields=self._catalogue.fields)
         self._digest(instant)

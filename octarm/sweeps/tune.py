@@ -169,7 +169,7 @@ class SearchState(NamedTuple):
 
 
 class Costs(NamedTuple):
-    """Costs of each scenario, with tuned and with hand-set gains, each of shape (scenarios,) [1]."""
+    """Costs with tuned and with hand-set gains in each scenario, shape (scenarios,) [1]."""
 
     tuned: np.ndarray
     by_hand: np.ndarray
