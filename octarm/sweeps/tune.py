@@ -169,7 +169,12 @@ class SearchState(NamedTuple):
 
 
 class Costs(NamedTuple):
-    """Costs with tuned and with hand-set gains in each scenario, shape (scenarios,) [1]."""
+    """Costs in each scenario.
+
+    Attributes:
+        tuned: with tuned gains, shape (scenarios,) [1].
+        by_hand: with hand-set ones, likewise.
+    """
 
     tuned: np.ndarray
     by_hand: np.ndarray
