@@ -24,8 +24,7 @@ def run(out: Path, **changes: float) -> dict[str, np.ndarray]:
     spec = dataclasses.replace(octarm.read_spec(SPEC), **changes)
     with ProgressBar(spec) as bar:
         octarm.sweep(
-            spec, make_controller, out, resume=True,
-            progress=bar.update, partial=bar.go_on, say=bar.say,
+            spec, make_controller, out, resume=True, progress=bar.update, say=bar.say
         )  # fmt: skip
     table = octarm.read_sweep(out, ["controller", "noise", "mismatch", "status", METRIC])
     return {name: np.array(table[name].to_pylist()) for name in table.column_names}

@@ -15,10 +15,11 @@ from octarm.interfaces import Command, Instant, Measurement, Reference
 from octarm.simulation import analytic
 from octarm.sweeps import engine_check
 from octarm.sweeps.engine_check import TipPaths, checked_episodes
+from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.plan import Plan, with_step
 from octarm.sweeps.shards import begin, run_arms
 from octarm.sweeps.spec_file import parse_spec
-from octarm.sweeps.store import read_manifest, read_sweep
+from octarm.sweeps.store import read_sweep
 
 P = nominal_parameters()
 SPEC = """
@@ -155,7 +156,7 @@ def test_a_sweep_states_how_far_the_engines_are_apart(
     checked = np.flatnonzero(~np.isnan(column))
     np.testing.assert_array_equal(checked, checked_episodes(Plan(parse_spec(SPEC))))
     assert np.nanmax(column) < 1e-12
-    manifest = read_manifest(swept)
+    manifest = open_sweep(swept)[1]
     assert manifest["spec"]["engine"] == "lagrange"
     assert "numba" in manifest["starts"][0]["versions"]
     assert main(["verify", str(swept), "--episode", str(checked[0]), "--episode", "0"]) == 0
@@ -169,9 +170,9 @@ def test_arms_of_a_batch_that_mujoco_steps_are_those_of_mujoco(text: str):
     """Also under changes of the plant, when arms are lost, and on finer plants."""
     plan = Plan(with_step(parse_spec(text)))
     mujoco = Plan(dataclasses.replace(plan.spec, engine="mujoco"))
-    shard = np.array(plan.shards[0])
+    shard = np.array(plan.shard(0))
     again = shard[[0, 1, -1]]
-    physics = begin(mujoco.spec, plan.arms(again), make_controller)[0].physics
+    physics = begin(mujoco.spec, mujoco.arms(again), make_controller)[0].physics
     both = plan.arms(np.concatenate([shard, again]))
     rows = run_arms(plan, both, make_controller, twins=physics)
     alone = run_arms(plan, plan.arms(shard), make_controller)
@@ -191,7 +192,7 @@ def test_the_option_takes_the_place_of_the_specs_engine(
     spec, out = tmp_path / "spec.toml", tmp_path / "out"
     spec.write_text(SPEC.replace("60", "2"), encoding="utf-8")
     assert main(["sweep", str(spec), "--out", str(out), "--engine", "mujoco"]) == 0
-    assert read_manifest(out)["spec"]["engine"] == "mujoco"
+    assert open_sweep(out)[1]["spec"]["engine"] == "mujoco"
     assert "engine_difference" not in read_sweep(out).column_names
     assert "lagrange" not in capsys.readouterr().out
     assert main(["sweep", str(spec), "--out", str(out), "--engine", "abacus"]) == 2

@@ -164,7 +164,7 @@ def test_sizes_of_the_plant_are_an_axis_of_sweeps(engine: str):
         table = comparable(whole)
         assert set(table["plant_modules"].to_pylist()) == {modules}
         assert set(table["layout"].to_pylist()) == {layout}
-        number = plan.shards[shard][5]
+        number = plan.shard(shard)[5]
         alone = comparable(run_arms(plan, plan.episode(number), FACTORY))
         assert alone.equals(table.slice(5, 1))
         if engine == "lagrange":

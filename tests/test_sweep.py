@@ -20,10 +20,11 @@ from octarm.checks.verify import check_episode
 from octarm.errors import OctarmError
 from octarm.sweeps.episodes import FinishedSweep
 from octarm.sweeps.execute import estimate
+from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.shards import run_arms
 from octarm.sweeps.spec_file import parse_spec
-from octarm.sweeps.store import MANIFEST, origin_of, read_manifest, read_row
+from octarm.sweeps.store import MANIFEST, origin_of, read_row
 from octarm.sweeps.workers import WorkerProcesses
 
 SPEC = """\
@@ -165,9 +166,9 @@ def test_resume_runs_what_is_missing_or_damaged_and_nothing_else(tmp_path, undis
         octarm.read_sweep(folder)
     done = []
     assert run(folder, resume=True, progress=done.append).equals(undisturbed)
-    assert done == [8, 4, 4, 4, 4]
+    assert sorted({*done}) == [8, 12, 16, 20, 24]
     assert {file: file.stat().st_mtime_ns for file in files[4:]} == before
-    assert len(read_manifest(folder)["starts"]) == 2
+    assert len(open_sweep(folder)[1]["starts"]) == 2
 
 
 def test_resume_begins_a_sweep_that_was_not_begun(tmp_path, undisturbed):
@@ -213,7 +214,7 @@ def test_the_gain_set_of_a_spec_is_used_and_written_down(tmp_path):
     text = 'duration = 0.002\n[grid]\ncontroller = ["pd", "smc"]\n[gain_set]\npd = "recommended"'
     folder = octarm.sweep(parse_spec(text), factory, tmp_path / "s", executor=Inline())
     assert set(asked) == {("pd", "recommended"), ("smc", None)}
-    assert read_manifest(folder)["spec"]["gain_set.pd"] == "recommended"
+    assert open_sweep(folder)[1]["spec"]["gain_set.pd"] == "recommended"
     asked.clear()
     assert check_episode(FinishedSweep(folder), 0, factory).identical
     assert set(asked) == {("pd", "recommended")}
@@ -280,7 +281,7 @@ def test_a_full_disk_is_one_sentence_and_costs_no_finished_shard(
 def test_the_manifest_says_what_was_run(tmp_path, undisturbed):
     run(tmp_path / "s")
     assert (tmp_path / "s" / "spec.toml").read_text() == SPEC
-    manifest = read_manifest(tmp_path / "s")
+    manifest = open_sweep(tmp_path / "s")[1]
     assert manifest["spec_hash"] == parse_spec(SPEC).hash()
     assert manifest["episodes"] == len(undisturbed)
     assert sum(shard["episodes"] for shard in manifest["shards"]) == len(undisturbed)

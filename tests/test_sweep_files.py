@@ -14,7 +14,7 @@ from controllers import make_controller
 from octarm.errors import OctarmError
 from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.spec_file import parse_spec
-from octarm.sweeps.store import read_manifest, read_shard
+from octarm.sweeps.store import read_shard
 
 SPEC = 'controller = "pd"\nduration = 0.002\nepisodes = 2\nbatch = 1'
 
@@ -82,7 +82,7 @@ def test_a_file_that_the_manifest_does_not_know_is_not_taken(folder):
 
 
 def test_a_sweep_of_another_format_is_refused(folder):
-    manifest = read_manifest(folder)
+    manifest = open_sweep(folder)[1]
     assert manifest["format"] == 3
     for version in (2, 4):
         (folder / "manifest.json").write_text(json.dumps({**manifest, "format": version}))

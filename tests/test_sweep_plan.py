@@ -55,19 +55,19 @@ def test_shards_hold_every_episode_once_and_no_more_than_a_batch(episodes, batch
             f'mismatch = {wrong}\nreference = ["sine", "set-point"]'
         )
     )
-    assert list(itertools.chain(*plan.shards)) == list(range(plan.episodes))
-    sizes = [len(shard) for shard in plan.shards]
+    assert list(itertools.chain(*map(plan.shard, plan.shards))) == list(range(plan.episodes))
+    sizes = [len(shard) for shard in map(plan.shard, plan.shards)]
     assert max(sizes) <= batch
     assert max(sizes) - min(sizes) <= 1
     values = every_value(plan)
-    for shard in plan.shards:
+    for shard in map(plan.shard, plan.shards):
         for name in ("controller", "reference"):
             assert len(set(values[name][shard.start : shard.stop].tolist())) == 1
 
 
 def test_arms_of_a_shard_agree_in_all_that_a_batch_shares():
     plan = Plan(parse_spec(SPEC))
-    for shard in plan.shards:
+    for shard in map(plan.shard, plan.shards):
         values = plan.values(np.array(shard))
         assert all(len(set(values[name])) == 1 for name in ("controller", "reference", "drift.of"))
 
@@ -88,7 +88,7 @@ def test_controllers_and_cells_have_the_same_random_numbers():
 
 def test_an_episode_alone_is_what_it_is_in_its_batch():
     plan = Plan(parse_spec(SPEC))
-    for shard in plan.shards:
+    for shard in map(plan.shard, plan.shards):
         together = plan.arms(shard)
         for i, number in enumerate(shard):
             alone = plan.episode(number)
@@ -105,7 +105,7 @@ def test_an_episode_alone_is_what_it_is_in_its_batch():
 
 def test_fixed_fields_hold_for_all():
     plan = Plan(parse_spec(SPEC))
-    for shard in plan.shards:
+    for shard in map(plan.shard, plan.shards):
         (noise,) = [d for d in plan.arms(shard).disturbances if isinstance(d, BandLimitedNoise)]
         assert noise.correlation_time == 0.05
 

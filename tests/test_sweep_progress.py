@@ -59,9 +59,9 @@ def test_parts_of_shards_are_reported_while_they_are_at_work(tmp_path, undisturb
             return future
 
     parts = []
-    assert run(tmp_path / "s", executor=Slow(), partial=parts.append).equals(undisturbed)
-    assert parts[0] == 2.0  # of four episodes
-    assert parts[-1] == 0.0
+    assert run(tmp_path / "s", executor=Slow(), progress=parts.append).equals(undisturbed)
+    assert parts[:2] == [0.0, 2.0]  # of four episodes
+    assert parts == sorted(parts) and parts[-1] == len(undisturbed)
     assert not (tmp_path / "s" / ".progress").exists()
 
 
@@ -77,14 +77,14 @@ def test_the_bar_moves_with_the_parts_of_shards(monkeypatch):
     monkeypatch.setattr(sys, "stderr", terminal)
     bar = ProgressBar(parse_spec('controller = "pd"\nepisodes = 40\nduration = 10.0'))
     bar.update(10)  # were there already
-    bar.go_on(5.9)
+    bar.update(15.9)
     assert "15/40" in terminal.getvalue()
     time.sleep(0.01)
-    bar.update(8)
+    bar.update(18)
     shown = terminal.getvalue().rpartition("\r")[2]
     assert "18/40" in shown and " 45%" in shown
     speed = re.search(r"<00:0\d, ([\d.]+) episodes/s, ([\d.]+) simulated s/s", shown)
     assert speed is not None
     assert float(speed[2]) == pytest.approx(10.0 * float(speed[1]), rel=0.2)
-    bar.update(22)
+    bar.update(40)
     assert "40/40" in terminal.getvalue()

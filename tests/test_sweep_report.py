@@ -32,10 +32,11 @@ from octarm.reports.figures import inline_svg, panels_of
 from octarm.reports.frame import read_episodes
 from octarm.reports.page import Tables, number
 from octarm.reports.statistics import adjusted, binomial
+from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spec import Axis, SweepSpec
 from octarm.sweeps.spec_file import parse_spec
-from octarm.sweeps.store import SweepFolder, read_manifest
+from octarm.sweeps.store import SweepFolder
 
 HOSTILE = '<script>alert("&")</script>'
 NOISES, MISMATCHES, SEEDS = (0.0, 0.2, 0.4), (-0.3, 0.3), 6
@@ -120,9 +121,9 @@ def write_sweep(folder: Path, table: dict[str, np.ndarray], **settings) -> Path:
     sweep = SweepFolder(folder, plan)
     with sweep.locked():
         sweep.begin({name: {"K": 1.0} for name in plan.spec.controllers})
-        for i, episodes in enumerate(plan.shards):
+        for i, episodes in enumerate(map(plan.shard, plan.shards)):
             sweep.write(i, whole.slice(episodes.start, len(episodes)))
-    manifest = read_manifest(folder)
+    manifest = open_sweep(folder)[1]
     host = {"cpu": "x", "cores": 2}
     manifest["starts"] = [{"time": "2026-01-01", "versions": {"numpy": "2"}, "host": host}]
     (folder / "manifest.json").write_text(json.dumps(manifest))

@@ -336,18 +336,20 @@ def test_it_is_at_least_as_good_as_the_hand_set_gains(uninterrupted):
     assert [state.generation for state in states] == [0, 1, 2, 3]
     best = [state.costs[0] for state in states[1:]]
     assert best == sorted(best, reverse=True)
-    assert BUDGET.long.mean(tuned.long) <= BUDGET.long.mean(tuned.long_by_hand)
-    assert states[-1].costs[0] < TINY.mean(tuned.short_by_hand)
+    assert BUDGET.long.mean(tuned.long.tuned) <= BUDGET.long.mean(tuned.long.by_hand)
+    assert states[-1].costs[0] < TINY.mean(tuned.short.by_hand)
     space = Space(by_hand("smc-boundary")(P), N)
     np.testing.assert_allclose(  # the first candidate was the hand-set gains
-        states[0].costs[0], TINY.mean(tuned.short_by_hand), rtol=1e-9
+        states[0].costs[0], TINY.mean(tuned.short.by_hand), rtol=1e-9
     )
     assert tuned.gains.keys() == space.gains.keys()
     rows = {name: np.broadcast_to(gain, (1, 6)) for name, gain in tuned.gains.items()}
     make = scaled("smc-boundary")
-    np.testing.assert_array_equal(costs(TINY, make, rows, rig=OF_RECORD)[0], tuned.short)
-    np.testing.assert_array_equal(costs(BUDGET.long, make, rows, rig=OF_RECORD)[0], tuned.long)
-    np.testing.assert_array_equal(costs(BUDGET.unseen, make, rows, rig=OF_RECORD)[0], tuned.unseen)
+    for examination, found in (
+        (TINY, tuned.short), (BUDGET.long, tuned.long), (BUDGET.unseen, tuned.unseen),
+    ):  # fmt: skip
+        again = costs(examination, make, rows, rig=OF_RECORD)[0]
+        np.testing.assert_array_equal(again, found.tuned)
 
 
 def test_it_may_stop_anywhere_and_go_on_with_the_same_bits(uninterrupted, tmp_path):
@@ -387,7 +389,7 @@ def test_the_seed_changes_the_search_and_not_the_scenarios(uninterrupted):
     other: list[SearchState] = []
     different = tune(by_hand("smc-boundary"), BUDGET, seed=4, keep=other.append)
     assert not np.any(other[-1].costs == states[-1].costs[0])
-    np.testing.assert_array_equal(different.short_by_hand, tuned.short_by_hand)
+    np.testing.assert_array_equal(different.short.by_hand, tuned.short.by_hand)
 
 
 def test_the_budget_counts_simulated_seconds():

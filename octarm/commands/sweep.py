@@ -175,7 +175,6 @@ def _run(spec: SweepSpec, options: SweepOptions, out: Path, again: str) -> None:
                 resume=options.resume,
                 replace=options.force,
                 progress=bar.update,
-                partial=bar.go_on,
                 say=bar.say,
             )
         except KeyboardInterrupt as interrupt:
@@ -194,7 +193,7 @@ def _pool(options: SweepOptions, plan: Plan) -> Generator[tuple[Executor, int | 
             yield cluster
         return
     workers = min(workers, len(plan.shards))
-    check_batch(len(plan.shards[0]), plan.spec.most_modules, workers)
+    check_batch(len(plan.shard(0)), plan.spec.most_modules, workers)
     with WorkerProcesses(workers) as processes:
         yield processes, workers
 

@@ -11,8 +11,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from controllers import CONTROLLERS, make_controller
 from controllers.gain_sets import GainSet, shortest
 from octarm.arm.nominal import LagrangeModel
@@ -27,7 +25,16 @@ from octarm.files import write_text
 from octarm.interfaces import Tunable
 from octarm.simulation.engines import MUJOCO, usual_engine
 from octarm.sweeps.scenarios import Scenario
-from octarm.sweeps.tune import Budget, SearchState, Space, StateFile, Tuned, settings, versions
+from octarm.sweeps.tune import (
+    Budget,
+    Costs,
+    SearchState,
+    Space,
+    StateFile,
+    Tuned,
+    settings,
+    versions,
+)
 from octarm.sweeps.tune import tune as tune_gains
 from octarm.sweeps.tune_cost import FORMULA, LARGEST, Examination, Rig
 from octarm.sweeps.workers import WorkerProcesses, cores
@@ -176,9 +183,9 @@ def gain_set(
             "tuning": tuning,
             **({} if code is None else {"code": code.model_dump()}),
             "versions": versions(),
-            "search": _outcome(budget.short, tuned.short, tuned.short_by_hand, start),
-            "long_trial": _outcome(budget.long, tuned.long, tuned.long_by_hand, start),
-            "evaluation": _outcome(budget.unseen, tuned.unseen, tuned.unseen_by_hand, start),
+            "search": _outcome(budget.short, tuned.short, start),
+            "long_trial": _outcome(budget.long, tuned.long, start),
+            "evaluation": _outcome(budget.unseen, tuned.unseen, start),
         }
     )
 
@@ -191,19 +198,17 @@ def _described(arm: ArmParameters, budget: Budget) -> dict[str, float]:
     return {name: float(f"{float(x):.4g}") for name, x in numbers.items()}
 
 
-def _outcome(
-    examination: Examination, tuned: np.ndarray, by_hand: np.ndarray, start: str
-) -> dict[str, Any]:
+def _outcome(examination: Examination, costs: Costs, start: str) -> dict[str, Any]:
     """What the gains cost, in all and in each scenario."""
     rows = [
         {**_unusual(scenario), "cost": cost, start: other}
         for scenario, cost, other in zip(
-            examination.scenarios, tuned.tolist(), by_hand.tolist(), strict=True
+            examination.scenarios, costs.tuned.tolist(), costs.by_hand.tolist(), strict=True
         )
     ]
     return {
-        "cost": examination.mean(tuned).item(),
-        start: examination.mean(by_hand).item(),
+        "cost": examination.mean(costs.tuned).item(),
+        start: examination.mean(costs.by_hand).item(),
         "measured_from": examination.begin,
         "duration": examination.duration,
         "scenarios": rows,
@@ -217,16 +222,16 @@ def _print_summary(controller: str, budget: Budget, tuned: Tuned, start: str) ->
         f"{budget.seconds - budget.search_seconds:.0f} s more"
     )
     print(f"  cost                     tuned  {start:>11}")
-    for name, trial, cost, other in (
-        ("search", budget.short, tuned.short, tuned.short_by_hand),
-        ("long trial", budget.long, tuned.long, tuned.long_by_hand),
-        ("unseen", budget.unseen, tuned.unseen, tuned.unseen_by_hand),
+    for name, trial, costs in (
+        ("search", budget.short, tuned.short),
+        ("long trial", budget.long, tuned.long),
+        ("unseen", budget.unseen, tuned.unseen),
     ):
-        means = f"{trial.mean(cost):>11.5f} {trial.mean(other):>12.5f}"
+        means = f"{trial.mean(costs.tuned):>11.5f} {trial.mean(costs.by_hand):>12.5f}"
         print(f"  {name:<10} of {trial.duration:>4g} s {means}")
-    lost = [s for s, cost in zip(budget.long.scenarios, tuned.long, strict=True) if cost >= LARGEST]
-    for scenario in lost:
-        print(f"  lost: {', '.join(f'{name} {x}' for name, x in _unusual(scenario).items())}")
+    for scenario, cost in zip(budget.long.scenarios, tuned.long.tuned, strict=True):
+        if cost >= LARGEST:
+            print(f"  lost: {', '.join(f'{name} {x}' for name, x in _unusual(scenario).items())}")
     if tuned.at_bounds:
         print(f"  as small or large as allowed: {', '.join(tuned.at_bounds)}")
 

@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from octarm.errors import printable
 from octarm.sweeps.spec import Axis, SweepSpec
-from octarm.sweeps.spec_file import range_of
 
 LONGEST = 60  # characters of a name in tables and figures
 _FEWEST, _MOST_RANGES = 4, 6  # values in a range of a drawn factor, and ranges
@@ -55,7 +54,7 @@ def factors_of(
     factors: list[Factor] = []
     for axis in axes:
         column, title = held[axis.name], printable(axis.name, LONGEST)
-        numbers = range_of(axis, spec.code)
+        numbers = axis.range(spec.code)
         unit = "" if numbers is None else numbers.unit
         size, unit = (100.0, "%") if unit == "1" else (1.0, unit)
         if axis.method:

@@ -26,7 +26,7 @@ from octarm.interrupts import ignored_interrupts
 from octarm.metrics.declared import code_of
 from octarm.metrics.declared import measured as measured_by
 from octarm.metrics.metric import SETTLED_AFTER
-from octarm.metrics.table import Metrics, as_json
+from octarm.metrics.table import Catalogue, Metrics, as_json
 from octarm.references import REFERENCES, recorded_word
 from octarm.runs import folder as runs
 from octarm.runs.archive import Archive
@@ -189,6 +189,21 @@ class Experiment(Setup):
         )
 
 
+def metrics_of(
+    environment: control.Environment, layer: Any, settle: float, catalogue: Catalogue
+) -> Metrics:
+    """What measures runs of an environment under a controller with a boundary layer, or None."""
+    physics: AnyPhysics = environment.physics
+    return Metrics(
+        control_period=environment.control_timestep(),
+        input_range=physics.reachable_inputs(),
+        layer=layer,
+        settle=settle,
+        actuation=physics.actuation,
+        catalogue=catalogue,
+    )
+
+
 def perform(
     environment: control.Environment,
     controller: Controller,
@@ -287,15 +302,8 @@ def _perform(
     def take_up(rows: Rows) -> None:
         keep(rows, recorder.layer)
         if not measured:
-            metrics = Metrics(
-                control_period=environment.control_timestep(),
-                input_range=physics.reachable_inputs(),
-                layer=recorder.layer,
-                settle=announced.get("settle", SETTLED_AFTER),
-                actuation=physics.actuation,
-                catalogue=catalogue,
-            )
-            measured.append(metrics)
+            settle = announced.get("settle", SETTLED_AFTER)
+            measured.append(metrics_of(environment, recorder.layer, settle, catalogue))
         measured[0].update(rows)
 
     recorder = ArmRecorder(environment, take_up)

@@ -96,16 +96,13 @@ class _Executor(Executor):
         answer: Future[Any] = Future()
 
         def hand_on(call: Future[Any]) -> None:
-            if call.cancelled():
-                answer.cancel()
-                answer.set_running_or_notify_cancel()
-            elif isinstance(error := call.exception(), KilledWorker):
+            try:
+                answer.set_result(call.result())
+            except KilledWorker as error:
                 died = f"its worker died {error.allowed_failures + 1} times"
                 answer.set_exception(OctarmError(died))
-            elif error is not None:
+            except BaseException as error:  # such as that of a call that was cancelled
                 answer.set_exception(error)
-            else:
-                answer.set_result(call.result())
 
         self._executor.submit(fn, *args, **kwargs).add_done_callback(hand_on)
         return answer

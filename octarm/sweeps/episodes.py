@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -19,9 +20,9 @@ from octarm.runs import folder as runs
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
+from octarm.simulation.setup import Setup
 from octarm.simulation.trajectory import Trajectory
 from octarm.sweeps.manifest import open_sweep
-from octarm.sweeps.plan import setup_of
 from octarm.sweeps.store import RECORDED, read_row
 
 METRIC = "tip_rms_error"  # one number an arm: by it episodes are the worst or the median ones
@@ -80,7 +81,7 @@ class FinishedSweep:
             duration=spec.duration,
             settle=spec.settle,
             code=spec.code,
-            **vars(setup_of(spec, arms)),
+            **{field.name: getattr(arms, field.name) for field in dataclasses.fields(Setup)},
         )
 
     def begin(

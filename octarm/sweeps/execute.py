@@ -45,8 +45,7 @@ def sweep(
     in_flight: int | Callable[[], int] | None = None,
     resume: bool = False,
     replace: bool = False,
-    progress: Callable[[int], object] = lambda episodes: None,
-    partial: Callable[[float], object] = lambda episodes: None,
+    progress: Callable[[float], object] = lambda episodes: None,
     say: Callable[[str], object] = lambda sentence: None,
 ) -> Path:
     """Runs the episodes of a sweep that are not there yet; `read_sweep` gives the table.
@@ -64,10 +63,9 @@ def sweep(
             one a core when not given.
         resume: whether a sweep that was begun in the folder goes on.
         replace: whether another sweep in the folder is removed first.
-        progress: called with the number of episodes that have just been finished, first with that
-            of those that were already there.
-        partial: called about once a second with how many episodes the finished parts of those at
-            work are worth.
+        progress: called with the number of episodes that are finished, first with that of those
+            that were already there, then with what finished parts of others are worth added:
+            after every shard, and about once a second.
         say: called with sentences on what happens meanwhile.
 
     Raises:
@@ -101,9 +99,10 @@ def sweep(
             for change in folder.begin(gains):
                 say(change)
             done = set(folder.finished())
-            progress(sum(len(plan.shards[i]) for i in done))
-            todo = [i for i in range(len(plan.shards)) if i not in done]
-            run = _Run(plan, factory, folder, notes, executor, progress, partial, say, todo)
+            there = sum(len(plan.shard(i)) for i in done)
+            progress(there)
+            todo = [i for i in plan.shards if i not in done]
+            run = _Run(plan, factory, folder, notes, executor, progress, say, todo, there)
             run.go(in_flight if callable(in_flight) else in_flight or cores())
     run.report()
     return folder.path
@@ -118,10 +117,10 @@ class _Run:
     folder: SweepFolder
     notes: Notes
     pool: Executor
-    progress: Callable[[int], object]
-    partial: Callable[[float], object]
+    progress: Callable[[float], object]
     say: Callable[[str], object]
     pending: list[int]
+    finished: int  # episodes
 
     def __post_init__(self) -> None:
         self._at_work: dict[Future[pa.Table], int] = {}
@@ -140,9 +139,9 @@ class _Run:
                 for future in first_of(self._at_work, _GLANCE, "FIRST_COMPLETED").done:
                     self._take(self._at_work[future], future)
                     del self._at_work[future]
+                    self._tell()
                 future = None  # a cluster keeps the result for as long as anybody might ask for it
-                shards = self._at_work.values()
-                self.partial(sum(self.notes.share(i) * len(self.plan.shards[i]) for i in shards))
+                self._tell()
             except KeyboardInterrupt:
                 if self._interrupted or not useful:
                     raise KeyboardInterrupt(self._left()) from None
@@ -156,6 +155,10 @@ class _Run:
             return limit() if callable(limit) else limit
         except OctarmError as error:
             raise OctarmError(f"{error}; {self._left()}") from error
+
+    def _tell(self) -> None:
+        parts = (self.notes.share(i) * len(self.plan.shard(i)) for i in self._at_work.values())
+        self.progress(self.finished + sum(parts))
 
     def report(self) -> None:
         if self._interrupted:
@@ -203,7 +206,7 @@ class _Run:
         else:
             self.folder.write(shard, table)
             self.notes.forget(shard)
-            self.progress(len(self.plan.shards[shard]))
+            self.finished += len(self.plan.shard(shard))
 
 
 def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
@@ -212,9 +215,8 @@ def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
     It returns the gains of each controller for the first arm, ready for JSON.
     """
     nominal = plan.spec.all_believed()[0]
-    check_batch(
-        len(plan.shards[0]), plan.spec.most_modules
-    )  # no shard is larger by more than one arm
+    # No shard is larger by more than one arm.
+    check_batch(len(plan.shard(0)), plan.spec.most_modules)
     gains: dict[str, object] = {
         name: runs.gains_of(plan.spec.controller(name, nominal, factory))
         for name in plan.spec.controllers
@@ -246,21 +248,18 @@ def estimate(spec: SweepSpec, factory: ControllerFactory) -> Forecast:
     spec = with_step(spec, probes=True)
     plan = Plan(spec)
     rehearse(plan, factory)
-    controllers = len(spec.controllers)  # the slowest axis
-    each = len(plan.shards) // controllers
-    parts = [_estimate(plan, i * each, each, factory) for i in range(controllers)]
-    return Forecast(
-        episodes=plan.episodes,
-        periods=parts[0].periods,
-        shards=len(plan.shards),
-        seconds=sum(part.seconds for part in parts),
-        size=sum(part.size for part in parts),
+    each = len(plan.shards) // len(spec.controllers)  # which are the slowest axis
+    periods, seconds, size = zip(
+        *(_estimate(plan, i, each, factory) for i in plan.shards[::each]), strict=True
     )
+    return Forecast(plan.episodes, periods[0], len(plan.shards), sum(seconds), sum(size))
 
 
-def _estimate(plan: Plan, first: int, count: int, factory: ControllerFactory) -> Forecast:
-    """What so many shards of one controller take, by the first control periods of the first."""
-    arms, instants = plan.arms(plan.shards[first]), list[float]()
+def _estimate(
+    plan: Plan, first: int, count: int, factory: ControllerFactory
+) -> tuple[int, float, int]:
+    """Periods of an episode, and time [s] and size [byte] of the shards of one controller."""
+    arms, instants = plan.arms(plan.shard(first)), list[float]()
     period = begin(plan.spec, arms, factory)[0].control_timestep()
     periods = whole_periods(plan.spec.duration, period)
 
@@ -274,11 +273,5 @@ def _estimate(plan: Plan, first: int, count: int, factory: ControllerFactory) ->
     rate = (warm[-1] - warm[0]) / max(1, len(warm) - 1)
     once = max(0.0, elapsed - len(instants) * rate)  # a shard, before and after its periods
     empty = len(shard_bytes(table.slice(0, 0)))
-    episodes, measured = plan.episodes // len(plan.spec.controllers), len(arms.seeds)
-    return Forecast(
-        episodes=episodes,
-        periods=periods,
-        shards=count,
-        seconds=once * count + rate * periods / measured * episodes,
-        size=int(empty * count + table.nbytes / measured * episodes),
-    )
+    more = plan.episodes // len(plan.spec.controllers) / len(arms.seeds)  # times as many arms
+    return periods, once * count + rate * periods * more, int(empty * count + table.nbytes * more)

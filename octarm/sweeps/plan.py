@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from octarm.arm.groups import PAPER, SUMS
 from octarm.disturbances.episode import Disturbance, PlantChange
 from octarm.disturbances.streams import stream
 from octarm.errors import OctarmError
@@ -23,14 +21,14 @@ from octarm.fields import Amount, Quantity, field_kinds
 from octarm.memory import check_memory
 from octarm.simulation.setup import Setup
 from octarm.simulation.steps import AUTO, Possible, StepError, fitting_step
-from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SENSING, SweepSpec
+from octarm.sweeps.spec import ARM, PLANT, SETTINGS, SweepSpec
 
 _MOST_EPISODES = 10**15
 _MOST_SHARDS = 100_000
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Arms:
+class Arms(Setup):
     """All that makes episodes what they are: of arms that share a batch, or of one arm alone.
 
     See `octarm.load` for what is not said here.
@@ -39,52 +37,15 @@ class Arms:
         episodes: their numbers, shape (n,).
         batch: n; None for one arm alone.
         mismatch: of the nominal model, shape () or (n,) [1].
-        disturbances: with fields for each arm where they differ.
         arm: name of the arm; empty for the nominal one.
     """
 
     episodes: np.ndarray
     batch: int | None
     controller: str
-    reference: str
     mismatch: Amount
-    disturbances: tuple[Disturbance, ...]
     seeds: list[np.random.SeedSequence]
     arm: str = ""
-    plant_modules: int | None = None
-    layout: str = PAPER
-    sensing: str = SUMS
-
-
-@dataclasses.dataclass(frozen=True)
-class Shards(Sequence[range]):
-    """The episodes of each shard, computed when they are asked for.
-
-    Attributes:
-        groups: number of runs of episodes that do not share a batch.
-        episodes: in a group.
-        pieces: shards of a group, as equal as they can be.
-    """
-
-    groups: int
-    episodes: int
-    pieces: int
-
-    def __len__(self) -> int:
-        return self.groups * self.pieces
-
-    @overload
-    def __getitem__(self, index: int) -> range: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[range]: ...
-    def __getitem__(self, index: int | slice) -> range | Sequence[range]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        if not -len(self) <= index < len(self):
-            raise IndexError(index)
-        group, piece = divmod(index % len(self), self.pieces)
-        begin, end = (self.episodes * i // self.pieces for i in (piece, piece + 1))
-        return range(group * self.episodes + begin, group * self.episodes + end)
 
 
 class Plan:
@@ -93,6 +54,10 @@ class Plan:
     Episode numbers count through the grid, the first axis slowest and the seeds fastest. A shard is
     a run of numbers with the same controller, reference, plant and words, which share a batch. The
     partition depends on the spec alone.
+
+    Attributes:
+        shards: their numbers.
+        pieces: shards, as equal as they can be, of all that may share a batch.
     """
 
     def __init__(self, spec: SweepSpec) -> None:
@@ -105,14 +70,21 @@ class Plan:
                 "so that their numbers are exact"
             )
         apart = math.prod(len(axis.values) for axis in spec.axes if axis.apart)
-        together = self.episodes // apart  # axes that keep batches apart come first
-        self.shards = Shards(apart, together, -(-together // spec.batch))
+        self._together = self.episodes // apart  # axes that keep batches apart come first
+        self.pieces = -(-self._together // spec.batch)
+        self.shards = range(apart * self.pieces)
         self._known, self._draws = 0, dict[str, np.ndarray]()
 
     @property
     def episodes(self) -> int:
         """Number of episodes."""
         return math.prod(self._shape)
+
+    def shard(self, number: int) -> range:
+        """The episodes of a shard."""
+        group, piece = divmod(self.shards[number], self.pieces)
+        begin, end = (self._together * i // self.pieces for i in (piece, piece + 1))
+        return range(group * self._together + begin, group * self._together + end)
 
     def check_size(self) -> None:
         """Raises OctarmError for a sweep of more shards than a manifest should list."""
@@ -139,8 +111,10 @@ class Plan:
 
     def arms(self, episodes: npt.ArrayLike) -> Arms:
         """Episodes of one shard, given by their numbers, shape (n,)."""
-        numbers = np.asarray(episodes)
+        numbers, spec = np.asarray(episodes), self.spec
         values = {name: _common(column) for name, column in self.values(numbers).items()}
+        alike = [field.name for field in dataclasses.fields(Setup) if field.name in SETTINGS]
+        arm = values.get(ARM, "")
         return Arms(
             episodes=numbers,
             batch=len(numbers),
@@ -149,13 +123,13 @@ class Plan:
             mismatch=values["mismatch"],
             disturbances=self._disturbances(values),
             seeds=[
-                np.random.SeedSequence(self.spec.seed, spawn_key=(i,))
+                np.random.SeedSequence(spec.seed, spawn_key=(i,))
                 for i in self.seeds(numbers).tolist()
             ],
-            arm=values.get(ARM, ""),
-            plant_modules=values.get(PLANT_MODULES),
-            layout=values.get(LAYOUT, PAPER),
-            sensing=values.get(SENSING, SUMS),
+            arm=arm,
+            parameters=spec.arm(arm),
+            **{name: getattr(spec, name) for name in alike},
+            **{name: values[name] for name in PLANT if name in values},
         )
 
     def episode(self, number: int) -> Arms:
@@ -228,13 +202,6 @@ def _common(column: np.ndarray) -> Any:
     return column[0].item() if np.all(column == column[0]) else column
 
 
-def setup_of(spec: SweepSpec, arms: Arms) -> Setup:
-    """What arms that share a batch, or one arm alone, are loaded with."""
-    names = {field.name for field in dataclasses.fields(Setup)}
-    given = {n: x for n, x in (vars(spec) | vars(arms)).items() if n in names}
-    return Setup(parameters=spec.arm(arms.arm), **given)
-
-
 def with_step(spec: SweepSpec, *, probes: bool = False) -> SweepSpec:
     """The spec, whose physics step suits all of its arms; `auto` has become a number.
 
@@ -244,10 +211,10 @@ def with_step(spec: SweepSpec, *, probes: bool = False) -> SweepSpec:
     plan = Plan(spec)
     alike = len(spec.controllers) * len(spec.references)  # in which the step is the same
     first = range(len(plan.shards) // alike)
-    shards = plan.probes() if probes else (np.array(plan.shards[i]) for i in first)
+    shards = plan.probes() if probes else (np.array(plan.shard(i)) for i in first)
     if not any(issubclass(spec.class_of(name), PlantChange) for name in spec.disturbances):
-        first = range(0, len(plan.shards) // alike, plan.shards.pieces)
-        shards = (np.array(plan.shards[i][:1]) for i in first)  # all arms of a plant are alike
+        first = range(0, len(plan.shards) // alike, plan.pieces)
+        shards = (np.array(plan.shard(i)[:1]) for i in first)  # all arms of a plant are alike
     longest = min(_longest(spec, plan.arms(shard)) for shard in shards)
     if spec.timestep != AUTO:
         return spec
@@ -259,7 +226,7 @@ def _longest(spec: SweepSpec, arms: Arms) -> float:
     """The longest stable step of some arms [s], or infinity for a given step that suits them."""
     groups = spec.groups(arms.arm, arms.plant_modules, arms.layout)
     batch = (len(arms.seeds),)
-    possible = Possible(spec.arm(arms.arm), arms.disturbances, arms.seeds, batch, groups)
+    possible = Possible(arms.parameters, arms.disturbances, arms.seeds, batch, groups)
     if isinstance(spec.timestep, str):
         return float(np.min(possible.longest_steps(spec.integrator)))
     try:

@@ -36,7 +36,9 @@ class Note:
         if time.monotonic() >= self._due:
             self._due = time.monotonic() + _EVERY
             with contextlib.suppress(OSError):  # such as a folder that is not seen from here
-                self.file.write_text(f"{instant.measurement.t / self._duration:.6f}")
+                part = self.file.with_suffix(".part")
+                part.write_text(f"{instant.measurement.t / self._duration:.6f}")
+                part.replace(self.file)
 
 
 class Notes:
@@ -45,7 +47,6 @@ class Notes:
     def __init__(self, folder: Path) -> None:
         """Notes in a folder of their own."""
         self._folder = folder.resolve()
-        self._known: dict[int, float] = {}
 
     def __enter__(self) -> Notes:
         self.__exit__()  # what a process that was killed has left
@@ -61,13 +62,13 @@ class Notes:
 
     def share(self, shard: int) -> float:
         """Which share of a shard is done, as far as known [1]."""
-        with contextlib.suppress(OSError, ValueError):  # none yet, or half of one
-            self._known[shard] = min(1.0, max(0.0, float(self.file(shard).read_text())))
-        return self._known.get(shard, 0.0)
+        try:
+            return min(1.0, max(0.0, float(self.file(shard).read_text())))
+        except (OSError, ValueError):  # none yet
+            return 0.0
 
     def forget(self, shard: int) -> None:
         """Takes back the note of a shard that is finished, or begins again."""
-        self._known.pop(shard, None)
         self.file(shard).unlink(missing_ok=True)
 
 
@@ -95,13 +96,12 @@ class ProgressBar:
     """Episodes, how many a second, simulated seconds a second, and the time left.
 
     Parts of the episodes at work count, so that the bar moves while a shard runs. Its methods
-    are what `octarm.sweep` takes as `progress`, `partial` and `say`.
+    are what `octarm.sweep` takes as `progress` and `say`.
     """
 
     def __init__(self, spec: SweepSpec) -> None:
         """A bar for a sweep; it is drawn on terminals only."""
-        self._duration, self._done, self._partial = spec.duration, 0, 0.0
-        self._started = 0.0
+        self._duration, self._started = spec.duration, 0.0
         self._bar = new_bar(
             total=Plan(spec).episodes,
             unit=" episodes",
@@ -115,18 +115,12 @@ class ProgressBar:
     def __exit__(self, *_: object) -> None:
         self._bar.close()
 
-    def update(self, episodes: int) -> None:
+    def update(self, episodes: float) -> None:
         """So many episodes are finished; those of the first call were so before."""
-        self._done += episodes
+        self._bar.n = int(episodes)
         if not self._started:  # they take no time
-            self._bar.initial = episodes
+            self._bar.initial = self._bar.n
             self._started = self._bar.start_t = time.time()
-        self.go_on(max(0.0, self._partial - episodes))
-
-    def go_on(self, partial: float) -> None:
-        """The finished parts of the episodes at work are worth so many."""
-        self._partial = partial
-        self._bar.n = self._done + int(partial)
         run = (self._bar.n - self._bar.initial) * self._duration
         speed = run / max(1e-3, time.time() - self._started)
         self._bar.set_postfix_str(f"{digits(speed)} simulated s/s")  # draws the bar

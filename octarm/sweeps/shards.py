@@ -18,6 +18,7 @@ from octarm.metrics.metric import SETTLED_AFTER
 from octarm.metrics.table import METRICS, Catalogue, Metrics, columns
 from octarm.references import recorded_word
 from octarm.runs.digest import CHECKPOINTS, StateDigest
+from octarm.runs.experiment import metrics_of
 from octarm.runs.folder import gains_of
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import LAGRANGE, MUJOCO
@@ -26,9 +27,8 @@ from octarm.simulation.physics import BatchPhysics
 from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
 from octarm.sweeps.engine_check import COLUMN, TipPaths, checked_episodes
-from octarm.sweeps.plan import Arms, Plan, setup_of
+from octarm.sweeps.plan import Arms, Plan
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SENSING, SweepSpec
-from octarm.sweeps.spec_file import range_of
 
 Observe = Callable[[Instant], object]
 
@@ -45,7 +45,7 @@ def run_shard(
     first arm.
     """
     plan = Plan(spec)
-    arms = plan.arms(plan.shards[shard])
+    arms = plan.arms(plan.shard(shard))
     again = np.intersect1d(arms.episodes, checked_episodes(plan))
     if again.size:
         table = _checked_rows(plan, arms, again, factory, *observers)
@@ -69,8 +69,8 @@ def _checked_rows(
     would go to what a call of a controller takes, however few the arms are.
     """
     count, twins = len(arms.episodes), np.arange(len(again)) + len(arms.episodes)
-    mujoco = dataclasses.replace(plan.spec, engine=MUJOCO)
-    environment, _ = begin(mujoco, plan.arms(again), factory)
+    mujoco = dataclasses.replace(plan.arms(again), engine=MUJOCO)
+    environment, _ = begin(plan.spec, mujoco, factory)
     places = np.searchsorted(arms.episodes, again)
     periods = whole_periods(plan.spec.duration, environment.control_timestep())
     paths, others = TipPaths(places, periods), TipPaths(twins, periods)
@@ -133,7 +133,7 @@ def begin(
     Raises OctarmError if an arm, a disturbance or a controller cannot be made.
     """
     model = spec.believed(arms.arm)
-    environment = setup_of(spec, arms).load(
+    environment = arms.load(
         model,
         reference=recorded_word(arms.reference, spec.code),
         batch=arms.batch,
@@ -176,23 +176,17 @@ class Observer:
     ) -> None:
         """An observer of a run of so many seconds, for `simulate`; see `measure`."""
         self._catalogue, self._settle = catalogue, settle
+        self._environment = environment
         self._physics: AnyPhysics = environment.physics
-        self._period = environment.control_timestep()
-        periods = whole_periods(duration, self._period)
+        periods = whole_periods(duration, environment.control_timestep())
         self._digest = StateDigest(periods, self._physics.intact)
         self._measured: tuple[Metrics, Recorder] | None = None
 
     def __call__(self, instant: Instant) -> None:
         """Takes a control instant."""
         if self._measured is None:
-            metrics = Metrics(
-                control_period=self._period,
-                input_range=self._physics.reachable_inputs(),
-                layer=instant.command.layer,
-                settle=self._settle,
-                actuation=self._physics.actuation,
-                catalogue=self._catalogue,
-            )
+            layer = instant.command.layer
+            metrics = metrics_of(self._environment, layer, self._settle, self._catalogue)
             # Without a cycle of references, so that the arms' memory is free when the run is over.
             self._measured = metrics, Recorder(metrics.update, fields=self._catalogue.fields)
         self._digest(instant)
@@ -284,7 +278,7 @@ def schema(spec: SweepSpec) -> pa.Schema:
     ]
     for axis in (*spec.axes, *spec.random):
         if axis.name != "controller":
-            numbers, kind = range_of(axis, spec.code), word if axis.words else number
+            numbers, kind = axis.range(spec.code), word if axis.words else number
             fields.append(field(axis.name, kind, axis.disturbance, numbers.unit if numbers else ""))
     arm = LagrangeModel(max(spec.all_believed(), key=lambda arm: arm.modules))
     for column in columns(arm.names, arm.units, spec.metrics()):

@@ -16,7 +16,7 @@ from octarm.arrays import plain
 from octarm.declared import Code, word_of
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES
-from octarm.fields import field_keys
+from octarm.fields import field_keys, field_kinds
 from octarm.formats import to_toml
 from octarm.interfaces import Controller, ControllerFactory
 from octarm.metrics.declared import declared_metrics, measured
@@ -25,6 +25,7 @@ from octarm.metrics.table import Catalogue
 from octarm.runs.description import USUAL, unusual
 from octarm.simulation.engines import MUJOCO
 from octarm.simulation.start import REST, SHARE
+from octarm.units import MISMATCH, Range
 
 Value = float | str
 ARM, PLANT_MODULES, LAYOUT, SENSING = "arm", "plant_modules", "layout", "sensing"
@@ -78,6 +79,20 @@ class Axis:
     def apart(self) -> bool:
         """Whether arms that differ in it do not share a batch: words, and sizes of the plant."""
         return self.words or self.name == PLANT_MODULES
+
+    def range(self, code: Mapping[str, Code]) -> Range | None:
+        """What its numbers may be, as far as it is known; None for words and counts.
+
+        No code is imported.
+        """
+        if not self.disturbance:
+            return MISMATCH if self.name == "mismatch" else None
+        kind = which(self.disturbance)[0]
+        if kind in code:
+            said = next(x for x in code[kind].declares.values() if x["field"] == self.field)
+            return Range(str(said["unit"])) if said["number"] else None
+        declared = field_kinds(DISTURBANCES[kind])[self.field]
+        return declared if isinstance(declared, Range) else None
 
 
 SETTINGS = (
@@ -215,7 +230,7 @@ class SweepSpec:
 
     def hash(self) -> str:
         """SHA-256 of `content`: files that ask for the same rows have the same."""
-        return hash_of(self.content())
+        return hashlib.sha256(json.dumps(self.content(), sort_keys=True).encode()).hexdigest()
 
     def to_toml(self) -> str:
         """A file that `octarm.sweeps.spec_file.parse_spec` makes this spec of."""
@@ -244,8 +259,3 @@ class SweepSpec:
             keys = keys_of(axis.disturbance, self.code).items()
             key = next(key for key, field in keys if field == axis.field)
         table[key] = value
-
-
-def hash_of(content: Any) -> str:
-    """SHA-256 of what `SweepSpec.content` gives, or of what was read back of it."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -170,11 +170,7 @@ class SpecFile(Model):
 
     meant: ClassVar[Mapping[str, str]] = {
         **_DISTURBANCES,
-        **dict.fromkeys(("seeds", "repetitions", "repeats", "runs"), _SEEDS),
-        **dict.fromkeys(("dt", "step"), "'timestep'"),
-        "period": "'control_period'",
-        "modules": "'plant_modules'",
-        "time": "'duration'",
+        "seeds": _SEEDS,
     }
 
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0

@@ -11,6 +11,7 @@ import contextlib
 import datetime
 import hashlib
 import io
+import itertools
 import json
 import shutil
 from collections.abc import Generator, Iterator, Mapping, Sequence
@@ -56,8 +57,8 @@ def read_row(folder: str | Path, episode: int) -> pa.Table:
     Raises OctarmError if the folder holds no sweep, or the episode is not finished or damaged.
     """
     plan, manifest = open_sweep(Path(folder))
-    for i, episodes in enumerate(plan.shards):
-        if episode in episodes:
+    for i in plan.shards:
+        if episode in (episodes := plan.shard(i)):
             table = read_shard(Path(folder), plan, manifest, i)
             if table is not None:
                 return table.slice(episode - episodes.start, 1)
@@ -72,11 +73,6 @@ def origin_of(table: pa.Table) -> dict[str, Any]:
 def metadata_of(thing: pa.Schema | pa.Field) -> dict[bytes, bytes]:
     """The metadata of a schema or of a field; none are an empty table."""
     return thing.metadata or {}
-
-
-def read_manifest(folder: Path) -> dict[str, Any]:
-    """What `manifest.json` says; see `open_sweep`, whose errors it raises."""
-    return open_sweep(folder)[1]
 
 
 def shard_bytes(table: pa.Table) -> bytes:
@@ -118,7 +114,7 @@ class SweepFolder:
                 f"{self.path} holds a sweep already; go on with it by --resume, replace it by "
                 "--force, or choose another --out"
             )
-        before, now = read_manifest(self.path)["spec"], self._plan.spec.content()
+        before, now = open_sweep(self.path)[1]["spec"], self._plan.spec.content()
         for key in (*before, *now):
             if before.get(key) != now.get(key):
                 old, new = (
@@ -168,7 +164,7 @@ class SweepFolder:
             "host": host(),
         }
         if (self.path / MANIFEST).exists():
-            self._manifest = read_manifest(self.path)
+            self._manifest = open_sweep(self.path)[1]
             for name, values in gains.items():
                 if self._manifest["gains"].get(name) != values:
                     raise OctarmError(
@@ -192,13 +188,12 @@ class SweepFolder:
 
     def finished(self) -> list[int]:
         """The shards that are there and undamaged; a damaged one is run again."""
-        return [i for i in range(len(self._plan.shards)) if self._is_whole(i)]
-
-    def _is_whole(self, shard: int) -> bool:
-        try:
-            return read_shard(self.path, self._plan, self._manifest, shard, ()) is not None
-        except OctarmError:
-            return False
+        whole: list[int] = []
+        for i in self._plan.shards:
+            with contextlib.suppress(OctarmError):
+                if read_shard(self.path, self._plan, self._manifest, i, ()) is not None:
+                    whole.append(i)
+        return whole
 
     def write(self, shard: int, table: pa.Table) -> None:
         """Writes a shard, and what the manifest says of it."""
@@ -234,9 +229,20 @@ def read_shard(
             f"{file} is damaged: it does not have the SHA-256 that {MANIFEST} states; "
             "--resume runs it again"
         )
-    rows = _identity(plan, shard)
-    needed = dict.fromkeys((*rows, *(columns or ())))
-    table = _table(file, content, [*needed], whole=columns is None)
+    episodes = np.asarray(plan.shard(shard))
+    rows = {"episode": episodes, "seed": plan.seeds(episodes), **plan.values(episodes)}
+    needed = [*dict.fromkeys((*rows, *(columns or ())))]
+    try:
+        with pq.ParquetFile(pa.BufferReader(content)) as stored:
+            known = stored.schema_arrow.names
+            for name in needed:
+                if name not in known:
+                    raise OctarmError(f"{file} has no column {quoted(name)}{closest(name, known)}")
+            # Without threads: one that ends after the interpreter aborts the process when it frees
+            # a buffer that is Python's.
+            table = stored.read(columns=None if columns is None else needed, use_threads=False)
+    except (OSError, pa.ArrowException) as error:
+        raise OctarmError(f"{file} is not a table ({error})") from None
     for name, values in rows.items():
         if not np.array_equal(table[name].to_numpy(), values):
             raise OctarmError(
@@ -248,34 +254,11 @@ def read_shard(
     return table if columns is None else table.select([*columns])
 
 
-def _table(file: Path, content: bytes, needed: Sequence[str], *, whole: bool) -> pa.Table:
-    try:
-        with pq.ParquetFile(pa.BufferReader(content)) as stored:
-            known = stored.schema_arrow.names
-            for name in needed:
-                if name not in known:
-                    raise OctarmError(f"{file} has no column {quoted(name)}{closest(name, known)}")
-            # Without threads: one that ends after the interpreter aborts the process when it frees
-            # a buffer that is Python's.
-            return stored.read(columns=None if whole else [*needed], use_threads=False)
-    except (OSError, pa.ArrowException) as error:
-        raise OctarmError(f"{file} is not a table ({error})") from None
-
-
-def _identity(plan: Plan, shard: int) -> dict[str, np.ndarray]:
-    """What says which episodes the rows of a shard are, by column, each of shape (n,)."""
-    episodes = np.asarray(plan.shards[shard])
-    return {"episode": episodes, "seed": plan.seeds(episodes), **plan.values(episodes)}
-
-
 def _shards(folder: Path, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
     """The rows of the finished shards, of which there is at least one."""
     plan, manifest = open_sweep(folder)
-    empty = True
-    for i in range(len(plan.shards)):
-        table = read_shard(folder, plan, manifest, i, columns)
-        if table is not None:
-            empty = False
-            yield table
-    if empty:
+    tables = (read_shard(folder, plan, manifest, i, columns) for i in plan.shards)
+    finished = (table for table in tables if table is not None)
+    if (first := next(finished, None)) is None:
         raise OctarmError(f"{folder} has no finished episode yet")
+    yield from itertools.chain([first], finished)

@@ -168,28 +168,34 @@ class SearchState(NamedTuple):
     costs: np.ndarray
 
 
+class Costs(NamedTuple):
+    """Costs in each scenario.
+
+    Attributes:
+        tuned: with tuned gains, shape (scenarios,) [1].
+        by_hand: with hand-set ones, likewise.
+    """
+
+    tuned: np.ndarray
+    by_hand: np.ndarray
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Tuned:
-    """The result of a search; costs are those of each scenario, shape (scenarios,) [1].
+    """The result of a search, with the costs of its gains in three examinations.
 
     Attributes:
         gains: all that are numbers, by name, in the scales of the nominal model, shape () or (2N,).
-        short: in the search, shape (scenarios,); likewise `short_by_hand` with the hand-set gains.
-        long: in the longer examination, shape (scenarios,).
-        short_by_hand: likewise.
-        long_by_hand: likewise.
-        unseen: in scenarios that nothing was chosen by, shape (scenarios,).
-        unseen_by_hand: likewise.
+        short: as in the search.
+        long: in the longer examination.
+        unseen: in scenarios that nothing was chosen by.
         at_bounds: the unknowns that are as small or large as they were allowed to be.
     """
 
     gains: Mapping[str, np.ndarray]
-    short: np.ndarray
-    long: np.ndarray
-    short_by_hand: np.ndarray
-    long_by_hand: np.ndarray
-    unseen: np.ndarray
-    unseen_by_hand: np.ndarray
+    short: Costs
+    long: Costs
+    unseen: Costs
     at_bounds: list[str]
 
 
@@ -252,16 +258,13 @@ def tune(
     long = tried(budget.long, finalists, of_record)
     winner = int(np.argmin(budget.long.mean(long)))
     both = finalists[[winner, -1]]
-    short, unseen = (tried(each, both, of_record) for each in (budget.short, budget.unseen))
+    short, unseen = (Costs(*tried(x, both, of_record)) for x in (budget.short, budget.unseen))
     turned = {name: rows[winner] for name, rows in space.turned(finalists).items()}
     return Tuned(
         gains={name: turned.get(name, gain) for name, gain in space.gains.items()},
-        short=short[0],
-        long=long[winner],
-        short_by_hand=short[1],
-        long_by_hand=long[-1],
-        unseen=unseen[0],
-        unseen_by_hand=unseen[1],
+        short=short,
+        long=Costs(long[winner], long[-1]),
+        unseen=unseen,
         at_bounds=space.at_bounds(finalists[winner]),
     )
 

@@ -105,7 +105,7 @@ def take_turns(name: str, arms: int, seconds: float, rival: Rival, engine: str) 
     """A shard of this controller on this engine and a rival in turns, for so long [s]."""
     text = f'controller = "{name}"\nepisodes = {arms}\nbatch = {arms}\nduration = {DURATION}\n'
     plan = Plan(parse_spec(f'{text}engine = "{engine}"\n'))
-    shard = plan.arms(plan.shards[0])
+    shard = plan.arms(plan.shard(0))
 
     def begun_and_ended() -> None:
         run_arms(plan, shard, make_controller, duration=_step())

@@ -128,7 +128,7 @@ def overhead(settings: Settings) -> list[Row]:
     inside = float(np.sum(table["wall_time"].to_numpy()))
     plan = Plan(spec)
     begun = time.perf_counter()
-    run_arms(plan, plan.arms(plan.shards[0]), make_controller, duration=_PERIOD)
+    run_arms(plan, plan.arms(plan.shard(0)), make_controller, duration=_PERIOD)
     once = len(plan.shards) * (time.perf_counter() - begun)
     all_inside = once + (inside - once) * long / short
     beside = taken - inside
