@@ -80,16 +80,12 @@ def rows_of(folder: Path) -> runs.Run:
     """
     trajectory, description = runs.map_run(folder)
     if description["status"] == runs.RUNNING:
-        say_partial(float(trajectory.t[-1]))
+        end = float(trajectory.t[-1])
+        print(
+            "octarm: the run is partial: it is still going on or was killed, and reaches to "
+            f"t = {end:.6g} s",
+            file=sys.stderr,
+        )
         ended = {"status": trajectory.status, "message": trajectory.message}
         return runs.Run(trajectory, {**description, **ended})
     return runs.Run(trajectory, description)
-
-
-def say_partial(end: float) -> None:
-    """Says on stderr that a run ends early, at a time [s]."""
-    print(
-        "octarm: the run is partial: it is still going on or was killed, and reaches to "
-        f"t = {end:.6g} s",
-        file=sys.stderr,
-    )

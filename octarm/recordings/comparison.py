@@ -101,7 +101,7 @@ class _Layout:
         inputs: list[Any] = []
         for name, recording, title in zip(self._names, self._recordings, self.titles, strict=True):
             arms.append(recording.scene.view(f"{name}: {title}   pale sheath: desired", f"{name}/"))
-            plots, channel = self._plots(name, recording), recording.channels["tau"]
+            plots, channel = recording.plots(self._end), recording.channels["tau"]
             forces = f"input forces of {name}{channel.recorded('')[1]}"
             inputs.append(plots.view(forces, plots.curves("tau"), legend=True))
         pages = [rrb.TextDocumentView(origin=f"{x}/notes", name=x) for x in self._names]
@@ -122,9 +122,6 @@ class _Layout:
     def _rows(name: str, rows: Mapping[str, Sequence[Any]]) -> Any:
         return rrb.Vertical(*(rrb.Horizontal(*row, name=x) for x, row in rows.items()), name=name)
 
-    def _plots(self, name: str, recording: RunRecording) -> Plots:
-        return Plots(recording.channels, self._end, f"{name}/", events=recording.events())
-
     def _errors(self, part: str) -> Iterator[Any]:
         """A plot for each run."""
         error = self._recordings[0].channels["error"]
@@ -132,7 +129,7 @@ class _Layout:
         factor, unit = error.recorded(part)
         largest = factor * float(max(sizes))
         for name, recording in zip(self._names, self._recordings, strict=True):
-            plots = self._plots(name, recording)
+            plots = recording.plots(self._end)
             yield plots.view(
                 f"error of {part} in {name}{unit}",
                 plots.curves("error", part),

@@ -159,22 +159,6 @@ def screenshot(
         part.write_bytes(picture)
 
 
-def rescue(partial: Name, path: Name) -> None:
-    """Writes what can be read of a recording that was not finished as one that is.
-
-    Its plots show the time that there is rather than the time that was planned. Raises OctarmError
-    if nothing can be read.
-    """
-    from octarm.recordings.rrd import last_instant, time_axes  # imports rerun: half a second
-
-    with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
-        whole = os.path.join(scratch, "whole.rrd")
-        _rrd(partial, "merge", "--continue-on-error", str(partial), "-o", whole)
-        dropped = [item for axis in time_axes(whole) for item in ("--drop-entity", axis)]
-        _rrd(partial, "filter", *dropped, whole, "-o", str(path))
-    last_instant(path)
-
-
 class _Viewer:
     """A running viewer, and the address that it serves recordings at."""
 
@@ -268,13 +252,6 @@ def _running(arguments: list[str]) -> Generator[_Viewer]:
         finally:
             process.kill()  # it has nothing to save; does nothing to one that has ended
             process.wait()
-
-
-def _rrd(recording: Name, *arguments: str) -> None:
-    """Runs a command of rerun on a recording."""
-    command = [str(_executable()), "rrd", *arguments]
-    if subprocess.run(command, capture_output=True, env=_environment(), check=False).returncode:
-        raise OctarmError(f"nothing can be read of {recording}")
 
 
 def _environment() -> dict[str, str]:
