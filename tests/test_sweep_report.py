@@ -288,36 +288,16 @@ def test_a_sound_sweep_raises_no_warning(known):
     assert all(not finding.warning for finding in remarks(read_episodes(known)))
 
 
-def test_controllers_that_move_the_arm_alike_are_told(tmp_path):
-    table = columns()
-    per = len(table["seed"]) // 3
-    table["digest"][per : per + 5] = table["digest"][:5]
-    text = told(write_sweep(tmp_path / "s", table))
-    assert "1 plain and better moved the arm in the same way to the last digit in 5 of 36" in text
-
-
 def test_a_status_that_is_no_success_is_told(tmp_path):
     table = columns()
     table["rms_error_theta1"][3] = 0.25  # the sine's is 0.35 / sqrt(2) = 0.2475 rad
     table["rms_error_theta1"][4] = 0.24
-    table["rms_error_theta2"][5] = 0.0
     text = told(write_sweep(tmp_path / "s", table))
     assert "no better than if it hung still (plain 1 of 36)" in text
-    assert "1 Episodes have an error of exactly zero (plain 1 of 36)" in text
 
 
-def test_axes_and_seeds_without_effect_are_told(tmp_path):
-    table = columns()
-    shape = (3, len(MISMATCHES), len(NOISES), SEEDS)
-    digest = table["digest"].reshape(shape)
-    digest[:, 1] = digest[:, 0]
-    digest[:2, :, :, :] = digest[:2, :, :1, :]
-    digest[0] = digest[0][..., :1]
-    text = told(write_sweep(tmp_path / "s", table))
-    assert "1 mismatch has no effect on any controller" in text
-    assert "0 noise has no effect at all on plain, better" in text
-    assert "0 Nothing random acts in 6 of 18 cells" in text
-    assert "0 The sweep has 6 seeds a cell: intervals are rough" in text
+def test_few_seeds_are_told(known):
+    assert "0 The sweep has 6 seeds a cell: intervals are rough" in told(known)
 
 
 def test_an_unfinished_sweep_of_mixed_versions_is_told(tmp_path):

@@ -68,8 +68,6 @@ def compare(folders: Sequence[Path], out: Path) -> None:
     for each in comparison.differences:
         print(f"  {each.name}: {'; '.join(map(printable, each.values))}")
     print(printable(comparison.verdict, 2000))
-    for line in comparison.ranking():
-        print(f"  {printable(line)}")
     print(f"wrote {printable(str(out))}/  ({PAGE}, {RECORDING}, {FIGURES}/)")
 
 

@@ -22,9 +22,9 @@ Path = str | os.PathLike[str]
 def rrd_file(path: Path, application: str = "octarm") -> Generator[rr.RecordingStream]:
     """A stream to a `.rrd` file, which appears whole or not at all.
 
-    It is `PATH.part` until the block ends well, which stays if the process is killed. Recordings of one application share a layout in the viewer, with its titles.
-    Raises OSError if the file cannot be written, OctarmError if rerun does not take the data, or is
-    switched off by RERUN=off.
+    It is `PATH.part` until the block ends well, and stays that if the process is killed. Recordings
+    of one application share a layout in the viewer, with its titles. Raises OSError if the file
+    cannot be written, OctarmError if rerun does not take the data, or is switched off by RERUN=off.
     """
     if os.environ.get("RERUN", "on").lower() in ("0", "off", "false"):
         raise OctarmError(f"{path} cannot be recorded: RERUN={os.environ['RERUN']} is set")

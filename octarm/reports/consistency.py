@@ -8,8 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from octarm.metrics.metric import unsettled
-from octarm.reports.comparisons import partners
-from octarm.reports.factors import Factor
 from octarm.reports.frame import Episodes
 from octarm.reports.statistics import FEWEST
 from octarm.sweeps.engine_check import LIMIT, sentence
@@ -30,7 +28,7 @@ class Remark(NamedTuple):
 
 def remarks(episodes: Episodes) -> list[Remark]:
     """All remarks on a sweep, warnings first."""
-    checks = (_unfinished, _versions, _engines, _same_states, _implausible, _idle_factors, _seeds)
+    checks = (_unfinished, _versions, _engines, _lost, _diverged, _seeds)
     made = [remark for check in checks for remark in check(episodes)]
     return sorted(made, key=lambda remark: not remark.warning)
 
@@ -69,78 +67,35 @@ def _engines(episodes: Episodes) -> Iterator[Remark]:
         yield Remark(bool(np.any(difference > LIMIT)), sentence(difference, len(episodes.seed)))
 
 
-def _same_states(episodes: Episodes) -> Iterator[Remark]:
-    """Controllers that cannot be told apart."""
-    for j, second in enumerate(episodes.controllers):
-        partner = partners(episodes, second)
-        for first in episodes.controllers[:j]:
-            rows = episodes.of_controller(first)
-            rows = rows[partner[rows] >= 0]
-            same = int(np.sum(episodes.digest[rows] == episodes.digest[partner[rows]]))
-            if same:
-                yield Remark(
-                    True,
-                    f"{first} and {second} moved the arm in the same way to the last digit in "
-                    f"{same} of {len(rows)} pairs of episodes: are they two controllers?",
-                )
-
-
-def _implausible(episodes: Episodes) -> Iterator[Remark]:
-    """Episodes that ended well by their status alone, or better than anything can."""
-    if hanging := _counts(episodes, episodes.lost):
+def _lost(episodes: Episodes) -> Iterator[Remark]:
+    """Episodes that ended well by their status alone."""
+    rows = {name: episodes.of_controller(name) for name in episodes.controllers}
+    counts = {name: int(np.sum(episodes.lost[mine])) for name, mine in rows.items()}
+    if any(counts.values()):
+        which = ", ".join(f"{name} {k} of {len(rows[name])}" for name, k in counts.items() if k)
         yield Remark(
             True,
             "Their status ok is no success: episodes did not diverge, but a coordinate followed "
-            f"its reference no better than if it hung still ({hanging}).",
+            f"its reference no better than if it hung still ({which}).",
         )
-    if exact := _counts(episodes, episodes.exact):
-        yield Remark(True, f"Episodes have an error of exactly zero ({exact}).")
-    planned, lost = episodes.planned // len(episodes.controllers), dict[str, int]()
+
+
+def _diverged(episodes: Episodes) -> Iterator[Remark]:
+    """Controllers of which no episode is left."""
+    planned = episodes.planned // len(episodes.controllers)
     for name in episodes.controllers:
         mine = episodes.of_controller(name)
         if mine.size and episodes.diverged[mine].all():
-            lost[name] = len(mine)
-    if whole := [name for name, count in lost.items() if count == planned]:
-        yield Remark(True, f"All episodes diverged of {', '.join(whole)}.")
-    for name, count in lost.items():
-        if count < planned:
-            text = f"All finished episodes diverged of {name}: {count} of {planned} planned."
+            text = f"All episodes diverged of {name}."
+            if len(mine) < planned:
+                text = (
+                    f"All finished episodes diverged of {name}: {len(mine)} of {planned} planned."
+                )
             yield Remark(True, text)
 
 
-def _counts(episodes: Episodes, which: np.ndarray) -> str:
-    """The number of such episodes of each controller, in words; those with none are left out."""
-    rows = {name: episodes.of_controller(name) for name in episodes.controllers}
-    counts = {name: int(np.sum(which[mine])) for name, mine in rows.items()}
-    return ", ".join(f"{name} {k} of {len(rows[name])}" for name, k in counts.items() if k)
-
-
-def _idle_factors(episodes: Episodes) -> Iterator[Remark]:
-    """Factors that leave the states as they are, bit for bit."""
-    names = episodes.controllers
-    for factor in (factor for factor in episodes.factors if not factor.drawn):
-        idle = [n for n in names if _is_idle(episodes, factor, episodes.of_controller(n))]
-        if len(idle) == len(names):
-            yield Remark(True, f"{factor.name} has no effect on any controller: does it act?")
-        elif idle:
-            yield Remark(
-                False,
-                f"{factor.name} has no effect at all on {', '.join(idle)}, as it should be for "
-                "what a controller does not use.",
-            )
-
-
-def _is_idle(episodes: Episodes, factor: Factor, rows: np.ndarray) -> bool:
-    """Whether episodes that differ in the factor alone have the same states."""
-    key = (episodes.cell(but=factor) * (episodes.seed.max() + 1) + episodes.seed)[rows]
-    order = np.lexsort((factor.code[rows], key))
-    key, digest = key[order], episodes.digest[rows][order]
-    neighbours = key[1:] == key[:-1]
-    return bool(np.any(neighbours) and np.all(digest[1:][neighbours] == digest[:-1][neighbours]))
-
-
 def _seeds(episodes: Episodes) -> Iterator[Remark]:
-    """Seeds that are few, or all the same."""
+    """Seeds that are few."""
     count, planned = len(np.unique(episodes.seed)), episodes.spec.episodes
     if count < _FEW:
         seeds = "one seed" if count == 1 else f"{count} seeds"
@@ -152,16 +107,3 @@ def _seeds(episodes: Episodes) -> Iterator[Remark]:
         if count == 1:
             what = "there are no intervals"
         yield Remark(False, f"The sweep has {seeds} a cell: {what}.")
-    cell = episodes.cell() * len(episodes.controllers) + episodes.controller
-    order = np.argsort(cell, kind="stable")
-    cell, digest = cell[order], episodes.digest[order]
-    starts = np.flatnonzero(np.diff(cell, prepend=-1))
-    sizes = np.diff(np.append(starts, len(cell)))
-    same = np.maximum.reduceat(digest, starts) == np.minimum.reduceat(digest, starts)
-    repeated = int(np.sum(same & (sizes > 1)))
-    if repeated:
-        yield Remark(
-            False,
-            f"Nothing random acts in {repeated} of {len(starts)} cells (a controller at one place "
-            "of the grid): their seeds repeat one episode, and intervals there have no width.",
-        )

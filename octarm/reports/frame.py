@@ -83,13 +83,11 @@ class Episodes:
         controller: number of the controller of each episode, shape (n,).
         seed: shape (n,).
         diverged: shape (n,).
-        digest: of the states, shape (n,).
         values: of the measures, shape (n, M); NaN where there is none.
         lost: whether it did not diverge, but a coordinate that moves follows its reference no
             better than an arm that hangs still, shape (n,).
         poor: whether it diverged, or a coordinate that moves has more than a tenth of the error of
             an arm that hangs still, shape (n,).
-        exact: whether an error is zero to the last digit, shape (n,).
         engine_difference: how far the tip was from where MuJoCo has it, of episodes of the analytic
             arm that were run again, shape (k,) [m].
     """
@@ -103,11 +101,9 @@ class Episodes:
     controller: np.ndarray
     seed: np.ndarray
     diverged: np.ndarray
-    digest: np.ndarray
     values: np.ndarray
     lost: np.ndarray
     poor: np.ndarray
-    exact: np.ndarray
     engine_difference: np.ndarray
 
     @property
@@ -121,14 +117,11 @@ class Episodes:
         finished = "" if len(self.seed) == self.planned else "finished "
         return f"{finished}episode{' that did not diverge' if self.diverged.any() else ''}"
 
-    def cell(self, but: Factor | None = None) -> np.ndarray:
-        """A number for each place of the grid, whatever the level of a factor, shape (n,).
-
-        What was drawn goes with the seed.
-        """
+    def cell(self) -> np.ndarray:
+        """A number for each place of the grid, shape (n,); what was drawn goes with the seed."""
         number = np.zeros_like(self.seed)
         for factor in self.factors:
-            if not factor.drawn and factor is not but:
+            if not factor.drawn:
                 number = number * len(factor.labels) + factor.code
         return number
 
@@ -154,7 +147,7 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
     wanted = {name: _measures(name, columns, spec, known) for name in words}
     asked = [measure for measures in wanted.values() for measure in measures]
     errors = [column for column in columns if column.metric == "rms_error"]
-    needed = ["controller", "seed", "status", "digest", *(x.name for x in (*axes, *errors))]
+    needed = ["controller", "seed", "status", *(x.name for x in (*axes, *errors))]
     needed += [name for name in (engine_check.COLUMN,) if name in schema.names]
     for measure in asked:
         needed += [*measure.columns, *(name for name in _awaited(measure) if name in schema.names)]
@@ -180,7 +173,7 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
         raise OctarmError(
             f"{folder} has no value of {', '.join(absent)} in any finished episode; {why}"
         )
-    lost, poor, exact = _suspects(held, errors, spec)
+    lost, poor = _suspects(held, errors, spec)
     apart = held.get(engine_check.COLUMN, np.empty(0))
     return Episodes(
         spec=spec,
@@ -192,11 +185,9 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
         controller=controller,
         seed=held["seed"],
         diverged=diverged,
-        digest=held["digest"],
         values=np.stack([*values.values()], axis=1),
         lost=lost,
         poor=poor | diverged,
-        exact=exact,
         engine_difference=apart[~np.isnan(apart)],
     )
 
@@ -300,11 +291,11 @@ def _values(
 
 def _suspects(
     held: Mapping[str, np.ndarray], errors: Sequence[Measure], spec: SweepSpec
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`Episodes.lost`, `poor` and `exact`, given the columns of `rms_error`."""
-    lost, poor, exact = np.zeros((3, len(held["reference"])), dtype=bool)
+) -> tuple[np.ndarray, np.ndarray]:
+    """`Episodes.lost` and `poor`, given the columns of `rms_error`."""
+    lost, poor = np.zeros((2, len(held["reference"])), dtype=bool)
     if not spec.duration > spec.settle:
-        return lost, poor, exact
+        return lost, poor
     names = [column.of for column in errors]
     known = _hanging_errors(spec, names, spec.settle, spec.duration)
     for (reference, arm), hanging in known.items():
@@ -314,5 +305,4 @@ def _suspects(
         for column, limit in zip(errors, hanging, strict=True):
             lost |= here & (limit > _STILL) & (held[column.name] >= limit)
             poor |= here & (limit > _STILL) & (held[column.name] > _POOR * limit)
-            exact |= here & (limit > _STILL) & (held[column.name] == 0.0)
-    return lost, poor, exact
+    return lost, poor
