@@ -53,23 +53,16 @@ class Curves(NamedTuple):
 
 
 def reach(size: float) -> tuple[float, float] | None:
-    """The ends of an axis about zero with three labels at least; None for no finite size.
-
-    The viewer labels multiples of a power of ten, of that which leaves room for them: with more
-    than nine in sight, of the next one.
-    """
-    if not 0.0 < size < math.inf:
-        return None
+    """The ends of an axis about zero with three labels at least; None for no finite size."""
     end = 1.08 * size
-    power = 10.0 ** math.floor(math.log10(end))
-    end = end if end <= 4.4 * power else 10.4 * power
-    return -end, end
+    return (span(-end, end) or (-end, end)) if 0.0 < size < math.inf else None
 
 
 def span(low: float, high: float) -> tuple[float, float] | None:
-    """The ends of an axis of numbers from low to high with three labels at least, see `reach`.
+    """The ends of an axis of numbers from low to high with three labels at least.
 
-    None where there are as many anyway, or no finite size.
+    The viewer labels multiples of a power of ten, of that which leaves room for them: with more
+    than nine in sight, of the next one. None where there are three anyway, or no finite size.
     """
     size = high - low
     if not 0.0 < size < math.inf:
@@ -90,6 +83,7 @@ class Plots:
     Attributes:
         channels: what the run holds.
         axis: the time, with room for the legends at its end.
+        end: of the run [s].
     """
 
     def __init__(
@@ -107,8 +101,8 @@ class Plots:
         """
         at = rr.TimeRangeBoundary.absolute
         time = rr.TimeRange(start=at(seconds=0.0), end=at(seconds=1.2 * end))
-        self.channels, self.axis, self._root = channels, rrb.TimeAxis(view_range=time), root
-        self._events, self._extremes = events or {}, extremes
+        self.channels, self.axis, self.end = channels, rrb.TimeAxis(view_range=time), end
+        self._root, self._events, self._extremes = root, events or {}, extremes
 
     def curves(self, name: str, part: str = "") -> Curves:
         """The curves of a part of a channel."""
