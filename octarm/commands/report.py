@@ -19,7 +19,7 @@ from octarm.reports.charts import pictures, scales_of
 from octarm.reports.comparisons import TABLES, Comparisons, tables
 from octarm.reports.consistency import Remark
 from octarm.reports.figures import Picture
-from octarm.reports.page import Source, page
+from octarm.reports.page import page
 from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.shards import schema
 from octarm.sweeps.spec_file import parse_spec
@@ -39,15 +39,18 @@ def report(
     loops = loops_of(sweep, numbers.episodes, run_code)
     drawn = list(pictures(numbers))
     files = tables(numbers)
-    source = Source(
+    text = page(
+        numbers,
+        remarks=remarked,
+        pictures=drawn,
         name=name,
         spec=read_toml(sweep / SPEC).text,
         commands=_commands(sweep, baseline, metrics, run_code, out),
-        files=list(files),
+        files=files,
+        loops=loops.table(),
+        of_loops=loops.caption,
     )
-    _write(
-        folder, page(numbers, remarked, drawn, source, loops.table(), loops.caption), files, drawn
-    )
+    _write(folder, text, files, drawn)
     _print_summary(numbers, remarked, loops)
     print(f"wrote {printable(str(folder / PAGE))}")
 

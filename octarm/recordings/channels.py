@@ -253,8 +253,8 @@ def bounds_of(description: Mapping[str, Any], layer: np.ndarray | None) -> dict[
     )
     if phi is not None:
         bounds["s"] = Bound(phi, "phi")
-        if slope is not None:
-            bounds["error"] = Bound(phi / slope, "phi / lambda")
+    if phi is not None and slope is not None:
+        bounds["error"] = Bound(phi / slope, "phi / lambda")
     if largest is not None:
         bounds["E"] = Bound(largest, "E_max", both_sides=False)
     limits = [disturbance.input_bound() for disturbance in disturbances_of(description).values()]

@@ -216,25 +216,22 @@ class _Viewer:
         from rerun.experimental import ViewerClient  # the import takes half a second
 
         try:
-            return self._loaded(ViewerClient(self.url), time)
+            client = ViewerClient(self.url)
+            state = client.get_state()
+            errors = [entry.message for entry in client.get_logs() if entry.level == "ERROR"]
+            if errors:
+                raise OctarmError(f"the rerun viewer says: {errors[0].splitlines()[0]}")
+            timelines = [recording.timelines for recording in state.recordings]
+            if state.loading or not timelines or not all(timelines):
+                return None
+            blueprint = client.get_blueprint(of="recording").blueprint
+            blueprint["/top_panel"] = {"PanelBlueprint": {"state": "Hidden"}}
+            client.set_blueprint(blueprint, of="recording")
+            if time is not None:
+                client.set_time("t", duration=time, play_state="paused")
+            return client
         except (ConnectionError, RuntimeError):  # not up yet, or busy
             return None
-
-    @staticmethod
-    def _loaded(client: ViewerClient, time: float | None) -> ViewerClient | None:
-        state = client.get_state()
-        errors = [entry.message for entry in client.get_logs() if entry.level == "ERROR"]
-        if errors:
-            raise OctarmError(f"the rerun viewer says: {errors[0].splitlines()[0]}")
-        timelines = [recording.timelines for recording in state.recordings]
-        if state.loading or not timelines or not all(timelines):
-            return None
-        blueprint = client.get_blueprint(of="recording").blueprint
-        blueprint["/top_panel"] = {"PanelBlueprint": {"state": "Hidden"}}
-        client.set_blueprint(blueprint, of="recording")
-        if time is not None:
-            client.set_time("t", duration=time, play_state="paused")
-        return client
 
 
 @contextlib.contextmanager

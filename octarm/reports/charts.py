@@ -53,30 +53,25 @@ def pictures(comparisons: Comparisons) -> Iterator[Picture]:
     """All charts of a report."""
     episodes = comparisons.episodes
     diverged = bool(episodes.diverged.any())
-    unfinished = len(episodes.seed) < episodes.planned
-    which = "all finished episodes" if unfinished else "all episodes"
     with figures.figure_style():
         for factor in episodes.factors:
-            caption = f"Median over {which} at each {factor.name}, with its 95 % interval."
-            if any(np.any(group.seeds < FEWEST) for group in comparisons.groups):
-                caption += f" It is a range where fewer than {FEWEST} seeds have a value."
+            caption = (
+                f"Median over all finished episodes at each {factor.name}, with its 95 % interval"
+                f", or the range of fewer than {FEWEST} seeds."
+            )
             if diverged:
                 caption += " A curve ends where half of the episodes diverge."
-            if unfinished:
-                caption += " It has a gap where no episode is finished."
             name = f"degradation-{factor.name}"
             yield figures.save_figure(name, caption, _degradation(comparisons, factor))
         more = " Episodes that diverged lie beyond the end of the axis." if diverged else ""
-        caption = f"{which.capitalize()} of each controller: {_BOXES}{more}"
+        caption = f"All finished episodes of each controller: {_BOXES}{more}"
         yield figures.save_figure("distributions", caption, _boxes(comparisons))
         for cells in comparisons.cells[:_MOST_MAPS]:
-            title = scales_of(episodes)[0].title
             caption = (
-                f"Median {title} over {cells.first.name} and {cells.second.name}; "
-                "∞ where half of the episodes diverge."
+                f"Median {scales_of(episodes)[0].title} over {cells.first.name} and "
+                f"{cells.second.name}; ∞ where half of the episodes diverge, empty where no "
+                "finished episode has a value."
             )
-            if np.isnan(cells.medians[:, 0]).any():
-                caption += f" Empty where no {episodes.with_values} has a value."
             name = f"map-{cells.first.name}-{cells.second.name}"
             yield figures.save_figure(name, caption, _map(comparisons, cells))
         if diverged:

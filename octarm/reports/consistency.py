@@ -47,7 +47,7 @@ def _unfinished(episodes: Episodes) -> Iterator[Remark]:
     if episodes.absent:
         names = ", ".join(episodes.absent)
         why = unsettled(episodes.spec.duration, episodes.spec.settle, "settle =")
-        left_out = f"No {episodes.with_values} has a value of {names}: left out"
+        left_out = f"No finished episode has a value of {names}: left out"
         yield Remark(False, f"{left_out}{why and f', since {why}'}.")
 
 

@@ -111,12 +111,6 @@ class Episodes:
         """Number of episodes, with those that are not finished."""
         return self.manifest["episodes"]
 
-    @property
-    def with_values(self) -> str:
-        """In words, an episode that may have values: finished, and not diverged."""
-        finished = "" if len(self.seed) == self.planned else "finished "
-        return f"{finished}episode{' that did not diverge' if self.diverged.any() else ''}"
-
     def cell(self) -> np.ndarray:
         """A number for each place of the grid, shape (n,); what was drawn goes with the seed."""
         number = np.zeros_like(self.seed)
@@ -164,10 +158,6 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
         else:
             absent.append(measure.name)
     if not values:
-        if diverged.all():
-            raise OctarmError(
-                f"all finished episodes of {folder} diverged; there is nothing to report of them"
-            )
         why = "its controllers do not have it, or all episodes diverged of those that have it"
         why = unsettled(spec.duration, spec.settle, "settle =") or why
         raise OctarmError(

@@ -183,17 +183,17 @@ def _median(column: np.ndarray, seeds: np.ndarray) -> tuple[float, float, float]
     owner, n = owner[order], len(values)
     if not n:
         return math.nan, math.nan, math.nan
-    value = _middle(values)
+    value = middle(values)
     if len(owners) < 2:
         return value, math.nan, math.nan
     if 0.5 ** len(owners) > _TAIL:
-        each = [_middle(values[owner == k]) for k in range(len(owners))]
+        each = [middle(values[owner == k]) for k in range(len(owners))]
         return value, min(each), max(each)
     low, high = _place(owner), n - 1 - _place(owner[::-1])
     return value, float(values[low]), float(values[high])
 
 
-def _middle(values: np.ndarray) -> float:
+def middle(values: np.ndarray) -> float:
     """The median of values that rise, of which there is at least one, shape (n,)."""
     n = len(values)
     with np.errstate(invalid="ignore"):  # halfway between two infinities
