@@ -49,7 +49,7 @@ def validate(
             given
         seed: seed of the random states and parameters
         json: also write the report to this file
-        out: of --rod: also draw its figures in this folder
+        out: of --rod: also draw its figure in this folder
         force: replace files that are there
 
     Examples:

@@ -251,15 +251,10 @@ def blueprint(
     listed: bool = False,
     following: bool = False,
 ) -> rrb.Blueprint:
-    """The layout for one run.
+    """The layout for one run, with so many lanes of states beside those of single coordinates.
 
-    Args:
-        scene: the arm.
-        plots: of what the run holds.
-        description: of the run.
-        lanes: of the state timeline, without those of single coordinates.
-        listed: whether the viewer keeps its list of recordings open.
-        following: whether the viewer follows the last instant.
+    The viewer keeps its list of recordings open if they are `listed`, and shows the last instant if
+    it is `following`.
     """
     tabs = _tabs(plots, ledger=bool(description.get("disturbances")))
     sliding = ["s"] if has_sliding(plots.channels) else []
@@ -330,10 +325,7 @@ class Layout(rrb.Blueprint):
     """
 
     def __init__(self, layout: Any, *, listed: bool = False, following: bool = False) -> None:
-        """The layout of a container of views; with the list of recordings if they are listed.
-
-        It opens at the first instant, or follows the last one.
-        """
+        """The layout of a container of views, which opens at the first instant or follows."""
         play_state = "following" if following else "paused"
         super().__init__(
             layout,

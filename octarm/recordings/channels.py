@@ -277,11 +277,7 @@ class Phases:
     def __init__(
         self, names: Sequence[str], layer: np.ndarray | None, limit: np.ndarray | None
     ) -> None:
-        """Starts before the first row of a run, given the names of the coordinates.
-
-        The half width phi of the boundary layer has shape (2N,) [m/s], [rad/s], the limit of the
-        inputs shape (2N,) [N].
-        """
+        """Starts before the first row, given phi, shape (2N,), and the inputs' limit, (2N,) [N]."""
         self._names, self._layer, self._limit = names, layer, limit
         self._start: np.ndarray | None = None  # sign of s
         self._reached = np.zeros(len(names), dtype=bool)

@@ -1,18 +1,13 @@
 """A run as a `.rrd` file: the arm in 3D and plots, laid out by a blueprint in the file.
 
-The file can be written while the run goes on. The arrays of a run that was killed make it again.
+The file can be written while the run goes on; `run.npz` of a run that was killed makes it again.
 
 Whatever has a row at every control instant stands in one entity, `signals`, as one structure of
 lists: one set of times for all of them makes the file half as large as one entity for each plot.
 Plots pick their lists by name, `.q_bends[]`. Lines at bounds stand in `bounds`, at events, from
 the lowest to the highest number of each plot, in `events`. Slowly adapting numbers, in
 `adaptation`, and the scene are recorded 60 times a second; signals with a number for each fuzzy
-rule as a picture.
-
-An adaptive controller reports 121 numbers at an instant. With q, q_d and tau that is 11 MB for
-10 s at 1 kHz, which do not compress, for every bit is new; without the rules it is 4 MB still. So
-not everything is recorded with all its bits, see `octarm.recordings.channels`, and the scene is
-rounded to what can be seen. `run.npz` has all of it, with every bit, at every instant.
+rule, 121 at an instant, as a picture. `run.npz` has every bit of all of it, at every instant.
 """
 
 from __future__ import annotations
@@ -65,22 +60,16 @@ _COLORS = {  # of the phases and of how a run ends, as hexadecimal red, green, b
 def write_recording(
     path: Path, trajectory: Trajectory, description: Mapping[str, Any], *, name: str = ""
 ) -> None:
-    """Writes a run as a rerun recording, whole or not at all.
+    """Writes a run of one arm as a rerun recording, whole or not at all, into a folder that exists.
 
     The timeline is `t` [s]. Every signal of the controller is recorded and plotted, whatever its
-    name and width.
+    name and width. Of what `run.json` holds, the description, `parameters` are needed. One of
+    several recordings, of which the viewer keeps the list open, has a name; else it has the title
+    of the run.
 
-    Args:
-        path: the `.rrd` file; its folder must exist.
-        trajectory: the run of one arm of N modules.
-        description: what `run.json` holds; `parameters` are needed, the rest may be missing.
-        name: of one of several recordings, for which the viewer keeps its list of them open; the
-            title of the run when empty.
-
-    Raises:
-        OctarmError: if the trajectory has no rows, the parameters are not those of one such arm,
-            or rerun does not take the data or is switched off by RERUN=off.
-        OSError: if the file cannot be written.
+    Raises OctarmError if the trajectory has no rows, the parameters are not those of one such arm,
+    or rerun does not take the data or is switched off by RERUN=off, OSError if the file cannot be
+    written.
     """
     if len(trajectory) == 0:
         raise OctarmError("there is nothing to record: the trajectory has no rows")
@@ -121,21 +110,13 @@ class RunRecording:
         root: str = "",
         following: bool = False,
     ) -> None:
-        """Starts the recording of the run that is announced.
+        """Starts the recording of the run that is announced; the path is for error messages.
 
-        Args:
-            stream: where it goes.
-            path: of the file, for error messages.
-            description: what `run.json` will hold, as far as it is known.
-            disturbed: whether the disturbances' force is recorded; if None, if any are listed.
-            name: of one of several recordings; empty if it is alone.
-            root: entity, with a slash at its end, below which everything stands. With one there is
-                no layout, and the recording is not named after the run.
-            following: whether a viewer shows the rows as they come, which needs a layout from the
-                beginning and is not waited for for long.
-
-        Raises:
-            OctarmError: if the parameters are not those of one arm, or a disturbance is unknown.
+        The disturbances' force is recorded if it is `disturbed`; if None, if any are listed. One of
+        several recordings has a name. With a root, an entity with a slash at its end, everything
+        stands below it, and there is neither a layout nor a name. A viewer that is `following` the
+        rows as they come needs a layout from the beginning, and is not waited for for long. Raises
+        OctarmError if the parameters are not those of one arm, or a disturbance is unknown.
         """
         parameters = ArmParameters.from_dict(description["parameters"])
         if parameters.batch_shape:
@@ -165,14 +146,9 @@ class RunRecording:
     def add(self, rows: Rows, layer: np.ndarray | None = None) -> None:
         """Records further rows, which are on disk afterwards.
 
-        Args:
-            rows: see `octarm.interfaces.Rows`.
-            layer: half width phi of the boundary layer, shape (2N,) [m/s], [rad/s], if the
-                controller has one; the one given with the first rows counts.
-
-        Raises:
-            OctarmError: if the rows are not those of an arm with these parameters, or rerun does
-                not take them.
+        The half width phi of the boundary layer, shape (2N,) [m/s], [rad/s], that is given with the
+        first rows counts. Raises OctarmError if the rows are not those of an arm with these
+        parameters, or rerun does not take them.
         """
         if rows["q"].shape[1:] != (len(self._coordinates.names),):
             raise OctarmError("the parameters must be those of an arm with the rows' modules")

@@ -57,11 +57,10 @@ class Scene:
         disturbed: bool,
         finer: bool = False,
     ) -> None:
-        """The scene of one arm.
+        """The scene of one arm; the force of disturbances is drawn if it is `disturbed`.
 
-        The disturbances of the run say what they carry and how they turn gravity; `disturbed` says
-        whether their force is drawn. With a `finer` plant, of more modules, its true curve is drawn
-        through the arm that its groups make one believe in, and the trail is that of its tip.
+        With a `finer` plant, of more modules, its true curve is drawn through the arm that its
+        groups make one believe in, and the trail is that of its tip.
         """
         self._modules, self._width = parameters.modules, float(np.median(parameters.width))
         self._length = float(np.sum(parameters.rest_length))
@@ -162,10 +161,7 @@ class Scene:
         return frames
 
     def _see(self, points: np.ndarray, most: np.ndarray) -> None:
-        """Widens what the camera sees to points of shape (k, points, 3), but for rare ones.
-
-        It does not see further than so many lengths of the arm, lowest and highest x and z.
-        """
+        """Widens what the camera sees to most points, shape (k, points, 3), up to an end."""
         low, high = (f(points[..., ::2], axis=1) for f in (np.min, np.max))
         ends = np.stack([np.percentile(low, 1.0, axis=0), np.percentile(high, 99.0, axis=0)])
         ends = np.clip(ends, self._length * most[0], self._length * most[1])

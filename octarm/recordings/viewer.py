@@ -61,14 +61,10 @@ def check_display(otherwise: str) -> None:
 
 @contextlib.contextmanager
 def open_for_run(address: str = "") -> Generator[str]:
-    """The URL of a viewer that shows a run while it goes on.
+    """The URL of a viewer that shows a run while it goes on, at HOST:PORT.
 
-    Args:
-        address: HOST:PORT of a viewer that is open already; if empty, a window is opened, which is
-            waited for in the end.
-
-    Raises:
-        OctarmError: if there is no display, or nothing listens at the address.
+    Without an address a window is opened, which is waited for in the end. Raises OctarmError if
+    there is no display, or nothing listens at the address.
     """
     if address:
         host, _, port = address.rpartition(":")
@@ -122,21 +118,12 @@ def screenshot(
 ) -> None:
     """Draws what the viewer shows of a recording into a PNG, whole or not at all.
 
-    It needs no display and no GPU, but some Vulkan driver.
+    It needs no display and no GPU, but some Vulkan driver. Other recordings may be open as well. It
+    is of one instant [s], the first one if None, and of this width and height [pixel]. The viewer
+    may do nothing for the timeout [s], `PATIENCE` if None, see `_Viewer.pause`.
 
-    Args:
-        recording: an `.rrd` file.
-        png: the picture; its folder must exist.
-        others: further recordings that are open.
-        time: instant to show [s]; the first one if None.
-        size: width and height [pixel].
-        timeout: for how long the viewer may do nothing, see `_Viewer.pause` [s]; `PATIENCE` if
-            None.
-
-    Raises:
-        OctarmError: if the recording is missing, or it cannot be drawn on this machine.
-        TooSlow: if the viewer gets nowhere.
-        OSError: if the picture cannot be written.
+    Raises OctarmError if the recording is missing, or cannot be drawn on this machine, TooSlow if
+    the viewer gets nowhere, OSError if the picture cannot be written.
     """
     files = [_existing(path) for path in (*others, recording)]
     window = ["--headless", "--window-size", f"{size[0]}x{size[1]}"]
@@ -173,9 +160,7 @@ class _Viewer:
     def pause(self, patience: float) -> None:
         """Waits a moment for the viewer to get on, if it has not ended and patience [s] lasts.
 
-        How long that takes depends on the machine and what else it does. So what counts is the
-        processor time that the viewer uses: it may do nothing for so long, and may work in vain for
-        twice as long.
+        It may do nothing, by its processor time, for so long, and work in vain for twice as long.
         """
         clock.sleep(0.1)
         if self.process.poll() is not None:
@@ -279,9 +264,8 @@ def _free_port() -> int:
 def _guarded_page(page_port: int, data_port: int) -> Generator[int]:
     """Passes on the page that rerun serves at `page_port`; yields the port to open.
 
-    A request under another host name than that of this machine gets no page: it comes from a site
-    that lets its name stand for 127.0.0.1, and would read what is recorded. Recordings come from
-    `data_port`, the only other place that the page may load from.
+    A request under another host name comes from a site that lets its name stand for 127.0.0.1, and
+    would read what is recorded. The page may load from `data_port` alone, besides.
     """
     page = "'self' 'unsafe-inline' 'unsafe-eval' blob: data:"
     data = f"http://127.0.0.1:{data_port} ws://127.0.0.1:{data_port}"

@@ -230,11 +230,7 @@ def _moved(spec: SweepSpec, names: Sequence[str]) -> np.ndarray:
 def _hanging_errors(
     spec: SweepSpec, names: Sequence[str], begin: float, end: float
 ) -> dict[tuple[str, str], np.ndarray]:
-    """The rms errors of arms that hang still between two instants [s], of these coordinates.
-
-    They are given by the names of each built-in reference and arm, shape (k,) [m], [rad]; 0 for a
-    coordinate that the arm does not have.
-    """
+    """The rms errors of arms that hang still, shape (k,), by built-in reference and arm."""
     errors: dict[tuple[str, str], np.ndarray] = {}
     for reference, arm in itertools.product(spec.references, spec.arms or [""]):
         if is_built_in(reference):

@@ -51,11 +51,8 @@ def write_figures(
     There are always `tracking`, `error` and `inputs`; `sliding` if the controller has a sliding
     variable, `adaptation` if it adapts, `disturbance` if something pushed the arm.
 
-    Returns:
-        The files of the run of one arm, of which `description` is what `run.json` holds.
-
-    Raises:
-        OSError: if a file cannot be written.
+    The run is one of one arm, of which `description` is what `run.json` holds. Returns the files;
+    raises OSError if one cannot be written.
     """
     drawn: dict[Path, bytes] = {}
     with figure_style():

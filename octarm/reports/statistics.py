@@ -232,10 +232,7 @@ def _shares(balance: np.ndarray) -> tuple[float, float]:
 
 @functools.cache
 def _signs(count: int) -> np.ndarray:
-    """Combinations of so many signs, shape (R, count): all of them, or some, always the same ones.
-
-    With each there is its opposite, and those that are all alike are among them.
-    """
+    """Combinations of signs and their opposites, shape (R, count): all, or always the same."""
     if count <= _ALL_SIGNS:
         return np.array(list(itertools.product((-1.0, 1.0), repeat=count)))
     drawn = np.random.default_rng(_SEED).integers(2, size=(2 ** (_ALL_SIGNS - 1), _MOST))
