@@ -265,18 +265,18 @@ class RunRecording:
 
     def _log_events(self, status: str) -> None:
         """A line across each plot at each event: from its lowest number to its highest one."""
-        begun = {at: x for at, _, x in events_of(self._description) if x and at > self._start}
+        begun = [(at, x) for at, _, x in events_of(self._description) if x and at > self._start]
         marks = {
-            "begins": {at: text for at, text in begun.items() if at <= self._end},
-            "ends": {} if status == "ok" else {self._end: status},
+            "begins": [(at, text) for at, text in begun if at <= self._end],
+            "ends": [] if status == "ok" else [(self._end, status)],
         }
-        for kind, texts in marks.items():
-            if texts:
-                words = {*texts.values()}
+        for kind, events in marks.items():
+            if events:
+                words = {text for _, text in events}
                 self.events[kind] = words.pop() if len(words) == 1 else "a disturbance begins"
-                at, rows = np.repeat([*texts], 3), dict[str, np.ndarray]()
+                at, rows = np.repeat([at for at, _ in events], 3), dict[str, np.ndarray]()
                 for plot, ends in self._extremes.items():
-                    line = np.tile([*ends, np.nan], len(texts))  # it ends at what is no number
+                    line = np.tile([*ends, np.nan], len(events))  # it ends at what is no number
                     rows |= {plot: line}
                     if plot.startswith("q_"):
                         rows |= {plot.replace("q_", "q_d_"): line}
