@@ -61,7 +61,7 @@ class HeatMap:
         labels = [f"{name}: {size:.2g}" for name, size in zip(names, largest, strict=True)]
         places = [(-0.5 * LEFT, band * j + 0.5 * (band - GAP)) for j in range(len(names))]
         marks = np.linspace(self._t[0], self._t[-1], 5)
-        labels += [f"{t:.3g} s" for t in marks]
+        labels += [f"{round(t, 1 if marks[-1] > 2.0 else 3):g} s" for t in marks.tolist()]
         places += [(x, low + 12.0) for x in self._across(marks)]
         points = rr.Points2D(
             places, labels=labels, radii=0.01, colors=[200, 208, 218], show_labels=True
