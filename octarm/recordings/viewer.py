@@ -192,7 +192,7 @@ class _Viewer:
         """What the viewer shows, as PNG; empty if it does not answer in the time that it has."""
         try:
             return client.take_screenshot()
-        except (ConnectionError, RuntimeError) as error:
+        except (ConnectionError, RuntimeError, TimeoutError) as error:
             self._late = f" ({' '.join(str(error).split())})"
             return b""
 
@@ -215,7 +215,7 @@ class _Viewer:
             if time is not None:
                 client.set_time("t", duration=time, play_state="paused")
             return client
-        except (ConnectionError, RuntimeError):  # not up yet, or busy
+        except (ConnectionError, RuntimeError, TimeoutError):  # not up yet, or busy
             return None
 
 
