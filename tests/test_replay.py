@@ -150,7 +150,7 @@ def started(*options):
         "a",
     ]
     process = subprocess.Popen([*command, *options], stdout=-3, stderr=subprocess.PIPE, text=True)
-    part = Path("a") / runs.PARTIAL
+    part = Path("a") / runs.BLOCKS
     while not (part.is_file() and part.stat().st_size > 500_000):  # a block has 1 MB
         assert process.poll() is None
         time.sleep(0.05)

@@ -8,7 +8,7 @@ from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from octarm.commands.rows import rows_of, say_partial
+from octarm.commands.rows import rows_of
 from octarm.commands.terminal import note
 from octarm.errors import OctarmError, printable
 from octarm.recordings import viewer
@@ -88,21 +88,17 @@ def _episode_name(folder: str, description: Mapping[str, Any]) -> str:
 
 
 def _of_run(folder: Path, scratch: Path) -> Path:
-    """The recording of a run; what can be read of it if the run is partial."""
+    """The recording of a run; of one that is partial it is made of its arrays."""
     if folder.suffix == ".rrd" and folder.is_file():
         return folder
     description = runs.read_description(folder)  # raises when this is no run
-    recording, partial = folder / runs.RECORDING, folder / runs.PARTIAL
-    if recording.is_file():
-        if description["status"] == "interrupted":
-            message = printable(description.get("message", ""), 200)
-            note(f"the run is partial: it was {message}")
-        elif description["status"] == runs.RUNNING:
-            say_partial(last_instant(recording))
-        return recording
-    if not partial.is_file():
+    recording = folder / runs.RECORDING
+    if description["status"] == runs.RUNNING:
+        recording = scratch / runs.RECORDING
+        write_recording(recording, *rows_of(folder))
+    elif not recording.is_file():
         raise OctarmError(f"{folder} has no recording {runs.RECORDING}; octarm record writes one")
-    rescued = scratch / runs.RECORDING
-    viewer.rescue(partial, rescued)
-    say_partial(last_instant(rescued))
-    return rescued
+    elif description["status"] == "interrupted":
+        message = printable(description.get("message", ""), 200)
+        note(f"the run is partial: it was {message}")
+    return recording

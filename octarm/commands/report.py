@@ -21,7 +21,7 @@ from octarm.reports.charts import pictures, scales_of
 from octarm.reports.comparisons import TABLES, Comparisons, tables
 from octarm.reports.consistency import Remark
 from octarm.reports.figures import Picture
-from octarm.reports.page import Source, page
+from octarm.reports.page import page
 from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.shards import schema
 from octarm.sweeps.spec_file import parse_spec
@@ -41,13 +41,17 @@ def report(sweep: Path, options: ReportOptions) -> None:
     files = tables(numbers)
     again = [str(sweep / SPEC), "--out", f"{os.path.normpath(sweep)}-again"]
     commands = [["sweep", *again], ["report", str(sweep), *spelt(options, "force")]]
-    source = Source(
+    text = page(
+        numbers,
+        remarks=remarked,
+        pictures=drawn,
         name=name,
         spec=read_toml(sweep / SPEC).text,
         commands=[shlex.join(["octarm", *words]) for words in commands],
-        files=list(files),
+        files=files,
+        loops=loops.table(),
+        of_loops=loops.caption,
     )
-    text = page(numbers, remarked, drawn, source, loops.table(), loops.caption)
     _write(folder, text, files, drawn)
     _print_summary(numbers, remarked, loops)
     print(f"wrote {printable(str(folder / PAGE))}")

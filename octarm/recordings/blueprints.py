@@ -24,6 +24,8 @@ from octarm.recordings.titles import short_title_of
 _BOUND = [150, 156, 166]
 _BACKGROUND = [13, 15, 19]
 EVENTS = {"begins": [224, 138, 60], "ends": [255, 90, 95]}  # of a disturbance, of a run that failed
+# The lowest and the highest number of each plot, as it is recorded, by its first column.
+Extremes = Mapping[str, tuple[float, float]]
 _EACH = rr.components.AggregationPolicy.Off  # both ends of a line are at one instant
 _LEGEND = 8  # series at most that a legend can name
 _FAR = 2.0  # times the largest value; a bound beyond that is written, not drawn
@@ -51,23 +53,16 @@ class Curves(NamedTuple):
 
 
 def reach(size: float) -> tuple[float, float] | None:
-    """The ends of an axis about zero with three labels at least; None for no finite size.
-
-    The viewer labels multiples of a power of ten, of that which leaves room for them: with more
-    than nine in sight, of the next one.
-    """
-    if not 0.0 < size < math.inf:
-        return None
+    """The ends of an axis about zero with three labels at least; None for no finite size."""
     end = 1.08 * size
-    power = 10.0 ** math.floor(math.log10(end))
-    end = end if end <= 4.4 * power else 10.4 * power
-    return -end, end
+    return (span(-end, end) or (-end, end)) if 0.0 < size < math.inf else None
 
 
 def span(low: float, high: float) -> tuple[float, float] | None:
-    """The ends of an axis of numbers from low to high with three labels at least, see `reach`.
+    """The ends of an axis of numbers from low to high with three labels at least.
 
-    None where there are as many anyway, or no finite size.
+    The viewer labels multiples of a power of ten, of that which leaves room for them: with more
+    than nine in sight, of the next one. None where there are three anyway, or no finite size.
     """
     size = high - low
     if not 0.0 < size < math.inf:
@@ -88,6 +83,7 @@ class Plots:
     Attributes:
         channels: what the run holds.
         axis: the time, with room for the legends at its end.
+        end: of the run [s].
     """
 
     def __init__(
@@ -95,21 +91,18 @@ class Plots:
         channels: Mapping[str, Channel],
         end: float,
         root: str = "",
-        largest: Mapping[str, np.ndarray] | None = None,
         events: Mapping[str, str] | None = None,
-        extremes: Mapping[str, np.ndarray] | None = None,
+        extremes: Extremes | None = None,
     ) -> None:
         """Plots from 0 to `end` [s].
 
-        The largest size of each number of a channel, by name, tells which plots would be empty and
-        which bounds are far off; None while the run goes on. Of the entities of `EVENTS` those that
-        there are have a name for the legend. The extremes are the lowest and the highest number of
-        a plot, as it is recorded, by its first column.
+        The extremes tell which plots would be empty and which bounds are far off; None while the
+        run goes on. Of the entities of `EVENTS` those that there are have a name for the legend.
         """
         at = rr.TimeRangeBoundary.absolute
         time = rr.TimeRange(start=at(seconds=0.0), end=at(seconds=1.2 * end))
-        self.channels, self.axis, self._root = channels, rrb.TimeAxis(view_range=time), root
-        self._largest, self._events, self._extremes = largest, events or {}, extremes or {}
+        self.channels, self.axis, self.end = channels, rrb.TimeAxis(view_range=time), end
+        self._root, self._events, self._extremes = root, events or {}, extremes
 
     def curves(self, name: str, part: str = "") -> Curves:
         """The curves of a part of a channel."""
@@ -159,44 +152,31 @@ class Plots:
         )
 
     def bounded(self, title: str, name: str, part: str, legend: bool = False) -> Any:
-        """A plot of a part of a channel with lines at its bound."""
-        bound, curves = self.channels[name].bound, [self.curves(name, part)]
-        if bound is not None and self._far(name, part):
-            sizes = np.abs(bound.lines(self.channels[name].parts[part]))
-            factor = self.channels[name].recorded(part)[0]
-            ends = dict.fromkeys(f"{factor * x:.3g}" for x in (sizes.min(), sizes.max()))
-            title = f"{title}   {bound.word} = {' to '.join(ends)}, far off"
-        elif bound is not None:
-            count = len(bound.lines(self.channels[name].parts[part]))
-            names = [f"{'± ' if bound.both_sides else ''}{bound.word}"] * count
-            entity, path = f"bounds/{name}", f".{part or 'all'}[]"
-            curves.append(Curves(entity, path, names, [_BOUND] * count, 1.0))
-            title = f"{title}   grey: {bound.word}"
-        return self.view(title, *curves, legend=legend, ends=self._reach(name, part))
+        """A plot of a part of a channel with lines at its bound, which is written if far off."""
+        channel, curves, size = (
+            self.channels[name],
+            [self.curves(name, part)],
+            self._size(name, part),
+        )
+        if (bound := channel.bound) is not None:
+            lines = channel.lines(part)
+            sizes = np.abs(lines)
+            if sizes.min() > _FAR * size:
+                ends = dict.fromkeys(f"{x:.3g}" for x in (sizes.min(), sizes.max()))
+                title = f"{title}   {bound.word} = {' to '.join(ends)}, far off"
+            else:
+                names = [f"{'± ' if bound.both_sides else ''}{bound.word}"] * len(lines)
+                path, colors = f".{part or 'all'}[]", [_BOUND] * len(lines)
+                curves.append(Curves(f"bounds/{name}", path, names, colors, 1.0))
+                title, size = f"{title}   grey: {bound.word}", max(size, float(sizes.max()))
+        ends = reach(size) if name in _ABOUT_ZERO else None
+        return self.view(title, *curves, legend=legend, ends=ends)
 
-    def _reach(self, name: str, part: str) -> tuple[float, float] | None:
-        """The ends of the axis of a plot about zero; None where the viewer is to choose."""
-        if self._largest is None or name not in _ABOUT_ZERO:
-            return None
-        channel = self.channels[name]
-        sizes = [self._largest[name][channel.parts[part]]]
-        if channel.bound is not None and not self._far(name, part):
-            sizes.append(np.abs(channel.bound.lines(channel.parts[part])))
-        return reach(channel.recorded(part)[0] * float(np.max(np.concatenate(sizes))))
-
-    def empty(self, name: str, part: str) -> bool:
-        """Whether there is nothing but zeros to be seen."""
-        where = self.channels[name].parts[part]
-        return self._largest is not None and not np.any(self._largest[name][where])
-
-    def _far(self, name: str, part: str) -> bool:
-        """Whether the bound of a channel would squeeze its curves."""
-        channel = self.channels[name]
-        if self._largest is None or channel.bound is None:
-            return False
-        where = channel.parts[part]
-        least = float(np.abs(channel.bound.lines(where)).min())
-        return least > _FAR * float(self._largest[name][where].max())
+    def _size(self, name: str, part: str) -> float:
+        """The largest size of the numbers of a plot, as recorded; infinite if it is not known."""
+        if self._extremes is None:
+            return math.inf
+        return max(map(abs, self._extremes.get(self.channels[name].column(part), (0.0,))))
 
     def views(self, name: str) -> list[Any]:
         """A plot for each part of a channel, since their scales differ, that is not empty.
@@ -207,7 +187,7 @@ class Plots:
         if channel is None or channel.kind == "rules":
             return []
         named = channel.kind in ("coordinates", "inputs") and name != "E"
-        parts = [part for part in channel.parts if not self.empty(name, part)]
+        parts = [part for part in channel.parts if self._size(name, part)]
         return [
             self.bounded(
                 f"{', '.join(filter(None, [channel.title, part]))}{channel.recorded(part)[1]}",
@@ -225,8 +205,7 @@ class Plots:
         wanted = wanted._replace(names=names, colors=colors, width=6.0)
         unit = self.channels["q"].recorded(part)[1]
         title = f"{part}{unit}   wide: desired"
-        low, high = self._extremes.get(self.channels["q"].column(part), (0.0, 0.0))
-        ends = span(float(low), float(high))
+        ends = span(*(self._extremes or {}).get(self.channels["q"].column(part), (0.0, 0.0)))
         both = self.view(title, wanted, self.curves("q", part), legend=True, ends=ends)
         return [both, self.bounded(f"error of {part}{unit}", "error", part)]
 
@@ -265,38 +244,21 @@ class Plots:
 
 def blueprint(
     scene: Scene,
-    channels: Mapping[str, Channel],
+    plots: Plots,
     description: Mapping[str, Any],
     lanes: int,
-    largest: Mapping[str, np.ndarray] | None = None,
-    events: Mapping[str, str] | None = None,
-    extremes: Mapping[str, np.ndarray] | None = None,
     *,
     listed: bool = False,
     following: bool = False,
 ) -> rrb.Blueprint:
-    """The layout for one run.
+    """The layout for one run, with so many lanes of states beside those of single coordinates.
 
-    Args:
-        scene: the arm.
-        channels: what the run holds.
-        description: of the run; its duration is the range of the plots.
-        lanes: of the state timeline, without those of single coordinates.
-        largest: sizes of the numbers of each channel, shape (numbers,), see `Plots`.
-        events: see `Plots`.
-        extremes: see `Plots`.
-        listed: whether the viewer keeps its list of recordings open.
-        following: whether the viewer follows the last instant.
+    The viewer keeps its list of recordings open if they are `listed`, and shows the last instant if
+    it is `following`.
     """
-    plots = Plots(channels, float(description["duration"]), "", largest, events, extremes)
     tabs = _tabs(plots, ledger=bool(description.get("disturbances")))
-    by_priority = (
-        "adaptation",
-        "disturbances",
-        *(["s"] if has_sliding(channels) else []),
-        "input",
-        "notes",
-    )
+    sliding = ["s"] if has_sliding(plots.channels) else []
+    by_priority = ("adaptation", "disturbances", *sliding, "input", "notes")
     opened = next(name for name in by_priority if name in tabs)
     title = short_title_of(description, _SHORT)  # all of it stands in the notes
     left: Any = scene.view(f"{title}   pale: desired")
@@ -304,7 +266,9 @@ def blueprint(
         height = _LANE * (lanes + 2)
         states = plots.states("state", "states/**", "- states/each/**")
         left = rrb.Vertical(left, states, row_shares=[1.0 - height, height])
-    tracking = [rrb.Horizontal(*plots.tracking(part), name=part) for part in channels["q"].parts]
+    tracking = [
+        rrb.Horizontal(*plots.tracking(part), name=part) for part in plots.channels["q"].parts
+    ]
     right = rrb.Vertical(
         *tracking,
         rrb.Tabs(*tabs.values(), active_tab=list(tabs).index(opened)),
@@ -361,10 +325,7 @@ class Layout(rrb.Blueprint):
     """
 
     def __init__(self, layout: Any, *, listed: bool = False, following: bool = False) -> None:
-        """The layout of a container of views; with the list of recordings if they are listed.
-
-        It opens at the first instant, or follows the last one.
-        """
+        """The layout of a container of views, which opens at the first instant or follows."""
         play_state = "following" if following else "paused"
         super().__init__(
             layout,

@@ -23,15 +23,10 @@ def show(run: Any, arm: ArmParameters | None = None, *, height: int = 620) -> An
     """The rerun viewer on a run, which a cell shows that ends with it; needs the extra `notebook`.
 
     All that the viewer is made of comes from the installed package, unless the environment variable
-    RERUN_NOTEBOOK_ASSET says otherwise before the first call.
-
-    Args:
-        run: what `octarm.rollout` or `octarm.read_run` returns, or a run folder or its recording.
-        arm: of a trajectory; the nominal one when not given.
-        height: of the viewer, which is as wide as the cell [pixel].
-
-    Raises:
-        OctarmError: if the extra is not installed, or there is no such recording.
+    RERUN_NOTEBOOK_ASSET says otherwise before the first call. The run is what `octarm.rollout`, of
+    this arm or the nominal one, or `octarm.read_run` returns, or a run folder or its recording. The
+    viewer is as wide as the cell, and has a height [pixel]. Raises OctarmError if the extra is not
+    installed, or there is no such recording.
     """
     content = _content(run, arm)
     if _ASSET not in os.environ:

@@ -36,9 +36,6 @@ THOUSANDTHS = {
     "N m": "mN m", "J": "mJ", "W": "mW",
 }  # fmt: skip
 
-SLIDING, REACHING = "sliding", "reaching"
-_NAMED = 3  # coordinates at most that a phase names
-
 
 class _Meaning(NamedTuple):
     """What is known of a channel by its name."""
@@ -135,6 +132,11 @@ class Channel(NamedTuple):
         """What the numbers of a part are multiplied by in a recording, and their unit there."""
         unit = self.units[part].strip(" []")
         return (1e3, f" [{THOUSANDTHS[unit]}]") if unit in THOUSANDTHS else (1.0, self.units[part])
+
+    def lines(self, part: str) -> np.ndarray:
+        """Where lines at the bound belong in a plot of a part, as recorded, shape (lines,)."""
+        lines = [] if self.bound is None else self.bound.lines(self.parts[part])
+        return self.recorded(part)[0] * np.array(lines)
 
     def values(self, rows: Rows) -> np.ndarray:
         """The numbers of k instants, shape (k, numbers)."""
@@ -251,8 +253,8 @@ def bounds_of(description: Mapping[str, Any], layer: np.ndarray | None) -> dict[
     )
     if phi is not None:
         bounds["s"] = Bound(phi, "phi")
-        if slope is not None:
-            bounds["error"] = Bound(phi / slope, "phi / lambda")
+    if phi is not None and slope is not None:
+        bounds["error"] = Bound(phi / slope, "phi / lambda")
     if largest is not None:
         bounds["E"] = Bound(largest, "E_max", both_sides=False)
     limits = [disturbance.input_bound() for disturbance in disturbances_of(description).values()]
@@ -267,24 +269,19 @@ class Phases:
 
     If the controller has a robust part, the signal `switching`, a coordinate is `sliding` while
     |s| <= phi; without a boundary layer it slides from the instant at which s first has another
-    sign than at the start. The lane `surface` is `sliding` while all coordinates are, and names
-    those that are not, as in `reaching: theta2`; `each/theta1` is the lane of one. The lane
-    `inputs` is `saturated` while one input is at its limit.
+    sign than at the start. The lane `surface` is `sliding` while all coordinates are;
+    `each/theta1` is the lane of one. The lane `inputs` is `saturated` while one input is at its
+    limit.
     """
 
     def __init__(
         self, names: Sequence[str], layer: np.ndarray | None, limit: np.ndarray | None
     ) -> None:
-        """Starts before the first row of a run, given the names of the coordinates.
-
-        The half width phi of the boundary layer has shape (2N,) [m/s], [rad/s], the limit of the
-        inputs shape (2N,) [N].
-        """
+        """Starts before the first row, given phi, shape (2N,), and the inputs' limit, (2N,) [N]."""
         self._names, self._layer, self._limit = names, layer, limit
         self._start: np.ndarray | None = None  # sign of s
         self._reached = np.zeros(len(names), dtype=bool)
         self._last: dict[str, bool] = {}
-        self._looked, self._word = np.nan, ""  # the surface: when and whether late, and its phase
 
     def changes(self, rows: Rows) -> dict[str, list[tuple[int, str]]]:
         """The rows of this block at which a lane changes and its phase from there on, by lane."""
@@ -299,32 +296,12 @@ class Phases:
         s = rows.get("s") if "switching" in rows else None  # else s is only a filtered error
         if s is not None and s.shape[1:] == (len(self._names),):
             sliding = self._sliding(s)
-            if surface := self._surface(rows["t"], sliding):
-                changes["surface"] = surface
+            add("surface", np.all(sliding, axis=1), "reaching", "sliding")
             for name, flags in zip(self._names, sliding.T, strict=True):
-                add(f"each/{name}", flags, REACHING, SLIDING)
+                add(f"each/{name}", flags, "reaching", "sliding")
         if self._limit is not None:
             full = np.any(np.abs(rows["tau"]) >= self._limit, axis=1)
             add("inputs", full, "free", "saturated")
-        return changes
-
-    def _surface(self, t: np.ndarray, sliding: np.ndarray) -> list[tuple[int, str]]:
-        """The changes of the surface at times of shape (k,), for flags of shape (k, 2N).
-
-        The names of what is not sliding are looked at ten times a second: s may leave its layer
-        thousands of times.
-        """
-        state = 2.0 * np.floor(10.0 * t + 1e-6) + ~np.all(sliding, axis=1)
-        new = np.flatnonzero(np.diff(state, prepend=self._looked) != 0.0)  # NaN counts as another
-        self._looked = state[-1]
-        changes: list[tuple[int, str]] = []
-        for row in new.tolist():
-            late = [name for name, good in zip(self._names, sliding[row], strict=True) if not good]
-            which = ", ".join(late) if len(late) <= _NAMED else f"{len(late)} of {len(self._names)}"
-            word = f"{REACHING}: {which}" if late else SLIDING
-            if word != self._word:
-                changes.append((row, word))
-                self._word = word
         return changes
 
     def _sliding(self, s: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from octarm.recordings.blueprints import Layout, Plots, reach
 from octarm.recordings.notes import markdown_table
 from octarm.recordings.recording import RunRecording
 from octarm.recordings.rrd import Path, rerun_errors, rrd_file, structures, times
-from octarm.recordings.what_differs import Compared, labels
+from octarm.recordings.what_differs import Compared
 from octarm.simulation.trajectory import Trajectory
 
 # The arrays of a run of one arm, and what `run.json` holds.
@@ -32,18 +32,11 @@ def write_comparison(path: Path, *runs: Run) -> None:
     cannot be written.
     """
     check_comparable([trajectory for trajectory, _ in runs])
-    names = labels(len(runs))
     with rrd_file(path) as stream, rerun_errors(path):
-        recordings: list[RunRecording] = []
-        for name, (run, description) in zip(names, runs, strict=True):
-            recording = RunRecording(stream, path, description, root=f"{name}/")
-            recording.add_all(run)
-            recording.finish(description)
-            recordings.append(recording)
-        layout = _Layout(recordings, runs)
+        layout = _Layout(stream, path, runs)
         for entity, (run, _) in zip(layout.entities, runs[1:], strict=True):
             t, larger = difference(runs[0][0], run)
-            error = recordings[0].channels["error"]
+            error = layout.recordings[0].channels["error"]
             lists = {x: error.recorded(x)[0] * larger[:, part] for x, part in error.parts.items()}
             stream.send_columns(entity, times(t), structures(lists, "difference"))
         page = rr.TextDocument(layout.page(), media_type=rr.MediaType.MARKDOWN)
@@ -75,77 +68,80 @@ def difference(first: Trajectory, second: Trajectory) -> tuple[np.ndarray, np.nd
     return t, np.abs(first.error[shared]) - np.stack(other, axis=1)
 
 
-class _Layout:
-    """How the viewer lays out several runs: arms, errors, inputs, notes."""
+class _Layout(Compared):
+    """How the viewer lays out several runs, which it records: arms, errors, inputs, notes."""
 
-    def __init__(self, recordings: Sequence[RunRecording], runs: Sequence[Run]) -> None:
-        self._recordings, self._runs = recordings, [run for run, _ in runs]
-        self._compared = Compared([description for _, description in runs])
-        self._names, self._ranked = self._compared.names, self._compared.ranked
-        self.titles = self._compared.titles
-        self._end = max(float(run.t[-1]) for run in self._runs)
+    def __init__(self, stream: rr.RecordingStream, path: Path, runs: Sequence[Run]) -> None:
+        super().__init__([description for _, description in runs])
+        self.recordings: list[RunRecording] = []
+        for name, (run, description) in zip(self.names, runs, strict=True):
+            recording = RunRecording(stream, path, description, root=f"{name}/")
+            recording.add_all(run)
+            recording.finish(description)
+            self.recordings.append(recording)
+        end = max(float(run.t[-1]) for run, _ in runs)
+        self._plots = [recording.plots(end) for recording in self.recordings]
+        self._errors = [np.nan_to_num(np.abs(run.error)).max(axis=0) for run, _ in runs]
         # Where the difference of the first run from each other one stands.
         many = len(runs) > 2
-        self.entities = [f"difference/{name}" if many else "difference" for name in self._names[1:]]
+        self.entities = [f"difference/{name}" if many else "difference" for name in self.names[1:]]
 
     def page(self) -> str:
         """In what the runs differ, as Markdown."""
-        rows = [[each.name, *each.values] for each in self._compared.differences]
-        runs = map("- {}: {}".format, self._names, self.titles)
-        heading = f"# What differs\n\n{self._compared.verdict}"
-        return "\n\n".join([heading, "\n".join(runs), markdown_table(["", *self._names], rows)])
+        rows = [[each.name, *each.values] for each in self.differences]
+        runs = map("- {}: {}".format, self.names, self.titles)
+        heading = f"# What differs\n\n{self.verdict}"
+        return "\n\n".join([heading, "\n".join(runs), markdown_table(["", *self.names], rows)])
 
     def blueprint(self) -> rrb.Blueprint:
         """The layout; all plots of a part have the same range."""
-        arms: list[Any] = []
-        inputs: list[Any] = []
-        for name, recording, title in zip(self._names, self._recordings, self.titles, strict=True):
-            arms.append(recording.scene.view(f"{name}: {title}   pale sheath: desired", f"{name}/"))
-            plots, channel = self._plots(name, recording), recording.channels["tau"]
-            forces = f"input forces of {name}{channel.recorded('')[1]}"
-            inputs.append(plots.view(forces, plots.curves("tau"), legend=True))
-        pages = [rrb.TextDocumentView(origin=f"{x}/notes", name=x) for x in self._names]
-        differing = rrb.TextDocumentView(origin="differences", name="what differs")
-        parts = self._recordings[0].channels["error"].parts
-        errors = {part: list(self._errors(part)) for part in parts}
-        larger = {part: list(self._larger(part)) for part in parts}
+        arms = [
+            recording.scene.view(f"{name}: {title}   pale sheath: desired", f"{name}/")
+            for name, title, recording in zip(self.names, self.titles, self.recordings, strict=True)
+        ]
+        inputs = [
+            plots.view(f"input forces of {name} [N]", plots.curves("tau"), legend=True)
+            for name, plots in zip(self.names, self._plots, strict=True)
+        ]
+        parts = self.recordings[0].channels["error"].parts
+        errors = {part: self._of_errors(part) for part in parts}
+        larger = {part: self._of_differences(part) for part in parts}
         if len(arms) == 2:  # one row has room for all
             errors, larger = {part: errors[part] + larger[part] for part in parts}, {}
-        tabs = [differing, self._rows("errors", errors), self._rows("inputs", {"inputs": inputs})]
-        tabs += [self._rows("differences of errors", larger)] if larger else []
+        pages = [rrb.TextDocumentView(origin=f"{x}/notes", name=x) for x in self.names]
+        differing = rrb.TextDocumentView(origin="differences", name="what differs")
+        tabs = [differing, _rows("errors", errors), _rows("inputs", {"inputs": inputs})]
+        tabs += [_rows("differences of errors", larger)] if larger else []
         tabs += [rrb.Horizontal(*pages, name="notes")]
         columns = math.ceil(math.sqrt(len(arms))) if len(arms) > 3 else len(arms)
         row = rrb.Grid(*arms, grid_columns=columns)
         return Layout(rrb.Vertical(row, rrb.Tabs(*tabs, active_tab=1), row_shares=[0.75, 1]))
 
-    @staticmethod
-    def _rows(name: str, rows: Mapping[str, Sequence[Any]]) -> Any:
-        return rrb.Vertical(*(rrb.Horizontal(*row, name=x) for x, row in rows.items()), name=name)
-
-    def _plots(self, name: str, recording: RunRecording) -> Plots:
-        return Plots(recording.channels, self._end, f"{name}/", events=recording.events())
-
-    def _errors(self, part: str) -> Iterator[Any]:
+    def _of_errors(self, part: str) -> list[Any]:
         """A plot for each run."""
-        error = self._recordings[0].channels["error"]
-        sizes = [np.nan_to_num(np.abs(run.error[:, error.parts[part]])).max() for run in self._runs]
+        error = self.recordings[0].channels["error"]
         factor, unit = error.recorded(part)
-        largest = factor * float(max(sizes))
-        for name, recording in zip(self._names, self._recordings, strict=True):
-            plots = self._plots(name, recording)
-            yield plots.view(
-                f"error of {part} in {name}{unit}",
-                plots.curves("error", part),
+        largest = factor * float(np.max([sizes[error.parts[part]] for sizes in self._errors]))
+        ends = reach(largest) if largest < 1e6 else None
+        return [
+            plots.view(
+                f"error of {part} in {name}{unit}", plots.curves("error", part), ends=ends,
                 legend=name == "A",
-                ends=reach(largest) if largest < 1e6 else None,
             )
+            for name, plots in zip(self.names, self._plots, strict=True)
+        ]  # fmt: skip
 
-    def _larger(self, part: str) -> Iterator[Any]:
+    def _of_differences(self, part: str) -> list[Any]:
         """A plot of the difference from each other run, which ranks those alone that it may."""
-        channels = self._recordings[0].channels
-        plots, error = Plots(channels, self._end), channels["error"]
-        for name, entity in zip(self._names[1:], self.entities, strict=True):
-            end = f"above 0: {name} is nearer" if self._ranked else "not ranked, see what differs"
-            text = f"|error| of A less that of {name}, {part}{error.recorded(part)[1]}   {end}"
-            curves = plots.curves("error", part)._replace(entity=entity, path=f".{part}[]")
-            yield plots.view(text, curves)
+        plots = Plots(self.recordings[0].channels, self._plots[0].end)
+        curves = plots.curves("error", part)._replace(path=f".{part}[]")
+        unit, views = plots.channels["error"].recorded(part)[1], list[Any]()
+        for name, entity in zip(self.names[1:], self.entities, strict=True):
+            end = f"above 0: {name} is nearer" if self.ranked else "not ranked, see what differs"
+            text = f"|error| of A less that of {name}, {part}{unit}   {end}"
+            views.append(plots.view(text, curves._replace(entity=entity)))
+        return views
+
+
+def _rows(name: str, rows: Mapping[str, Sequence[Any]]) -> Any:
+    return rrb.Vertical(*(rrb.Horizontal(*row, name=x) for x, row in rows.items()), name=name)

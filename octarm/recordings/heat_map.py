@@ -60,9 +60,9 @@ class HeatMap:
         names = [name.rsplit("_", 1)[0] for name in self._channel.names[::rules]]
         labels = [f"{name}: {size:.2g}" for name, size in zip(names, largest, strict=True)]
         places = [(-0.5 * LEFT, band * j + 0.5 * (band - GAP)) for j in range(len(names))]
-        marks = _round_instants(self._t[0], self._t[-1])
-        labels += [f"{t:g} s" for t in marks]
-        places += [(x, low + 12.0) for x in self._across(np.array(marks))]
+        marks = np.linspace(self._t[0], self._t[-1], 5)
+        labels += [f"{round(t, 1 if marks[-1] > 2.0 else 3):g} s" for t in marks.tolist()]
+        places += [(x, low + 12.0) for x in self._across(marks)]
         points = rr.Points2D(
             places, labels=labels, radii=0.01, colors=[200, 208, 218], show_labels=True
         )
@@ -86,12 +86,3 @@ class HeatMap:
     def _across(self, t: np.ndarray) -> np.ndarray:
         """Where instants [s] stand in the picture [pixel]."""
         return (t - self._t[0]) / max(self._t[-1] - self._t[0], 1e-9) * WIDTH
-
-
-def _round_instants(start: float, end: float) -> list[float]:
-    """A few round instants between two [s]."""
-    raw = max(end - start, 1e-9) / 6.0
-    size = 10.0 ** np.floor(np.log10(raw))
-    step = next(size * k for k in (1.0, 2.0, 5.0, 10.0) if size * k >= raw)
-    first = np.ceil(start / step) * step
-    return np.arange(first, end + 1e-9, step).tolist()

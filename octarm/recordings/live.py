@@ -22,19 +22,12 @@ class LiveRecording:
     def __init__(
         self, url: str, description: Mapping[str, Any], say: Callable[[str], object]
     ) -> None:
-        """Connects to the viewer.
-
-        Args:
-            url: of the viewer, such as `rerun+http://127.0.0.1:9876/proxy`.
-            description: that announces the run.
-            say: called with a sentence if the viewer has gone away.
-        """
+        """Connects to a viewer, `rerun+http://HOST:PORT/proxy`; `say` is called if it goes away."""
         self._say = say
         stream = rr.RecordingStream("octarm", send_properties=False)
         stream.connect_grpc(url)
-        self._recording: RunRecording | None = RunRecording(
-            stream, url, description, following=True
-        )
+        recording = RunRecording(stream, url, description, following=True)
+        self._recording: RunRecording | None = recording
 
     def add(self, rows: Rows, layer: np.ndarray | None) -> None:
         """Sends further rows, and the half width of the boundary layer, shape (2N,)."""

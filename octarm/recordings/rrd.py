@@ -22,10 +22,9 @@ Path = str | os.PathLike[str]
 def rrd_file(path: Path, application: str = "octarm") -> Generator[rr.RecordingStream]:
     """A stream to a `.rrd` file, which appears whole or not at all.
 
-    It is `PATH.part` until the block ends well; if the process is killed it stays, readable up to
-    the last flush. Recordings of one application share a layout in the viewer, with its titles.
-    Raises OSError if the file cannot be written, OctarmError if rerun does not take the data, or is
-    switched off by RERUN=off.
+    It is `PATH.part` until the block ends well, and stays that if the process is killed. Recordings
+    of one application share a layout in the viewer, with its titles. Raises OSError if the file
+    cannot be written, OctarmError if rerun does not take the data, or is switched off by RERUN=off.
     """
     if os.environ.get("RERUN", "on").lower() in ("0", "off", "false"):
         raise OctarmError(f"{path} cannot be recorded: RERUN={os.environ['RERUN']} is set")
@@ -73,13 +72,6 @@ def structures(columns: Mapping[str, np.ndarray], name: str) -> Any:
     """
     table = pa.StructArray.from_arrays([_lists(x) for x in columns.values()], names=list(columns))
     return rr.DynamicArchetype.columns("octarm", components={name: table})
-
-
-def time_axes(path: Path) -> list[str]:
-    """The entities of a recording's blueprint that fix what time its plots show."""
-    reader = rr.chunk.RrdReader(os.fspath(path))
-    chunks = (chunk for store in reader.blueprints() for chunk in reader.stream(store=store))
-    return sorted({c.entity_path for c in chunks if c.entity_path.endswith("/TimeAxis")})
 
 
 def last_instant(path: Path) -> float:

@@ -57,11 +57,10 @@ class Scene:
         disturbed: bool,
         finer: bool = False,
     ) -> None:
-        """The scene of one arm.
+        """The scene of one arm; the force of disturbances is drawn if it is `disturbed`.
 
-        The disturbances of the run say what they carry and how they turn gravity; `disturbed` says
-        whether their force is drawn. With a `finer` plant, of more modules, its true curve is drawn
-        through the arm that its groups make one believe in, and the trail is that of its tip.
+        With a `finer` plant, of more modules, its true curve is drawn through the arm that its
+        groups make one believe in, and the trail is that of its tip.
         """
         self._modules, self._width = parameters.modules, float(np.median(parameters.width))
         self._length = float(np.sum(parameters.rest_length))
@@ -122,18 +121,34 @@ class Scene:
             desired_tip = world_position(np.stack(arc_tip(q_d), axis=-1))
         last = self._last or (tip[0], desired_tip[0])
         self._last = tip[-1], desired_tip[-1]
-        tube, ribs = shapes.backbone(q, shapes.TUBE_PIECES), shapes.backbone(q_d, shapes.RIBS)
+        n, pieces = self._modules, shapes.COLUMN_PIECES
+        bent = np.minimum(np.abs(q[:, n:]) / 0.4, 1.0)[..., None]  # which a module is brighter by
+        tube_colors = module_colors(n) * (0.6 + 0.4 * bent) + 15.0 * (1.0 - bent)
+        colors, radii = shapes.column_looks(rows["tau"], self._weight)
+        columns = {
+            "radii": np.repeat(_rounded(w * radii, _FINE), pieces, axis=1),
+            "colors": _bytes(np.repeat(colors, pieces, axis=1)),
+        }
         frames = {
-            "world/tube": _cylinders(tube, colors=self._tube_colors(q)),
+            "world/tube": _cylinders(
+                shapes.backbone(q, shapes.TUBE_PIECES),
+                colors=_bytes(np.repeat(tube_colors, shapes.TUBE_PIECES, axis=1)),
+            ),
             "world/plates": _poses(shapes.plates(q)),
-            "world/columns": _cylinders(shapes.columns(q, w), **self._column_looks(rows["tau"])),
-            "world/desired": _cylinders(ribs),
+            "world/columns": _cylinders(shapes.columns(q, w), **columns),
+            "world/desired": _cylinders(shapes.backbone(q_d, shapes.RIBS)),
             "world/trail": _strips(_steps(last[0], tip)),
             "world/desired_path": _strips(_steps(last[1], desired_tip)),
             "world/skeleton": _strips(shapes.skeleton(q)),
         }
         if self._payloads:
-            frames["world/payload"] = self._balls(rows["t"], rows["plant_q"] if self._finer else q)
+            carrying = rows["plant_q"] if self._finer else q
+            places, radii = shapes.payload_balls(self._payloads, rows["t"], carrying, w)
+            sizes = np.repeat(_rounded(radii, _FINE)[..., None], 3, axis=-1)
+            frames["world/payload"] = [
+                *_columns(rr.InstancePoses3D, translations=_rounded(places, _FINE)),
+                *_columns(rr.Ellipsoids3D, half_sizes=sizes),
+            ]
         if self._finer:
             curve = np.concatenate([shapes.skeleton(rows["plant_q"]), tip[:, None]], axis=1)
             frames["world/plant"] = _strips(curve)
@@ -146,10 +161,7 @@ class Scene:
         return frames
 
     def _see(self, points: np.ndarray, most: np.ndarray) -> None:
-        """Widens what the camera sees to points of shape (k, points, 3), but for rare ones.
-
-        It does not see further than so many lengths of the arm, lowest and highest x and z.
-        """
+        """Widens what the camera sees to most points, shape (k, points, 3), up to an end."""
         low, high = (f(points[..., ::2], axis=1) for f in (np.min, np.max))
         ends = np.stack([np.percentile(low, 1.0, axis=0), np.percentile(high, 99.0, axis=0)])
         ends = np.clip(ends, self._length * most[0], self._length * most[1])
@@ -182,31 +194,6 @@ class Scene:
                 f"{origin}/skeleton": rrb.EntityBehavior(visible=False),  # shown on request
             },
         )
-
-    def _balls(self, t: np.ndarray, q: np.ndarray) -> list[Any]:
-        """Payloads as balls of steel below the last plate, of no size until they are carried."""
-        places, radii = shapes.payload_balls(self._payloads, t, q, self._width)
-        sizes = np.repeat(radii[..., None], 3, axis=-1)
-        return [
-            *_columns(rr.InstancePoses3D, translations=_rounded(places, _FINE)),
-            *_columns(rr.Ellipsoids3D, half_sizes=_rounded(sizes, _FINE)),
-        ]
-
-    def _tube_colors(self, q: np.ndarray) -> np.ndarray:
-        """The colour of the module, brighter where it is bent more."""
-        n = self._modules
-        bent = np.minimum(np.abs(q[:, n:]) / 0.4, 1.0)[..., None]
-        colors = module_colors(n) * (0.6 + 0.4 * bent) + 15.0 * (1.0 - bent)
-        return _bytes(np.repeat(colors, shapes.TUBE_PIECES, axis=1))
-
-    def _column_looks(self, tau: np.ndarray) -> dict[str, np.ndarray]:
-        """Colours and radii of the pieces of the columns."""
-        colors, radii = shapes.column_looks(tau, self._weight)
-        pieces = shapes.COLUMN_PIECES
-        return {
-            "radii": np.repeat(_rounded(self._width * radii, _FINE), pieces, axis=1),
-            "colors": _bytes(np.repeat(colors, pieces, axis=1)),
-        }
 
 
 def _columns(archetype: Any, **values: np.ndarray) -> list[Any]:

@@ -141,13 +141,8 @@ def force_arrows(q: np.ndarray, force: np.ndarray, rim: float) -> tuple[np.ndarr
 def column_looks(tau: np.ndarray, weight: float) -> tuple[np.ndarray, np.ndarray]:
     """Columns are red and thick where they push, white and thick where they pull.
 
-    Args:
-        tau: input forces, shape (..., 2N) [N].
-        weight: of the arm [N].
-
-    Returns:
-        Red, green and blue from 0 to 255, shape (..., 2N, 3), and radii as shares of the width of
-        the arm, shape (..., 2N).
+    For input forces of shape (..., 2N) and the weight of the arm [N] these are red, green and blue
+    from 0 to 255, shape (..., 2N, 3), and radii as shares of the arm's width, shape (..., 2N).
     """
     size = np.tanh(tau / (0.8 * weight))
     toward = np.where(size[..., None] > 0.0, _PUSH, _PULL)
@@ -160,14 +155,9 @@ def payload_balls(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Payloads as balls of steel below the last plate, of no size until they are carried.
 
-    Args:
-        payloads: masses and from when on they are carried [kg], [s].
-        t: instants, shape (k,) [s].
-        q: shape (k, 2N) [m], [rad].
-        width: of the arm [m].
-
-    Returns:
-        Their places, shape (k, payloads, 3) [m], and radii, shape (k, payloads) [m].
+    They have masses and are carried from some instant on [kg], [s]. At instants t, shape (k,) [s],
+    of an arm of this width [m] with q of shape (k, 2N) [m], [rad] these are their places, shape
+    (k, payloads, 3) [m], and radii, shape (k, payloads) [m].
     """
     mass, begin = np.reshape(payloads, (-1, 2)).T
     radius, angle = np.cbrt(0.75 * mass / (np.pi * _STEEL)), np.sum(q[:, q.shape[1] // 2 :], axis=1)

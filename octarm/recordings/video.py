@@ -58,18 +58,10 @@ def write_video(
 
     `choose_renderer` must have been called before MuJoCo was imported, unless MUJOCO_GL is set.
 
-    Args:
-        path: an `.mp4` file; its folder must exist.
-        run: of one arm.
-        description: what `run.json` holds; only `parameters` are needed, the rest is written in it.
-        size: width and height [pixel], even.
-        rate: pictures a second [Hz].
-        speed: how much faster than real time it runs.
-
-    Raises:
-        OctarmError: if a number is out of range, the file is not named .mp4, or nothing can be
-            drawn on this machine.
-        OSError: if the file cannot be written.
+    Of what `run.json` holds, the description, only `parameters` are needed; the rest is written in
+    the film. It has a width and height [pixel], even, and so many pictures a second [Hz], and runs
+    at some speed in terms of real time. Raises OctarmError if a number is out of range, the file is
+    not named .mp4, or nothing can be drawn on this machine, OSError if it cannot be written.
     """
     import av
 

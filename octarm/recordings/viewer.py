@@ -61,14 +61,10 @@ def check_display(otherwise: str) -> None:
 
 @contextlib.contextmanager
 def open_for_run(address: str = "") -> Generator[str]:
-    """The URL of a viewer that shows a run while it goes on.
+    """The URL of a viewer that shows a run while it goes on, at HOST:PORT.
 
-    Args:
-        address: HOST:PORT of a viewer that is open already; if empty, a window is opened, which is
-            waited for in the end.
-
-    Raises:
-        OctarmError: if there is no display, or nothing listens at the address.
+    Without an address a window is opened, which is waited for in the end. Raises OctarmError if
+    there is no display, or nothing listens at the address.
     """
     if address:
         host, _, port = address.rpartition(":")
@@ -122,21 +118,12 @@ def screenshot(
 ) -> None:
     """Draws what the viewer shows of a recording into a PNG, whole or not at all.
 
-    It needs no display and no GPU, but some Vulkan driver.
+    It needs no display and no GPU, but some Vulkan driver. Other recordings may be open as well. It
+    is of one instant [s], the first one if None, and of this width and height [pixel]. The viewer
+    may do nothing for the timeout [s], `PATIENCE` if None, see `_Viewer.pause`.
 
-    Args:
-        recording: an `.rrd` file.
-        png: the picture; its folder must exist.
-        others: further recordings that are open.
-        time: instant to show [s]; the first one if None.
-        size: width and height [pixel].
-        timeout: for how long the viewer may do nothing, see `_Viewer.pause` [s]; `PATIENCE` if
-            None.
-
-    Raises:
-        OctarmError: if the recording is missing, or it cannot be drawn on this machine.
-        TooSlow: if the viewer gets nowhere.
-        OSError: if the picture cannot be written.
+    Raises OctarmError if the recording is missing, or cannot be drawn on this machine, TooSlow if
+    the viewer gets nowhere, OSError if the picture cannot be written.
     """
     files = [_existing(path) for path in (*others, recording)]
     window = ["--headless", "--window-size", f"{size[0]}x{size[1]}"]
@@ -159,22 +146,6 @@ def screenshot(
         part.write_bytes(picture)
 
 
-def rescue(partial: Name, path: Name) -> None:
-    """Writes what can be read of a recording that was not finished as one that is.
-
-    Its plots show the time that there is rather than the time that was planned. Raises OctarmError
-    if nothing can be read.
-    """
-    from octarm.recordings.rrd import last_instant, time_axes  # imports rerun: half a second
-
-    with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
-        whole = os.path.join(scratch, "whole.rrd")
-        _rrd(partial, "merge", "--continue-on-error", str(partial), "-o", whole)
-        dropped = [item for axis in time_axes(whole) for item in ("--drop-entity", axis)]
-        _rrd(partial, "filter", *dropped, whole, "-o", str(path))
-    last_instant(path)
-
-
 class _Viewer:
     """A running viewer, and the address that it serves recordings at."""
 
@@ -189,9 +160,7 @@ class _Viewer:
     def pause(self, patience: float) -> None:
         """Waits a moment for the viewer to get on, if it has not ended and patience [s] lasts.
 
-        How long that takes depends on the machine and what else it does. So what counts is the
-        processor time that the viewer uses: it may do nothing for so long, and may work in vain for
-        twice as long.
+        It may do nothing, by its processor time, for so long, and work in vain for twice as long.
         """
         clock.sleep(0.1)
         if self.process.poll() is not None:
@@ -223,7 +192,7 @@ class _Viewer:
         """What the viewer shows, as PNG; empty if it does not answer in the time that it has."""
         try:
             return client.take_screenshot()
-        except (ConnectionError, RuntimeError) as error:
+        except (ConnectionError, RuntimeError, TimeoutError) as error:
             self._late = f" ({' '.join(str(error).split())})"
             return b""
 
@@ -232,25 +201,22 @@ class _Viewer:
         from rerun.experimental import ViewerClient  # the import takes half a second
 
         try:
-            return self._loaded(ViewerClient(self.url), time)
-        except (ConnectionError, RuntimeError):  # not up yet, or busy
+            client = ViewerClient(self.url)
+            state = client.get_state()
+            errors = [entry.message for entry in client.get_logs() if entry.level == "ERROR"]
+            if errors:
+                raise OctarmError(f"the rerun viewer says: {errors[0].splitlines()[0]}")
+            timelines = [recording.timelines for recording in state.recordings]
+            if state.loading or not timelines or not all(timelines):
+                return None
+            blueprint = client.get_blueprint(of="recording").blueprint
+            blueprint["/top_panel"] = {"PanelBlueprint": {"state": "Hidden"}}
+            client.set_blueprint(blueprint, of="recording")
+            if time is not None:
+                client.set_time("t", duration=time, play_state="paused")
+            return client
+        except (ConnectionError, RuntimeError, TimeoutError):  # not up yet, or busy
             return None
-
-    @staticmethod
-    def _loaded(client: ViewerClient, time: float | None) -> ViewerClient | None:
-        state = client.get_state()
-        errors = [entry.message for entry in client.get_logs() if entry.level == "ERROR"]
-        if errors:
-            raise OctarmError(f"the rerun viewer says: {errors[0].splitlines()[0]}")
-        timelines = [recording.timelines for recording in state.recordings]
-        if state.loading or not timelines or not all(timelines):
-            return None
-        blueprint = client.get_blueprint(of="recording").blueprint
-        blueprint["/top_panel"] = {"PanelBlueprint": {"state": "Hidden"}}
-        client.set_blueprint(blueprint, of="recording")
-        if time is not None:
-            client.set_time("t", duration=time, play_state="paused")
-        return client
 
 
 @contextlib.contextmanager
@@ -268,13 +234,6 @@ def _running(arguments: list[str]) -> Generator[_Viewer]:
         finally:
             process.kill()  # it has nothing to save; does nothing to one that has ended
             process.wait()
-
-
-def _rrd(recording: Name, *arguments: str) -> None:
-    """Runs a command of rerun on a recording."""
-    command = [str(_executable()), "rrd", *arguments]
-    if subprocess.run(command, capture_output=True, env=_environment(), check=False).returncode:
-        raise OctarmError(f"nothing can be read of {recording}")
 
 
 def _environment() -> dict[str, str]:
@@ -305,9 +264,8 @@ def _free_port() -> int:
 def _guarded_page(page_port: int, data_port: int) -> Generator[int]:
     """Passes on the page that rerun serves at `page_port`; yields the port to open.
 
-    A request under another host name than that of this machine gets no page: it comes from a site
-    that lets its name stand for 127.0.0.1, and would read what is recorded. Recordings come from
-    `data_port`, the only other place that the page may load from.
+    A request under another host name comes from a site that lets its name stand for 127.0.0.1, and
+    would read what is recorded. The page may load from `data_port` alone, besides.
     """
     page = "'self' 'unsafe-inline' 'unsafe-eval' blob: data:"
     data = f"http://127.0.0.1:{data_port} ws://127.0.0.1:{data_port}"

@@ -20,6 +20,7 @@ from octarm.reports.statistics import (
     Paired,
     adjusted,
     medians,
+    middle,
     paired,
     seeds_with_values,
     share,
@@ -131,20 +132,19 @@ def compare(episodes: Episodes, baseline: str | None = None) -> Comparisons:
         rows = episodes.of_controller(name)
         if factor is not None:
             rows = rows[factor.code[rows] == level]
-        failed, difference = int(np.sum(episodes.diverged[rows])), None
+        difference = None
         if partner is not None and name != selected:
             difference = _difference(episodes, rows, partner[rows])
-        shares = share(episodes.diverged[rows], episodes.seed[rows])
-        own = episodes.values[rows], episodes.seed[rows]
+        fell, values, seeds = episodes.diverged[rows], episodes.values[rows], episodes.seed[rows]
         group = Group(
-            factor, level, name, len(rows), failed, shares, medians(*own), seeds_with_values(*own),
-            difference,
+            factor, level, name, len(rows), int(np.sum(fell)), share(fell, seeds),
+            medians(values, seeds), seeds_with_values(values, seeds), difference,
         )  # fmt: skip
         groups.append(group)
-    found = [group.difference for group in groups]
-    chances = iter(adjusted([d.chance for d in found if d is not None]))
-    found = [d and d._replace(chance=next(chances)) for d in found]
-    groups = [group._replace(difference=d) for group, d in zip(groups, found, strict=True)]
+    chances = iter(adjusted([g.difference.chance for g in groups if g.difference is not None]))
+    for k, (*_, d) in enumerate(groups):
+        if d is not None:
+            groups[k] = groups[k]._replace(difference=d._replace(chance=next(chances)))
     pairs = itertools.combinations(factors, 2)
     pairs = ((b, a) if b.drawn and not a.drawn else (a, b) for a, b in pairs)  # long labels first
     cells = tuple(_cells(episodes, first, second) for first, second in pairs)
@@ -182,18 +182,14 @@ def partners(episodes: Episodes, controller: str) -> np.ndarray:
 
 def _cells(episodes: Episodes, first: Factor, second: Factor) -> Cells:
     """Medians over the cells of two factors."""
-    names, M = episodes.controllers, len(episodes.measures)
-    shape = (len(names), len(first.labels), len(second.labels))
-    middles = np.full((*shape, M), np.nan)
-    number = np.ravel_multi_index((episodes.controller, first.code, second.code), shape)
-    order = np.argsort(number, kind="stable")
-    for rows in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
-        cell = np.unravel_index(number[rows[0]], shape)
-        for m in range(M):
-            values = np.sort(episodes.values[rows, m])
-            if count := int(np.sum(~np.isnan(values))):  # NaN last
-                middles[(*cell, m)] = 0.5 * (values[(count - 1) // 2] + values[count // 2])
-    return Cells(first, second, np.moveaxis(middles, -1, 1))
+    names, count = episodes.controllers, len(episodes.measures)
+    middles = np.full((len(names), count, len(first.labels), len(second.labels)), np.nan)
+    for c, i, k in np.ndindex(middles.shape[:1] + middles.shape[2:]):
+        here = (episodes.controller == c) & (first.code == i) & (second.code == k)
+        for m, values in enumerate(np.sort(episodes.values[here], axis=0).T):
+            if known := int(np.sum(~np.isnan(values))):  # NaN last
+                middles[c, m, i, k] = middle(values[:known])
+    return Cells(first, second, middles)
 
 
 def tables(comparisons: Comparisons) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -19,31 +19,23 @@ from octarm.reports.figures import Picture
 from octarm.reports.statistics import CONFIDENCE, FEWEST, Interval
 
 
-class Source(NamedTuple):
-    """Where a report comes from.
-
-    Attributes:
-        name: of the sweep.
-        spec: its TOML text.
-        commands: that make the sweep and the report again.
-        files: names of the files beside the page.
-    """
-
-    name: str
-    spec: str
-    commands: Sequence[str]
-    files: Sequence[str]
-
-
 def page(
     comparisons: Comparisons,
+    *,
     remarks: Iterable[Remark],
     pictures: Iterable[Picture],
-    source: Source,
+    name: str,
+    spec: str,
+    commands: Sequence[str],
+    files: Iterable[str],
     loops: Table,
     of_loops: str,
 ) -> str:
-    """The page as text, the same for the same numbers; a table of sampled loops has a caption."""
+    """The page as text, the same for the same numbers.
+
+    It is of the sweep of this name, with its spec as TOML text, commands that make the sweep and
+    the report again, and names of files beside the page. A table of sampled loops has a caption.
+    """
     manifest = comparisons.episodes.manifest
     machines = (_machine(start["host"]) for start in manifest["starts"])
     gains = (f"{name}: {json.dumps(gains)}" for name, gains in manifest["gains"].items())
@@ -54,7 +46,10 @@ def page(
         remarks=list(remarks),
         page=Tables(comparisons),
         pictures=list(pictures),
-        source=source,
+        name=name,
+        spec=spec,
+        commands=commands,
+        files=files,
         loops=loops,
         of_loops=of_loops,
         seeds=len(np.unique(comparisons.episodes.seed)),

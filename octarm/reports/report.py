@@ -37,14 +37,10 @@ class Report(NamedTuple):
 def report(sweep: str | Path, baseline: str | None = None, metrics: Sequence[str] = ()) -> Report:
     """The report on a sweep, as `octarm report` writes it.
 
-    Args:
-        sweep: folder of the sweep.
-        baseline: controller that the others are compared with, or its MODULE:NAME or FILE.py:NAME;
-            the spec's first one if None.
-        metrics: names of metrics, or of columns of the sweep's table; the usual ones if empty.
-
-    Raises:
-        OctarmError: if it is no sweep, has no finished episode, or a name is unknown.
+    Given are the folder of the sweep, the controller that others are compared with, or its
+    MODULE:NAME or FILE.py:NAME, the spec's first one if None, and names of metrics, or of columns
+    of the sweep's table, the usual ones if empty. Raises OctarmError if it is no sweep, has no
+    finished episode, or a name is unknown.
     """
     folder = Path(sweep)
     episodes = read_episodes(folder, metrics)

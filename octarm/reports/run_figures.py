@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import warnings
@@ -50,11 +51,8 @@ def write_figures(
     There are always `tracking`, `error` and `inputs`; `sliding` if the controller has a sliding
     variable, `adaptation` if it adapts, `disturbance` if something pushed the arm.
 
-    Returns:
-        The files of the run of one arm, of which `description` is what `run.json` holds.
-
-    Raises:
-        OSError: if a file cannot be written.
+    The run is one of one arm, of which `description` is what `run.json` holds. Returns the files;
+    raises OSError if one cannot be written.
     """
     drawn: dict[Path, bytes] = {}
     with figure_style():
@@ -97,48 +95,43 @@ class _Drawing:
         yield "error", self._figure(self._panels("error"))
         yield "inputs", self._figure(self._inputs(), height=1.35)
         if "s" in self._channels:
-            panels = list(self._panels("s", "s"))
+            panels = list(self._panels("s"))
             if has_energy(self._channels):
                 V, style = self._channels["V"], {"color": "#333333"}
                 panels.append(_Panel(V, slice(None), "V", "J", [style], logarithmic=True))
             yield "sliding", self._figure(panels)
         if rules:
-            yield "adaptation", self._figure([*rules, *self._panels("E", "E")], height=1.5)
+            yield "adaptation", self._figure([*rules, *self._panels("E")], height=1.5)
         if "disturbance" in self._channels:
             yield "disturbance", self._figure(self._panels("disturbance"))
 
-    def _panels(self, name: str, title: str = "", desired: bool = False) -> Iterator[_Panel]:
+    def _panels(self, name: str, desired: bool = False) -> Iterator[_Panel]:
         """A panel for each part of a channel, if there is such a channel."""
-        if name in self._channels:
-            channel = self._channels[name]
+        if (channel := self._channels.get(name)) is not None:
             for part, where in channel.parts.items():
-                label = f"{title or channel.title}{', ' if part else ''}{part}"
-                styles = [
-                    {"color": MODULES[i % len(MODULES)], "label": _symbol(name)}
-                    for i, name in enumerate(channel.names[where])
-                ]
-                yield _Panel(
-                    channel, where, label, channel.units[part].strip(" []"), styles, desired
-                )
+                label = ", ".join(filter(None, [channel.title, part]))
+                looks = zip(channel.names[where], itertools.cycle(MODULES), strict=False)
+                styles = [{"color": color, "label": _symbol(name)} for name, color in looks]
+                unit = channel.units[part].strip(" []")
+                yield _Panel(channel, where, label, unit, styles, desired)
 
     def _inputs(self) -> Iterator[_Panel]:
         """A panel for each module, with both of its columns."""
         channel = self._channels["tau"]
-        for i in range(len(channel.names) // 2):
-            label = f"τ, module {i + 1}"
+        modules = zip(range(len(channel.names) // 2), itertools.cycle(MODULES), strict=False)
+        for i, color in modules:
             styles = [
-                {"color": MODULES[i % len(MODULES)], "label": f"column {a}", "linestyle": line}
+                {"color": color, "label": f"column {a}", "linestyle": line}
                 for a, line in ((1, "-"), (2, "--"))
             ]
-            yield _Panel(channel, slice(2 * i, 2 * i + 2), label, "N", styles)
+            yield _Panel(channel, slice(2 * i, 2 * i + 2), f"τ, module {i + 1}", "N", styles)
 
     def _figure(self, panels: Iterable[_Panel | Channel], height: float = 1.9) -> Figure:
         """Panels one below another; a channel of rules becomes a heat map."""
         panels = list(panels)
         room = 0.5 + 0.16 * self._title.count("\n")
-        figure: Figure = NewFigure(
-            figsize=(_WIDTH, height * len(panels) + room), layout="constrained"
-        )
+        size = (_WIDTH, height * len(panels) + room)
+        figure: Figure = NewFigure(figsize=size, layout="constrained")
         axes = list(figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
         figure.suptitle(self._title, x=0.01, ha="left", fontsize=9, fontweight="bold")
         axes[-1].set_xlabel("time [s]")
@@ -158,16 +151,13 @@ class _Drawing:
         for at, text in self._events:
             color = FAILED if at >= self._t[-1] else INK
             ax.axvline(at, color=color, linewidth=1.0, linestyle=(0, (4, 2)), clip_on=False)
-            if named:
+            if named:  # within the figure
+                share = (at - self._t[0]) / max(self._t[-1] - self._t[0], 1e-9)
+                side = "left" if share < 0.1 else "right" if share > 0.9 else "center"
                 ax.annotate(
                     text, (at, 1.0), (0, 1), xycoords=("data", "axes fraction"), va="bottom",
-                    textcoords="offset points", ha=self._side(at), fontsize=7.5, color=color,
+                    textcoords="offset points", ha=side, fontsize=7.5, color=color,
                 )  # fmt: skip
-
-    def _side(self, at: float) -> str:
-        """How a text at a time [s] is aligned, so that it stays within the figure."""
-        share = (at - self._t[0]) / max(self._t[-1] - self._t[0], 1e-9)
-        return "left" if share < 0.1 else "right" if share > 0.9 else "center"
 
     def _draw_curves(self, ax: Axes, panel: _Panel) -> None:
         values = _drawable(panel.channel.values(self._rows)[:, panel.part])
@@ -197,16 +187,14 @@ class _Drawing:
 
     def _draw_bound(self, ax: Axes, panel: _Panel, largest: float, scale: float, unit: str) -> None:
         """Lines at the bound of a channel, or its size in words when it is far off."""
-        bound = panel.channel.bound
-        lines = [y for y in (bound.lines(panel.part) if bound else ()) if abs(y) < _LARGEST]
-        near = [y for y in lines if abs(y) <= _FAR * largest]
-        for y in near:
-            ax.axhline(scale * y, color=GRAY, linewidth=0.8, linestyle=":")
-        if bound is None or not lines:
+        if (bound := panel.channel.bound) is None:
             return
         word = _WORDS.get(bound.word, bound.word)
-        if near:
-            ax.plot([], [], color=GRAY, linewidth=0.8, linestyle=":", label=word)
+        lines = [y for y in bound.lines(panel.part) if abs(y) < _LARGEST]
+        near = [y for y in lines if abs(y) <= _FAR * largest]
+        for y in near:
+            label = word if y == near[0] else None
+            ax.axhline(scale * y, color=GRAY, linewidth=0.8, linestyle=":", label=label)
         far = sorted({abs(y) for y in lines} - {abs(y) for y in near})
         if far:
             sizes = " to ".join(dict.fromkeys(f"{scale * y:.4g}" for y in (far[0], far[-1])))

@@ -183,17 +183,17 @@ def _median(column: np.ndarray, seeds: np.ndarray) -> tuple[float, float, float]
     owner, n = owner[order], len(values)
     if not n:
         return math.nan, math.nan, math.nan
-    value = _middle(values)
+    value = middle(values)
     if len(owners) < 2:
         return value, math.nan, math.nan
     if 0.5 ** len(owners) > _TAIL:
-        each = [_middle(values[owner == k]) for k in range(len(owners))]
+        each = [middle(values[owner == k]) for k in range(len(owners))]
         return value, min(each), max(each)
     low, high = _place(owner), n - 1 - _place(owner[::-1])
     return value, float(values[low]), float(values[high])
 
 
-def _middle(values: np.ndarray) -> float:
+def middle(values: np.ndarray) -> float:
     """The median of values that rise, of which there is at least one, shape (n,)."""
     n = len(values)
     with np.errstate(invalid="ignore"):  # halfway between two infinities
@@ -232,10 +232,7 @@ def _shares(balance: np.ndarray) -> tuple[float, float]:
 
 @functools.cache
 def _signs(count: int) -> np.ndarray:
-    """Combinations of so many signs, shape (R, count): all of them, or some, always the same ones.
-
-    With each there is its opposite, and those that are all alike are among them.
-    """
+    """Combinations of signs and their opposites, shape (R, count): all, or always the same."""
     if count <= _ALL_SIGNS:
         return np.array(list(itertools.product((-1.0, 1.0), repeat=count)))
     drawn = np.random.default_rng(_SEED).integers(2, size=(2 ** (_ALL_SIGNS - 1), _MOST))

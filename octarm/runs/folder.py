@@ -27,8 +27,7 @@ from octarm.simulation.trajectory import Trajectory
 RECORDING = "run.rrd"
 ARRAYS = "run.npz"
 DESCRIPTION = "run.json"
-PARTIAL = RECORDING + ".part"  # what a killed run leaves of its recording
-BLOCKS = ARRAYS + ".blocks"  # and of its arrays
+BLOCKS = ARRAYS + ".blocks"  # what a killed run leaves of its arrays
 RUNNING = "running"  # status of a run that is still going on, or was killed
 SUMS = "sha256"  # key of run.json, whose table `checksums` gives
 NAMED = ("versions", "host")  # keys whose values may differ between a run and its repetition
