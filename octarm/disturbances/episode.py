@@ -63,11 +63,6 @@ class Event(NamedTuple):
     text: str
 
 
-def any_arm(arm: ArmParameters) -> None:
-    """Refuses no arm."""
-    del arm
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Episode:
     """All that a disturbance may know when an episode starts.
@@ -90,7 +85,7 @@ class Episode:
     batch_shape: tuple[int, ...] = ()
     index: int = 0
     occurrence: int = 1
-    check_arm: Callable[[ArmParameters], object] = any_arm
+    check_arm: Callable[[ArmParameters], object] = lambda _: None
     groups: Groups | None = None
 
     def __post_init__(self) -> None:
