@@ -211,7 +211,7 @@ def test_noise_has_a_stream_of_its_own():
     normal = one.streams("measurement-noise")[0].standard_normal(12)
     q, v = noise(MeasurementNoise(rms=1.0, rate=1.0), 1, seeds=SeedSequence(3))
     np.testing.assert_array_equal(np.hstack([q[0], v[0]]), np.tile(SCALE, 2) * normal)
-    again = MeasurementNoise(rms=1.0, rate=1.0).start(one.again(2))
+    again = MeasurementNoise(rms=1.0, rate=1.0).start(one.changed(occurrence=2))
     assert np.all(again(0, np.zeros(6), np.zeros(6))[0] != q[0])
 
 

@@ -72,7 +72,8 @@ class ActiveDisturbances:
             name = disturbance.name
             if count > 1 and disturbance.instead_of_two:
                 raise OctarmError(f"{name} is given twice; {disturbance.instead_of_two}")
-            process = disturbance.start(episode if count == 1 else episode.again(count))
+            nth = episode if count == 1 else episode.changed(occurrence=count)
+            process = disturbance.start(nth)
             started[disturbance.family].append((numbered(name, count), process))
         self.forces: list[tuple[str, ForceProcess]] = started[Force.family]
         self._tips = {name for name, process in self.forces if isinstance(process, TipProcess)}

@@ -164,11 +164,10 @@ class AnyPhysics(control.Physics):
         return self._received.copy(order="K")
 
     def within(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """The physics steps of the last `step`, of which there were several.
+        """The m > 1 physics steps of the last `step`; those that no arm was left for are alike.
 
         They are `q`, `received` and `plant_tip` of an `octarm.interfaces.Within`, shapes (m, ...,
-        2N), (m, ..., 2N) and (m, ..., 2). A step that was not taken any more, as no arm was left,
-        is like the last.
+        2N), (m, ..., 2N) and (m, ..., 2).
         """
         q, received, *tip = self._within
         return q, received, tip[0] if tip else None
@@ -331,12 +330,8 @@ class AnyPhysics(control.Physics):
             self._ctrl[...] = self.groups.ctrl(self.actuation.force(q, received))
 
     def _middle(self) -> np.ndarray:
-        """Where the plants will be in the middle of a step, shape (..., 2N) [m], [rad].
-
-        Forces that depend on q are taken there and held over the step: they are of second order.
-        Taken at its start, they would be late by half a step, and a spring would feed the arm
-        energy.
-        """
+        """Where the plants will be in the middle of a step, shape (..., 2N) [m], [rad]."""
+        # Taken at its start, forces that depend on q would be late: of first order in the step.
         return self.plant_q() + (0.5 * self._timestep) * self.plant_v()
 
     def _within_range(self, tau: np.ndarray) -> np.ndarray:
