@@ -63,6 +63,11 @@ class Event(NamedTuple):
     text: str
 
 
+def any_arm(arm: ArmParameters) -> None:
+    """Refuses no arm."""
+    del arm
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Episode:
     """All that a disturbance may know when an episode starts.
@@ -85,7 +90,7 @@ class Episode:
     batch_shape: tuple[int, ...] = ()
     index: int = 0
     occurrence: int = 1
-    check_arm: Callable[[ArmParameters], object] = lambda _: None
+    check_arm: Callable[[ArmParameters], object] = any_arm
     groups: Groups | None = None
 
     @property
