@@ -114,7 +114,8 @@ def test_cross_correlation_peaks_at_the_delay_for_any_timestep(delay: float, tim
 def test_readings_between_two_steps_are_those_of_a_cubic_motion_for_each_arm():
     asked = np.array([0.0, 0.0002, 0.0003, 0.00125, 0.0014, 0.0375])
     fault = MeasurementDelay(delay=asked)
-    achieved = fault.start(episode(SeedSequence(0).spawn(6))).delay
+    process = fault.start(episode(SeedSequence(0).spawn(6)))
+    achieved = (process.steps + process.rest) * STEP
     np.testing.assert_allclose(achieved, asked, rtol=1e-12)
     a, b, c, d = np.random.default_rng(3).normal(size=(4, 6, 6))
 
