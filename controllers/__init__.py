@@ -70,38 +70,26 @@ _BUILT_IN: dict[str, type] = {
 CONTROLLERS = Declared("controller", _BUILT_IN, _lacks)
 
 
-def limits_text() -> str:
-    """For help pages: the laws that do not bear what all others do, a line each; may be empty."""
-    limits = {name: law.bears.limits() for name, law in CONTROLLERS.items() if issubclass(law, Law)}
-    return "\n".join(f"  {name}: up to {text}" for name, text in limits.items() if text)
-
-
 def gains_in_si(controller: str, gains: Mapping[str, Any]) -> dict[str, Any]:
     """Gains with numbers [SI] in place of texts such as "15/s".
 
     Raises OctarmError for an unknown controller, a gain that it does not have, or a text that is
     no number in the unit of the gain.
     """
-    law = CONTROLLERS[controller]
-    fields, declared = _gain_names(law), _declared(law)
+    known = _gains_of(CONTROLLERS[controller])
     for gain in gains:
-        if gain not in fields:
+        if gain not in known:
             label = short_name(controller)
-            raise OctarmError(f"{label} has no gain {quoted(gain)}{closest(gain, fields)}")
-    return {
-        gain: declared.get(fields[gain], _ANY_GAIN).in_si(gain, value)
-        for gain, value in gains.items()
-    }
+            raise OctarmError(f"{label} has no gain {quoted(gain)}{closest(gain, known)}")
+    return {gain: (known[gain] or _ANY_GAIN).in_si(gain, value) for gain, value in gains.items()}
 
 
-def _declared(law: Any) -> dict[str, GainField]:
-    return {"roll_off": _ROLL_OFF, **gain_fields(law)}
-
-
-def _gain_names(law: Any) -> dict[str, str]:
-    """The fields of a controller that are gains, by how users spell them, and `roll_off`."""
-    names = [*(field.name for field in dataclasses.fields(law) if field.init), "roll_off"]
-    return {spelled(name): name for name in names if name != "nominal"}
+def _gains_of(law: Any) -> dict[str, GainField | None]:
+    """The gains of a controller by how users spell them, and what is declared of each."""
+    declared = gain_fields(law)
+    names = [field.name for field in dataclasses.fields(law) if field.init]
+    gains = {spelled(name): declared.get(name) for name in names if name != "nominal"}
+    return {**gains, "roll_off": declared.get("roll_off", _ROLL_OFF)}
 
 
 def make_controller(
@@ -128,43 +116,38 @@ def make_controller(
         OctarmError: for an unknown name or gain set, or a gain that is unknown or invalid.
     """
     law: Any = CONTROLLERS[name]
-    word = name
-    if name not in CONTROLLERS:  # no gains are shipped for it
-        name = short_name(name)
-        if gain_set == "tuned":
-            raise OctarmError(f"{name} comes without tuned gains; `octarm tune` finds some")
-        gain_set = "recommended" if gain_set is None else gain_set
+    if name not in CONTROLLERS and gain_set is None:  # no gains are shipped for it
+        gain_set = "recommended"
     model = LagrangeModel(nominal) if isinstance(nominal, ArmParameters) else nominal
-    given, declared = dict(gains or {}), _declared(law)
-    fields = _gain_names(law)
-    known = {field.name for field in dataclasses.fields(law) if field.init}
+    given, known = dict(gains or {}), _gains_of(law)
     starting: dict[str, Any] = {
-        gain: declared[field].start(model)
-        for gain, field in fields.items()
-        if field in declared and declared[field].recommended is not None
+        gain: kind.start(model)
+        for gain, kind in known.items()
+        if kind is not None and kind.recommended is not None
     }
-    _, tuned = gain_set_of(name, gain_set)
+    _, tuned = gain_set_of(short_name(name), gain_set)
     for gain, value in ({} if tuned is None else tuned.gains).items():
-        scaled_by = declared.get(fields.get(gain, ""))
-        starting[gain] = value if scaled_by is None else scaled_by.scaled(value, model)
-    for gain, field in fields.items():
-        if field in declared and declared[field].replaced_by in given:
+        kind = known.get(gain)
+        starting[gain] = value if kind is None else kind.scaled(value, model)
+    for gain, kind in known.items():
+        if kind is not None and kind.replaced_by in given:
             starting.pop(gain, None)
-    wanted = gains_in_si(word, {**starting, **given})
-    values: dict[str, Any] = {fields[gain]: value for gain, value in wanted.items()}
-    corner = None if "roll_off" in known else values.pop("roll_off", None)
-    if not issubclass(law, Law):  # which checks its gains itself
-        for each in dataclasses.fields(law):
-            if each.name in values:
-                of = declared.get(each.name)
-                values[each.name] = _checked(of, each, values[each.name], model)
-    needed = [f.name for f in dataclasses.fields(law) if f.init and _default(f) is _MISSING]
-    if missing := [spelled(f) for f in needed if f not in values and f != "nominal"]:
-        raise OctarmError(f"{name} needs the gain {missing[0]}; it recommends no value")
-    made: Any = law(**values, **({"nominal": model} if "nominal" in known else {}))
-    if corner is None:
+    wanted = gains_in_si(name, {**starting, **given})
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(law):
+        gain = spelled(field.name)
+        if field.name == "nominal":
+            values["nominal"] = model
+        elif gain in wanted:
+            value = wanted.pop(gain)  # a `Law` checks its gains itself
+            checked = issubclass(law, Law)
+            values[field.name] = value if checked else _checked(known[gain], field, value, model)
+        elif field.init and _default(field) is _MISSING:
+            raise OctarmError(f"{short_name(name)} needs the gain {gain}; it recommends no value")
+    made: Any = law(**values)
+    if "roll_off" not in wanted:  # or the law has one of its own
         return made
-    corner = _ROLL_OFF.checked("roll_off", corner, model)
+    corner = _ROLL_OFF.checked("roll_off", wanted["roll_off"], model)
     return RolledOff(law=made, roll_off=corner, scale=np.asarray(_ROLL_OFF.scaled(1.0, model)))
 
 

@@ -60,19 +60,6 @@ class GainSet(Model):
         """The text of a file; `read_gain_set` is the inverse."""
         return to_toml(self.model_dump())
 
-    def unsuited(self, nominal: NominalModel, control_period: float) -> str:
-        """How far a nominal model of one arm, and a control period [s], are from those of the set.
-
-        It is a part of a sentence; empty if they are alike.
-        """
-        here = {name: float(value) for name, value in nominal.descriptors.items()}
-        here["control_period"] = control_period / float(nominal.time_scale)
-        return ", ".join(
-            f"{word} {here[name]:.3g} instead of {self.arm[name]:.3g}"
-            for name, word in _WORDS.items()
-            if name in self.arm and _far(name, here[name], self.arm[name])
-        )
-
 
 def _far(name: str, here: float, there: float) -> bool:
     """Whether a descriptor of two arms differs so much that gains may not suit."""
@@ -142,7 +129,14 @@ def unsuited(
     source, gains = gain_set_of(controller, choice)
     if gains is None:
         gains, control_period = shipped(controller), 0.0
-    far = "" if gains is None else gains.unsuited(nominal, control_period)
+    there = {} if gains is None else gains.arm
+    here = {name: float(value) for name, value in nominal.descriptors.items()}
+    here["control_period"] = control_period / float(nominal.time_scale)
+    far = ", ".join(
+        f"{word} {here[name]:.3g} instead of {there[name]:.3g}"
+        for name, word in _WORDS.items()
+        if name in there and _far(name, here[name], there[name])
+    )
     return far and f"{source} were found for another arm or control period: {far}"
 
 

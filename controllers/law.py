@@ -17,7 +17,7 @@ import functools
 import inspect
 import typing
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -160,34 +160,6 @@ def _within(name: str, gain: np.ndarray, good: np.ndarray, allowed: str) -> np.n
     return gain
 
 
-class Bears(NamedTuple):
-    """Up to where a law with its tuned gains keeps the nominal arm within its limits.
-
-    Each alone, with a nominal model that is wrong by 30 % either way, under noise of 40 % of the
-    input. The usual values are what every law has to bear; one that cannot states its own.
-
-    Attributes:
-        control_period: time between control actions [s].
-        delay: of the inputs, at 2 kHz [s].
-        lag: time constant of the inputs, at 2 kHz [s].
-    """
-
-    control_period: float = 0.002
-    delay: float = 0.0015
-    lag: float = 0.005
-
-    def limits(self) -> str:
-        """Where a law ends that does not bear the usual values; empty if it does."""
-        words = {
-            "control_period": "a control period of",
-            "delay": "inputs late by",
-            "lag": "inputs that lag by",
-        }
-        least = Bears()
-        less = {name: x for name, x in self._asdict().items() if x < getattr(least, name)}
-        return ", ".join(f"{words[name]} {1e3 * x:g} ms" for name, x in less.items())
-
-
 @functools.cache
 def gain_fields(law: type) -> dict[str, GainField]:
     """The gains of a law by the names of its fields, in the order of the fields."""
@@ -213,13 +185,11 @@ class Law:
 
     Attributes:
         nominal: the model that the controller believes.
-        bears: of the law, up to where it goes with its tuned gains; `octarm run --help` says so.
 
     Raises:
         OctarmError: for a gain that its field does not allow.
     """
 
-    bears: ClassVar[Bears] = Bears()
     nominal: NominalModel
 
     def __post_init__(self) -> None:

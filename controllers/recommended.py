@@ -7,30 +7,13 @@ of that arm, `SET_FOR`: another arm has the same numbers in its own scales.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from controllers.law import GainField
-from controllers.scaling import along, unit
+from controllers.scaling import Scales, along, unit
 from octarm.interfaces import Knob, NominalModel
 
-
-class SetFor(NamedTuple):
-    """The scales of an arm of N modules that gains were set for; see `NominalModel`.
-
-    Attributes:
-        scale: shape (2N,) [m], [rad].
-        time_scale: shape () [s].
-        force_scale: shape (2N,) [N], [N m].
-    """
-
-    scale: np.ndarray
-    time_scale: np.ndarray
-    force_scale: np.ndarray
-
-
-SET_FOR = SetFor(  # the arm of models/octarm.xml
+SET_FOR = Scales(  # the arm of models/octarm.xml
     scale=np.array([0.12, 0.12, 0.12, 1.0, 1.0, 1.0]),  # [m], [rad]
     time_scale=np.array(0.006505611964237445),  # [s]
     force_scale=np.array(  # [N], [N m]

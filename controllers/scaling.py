@@ -8,116 +8,77 @@ dynamically similar. This is the one place where numbers and SI values are turne
 
 from __future__ import annotations
 
+import ast
 import functools
 import re
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from octarm.errors import OctarmError, quoted
+from octarm.interfaces import NominalModel
 
 
-class Scales(Protocol):
-    """What gains are scaled by; an `octarm.interfaces.NominalModel` is one."""
+class Scales(NamedTuple):
+    """What gains are scaled by; an `octarm.interfaces.NominalModel` has the same.
 
-    @property
-    def scale(self) -> np.ndarray:
-        """Length of each coordinate, shape (..., 2N) [m], [rad]."""
-        ...
+    Attributes:
+        scale: length of each coordinate, shape (..., 2N) [m], [rad].
+        time_scale: time, shape () or (..., 1) [s].
+        force_scale: force on each coordinate, shape (..., 2N) [N], [N m].
+    """
 
-    @property
-    def time_scale(self) -> np.ndarray:
-        """Time, shape () or (..., 1) [s]."""
-        ...
-
-    @property
-    def force_scale(self) -> np.ndarray:
-        """Force on each coordinate, shape (..., 2N) [N], [N m]."""
-        ...
+    scale: np.ndarray
+    time_scale: np.ndarray
+    force_scale: np.ndarray
 
 
-class Dimension(NamedTuple):
-    """Exponents of force, length and time, multiples of 1/2; an angle counts as a length."""
-
-    force: float = 0.0
-    length: float = 0.0
-    time: float = 0.0
-
-    def power(self, exponent: float) -> Dimension:
-        """The dimension of a quantity to a power."""
-        return Dimension(*(exponent * x for x in self))
-
-    def times(self, other: Dimension) -> Dimension:
-        """The dimension of a product."""
-        return Dimension(*(x + y for x, y in zip(self, other, strict=True)))
-
-
-_UNITS = {
-    "1": Dimension(),
-    "N": Dimension(force=1.0),
-    "m": Dimension(length=1.0),
-    "rad": Dimension(length=1.0),
-    "s": Dimension(time=1.0),
-    "kg": Dimension(force=1.0, length=-1.0, time=2.0),
+_UNITS = {  # exponents of force, length and time; an angle counts as a length
+    "1": (0.0, 0.0, 0.0),
+    "N": (1.0, 0.0, 0.0),
+    "m": (0.0, 1.0, 0.0),
+    "rad": (0.0, 1.0, 0.0),
+    "s": (0.0, 0.0, 1.0),
+    "kg": (1.0, -1.0, 2.0),
 }
 
 
 @functools.cache
-def dimension_of(units: str) -> Dimension:
-    """What a gain's units say, such as "N s/m, N m s/rad": those of a slide come first.
+def dimension_of(units: str) -> tuple[float, ...]:
+    """Exponents of force, length and time in units such as "N s/m, N m s/rad", a slide's first.
 
     A product is spelt by spaces and slashes, from left to right, with powers such as s^2, brackets
     and sqrt(..). Raises OctarmError for another unit than N, m, rad, s, Hz, kg and 1, or
     another spelling.
     """
-    words = re.findall(r"[A-Za-z]+|\d+|\S", units.partition(",")[0].replace("Hz", "1/s"))
-    dimension = _product(words, units)
-    if words:
-        raise _unreadable(units)
-    return dimension
+    text = units.partition(",")[0].strip().replace("Hz", "1/s").replace("^", "**")
+    try:
+        product = ast.parse(re.sub(r"(?<=[\w)]) +(?=[\w(])", "*", text), mode="eval")
+        return tuple(_exponents(product.body).tolist())
+    except (SyntaxError, ValueError):
+        raise OctarmError(
+            f"a gain has the units {quoted(units)}; they must be made of {', '.join(_UNITS)}, "
+            'such as "N s/m, N m s/rad"'
+        ) from None
 
 
-def _product(words: list[str], units: str) -> Dimension:
-    dimension, exponent = Dimension(), 1.0
-    while words and words[0] != ")":
-        if words[0] == "/":
-            words.pop(0)
-            exponent = -1.0
-            continue
-        dimension = dimension.times(_factor(words, units).power(exponent))
-        exponent = 1.0
-    return dimension
+def _exponents(product: ast.expr) -> np.ndarray:
+    match product:
+        case ast.BinOp(left, ast.Mult(), right):
+            return _exponents(left) + _exponents(right)
+        case ast.BinOp(left, ast.Div(), right):
+            return _exponents(left) - _exponents(right)
+        case ast.BinOp(base, ast.Pow(), ast.Constant(int(power))):
+            return power * _exponents(base)
+        case ast.Call(ast.Name("sqrt"), [root]):
+            return 0.5 * _exponents(root)
+        case ast.Name(word) | ast.Constant(1 as word) if str(word) in _UNITS:
+            return np.array(_UNITS[str(word)])
+        case _:
+            raise ValueError
 
 
-def _factor(words: list[str], units: str) -> Dimension:
-    """Takes a unit, a bracket or a root off the words, and its power."""
-    word = words.pop(0)
-    if word in ("(", "sqrt") and words:
-        if word == "sqrt":
-            words.pop(0)
-        dimension = _product(words, units).power(0.5 if word == "sqrt" else 1.0)
-        if not words or words.pop(0) != ")":
-            raise _unreadable(units)
-    elif word in _UNITS:
-        dimension = _UNITS[word]
-    else:
-        raise _unreadable(units)
-    if words and words[0] == "^":
-        if len(words) < 2 or not words[1].isdigit():
-            raise _unreadable(units)
-        dimension = dimension.power(float(words[1]))
-        del words[:2]
-    return dimension
-
-
-def _unreadable(units: str) -> OctarmError:
-    return OctarmError(
-        f"a gain has the units {quoted(units)}; they must be made of {', '.join(_UNITS)}, such as "
-        '"N s/m, N m s/rad"'
-    )
-
-
-def unit(units: str, arm: Scales) -> np.ndarray:
+def unit(units: str, arm: Scales | NominalModel) -> np.ndarray:
     """The value of 1 in SI, shape () where at most time counts, for one arm, else (..., 2N).
 
     Of a batch where only time counts it has the shape (..., 1). Raises OctarmError if the units

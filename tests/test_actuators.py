@@ -108,7 +108,7 @@ def test_cross_correlation_peaks_at_the_delay_for_any_timestep(delay: float, tim
 def test_what_arrives_is_exact_in_its_integral_for_any_delay_of_each_arm():
     asked = np.array([0.0, 0.0002, 0.0003, 0.00125, 0.0014, 0.0375])
     process = ActuationDelay(delay=asked).start(episode(6))
-    np.testing.assert_allclose(process.delay, asked, rtol=1e-12)
+    np.testing.assert_allclose((process.steps + process.rest) * STEP, asked, rtol=1e-12)
     tau = held(100, 4, (6, 6))
     out = np.stack([process(k, tau[k]) for k in range(100)])
     t = STEP * np.arange(101)

@@ -278,10 +278,9 @@ def test_arms_of_different_size_have_plants_of_different_size(layout: str, engin
         np.testing.assert_allclose(*tips, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_copy_goes_on_as_the_original(engine: str):
+def test_a_copy_goes_on_as_the_original():
     environment = load(
-        plant_modules=9, layout="centred", timestep=1e-4, engine=engine,
+        plant_modules=9, layout="centred", timestep=1e-4,
         disturbances=[parse_disturbance("noise:0.4")],
     )  # fmt: skip
     environment.reset()

@@ -114,7 +114,8 @@ def test_cross_correlation_peaks_at_the_delay_for_any_timestep(delay: float, tim
 def test_readings_between_two_steps_are_those_of_a_cubic_motion_for_each_arm():
     asked = np.array([0.0, 0.0002, 0.0003, 0.00125, 0.0014, 0.0375])
     fault = MeasurementDelay(delay=asked)
-    achieved = fault.start(episode(SeedSequence(0).spawn(6))).delay
+    process = fault.start(episode(SeedSequence(0).spawn(6)))
+    achieved = (process.steps + process.rest) * STEP
     np.testing.assert_allclose(achieved, asked, rtol=1e-12)
     a, b, c, d = np.random.default_rng(3).normal(size=(4, 6, 6))
 
@@ -211,7 +212,7 @@ def test_noise_has_a_stream_of_its_own():
     normal = one.streams("measurement-noise")[0].standard_normal(12)
     q, v = noise(MeasurementNoise(rms=1.0, rate=1.0), 1, seeds=SeedSequence(3))
     np.testing.assert_array_equal(np.hstack([q[0], v[0]]), np.tile(SCALE, 2) * normal)
-    again = MeasurementNoise(rms=1.0, rate=1.0).start(one.again(2))
+    again = MeasurementNoise(rms=1.0, rate=1.0).start(one.changed(occurrence=2))
     assert np.all(again(0, np.zeros(6), np.zeros(6))[0] != q[0])
 
 

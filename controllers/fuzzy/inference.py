@@ -93,16 +93,6 @@ class Variable:
         return float(bare[0]) if bare.size else None
 
 
-def linear(constant: float, *slopes: float) -> Callable[..., np.ndarray]:
-    """The consequent z = constant + slopes[0] x + .., eq (46), shape (...) as the inputs."""
-
-    def z(*inputs: np.ndarray) -> np.ndarray:
-        terms = (slope * x for slope, x in zip(slopes, inputs, strict=True))
-        return np.asarray(sum(terms, start=constant))
-
-    return z
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class FuzzySystem:
     """Rules over some inputs; what they conclude is up to the kind of system.
@@ -207,9 +197,9 @@ class Mamdani(FuzzySystem):
         if universe.ndim != 1 or not universe.size:
             raise OctarmError(f"universe has shape {universe.shape}; it must be (n,), n at least 1")
         object.__setattr__(self, "universe", universe)
-        present = {label for _, grades in self._slices for label, _ in grades}
+        grades = self.output(universe)
         for rule in self.rules:
-            if rule.conclusion not in present:
+            if not np.any(grades[rule.conclusion] > 0.0):
                 raise OctarmError(
                     f"no element of the universe, from {universe.min():g} to {universe.max():g}, "
                     f"belongs to {rule.conclusion} of {self.output.name}"
@@ -232,23 +222,17 @@ class Mamdani(FuzzySystem):
         return self._centre(inputs, np.add)
 
     def _centre(self, inputs: tuple[np.ndarray, ...], aggregation: Operator) -> np.ndarray:
-        sets = self._weights(inputs)
-        if aggregation is np.maximum:  # max_j T(w_j, mu) = T(max_j w_j, mu) for any t-norm T
-            sets = {label: [functools.reduce(np.maximum, w)] for label, w in sets.items()}
+        sets, grades = self._weights(inputs), self.output(self.universe)
         above = below = 0.0
-        for u, grades in self._slices:
-            parts = [self.implication(w, mu) for label, mu in grades for w in sets.get(label, ())]
+        for i, u in enumerate(self.universe.tolist()):
+            parts = [
+                self.implication(w, grades[label][i])
+                for label, weights in sets.items()
+                if grades[label][i] > 0.0  # the others add nothing
+                for w in weights
+            ]
             if parts:
                 mu = functools.reduce(aggregation, parts)
                 above = above + u * mu
                 below = below + mu
         return np.asarray(above / below)
-
-    @functools.cached_property
-    def _slices(self) -> list[tuple[float, list[tuple[str, np.ndarray]]]]:
-        """Each element of the universe with the labels it belongs to; the others add nothing."""
-        grades = self.output(self.universe)
-        return [
-            (float(u), [(label, mu[i]) for label, mu in grades.items() if mu[i] > 0.0])
-            for i, u in enumerate(self.universe)
-        ]

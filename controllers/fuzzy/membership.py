@@ -40,59 +40,8 @@ class Membership(abc.ABC):
         """The set at `peak` whose neighbours peak at `before` and `after`."""
 
 
-class _Straight(Membership):
-    """Straight from 0 up to 1 and down to 0, between four corners."""
-
-    def __post_init__(self) -> None:
-        _, top_left, top_right, _ = corners = self.corners
-        if not all(a <= b for a, b in itertools.pairwise(corners)):
-            given = ", ".join(f"{x:g}" for x in vars(self).values())
-            raise OctarmError(f"the corners of {type(self).__name__} are {given}; they must rise")
-        if not math.isfinite(top_right - top_left):
-            raise OctarmError(f"the top of {type(self).__name__} is infinite; it must be finite")
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        left, top_left, top_right, right = self.corners
-        y = 1.0  # what lies under both slopes; a slope with no foot is not there
-        with np.errstate(over="ignore"):  # a slope that overflows is below 0 or above 1
-            if math.isfinite(left):
-                rising = (x - left) / (top_left - left) if left < top_left else _step(x - left)
-                y = np.minimum(rising, y)
-            if math.isfinite(right):
-                width = right - top_right
-                falling = (right - x) / width if top_right < right else _step(right - x)
-                y = np.minimum(falling, y)
-        return np.maximum(y, np.zeros_like(x))
-
-
-def _step(x: np.ndarray) -> np.ndarray:
-    return np.heaviside(x, 1.0)  # a vertical slope; NaN stays NaN
-
-
 @dataclasses.dataclass(frozen=True)
-class Triangular(_Straight):
-    """Straight from 0 at `left` up to 1 at `peak`, and down to 0 at `right`.
-
-    Raises OctarmError unless left <= peak <= right and the peak is finite.
-    """
-
-    left: float
-    peak: float
-    right: float
-
-    @property
-    def corners(self) -> tuple[float, float, float, float]:
-        """Left, peak, peak, right."""
-        return self.left, self.peak, self.peak, self.right
-
-    @classmethod
-    def between(cls, before: float, peak: float, after: float) -> Self:
-        """Ends where its neighbours peak: the memberships of all sets add up to 1."""
-        return cls(before, peak, after)
-
-
-@dataclasses.dataclass(frozen=True)
-class Trapezoidal(_Straight):
+class Trapezoidal(Membership):
     """Straight from 0 at `left` up to 1 on [top_left, top_right], and down to 0 at `right`.
 
     Raises OctarmError unless left <= top_left <= top_right <= right and the top is finite.
@@ -103,10 +52,25 @@ class Trapezoidal(_Straight):
     top_right: float
     right: float
 
+    def __post_init__(self) -> None:
+        name = type(self).__name__
+        if not all(a <= b for a, b in itertools.pairwise(self.corners)):
+            given = ", ".join(f"{x:g}" for x in self.corners)
+            raise OctarmError(f"the corners of {name} are {given}; they must rise")
+        if not math.isfinite(self.top_right - self.top_left):
+            raise OctarmError(f"the top of {name} is infinite; it must be finite")
+
     @property
-    def corners(self) -> tuple[float, float, float, float]:
+    def corners(self) -> tuple[float, ...]:
         """All fields."""
         return self.left, self.top_left, self.top_right, self.right
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Membership of x [1], of the shape of x."""
+        with np.errstate(over="ignore"):  # a slope that overflows is below 0 or above 1
+            rising = _slope(x, self.left, self.top_left)
+            falling = _slope(-x, -self.right, -self.top_right)
+        return np.maximum(np.minimum(np.minimum(rising, falling), 1.0), np.zeros_like(x))
 
     @classmethod
     def between(cls, before: float, peak: float, after: float) -> Self:
@@ -114,6 +78,28 @@ class Trapezoidal(_Straight):
         before, after = peak - before, after - peak
         near, far = (0.25 * gap if math.isfinite(gap) else 0.0 for gap in (before, after))
         return cls(peak - 0.75 * before, peak - near, peak + far, peak + 0.75 * after)
+
+
+class Triangular(Trapezoidal):
+    """Straight from 0 at `left` up to 1 at `peak`, and down to 0 at `right`.
+
+    Raises OctarmError unless left <= peak <= right and the peak is finite.
+    """
+
+    def __init__(self, left: float, peak: float, right: float) -> None:
+        super().__init__(left, peak, peak, right)
+
+    @classmethod
+    def between(cls, before: float, peak: float, after: float) -> Self:
+        """Ends where its neighbours peak: the memberships of all sets add up to 1."""
+        return cls(before, peak, after)
+
+
+def _slope(x: np.ndarray, foot: float, top: float) -> np.ndarray | float:
+    """0 at the foot and 1 at the top; upright if both are one, and not there without a foot."""
+    if math.isinf(foot):
+        return 1.0
+    return np.heaviside(x - foot, 1.0) if foot == top else (x - foot) / (top - foot)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,20 +15,10 @@ import numpy as np
 from controllers import make_controller
 from controllers.fuzzy_rules import FuzzySlidingMode
 from controllers.integral_sliding_mode import IntegralState
-from controllers.proofs.adaptive_ledger import (
-    AdaptiveTrial,
-    adaptive,
-    adaptive_trial,
-    along_a_run,
-    etas,
-    membership,
-    membership_along,
-)
+from controllers.proofs.adaptive_ledger import adaptive, misprints
 from controllers.proofs.lyapunov import (
     LAMBDA,
     Instants,
-    as_claimed,
-    below,
     damped,
     energy_rate,
     integral_sliding,
@@ -38,18 +28,15 @@ from controllers.proofs.lyapunov import (
     noticed,
     proved,
     random_instants,
-    rms,
     sliding,
 )
 from controllers.sliding_mode import Surface
 from controllers.super_twisting import SuperTwistingState
-from octarm.arm.lagrange import coriolis_matrix
 from octarm.arm.parameters import ArmParameters
 from octarm.errors import OctarmError
 from octarm.tolerances import Check, CheckTable, run_checks
 
 FEWEST_STATES = 100
-UNCERTAINTY = 0.3  # share by which a nominal model may be off when K is derived
 
 
 def ledger(
@@ -71,13 +58,11 @@ def ledger(
     randomly = parameters, states, rng
     parts = {
         "sliding mode": _sliding_mode(*randomly),
-        "derived gain": _derived_gain(*randomly),
         "boundary layer": _boundary_layers(*randomly),
         "integral surface": _integral_surface(*randomly),
         "super-twisting": _super_twisting(*randomly),
         "adaptive fuzzy": adaptive(*randomly),
         "misprints": misprints(*randomly),
-        "a run": along_a_run(parameters, rng),
     }
     checks = run_checks(parts, progress)
     n = parameters.modules
@@ -137,63 +122,27 @@ class SwitchingTrial(NamedTuple):
         return self.reaching + np.sum(0.25 * self.K * phi, axis=-1)
 
 
-def _trial(at: Instants, surface: Surface) -> SwitchingTrial:
+def _trial(
+    p: ArmParameters,
+    states: int,
+    rng: np.random.Generator,
+    surface_of: Callable[[Instants], Surface] = sliding,
+) -> SwitchingTrial:
+    at = random_instants(p, states, rng)
+    surface = surface_of(at)
     F = model_error(at, surface)
     eta = 0.01 * np.sqrt(np.mean(F * F, axis=0))
-    return SwitchingTrial(at, surface, F, eta, np.abs(F) + eta, linear_gain_of(at.true))
-
-
-def _random_trial(p: ArmParameters, states: int, rng: np.random.Generator) -> SwitchingTrial:
-    at = random_instants(p, states, rng)
-    return _trial(at, sliding(at))
+    return SwitchingTrial(at, surface, F, eta, np.abs(F) + eta, linear_gain_of(p))
 
 
 def _sliding_mode(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
     """V' = s^T F - sum K |s| - s^T (K_v + B) s <= -sum eta |s| - s^T (K_v + B) s, (38)-(42)."""
-    t = _random_trial(p, states, rng)
+    t = _trial(p, states, rng)
     robust = -t.K * np.sign(t.surface.s)
     force, _ = t.answer("smc")
     rate, claim = t.rate(force), t.claim(robust)
     yield from proved("smc", rate, claim, t.reaching)
     yield noticed("+K sgn(s) as in (31)", t.rate(force - 2.0 * robust), claim)
-
-
-def _derived_gain(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
-    """V' <= -sum eta |s| - s^T (K_v + B) s for every model within the uncertainty, eq (40).
-
-    At states with one s_j that is not zero, with the model that drives it outwards most: for such
-    a model K is as large as it must be, and no larger.
-    """
-    at = random_instants(p, states, rng)
-    only = rng.integers(p.coordinates, size=states)[:, None] == np.arange(p.coordinates)
-    s = only * sliding(at).s
-    v_d = at.measurement.v - s + LAMBDA * at.errors[0]
-    at = at._replace(reference=at.reference._replace(v=v_d))
-    at = at._replace(nominal=_worst_model(at, sliding(at)))
-    t = _trial(at, sliding(at))
-    gains = {"lambda": LAMBDA, "K_v": t.K_v, "uncertainty": UNCERTAINTY}
-    controller: Any = make_controller("smc", at.nominal, gains)
-    rate = t.rate(controller(None, at.measurement, at.reference)[0].force)
-    bound = t._replace(eta=controller.eta).reaching
-    yield below(f"smc, K from an uncertainty of {UNCERTAINTY:g}", rate, bound, rms(rate))
-
-
-def _worst_model(at: Instants, surface: Surface) -> ArmParameters:
-    """The model within the uncertainty that has the largest s^T F, one for each instant.
-
-    F is linear in the parameters, so that each of them can be taken for itself.
-    """
-    factors: dict[str, np.ndarray] = {}
-    for name, share in (("mass", 1.0), ("inertia", 1.0), ("damping", 1.0), ("stiffness", 0.5)):
-        size = getattr(at.true, name).shape
-        factors[name] = np.ones((*surface.s.shape[:-1], *size))
-        for index in np.ndindex(size):
-            twice = np.ones(size)
-            twice[index] = 2.0
-            F = model_error(at._replace(nominal=at.true.scaled(**{name: twice})), surface)
-            power = np.sum(surface.s * F, axis=-1)
-            factors[name][(..., *index)] += share * UNCERTAINTY * np.sign(power)
-    return at.true.scaled(**factors)
 
 
 def _boundary_layers(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
@@ -203,11 +152,11 @@ def _boundary_layers(p: ArmParameters, states: int, rng: np.random.Generator) ->
     as hard.
     """
     phi = layer_of(p)
-    t = _random_trial(p, states, rng)
+    t = _trial(p, states, rng)
     rate = t.rate(t.answer("fsmc", phi=phi)[0])
     claim = t.claim(-t.K * FuzzySlidingMode.fuzzy(t.surface.s / phi))
     yield from proved("fsmc", rate, claim, t.within(phi))
-    t = _random_trial(p, states, rng)
+    t = _trial(p, states, rng)
     rate = t.rate(t.answer("smc-boundary", phi=phi)[0])
     claim = t.claim(-t.K * np.clip(t.surface.s / phi, -1.0, 1.0))
     yield from proved("smc-boundary", rate, claim, t.within(phi))
@@ -218,8 +167,7 @@ def _boundary_layers(p: ArmParameters, states: int, rng: np.random.Generator) ->
 
 def _integral_surface(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
     """The same theorem on the surface (24), corrected, whose q_r' holds the integral of e."""
-    at = random_instants(p, states, rng)
-    t = _trial(at, integral_sliding(at))
+    t = _trial(p, states, rng, integral_sliding)
     state = IntegralState(t.at.measurement.t - 1.0, t.at.integral.copy())
     force, after = t.answer("smc-integral", state, phi=0.0, s_max=1e3)
     # The chain rule takes the rate at which the controller integrates, over its step of 1 s.
@@ -236,7 +184,7 @@ def _super_twisting(p: ArmParameters, states: int, rng: np.random.Generator) -> 
     A bounded V is all that follows for this arm: the function that proves convergence in finite
     time takes one coordinate with a constant mass.
     """
-    t = _random_trial(p, states, rng)
+    t = _trial(p, states, rng)
     size = np.abs(t.surface.s)
     w = t.K * rng.uniform(-1.0, 1.0, t.K.shape)
     # A root gain that balances the model error somewhere among these |s|.
@@ -246,73 +194,3 @@ def _super_twisting(p: ArmParameters, states: int, rng: np.random.Generator) -> 
     claim = t.claim(w - k_1 * np.sqrt(size) * np.sign(t.surface.s))
     bound = np.sum(4.0 * np.abs(t.F + w) ** 3 / (27.0 * k_1**2), axis=-1)
     yield from proved("super-twisting", rate, claim, bound - t.taken)
-
-
-def misprints(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
-    """The rows of the paper's wrong variants, on an arm whose dampers do not hide them."""
-    bare = p.scaled(damping=0.0)
-    t = adaptive_trial("afsmc", bare, states, rng)
-    yield noticed("C_j as printed, d/d alpha", printed_C(t).rate, t.claim)
-    yield noticed("d/d delta moves sigma", delta_gradient(t).rate, t.claim)
-    yield noticed("+ F^ + F_cp in (63)", added_estimate(t).rate, t.claim)
-    if p.modules > 1:  # a single module has no Coriolis force
-        yield noticed("C laid out as in (4)", paper_coriolis(t).rate, t.claim)
-    yield as_claimed("afsmc, B_j, C_j laid out as in (72)", printed_layout(t).rate, t.claim)
-    t = adaptive_trial("afsmc", bare, states, rng, normalised=True)
-    yield noticed("the same, normalised", printed_layout(t).rate, t.claim)
-    yield noticed("normalised as if sum mu = 1", as_if_sum_is_one(t).rate, t.claim)
-
-
-def printed_C(t: AdaptiveTrial) -> AdaptiveTrial:
-    """C_j as printed in (72): d/d alpha where d/d sigma is meant."""
-    eta = etas(t.law)
-    return _moving(t, sigma=eta.sigma / eta.alpha * t.rates.alpha)
-
-
-def delta_gradient(t: AdaptiveTrial) -> AdaptiveTrial:
-    """Sigma moved by the gradient in the delta of (59): d/d delta = -sigma^2 d/d sigma."""
-    return _moving(t, sigma=-np.square(t.now.sigma) * t.rates.sigma)
-
-
-def added_estimate(t: AdaptiveTrial) -> AdaptiveTrial:
-    """(63) with + F^ + F_cp."""
-    s = t.surface.s
-    estimate = np.sum(t.now.theta * membership(t.law, s, t.now), axis=-1)  # eq (67)
-    return t._replace(force=t.force + 2.0 * (estimate + t.now.E * np.sign(s)))
-
-
-def paper_coriolis(t: AdaptiveTrial) -> AdaptiveTrial:
-    """C laid out as in (4) in the law: for it, D' - 2C is not skew."""
-    nominal, (_, q, v) = t.at.nominal, t.at.measurement
-    change = layout_of_the_paper(nominal, q, v) - coriolis_matrix(nominal, q, v)
-    return t._replace(force=t.force + np.einsum("...ij,...j->...i", change, t.surface.v_r))
-
-
-def layout_of_the_paper(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """A C with the right C q', and s_i' theta_j' whole in the column of s_i, (..., 2N, 2N)."""
-    turning = v.copy()
-    turning[..., : p.modules] = 0.0
-    out = coriolis_matrix(p, q, turning)
-    out[..., : p.modules] = 2.0 * coriolis_matrix(p, q, v)[..., : p.modules]
-    return out
-
-
-def printed_layout(t: AdaptiveTrial) -> AdaptiveTrial:
-    """B_j and C_j laid out as in (72), the transpose: B theta in place of B^T theta."""
-    eta, s, still = etas(t.law), t.surface.s, np.zeros_like(t.now.theta)
-    B_theta = membership_along(t.law, s, t.now, t.now._replace(alpha=t.now.theta, sigma=still))
-    C_theta = membership_along(t.law, s, t.now, t.now._replace(alpha=still, sigma=t.now.theta))
-    s = s[..., None]
-    return _moving(t, alpha=eta.alpha * s * B_theta, sigma=eta.sigma * s * C_theta)
-
-
-def as_if_sum_is_one(t: AdaptiveTrial) -> AdaptiveTrial:
-    """The gradients that (65) suggests: phi^l is divided by the sum, yet moves alone."""
-    eta, s, (theta, alpha, sigma, _) = etas(t.law), t.surface.s[..., None], t.now
-    away = s / np.asarray(t.law.scale)[..., None] - alpha
-    slope = 2.0 * theta * membership(t.law, t.surface.s, t.now) * sigma * away
-    return _moving(t, alpha=eta.alpha * s * slope * sigma, sigma=-eta.sigma * s * slope * away)
-
-
-def _moving(t: AdaptiveTrial, **rates: np.ndarray) -> AdaptiveTrial:
-    return t._replace(rates=t.rates._replace(**rates))

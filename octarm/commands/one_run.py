@@ -130,9 +130,7 @@ def run(
 
     With tuned gains, 40 % noise and a model wrong by 30 %, laws are to keep the
     nominal arm up to a control period of 2 ms, inputs late by 1.5 ms, and inputs
-    that lag by 5 ms; those that end sooner:
-
-    {limits}
+    that lag by 5 ms.
 
     References; parameters with what they are on the nominal arm, whose sizes suit
     other arms where they are not given. A number may have a unit, as in

@@ -16,7 +16,6 @@ _COLUMN = 24  # where the text on an option begins
 _LISTED = ("CONTROLLER", "REFERENCE", "SHELL", "KIND")  # whose words stand in the text
 # Where the texts are made that stand below the examples.
 _TEXTS = {
-    "{limits}": "controllers:limits_text",
     "{references}": "octarm.references.catalogue:help_text",
     "{disturbances}": "octarm.disturbances.spelling:help_text",
 }

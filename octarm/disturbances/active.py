@@ -48,6 +48,7 @@ class ActiveDisturbances:
         inputs: what came out of each actuator fault in the last `received`, by name, shape (...,
             2N) [N].
         commanded: the input forces tau that the last `received` was given, shape (..., 2N) [N].
+        measured_force: the last `force` as far as it is measured, the sum of `shares`, likewise.
         readings: what came out of each sensor fault in the last `sensed`, by name.
         input_bounds: what |tau| is limited to by disturbances, each broadcasts to (..., 2N) [N].
     """
@@ -62,7 +63,7 @@ class ActiveDisturbances:
         self.inputs: dict[str, np.ndarray] = {}
         self.commanded = np.empty(0)
         self.readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        self._total = self._measured = np.empty(0)
+        self._total = self.measured_force = np.empty(0)
         families = (Force, PlantChange, ActuatorFault, SensorFault)
         started: dict[str, list[tuple[str, Any]]] = {cls.family: [] for cls in families}
         place = {cls: i for i, cls in enumerate(DISTURBANCES.values())}
@@ -71,7 +72,8 @@ class ActiveDisturbances:
             name = disturbance.name
             if count > 1 and disturbance.instead_of_two:
                 raise OctarmError(f"{name} is given twice; {disturbance.instead_of_two}")
-            process = disturbance.start(episode if count == 1 else episode.again(count))
+            nth = episode if count == 1 else episode.changed(occurrence=count)
+            process = disturbance.start(nth)
             started[disturbance.family].append((numbered(name, count), process))
         self.forces: list[tuple[str, ForceProcess]] = started[Force.family]
         self._tips = {name for name, process in self.forces if isinstance(process, TipProcess)}
@@ -116,14 +118,10 @@ class ActiveDisturbances:
                 forces = [f if name in tips else groups.force(f) for name, f in each.items()]
             self._total = sum(forces, start=np.zeros(()))  # 0.0, never -0.0
             self._total.setflags(write=False)
-            self._measured = self._total
+            self.measured_force = self._total
             if groups is not None:
-                self._measured = sum(self.shares.values(), start=np.zeros(()))
+                self.measured_force = sum(self.shares.values(), start=np.zeros(()))
         return self._total
-
-    def measured_force(self) -> np.ndarray:
-        """The last `force` as far as it is measured, the sum of `shares`, shape (..., 2N)."""
-        return self._measured
 
     def plant_changes_at(self, step: int) -> bool:
         """Whether `plant` at this physics step differs from the one before it."""

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from octarm.disturbances.streams import in_steps
+
 if TYPE_CHECKING:
     from octarm.arm.parameters import ArmParameters
     from octarm.disturbances.episode import Episode, Plant
@@ -69,25 +71,24 @@ class Record:
         return {"from": self._timestep * first, "until": self._timestep * (last + 1)}
 
     def delay(self, asked: float) -> float:
-        """The time after which it repeats its source [s]; NaN if there is none.
+        """The time after which it repeats its source [s], next to the one asked for [s].
 
-        It is one after which it repeats it exactly, if there is one, else the one between two
-        physics steps, next to the delay that was asked for [s], by which it does so best.
+        It is the one between two physics steps by which it does so best; NaN if it does not.
         """
         assert self._source is not None
         original, rows = np.stack(self._source._rows), np.stack(self._rows)
-        at = np.array(self._steps) - self._source._steps[0]
-        usable = (at < len(original)) & np.all(np.isfinite(rows), axis=1)
-        rows, at = rows[usable], at[usable]
-        if not len(at):
+        at, steps = np.array(self._steps) - self._source._steps[0], in_steps(asked, self._timestep)
+        whole = math.floor(steps)
+        late = (at > whole) & (at < len(original)) & np.all(np.isfinite(rows), axis=1)
+        one, other = original[at[late] - whole], original[at[late] - whole - 1]
+        change, gone = other - one, rows[late] - one
+        size = float(np.sum(change * change))
+        if not size > 0.0:
             return math.nan
-        like_last = np.flatnonzero(np.all(original == rows[-1], axis=1))
-        for delay in at[-1] - like_last[like_last <= at[-1]][::-1]:
-            late = at >= delay
-            repeated = original[at[late] - delay]
-            if np.array_equal(rows[late], repeated) and np.any(np.ptp(repeated, axis=0) > 0.0):
-                return self._timestep * float(delay)
-        return self._timestep * _between(original, rows, at, math.floor(asked / self._timestep))
+        rest = float(np.sum(gone * change)) / size
+        left = float(np.sum((gone - rest * change) ** 2)) / size
+        good = 0.0 <= rest < 1.0 and left < _UNLIKE
+        return self._timestep * (whole + rest) if good else math.nan
 
     def band(self) -> dict[str, float]:
         """`hold`, the mean time between changes [s], and `corner`, the band of half density [Hz].
@@ -116,43 +117,6 @@ class Record:
         below = np.flatnonzero(smooth < 0.5 * level)
         corner = float(frequency[below[0]]) if below.size else math.nan
         return {"hold": dt * hold, "corner": corner}
-
-    def line(self) -> dict[str, float]:
-        """`frequency` of the strongest line [Hz], and `share_in_line`, the power around it [1].
-
-        A force on the tip acts on each coordinate by a lever that moves; all of them count alike.
-        There is nothing for less than two periods.
-        """
-        rows = np.stack(self._rows)
-        moving = rows[:, np.std(rows, axis=0) > 0.0]
-        if moving.shape[1] == 0:
-            return {}
-        moving = (moving - moving.mean(axis=0)) / moving.std(axis=0)
-        spectrum = np.fft.rfft(moving * np.hanning(len(moving))[:, None], axis=0)
-        power = np.sum(np.abs(spectrum) ** 2, axis=1)
-        at = int(np.argmax(power))
-        if not 2 <= at < len(power) - 1:
-            return {}  # less than two periods do not show a frequency
-        low, top, high = np.log(power[at - 1 : at + 2] + 1e-300)
-        peak = at + 0.5 * (low - high) / (low - 2.0 * top + high)
-        share = float(np.sum(power[at - 2 : at + 3]) / np.sum(power))
-        return {"frequency": peak / (self._timestep * len(rows)), "share_in_line": share}
-
-
-def _between(original: np.ndarray, rows: np.ndarray, at: np.ndarray, steps: int) -> float:
-    """The delay of rows between so many whole steps and one more [1]; NaN if there is none.
-
-    The source has rows at steps 0, 1, .., shape (n, k); what came of it has those at other steps.
-    """
-    late = at > steps
-    one, other = original[at[late] - steps], original[at[late] - steps - 1]
-    change, gone = other - one, rows[late] - one
-    size = float(np.sum(change * change))
-    if not size > 0.0:
-        return math.nan
-    rest = float(np.sum(gone * change)) / size
-    left = float(np.sum((gone - rest * change) ** 2)) / size
-    return steps + rest if 0.0 < rest < 1.0 and left < _UNLIKE else math.nan
 
 
 class Measured(NamedTuple):

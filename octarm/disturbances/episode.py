@@ -93,13 +93,6 @@ class Episode:
     check_arm: Callable[[ArmParameters], object] = any_arm
     groups: Groups | None = None
 
-    def __post_init__(self) -> None:
-        arms = int(np.prod(self.batch_shape, dtype=int))
-        if len(self.batch_shape) > 1 or len(self._seeds) != arms:
-            raise OctarmError(
-                f"{len(self._seeds)} seeds were given for arms of batch shape {self.batch_shape}"
-            )
-
     @property
     def _seeds(self) -> Sequence[np.random.SeedSequence]:
         return [self.seeds] if isinstance(self.seeds, np.random.SeedSequence) else self.seeds
@@ -132,22 +125,14 @@ class Episode:
                 raise OctarmError(f"unknown coordinate {quoted(name)}{closest(name, known)}")
         return np.array([name in wanted for name in known])
 
-    def again(self, occurrence: int) -> Episode:
-        """The same episode for a further disturbance of the same class."""
-        return self._with(occurrence=occurrence)
-
     def later(self, index: int) -> Episode:
         """The episode of this number, given episode 0: all that is random is drawn anew."""
-        return self._with(index=index, seeds=[episode_seed(seed, index) for seed in self._seeds])
+        return self.changed(index=index, seeds=[episode_seed(seed, index) for seed in self._seeds])
 
-    def seeded(self, seeds: Sequence[np.random.SeedSequence]) -> Episode:
-        """The same with other seeds, one for each arm."""
-        return self._with(seeds=seeds)
-
-    def _with(self, **fields: Any) -> Episode:
+    def changed(self, **fields: Any) -> Episode:
+        """The same with other fields."""
         other = copy.copy(self)  # with the input amplitude, if it is known already
-        for name, value in fields.items():
-            object.__setattr__(other, name, value)
+        vars(other).update(fields)
         return other
 
     def streams(self, name: str) -> list[np.random.Generator]:

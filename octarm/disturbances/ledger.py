@@ -18,9 +18,8 @@ from octarm.arrays import plain
 from octarm.declared import BUILT_IN, Code
 from octarm.disturbances.active import ActiveDisturbances
 from octarm.disturbances.delivered import Measured, Record
-from octarm.disturbances.episode import Disturbance, Event, Plant, numbered, occurrences
+from octarm.disturbances.episode import Disturbance, Plant, numbered, occurrences
 from octarm.disturbances.spelling import DISTURBANCES, from_entry, spelling, to_dict
-from octarm.fields import Amount
 from octarm.formats import Array, Model
 
 Number = Annotated[float, Strict(False)]  # infinity is a word in JSON
@@ -185,10 +184,10 @@ def _finite(value: Any) -> Any:
 
 
 class Drawn(Model):
-    """How a disturbance is drawn that is not built in, as `run.json` remembers it.
+    """How a disturbance of one arm is drawn, what it says of itself.
 
-    Whoever looks at a run need not have, nor import, what a user wrote. It is what the methods of
-    `Disturbance` of the same names answer.
+    Of one that is not built in `run.json` remembers it: whoever looks at a run need not have, nor
+    import, what a user wrote.
 
     Attributes:
         moments: times [s] and texts of its events.
@@ -211,19 +210,3 @@ class Drawn(Model):
             bound=plain(disturbance.input_bound()),
             tilt=float(disturbance.gravity_angle()),
         )
-
-    def events(self) -> Sequence[Event]:
-        """The moments at which it begins and ends."""
-        return [Event(float(at), str(text)) for at, text in self.moments]
-
-    def carried(self) -> tuple[float, float] | None:
-        """The mass that the tip carries and from when on [kg], [s]; None if none."""
-        return self.load
-
-    def input_bound(self) -> Amount | None:
-        """Bound on |tau| to be drawn, shape () or (2N,) [N]; None if it sets none."""
-        return self.bound if isinstance(self.bound, float | None) else np.array(self.bound)
-
-    def gravity_angle(self) -> float:
-        """By how much it turns gravity [rad]."""
-        return self.tilt

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from octarm.arrays import Entry, entry
+from octarm.arrays import Entry
 from octarm.errors import OctarmError
 
 _BLOCK = 64  # holds an arm draws at once; the draws are the same for any number
@@ -141,13 +141,11 @@ class DelayLine:
     A delay is `steps` whole physics steps and a `rest`, a fraction of one more.
 
     Attributes:
-        delay: of each arm, shape (...) [s].
         steps: whole steps in it, shape (...) of integers.
         rest: what is left, in physics steps, shape (...) [1]; 0 where there are whole steps only.
         fractions: whether there is a rest for some arm.
     """
 
-    delay: Entry
     steps: np.ndarray
     rest: np.ndarray
     fractions: bool
@@ -157,7 +155,6 @@ class DelayLine:
         steps = np.broadcast_to(in_steps(delay, timestep), batch_shape)
         self.steps = np.floor(steps).astype(np.int64)
         self.rest = steps - self.steps
-        self.delay = entry(steps * timestep)
         self.fractions = bool(np.any(self.rest > 0.0))
         self._length = int(np.max(np.ceil(steps))) + 1
         self._ring = np.empty(0)

@@ -30,12 +30,12 @@ _OTHERWISE = {  # arguments of `octarm.load` that are said in another way here
 }
 
 
-class Setting:
-    """What the arms of an environment have in common.
+class Arms:
+    """Arms whose episodes begin together: one without a batch axis, or a batch of them.
 
     Attributes:
-        controller: to which actions are added; None where they are all that acts.
-        share: of the input range that an action of 1 is [1].
+        observation_space: of one arm.
+        action_space: of one arm.
     """
 
     def __init__(
@@ -45,12 +45,13 @@ class Setting:
         arm: str | ArmParameters | None = None,
         controller: str | Controller | None = None,
         *,
+        arms: int | None = None,
         mismatch: float = 0.0,
         gain_set: str | None = None,
         residual: float = 0.1,
         **options: Any,
     ) -> None:
-        """A setting of the task.
+        """One arm, or a batch.
 
         Args:
             reference: as of `octarm.load`.
@@ -58,6 +59,7 @@ class Setting:
             arm: a file, the name of one that comes with octarm, or parameters; the nominal arm when
                 not given.
             controller: by name, or made already, to which actions are added.
+            arms: how many, in a batch; one without a batch axis when not given.
             mismatch: by which the model of a controller that is named is wrong [1].
             gain_set: of a controller that is named.
             residual: share of the input range that is added to a controller's inputs for an action
@@ -79,26 +81,10 @@ class Setting:
         true = read_arm(true) if isinstance(true, str) else true
         if isinstance(controller, str):
             controller = make_controller(controller, true.mismatched(mismatch), gain_set=gain_set)
-        self.controller, self.share = controller, 1.0 if controller is None else residual
-        self._options = options
-        self._options |= {"reference": reference, "disturbances": given, "parameters": true}
-
-    def environment(self, batch: int | None) -> control.Environment:
-        """One arm, or a batch."""
-        return load(**self._options, batch=batch)
-
-
-class Arms:
-    """Arms whose episodes begin together: one without a batch axis, or a batch of them.
-
-    Attributes:
-        observation_space: of one arm.
-        action_space: of one arm.
-    """
-
-    def __init__(self, setting: Setting, batch: int | None = None) -> None:
-        """Arms of a setting; OctarmError if their inputs have no range."""
-        self._setting, self._environment = setting, setting.environment(batch)
+        self._controller, share = controller, 1.0 if controller is None else residual
+        self._environment = load(
+            reference, disturbances=given, parameters=true, batch=arms, **options
+        )
         physics: AnyPhysics = self._environment.physics
         low, high = physics.input_range()
         if not np.all(np.isfinite([low, high])):
@@ -106,7 +92,7 @@ class Arms:
                 "actions are shares of the input range, and this arm has none; give it an "
                 "input_range"
             )
-        self._middle, self._half = 0.5 * (low + high), 0.5 * (high - low)
+        self._middle, self._reach = 0.5 * (low + high), share * (0.5 * (high - low))
         self._rest = physics.hanging()
         self._describe(physics)
 
@@ -129,7 +115,7 @@ class Arms:
         task: TrackingTask = self._environment.task
         task.reseed([np.random.SeedSequence(seed) for seed in seeds])
         self._seen: dict[str, np.ndarray] = self._environment.reset().observation
-        controller, physics = self._setting.controller, self._environment.physics
+        controller, physics = self._controller, self._environment.physics
         self._state = None if controller is None else controller.initial_state(physics.batch_shape)
         self._first = True
         return self._observation()
@@ -160,9 +146,9 @@ class Arms:
 
     def _inputs(self, action: np.ndarray) -> np.ndarray:
         """The input forces tau for an action, shapes (..., 2N) [N]."""
-        controller, seen = self._setting.controller, self._seen
+        controller, seen = self._controller, self._seen
         if controller is None:
-            return self._middle + self._half * action
+            return self._middle + self._reach * action
         measurement = Measurement(self._environment.task.time, seen["q"], seen["v"])
         reference = Reference(seen["q_d"], seen["v_d"], seen["a_d"])
         with np.errstate(all="ignore"):  # an arm that is lost may hold anything
@@ -170,7 +156,7 @@ class Arms:
             command, self._state = commanded(answer, measurement.q.shape, first=self._first)
             tau = self._environment.physics.actuation.inputs(measurement.q, command.force)
         self._first = False
-        return tau + self._setting.share * self._half * action
+        return tau + self._reach * action
 
     def _observation(self) -> np.ndarray:
         seen, space = self._seen, self.observation_space

@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from octarm.errors import OctarmError
-from octarm.gym.arms import Arms, Setting
+from octarm.gym.arms import Arms
 
 _MOST_SPARE = 8  # batches of arms that are kept
 
@@ -24,8 +24,8 @@ class TrackEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own type)
 
     def __init__(self, **setting: Any) -> None:
-        """An arm; the arguments are those of `Setting`."""
-        self._arms = Arms(Setting(**setting))
+        """An arm; the arguments are those of `Arms`."""
+        self._arms = Arms(**setting)
         self.observation_space = self._arms.observation_space
         self.action_space = self._arms.action_space
         self._over = True
@@ -56,17 +56,11 @@ class TrackEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
 @dataclasses.dataclass(eq=False)
 class _Group:
-    """Arms of a vector that began together.
-
-    Attributes:
-        arms: as many as there were then.
-        rows: of the vector, shape (k,).
-        alive: which of them are not over, shape (k,) of bool.
-    """
+    """Arms of a vector that began together."""
 
     arms: Arms
-    rows: np.ndarray
-    alive: np.ndarray
+    rows: np.ndarray  # of the vector, shape (k,)
+    alive: np.ndarray  # which of them are not over, shape (k,) of bool
 
 
 class TrackVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -77,10 +71,10 @@ class TrackVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """
 
     def __init__(self, num_envs: int = 1, **setting: Any) -> None:
-        """So many arms; the other arguments are those of `Setting`."""
+        """So many arms; the other arguments are those of `Arms`."""
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
-        self.num_envs, self._setting = num_envs, Setting(**setting)
-        self._spare = {num_envs: Arms(self._setting, num_envs)}
+        self.num_envs, self._setting = num_envs, setting
+        self._spare = {num_envs: Arms(**setting, arms=num_envs)}
         first = self._spare[num_envs]
         self.single_observation_space = first.observation_space
         self.single_action_space = first.action_space
@@ -139,7 +133,7 @@ class TrackVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._tidy()
         size, seeds = len(rows), np.zeros(self.num_envs, dtype=np.int64)
         seeds[rows] = [_seed(self._generators[int(i)]) for i in rows]
-        arms = self._spare.pop(size, None) or Arms(self._setting, size)
+        arms = self._spare.pop(size, None) or Arms(**self._setting, arms=size)
         self._seen[rows] = arms.begin(seeds[rows].tolist())
         self._groups.append(_Group(arms, rows, np.ones(size, dtype=bool)))
         self._over[rows] = False

@@ -22,7 +22,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from octarm.arrays import Coordinates, planar_coordinates
-from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.ledger import Drawn
 from octarm.disturbances.spelling import from_entry
 from octarm.interfaces import WITHIN, Rows
@@ -159,15 +158,12 @@ def coordinates_of(description: Mapping[str, Any]) -> Coordinates:
     return planar_coordinates(len(description["parameters"]["mass"]))
 
 
-def disturbances_of(description: Mapping[str, Any]) -> dict[str, Disturbance | Drawn]:
-    """The disturbances that `run.json` lists, by the names of their entries; no code is imported.
-
-    Of those that are not built in it is how they are drawn.
-    """
+def disturbances_of(description: Mapping[str, Any]) -> dict[str, Drawn]:
+    """How the disturbances of `run.json` are drawn, by their names there; no code is imported."""
     return {
         entry["name"]: Drawn.model_validate(entry["drawn"])
         if entry.get("drawn")
-        else from_entry(entry)
+        else Drawn.of(from_entry(entry))
         for entry in description.get("disturbances", [])
     }
 
@@ -257,7 +253,7 @@ def bounds_of(description: Mapping[str, Any], layer: np.ndarray | None) -> dict[
         bounds["error"] = Bound(phi / slope, "phi / lambda")
     if largest is not None:
         bounds["E"] = Bound(largest, "E_max", both_sides=False)
-    limits = [disturbance.input_bound() for disturbance in disturbances_of(description).values()]
+    limits = [disturbance.bound for disturbance in disturbances_of(description).values()]
     known = [np.broadcast_to(limit, shape) for limit in limits if limit is not None]
     if known and np.all(np.isfinite(known)):
         bounds["tau"] = Bound(np.min(known, axis=0), "limit")

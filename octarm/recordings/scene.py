@@ -20,7 +20,6 @@ import rerun.blueprint as rrb
 from octarm.arm.kinematics import arc_tip
 from octarm.arm.mjcf import world_position
 from octarm.arm.parameters import ArmParameters
-from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.ledger import Drawn
 from octarm.interfaces import Rows
 from octarm.recordings import shapes
@@ -52,7 +51,7 @@ class Scene:
     def __init__(
         self,
         parameters: ArmParameters,
-        disturbances: Sequence[Disturbance | Drawn],
+        disturbances: Sequence[Drawn],
         *,
         disturbed: bool,
         finer: bool = False,
@@ -66,8 +65,8 @@ class Scene:
         self._length = float(np.sum(parameters.rest_length))
         self._weight = float(np.sum(parameters.mass) * parameters.gravity)
         self._arrow = 2.0 * self._width  # length of the arrow of the arm's weight [m]
-        self._tilt = sum(disturbance.gravity_angle() for disturbance in disturbances)
-        self._payloads = [load for d in disturbances if (load := d.carried()) is not None]
+        self._tilt = sum(disturbance.tilt for disturbance in disturbances)
+        self._payloads = [d.load for d in disturbances if d.load is not None]
         self._disturbed, self._finer = disturbed, finer
         self._last: tuple[np.ndarray, np.ndarray] | None = None  # tip and desired tip
         reach = 1.12 * self._length + self._width

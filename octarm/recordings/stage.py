@@ -56,7 +56,7 @@ class Stage:
         self._run, self._width, self._modules = run, float(np.median(p.width)), p.modules
         self._length = float(np.sum(p.rest_length))
         self._weight = float(np.sum(p.mass) * p.gravity)
-        loads = (each.carried() for each in disturbances_of(description).values())
+        loads = (each.load for each in disturbances_of(description).values())
         self._payloads = [load for load in loads if load is not None]
         self._plant = run.signals.get("plant_q") if description.get("plant") else None
         offset = 0.0 if self._plant is None else 1.1 * self._length

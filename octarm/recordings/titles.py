@@ -96,8 +96,8 @@ def events_of(description: Mapping[str, Any]) -> list[tuple[float, str, str]]:
     for entry in description.get("disturbances", []):
         entry_now = {**entry, "asked": {**entry["asked"], "at": None}}
         text = disturbance_of(entry_now, description.get("code", {}))
-        for event in disturbances[entry["name"]].events():
-            events.append((event.at, entry["name"], text if event.text else ""))
+        for at, begins in disturbances[entry["name"]].moments:
+            events.append((at, entry["name"], text if begins else ""))
     return sorted(events)
 
 

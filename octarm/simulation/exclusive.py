@@ -10,11 +10,11 @@ from octarm.errors import OctarmError
 
 
 class Exclusive:
-    """`with exclusive:` stands around whatever moves the arms; other threads are refused there."""
+    """`with exclusive:` stands around whatever moves the arms; a second user is refused there."""
 
     def __init__(self) -> None:
-        self._change, self._loop = threading.RLock(), threading.Lock()
-        self._turn = _Turn()
+        self._user = threading.RLock()
+        self._turn: _Turn | None = None  # of the loop that there is
         self._mixed = False  # two threads have met, and nobody knows whose state this is
 
     def __enter__(self) -> None:
@@ -23,16 +23,20 @@ class Exclusive:
         Raises OctarmError if another thread or a loop moves the arms, or two threads have done so
         since they were reset.
         """
-        if not self._change.acquire(blocking=False):
-            self._mixed = not self._loop.locked()
-            raise _refusal()
-        if self._mixed or (self._loop.locked() and self._turn.thread != threading.get_ident()):
-            self._change.release()
-            raise _refusal()
+        if not self._user.acquire(blocking=False):
+            self._mixed = self._turn is None
+        elif self._mixed or (self._turn is not None and not self._turn.moves):
+            self._user.release()
+        else:
+            return
+        raise OctarmError(
+            "this environment is in use by another thread or loop; each of them needs its own, "
+            "from octarm.load"
+        )
 
     def __exit__(self, *_: object) -> None:
         """Ends the change."""
-        self._change.release()
+        self._user.release()
 
     def anew(self) -> Exclusive:
         """For a change after which it does not matter who has moved the arms before."""
@@ -42,28 +46,21 @@ class Exclusive:
     @contextlib.contextmanager
     def loop(self) -> Generator[_Turn]:
         """A loop, which alone moves the arms, within `with turn:`; OctarmError if there is one."""
-        if not self._loop.acquire(blocking=False):
-            raise _refusal()
-        try:
-            yield self._turn
-        finally:
-            self._loop.release()
+        with self.anew():
+            self._turn = turn = _Turn()
+            try:
+                yield turn
+            finally:
+                self._turn = None
 
 
 class _Turn:
-    """The part of a loop in which its thread may move the arms."""
+    """The part of a loop in which it moves the arms."""
 
-    thread: int | None = None
+    moves = False
 
     def __enter__(self) -> None:
-        self.thread = threading.get_ident()
+        self.moves = True
 
     def __exit__(self, *_: object) -> None:
-        self.thread = None
-
-
-def _refusal() -> OctarmError:
-    return OctarmError(
-        "this environment is in use by another thread or loop; each of them needs its own, "
-        "from octarm.load"
-    )
+        self.moves = False

@@ -34,30 +34,16 @@ import numpy as np
 
 LANES = 16
 
-_FIELDS = (
-    "S T VS VT S0 T0 VS0 VT0 DS DT DVS DVT "  # state of the stage, at the start, mean derivative
-    "MASS INERTIA KS KD KT CS CD CT REST_S REST_T HALF "  # the plant: see `rk4_step`
-    "LOW_S LOW_T HIGH_S HIGH_T FAST_S FAST_T INSIDE "  # its limits, and whether they hold
-    "FS FT RS RT "  # force and couple that are held, and the parts of them that act on the ground
-    "QS QT C SN W P E MU BETA A0 A1 AX AY ALPHA AS AT"  # of a stage; AS and AT are s'' and theta''
-).split()
+_FIELDS = 50  # of a record, each of which has a place for every lane
+(
+    S, T, VS, VT, S0, T0, VS0, VT0, DS, DT, DVS, DVT,  # state, at the start, mean derivative
+    MASS, INERTIA, KS, KD, KT, CS, CD, CT, REST_S, REST_T, HALF,  # the plant: see `rk4_step`
+    LOW_S, LOW_T, HIGH_S, HIGH_T, FAST_S, FAST_T, INSIDE,  # its limits, and whether they hold
+    FS, FT, RS, RT,  # force and couple that are held, and the parts that act on the ground
+    QS, QT, C, SN, W, P, E, MU, BETA, A0, A1, AX, AY, ALPHA, AS, AT,  # of a stage; s'', theta''
+) = (np.uint64(i * LANES) for i in range(_FIELDS))  # fmt: skip
 PLANT_ROWS = 17
-
-_place = {name: np.uint64(i * LANES) for i, name in enumerate(_FIELDS)}
-S, T, VS, VT = (_place[name] for name in ("S", "T", "VS", "VT"))
-S0, T0, VS0, VT0 = (_place[name] for name in ("S0", "T0", "VS0", "VT0"))
-DS, DT, DVS, DVT = (_place[name] for name in ("DS", "DT", "DVS", "DVT"))
-MASS, INERTIA, HALF = (_place[name] for name in ("MASS", "INERTIA", "HALF"))
-REST_S, REST_T = (_place[name] for name in ("REST_S", "REST_T"))
-KS, KD, KT, CS, CD, CT = (_place[name] for name in ("KS", "KD", "KT", "CS", "CD", "CT"))
-LOW_S, LOW_T, HIGH_S, HIGH_T = (_place[name] for name in ("LOW_S", "LOW_T", "HIGH_S", "HIGH_T"))
-FAST_S, FAST_T, INSIDE = (_place[name] for name in ("FAST_S", "FAST_T", "INSIDE"))
-FS, FT, RS, RT = (_place[name] for name in ("FS", "FT", "RS", "RT"))
-QS, QT, C, SN, W = (_place[name] for name in ("QS", "QT", "C", "SN", "W"))
-P, E, MU, BETA, A0, A1 = (_place[name] for name in ("P", "E", "MU", "BETA", "A0", "A1"))
-AX, AY, ALPHA, AS, AT = (_place[name] for name in ("AX", "AY", "ALPHA", "AS", "AT"))
-
-_RECORD = np.uint64(len(_FIELDS) * LANES)
+_RECORD = np.uint64(_FIELDS * LANES)
 _LANES, _ONE, _TWO, _ZERO = np.uint64(LANES), np.uint64(1), np.uint64(2), np.uint64(0)
 
 # Angles are reduced by multiples of pi/2, in two parts: the first one has 33 bits, so that its

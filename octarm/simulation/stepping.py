@@ -94,7 +94,6 @@ class AnyPhysics(control.Physics):
         self.coordinates = planar_coordinates(arm.modules)
         self.limits = Limits.of(arm)
         self._input_range = arm.input_bounds(self.batch_shape)
-        self._limited = bool(np.isfinite(self._input_range).any())
         self._zero = self._alike(np.zeros(arm.coordinates))
         self._zero.setflags(write=False)
         self._forget()
@@ -113,15 +112,13 @@ class AnyPhysics(control.Physics):
 
     def divergence(self) -> str:
         """How an arm alone has left its limits and when; empty if it has not, and for a batch."""
-        violation = "" if self.batch_shape else self._violation()
-        return f"diverged at t = {self.time():.6g} s: {violation}" if violation else ""
-
-    def _violation(self) -> str:
+        if self.batch_shape:
+            return ""
         violation = self.limits.violation(self.q(), self.v())
-        if violation or self.groups is None:
-            return violation
-        violation = self.plant_limits.violation(self.plant_q(), self.plant_v())
-        return violation and f"the plant's {violation}"
+        if not violation and self.groups is not None:
+            violation = self.plant_limits.violation(self.plant_q(), self.plant_v())
+            violation = violation and f"the plant's {violation}"
+        return violation and f"diverged at t = {self.time():.6g} s: {violation}"
 
     def q(self) -> np.ndarray:
         """Generalised coordinates, shape (..., 2N) [m], [rad]."""
@@ -167,11 +164,10 @@ class AnyPhysics(control.Physics):
         return self._received.copy(order="K")
 
     def within(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """The physics steps of the last `step`, of which there were several.
+        """The m > 1 physics steps of the last `step`; those that no arm was left for are alike.
 
         They are `q`, `received` and `plant_tip` of an `octarm.interfaces.Within`, shapes (m, ...,
-        2N), (m, ..., 2N) and (m, ..., 2). A step that was not taken any more, as no arm was left,
-        is like the last.
+        2N), (m, ..., 2N) and (m, ..., 2).
         """
         q, received, *tip = self._within
         return q, received, tip[0] if tip else None
@@ -323,7 +319,7 @@ class AnyPhysics(control.Physics):
                 received = self._within_range(active.received(self._steps, received))
             if active.forces:
                 self._added[self._qvel_index] = active.force(self._steps, q, middle).T
-                mean = active.measured_force() / nstep
+                mean = active.measured_force / nstep
                 if not self._all_intact:
                     mean = np.where(self._intact[..., None], mean, 0.0)
                 self._disturbance = self._disturbance + mean
@@ -334,17 +330,11 @@ class AnyPhysics(control.Physics):
             self._ctrl[...] = self.groups.ctrl(self.actuation.force(q, received))
 
     def _middle(self) -> np.ndarray:
-        """Where the plants will be in the middle of a step, shape (..., 2N) [m], [rad].
-
-        Forces that depend on q are taken there and held over the step: they are of second order.
-        Taken at its start, they would be late by half a step, and a spring would feed the arm
-        energy.
-        """
+        """Where the plants will be in the middle of a step, shape (..., 2N) [m], [rad]."""
+        # Taken at its start, forces that depend on q would be late: of first order in the step.
         return self.plant_q() + (0.5 * self._timestep) * self.plant_v()
 
     def _within_range(self, tau: np.ndarray) -> np.ndarray:
-        if not self._limited:
-            return tau
         low, high = self._input_range
         return np.minimum(np.maximum(tau, low), high)
 

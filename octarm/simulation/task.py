@@ -79,7 +79,7 @@ class TrackingTask(control.Task):
 
     def reseed(self, seeds: Sequence[np.random.SeedSequence]) -> None:
         """Lets the next reset start episode 0 of other seeds, one an arm."""
-        self._first = self._first.seeded(seeds)
+        self._first = self._first.changed(seeds=seeds)
         self.next_episode = 0
 
     @property
