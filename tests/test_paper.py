@@ -22,6 +22,7 @@ from paper.variants import CONTROLLERS, FIXED_PREMISES, PROPOSED, SIGN, SMC, all
 import octarm
 from controllers import make_controller
 from octarm.disturbances.forces import BandLimitedNoise
+from octarm.simulation.engines import LAGRANGE
 from octarm.sweeps.shards import measure
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -187,7 +188,7 @@ def test_oscillations_are_those_of_all_control_instants():
 def test_the_error_on_a_plant_is_that_of_all_physics_steps_and_arms_are_those_of_the_seeds():
     """Three modules are the arm itself; the metrics of the package count from 2 s on."""
     environment = octarm.load(
-        BENDS, batch=3, control_period=0.002, timestep="auto", engine="lagrange",
+        BENDS, batch=3, control_period=0.002, timestep="auto", engine=LAGRANGE,
         disturbances=[
             BandLimitedNoise(ratio=np.array([[0.0], [NOISE], [NOISE]]), correlation_time=TIME)
         ],
@@ -198,9 +199,9 @@ def test_the_error_on_a_plant_is_that_of_all_physics_steps_and_arms_are_those_of
     rms = np.array([outcome.metrics[f"rms_error_{name}"] for name in COORDINATES])
     expected = np.sqrt(np.mean((rms / SCALE[:, None]) ** 2, axis=0))
     arms = runs.noisy_arms([0.0, NOISE, NOISE], [0, 0, 1])
-    kept = plants.tracking(variant, 3, 0.002, 2.2, 2.0, **arms)
+    kept = plants.tracking(variant, 3, 0.002, LAGRANGE, 2.2, 2.0, **arms)
     np.testing.assert_allclose(kept["error"], expected, rtol=1e-9)
-    planted = plants.planted(variant, 3, 500.0, 2)
+    planted = plants.planted(variant, 3, 500.0, 2, LAGRANGE)
     assert planted["error"].shape == (3,) and not planted["lost"].any()
     assert len(set(planted["error"].tolist())) == 3
 
@@ -208,14 +209,14 @@ def test_the_error_on_a_plant_is_that_of_all_physics_steps_and_arms_are_those_of
 @pytest.mark.parametrize("modules", [3, 9])
 def test_the_longest_period_about_rest_is_the_one_that_is_predicted(modules: int):
     """With hand-set gains, which stay what they are."""
-    predicted, simulated = plants.longest_two(VARIANTS[by_hand(SMC)], modules, 1e-3)
+    predicted, simulated = plants.longest_two(VARIANTS[by_hand(SMC)], modules, 1e-3, LAGRANGE)
     assert simulated == pytest.approx(predicted, rel=0.08)
 
 
 def test_a_law_without_a_slope_is_asked_to_track():
     rattling = VARIANTS[by_hand(SIGN)].changed("rattling", K=100.0)
-    assert not plants.tracks(rattling, 3, 0.005)
-    assert plants.tracks(VARIANTS[by_hand(SIGN)], 3, 0.001)
+    assert not plants.tracks(rattling, 3, LAGRANGE, 0.005)
+    assert plants.tracks(VARIANTS[by_hand(SIGN)], 3, LAGRANGE, 0.001)
 
 
 def outcomes(variant, rate: float, duration: float) -> list[runs.Outcome]:

@@ -20,7 +20,6 @@ import octarm
 from controllers import make_controller
 from octarm.files import write_files
 from octarm.reports.statistics import Interval, medians
-from octarm.simulation.engines import LAGRANGE, usual_engine
 from octarm.sweeps.tune_cost import root_mean_square, weight
 from octarm.sweeps.workers import WorkerProcesses, cores
 from paper import plants, runs
@@ -174,15 +173,14 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
 
 
 def all_tasks(variants: Mapping[str, Variant], effort: Effort) -> list[Task]:
-    """All that is run besides sweeps; plants where the engine `lagrange` is installed."""
+    """All that is run besides sweeps."""
     tasks = [Task(x.name, x.perform, x) for x in runs.requests(variants, effort)]
-    if usual_engine() != LAGRANGE:
-        return tasks
+    engine = effort.engine
     for label in effort.plant_labels:
-        search = partial(plants.searched, variants[label], effort.plants)
+        search = partial(plants.searched, variants[label], effort.plants, engine)
         tasks.append(Task(f"periods-{label}", search, Cell(label)))
     for rate, modules, label in product(effort.plant_rates, effort.plants, effort.plant_labels):
-        perform = partial(plants.planted, variants[label], modules, rate, effort.seeds)
+        perform = partial(plants.planted, variants[label], modules, rate, effort.seeds, engine)
         cell = Cell(label, "plants", plant=modules, rate=rate)
         tasks.append(Task(f"plant-{modules}-{rate:g}-Hz-{label}", perform, cell))
     return tasks

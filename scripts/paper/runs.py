@@ -35,7 +35,7 @@ from octarm.disturbances.forces import BandLimitedNoise
 from octarm.errors import ExitCode, OctarmError
 from octarm.interfaces import Instant, Rows
 from octarm.lagrange import inverse_dynamics, kinetic_energy
-from octarm.simulation.engines import MUJOCO, usual_engine
+from octarm.simulation.engines import MUJOCO
 from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
 from paper.studies import BENDS, MODELS, NOISE, RATE, SEED, SETTLED, TIME, WRONG, Effort
@@ -127,7 +127,7 @@ def requests(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Reques
     for label, name in LONG.items() if effort.long else ():
         yield Request(
             name, variants[label], BENDS, effort.long, fields, kept, mismatches=(WRONG,),
-            seeds=effort.seeds, quiet=False, stride=STRIDE, engine=usual_engine(),
+            seeds=effort.seeds, quiet=False, stride=STRIDE, engine=effort.engine,
         )  # fmt: skip
     places = [(BENDS, rate) for rate in effort.rates]
     places += [(reference, RATE) for reference in effort.readings if reference != BENDS]

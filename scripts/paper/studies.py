@@ -71,6 +71,7 @@ class Effort:
     """How much is run, as `studies.toml` says it."""
 
     name: str  # `full` or `quick`
+    engine: str = usual_engine()  # of all that does not say its own
     sweeps: Sequence[Mapping[str, Any]]  # in the order in which cells are listed
     seeds: int  # in each cell with noise
     duration: float  # of the runs of figures 1 and 2 [s]
@@ -106,9 +107,9 @@ class Sweep(NamedTuple):
 def sweeps(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Sweep]:
     """All sweeps; one for each time that a controller occurs, and cells without noise apart."""
     for entry in effort.sweeps:
-        content = {"engine": usual_engine(), "duration": effort.duration, **entry}
+        content = {"engine": effort.engine, "duration": effort.duration, **entry}
         name, study, labels = (content.pop(key) for key in ("name", "study", "labels"))
-        parts = [("", content)] if effort is QUICK else _quiet_apart(content)
+        parts = [("", content)] if effort.name == "quick" else _quiet_apart(content)
         for (i, own), (ending, part) in product(enumerate(_apart(variants, labels)), parts):
             grid = {"controller": list(own), **part["grid"]}
             gains = {one: dict(variants[label].gains) for one, label in own.items()}

@@ -38,7 +38,8 @@ def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = No
     claims = all_claims(evidence)
     tables = all_tables(evidence, claims, gains)
     pictures = list(figures.pictures(evidence))
-    common = {"claims": claims, "seeds": evidence.effort.seeds, "tables": tables}
+    effort = evidence.effort
+    common = {"claims": claims, "seeds": effort.seeds, "engine": effort.engine, "tables": tables}
     page = _rendered(
         "paper.html", **common, pictures=pictures[1:], layout=_layout,
         numbers=lambda one: _layout(["", "measured"], [(row.name, str(row)) for row in one.rows]),
@@ -80,7 +81,7 @@ def content(
     }  # fmt: skip
     return {
         "effort": evidence.effort.name, "seeds": evidence.effort.seeds,
-        "command": words()["command"],
+        "engine": evidence.effort.engine,
         "claims": [one.to_dict(timings=timings) for one in claims if one.place],
         "questions": [one.to_dict(timings=timings) for one in claims if not one.place],
         "best": [], "plants": [], "periods": [], **strings,
@@ -126,7 +127,8 @@ def _layout(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> PageTable:
 def _rendered(template: str, **values: Any) -> str:
     """A template of this folder with the texts that all of them share."""
     texts = words()
-    common = {key: texts[key] for key in ("title", "command", "picture", "plants_picture")}
-    common |= {"lead": worded(texts["lead"]), "setup": [worded(text) for text in texts["setup"]]}
+    common = {key: texts[key] for key in ("title", "picture", "plants_picture")}
+    common |= {key: worded(texts[key], **values) for key in ("command", "lead")}
+    common["setup"] = [worded(text, **values) for text in texts["setup"]]
     templates = PAGES if template.endswith(".html") else TEXTS
     return templates.get_template(template).render(**(common | values)).strip("\n") + "\n"
