@@ -55,11 +55,11 @@ def searched(variant: Variant, plants: Sequence[int], engine: str) -> dict[str, 
     The plants are numbers of modules.
     """
     pairs: list[tuple[float, float]] = []
-    guess = 0.003 / plants[0]  # [s]; about what the end of a group with its 1/N of the mass bears
-    for i, modules in enumerate(plants):
-        if i and pairs[-1][1] and math.isfinite(pairs[-1][1]):
-            guess = pairs[-1][1] * plants[i - 1] / modules
-        pairs.append(longest_two(variant, modules, guess, engine))
+    guess = 0.003  # [s]; of one module: what is borne is inverse to their number, about
+    for modules in plants:
+        pairs.append(longest_two(variant, modules, guess / modules, engine))
+        if 0.0 < pairs[-1][1] < math.inf:
+            guess = pairs[-1][1] * modules
     return dict(zip(("predicted", "simulated"), np.array(pairs).T, strict=True))
 
 
@@ -71,8 +71,7 @@ def longest(
     It is 0 if the shortest one is not borne, infinite if `LONGEST` is. The factor is that between
     the first two periods.
     """
-    good, bad = 0.0, math.inf
-    period = min(max(start, shortest), LONGEST)
+    good, bad, period = 0.0, math.inf, min(max(start, shortest), LONGEST)
     while not (good and bad / good <= CLOSE):
         good, bad = (period, bad) if bears(period) else (good, period)
         if good >= LONGEST or bad <= shortest:

@@ -4,8 +4,6 @@ Each becomes specs that `octarm sweep` runs as they stand: with the controllers 
 name, and all their gains. Cells without noise get one seed: nothing in them is random.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -24,6 +22,7 @@ BENDS, SLIDES = "sine", "sine-slides"  # the two readings of "first two links"
 READINGS = {BENDS: "bends", SLIDES: "slides"}
 MOVING = {BENDS: ("theta1", "theta2"), SLIDES: ("s1", "s2")}  # what each of them moves
 MODELS = (-0.3, 0.0, 0.3)  # model errors of the paper's figures [1]
+MEAN = "mean"  # of these, episode by episode, instead of a model error
 MODULES = 3  # that every controller believes in
 WRONG = -0.3  # the one model error of the studies that vary something else
 NOISE = 0.4  # the paper's: rms over the amplitude of the input signal [1]
@@ -41,7 +40,7 @@ class Cell(NamedTuple):
     label: str  # of the variant
     study: str = "tracking"  # that they belong to; see `title`
     reference: str = BENDS  # name
-    mismatch: float = 0.0  # of the nominal model [1]
+    mismatch: float | str = 0.0  # of the nominal model [1]; or `MEAN`
     noise: float = 0.0  # its rms over the input's amplitude [1]
     time: float = TIME  # its correlation time [s]
     payload: float = 0.0  # [kg]
@@ -57,11 +56,12 @@ class Cell(NamedTuple):
             return f"{self.study.replace('tracking', 'rate')}-{self.rate:g}"
         return self.study if self.time == TIME else "correlation"
 
-    def models(self) -> list[Cell]:
-        """The same with each nominal model of the paper's figures."""
-        return [self._replace(mismatch=model) for model in MODELS]
+    def models(self) -> "list[Cell]":
+        """The cells that it stands for."""
+        models = MODELS if self.mismatch == MEAN else (self.mismatch,)
+        return [self._replace(mismatch=model) for model in models]
 
-    def of(self, labels: Iterable[str]) -> list[Cell]:
+    def of(self, labels: Iterable[str]) -> "list[Cell]":
         """The same place for each of these variants."""
         return [self._replace(label=label) for label in labels]
 
@@ -122,9 +122,9 @@ def _apart(variants: Mapping[str, Variant], labels: Sequence[str]) -> list[dict[
     parts: list[dict[str, str]] = []
     for label in labels:
         name = variants[label].controller
-        if all(name in part for part in parts):
-            parts.append({})
-        next(part for part in parts if name not in part)[name] = label
+        count = sum(name in part for part in parts)
+        parts[count:] = parts[count:] or [{}]
+        parts[count][name] = label
     return parts
 
 

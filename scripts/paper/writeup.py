@@ -8,10 +8,8 @@ from typing import Any
 
 from octarm.errors import OctarmError
 from octarm.files import write_files
-from octarm.html import Cell
-from octarm.html import Table as PageTable
 from paper import figures
-from paper.claims import PAGES, TEXTS, Claim, claim, in_parts, in_words, rounded, worded, words
+from paper.claims import PAGES, TEXTS, Claim, claim, in_words, rounded, worded, words
 from paper.evidence import Evidence
 from paper.rules import CLAIMS, QUESTIONS
 from paper.tables import Table, all_tables, as_csv
@@ -38,11 +36,13 @@ def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = No
     claims = all_claims(evidence)
     tables = all_tables(evidence, claims, gains)
     pictures = list(figures.pictures(evidence))
-    effort = evidence.effort
-    common = {"claims": claims, "seeds": effort.seeds, "engine": effort.engine, "tables": tables}
+    said = {"seeds": evidence.effort.seeds, "engine": evidence.effort.engine}
+    common: dict[str, Any] = {**said, "claims": claims, "tables": tables}
+    common |= {key: worded(words()[key], **said) for key in ("command", "lead")}
+    common["setup"] = [worded(text, **said) for text in words()["setup"]]
     page = _rendered(
-        "paper.html", **common, pictures=pictures[1:], layout=_layout,
-        numbers=lambda one: _layout(["", "measured"], [(row.name, str(row)) for row in one.rows]),
+        "paper.html", **common, pictures=pictures[1:],
+        numbers={one.letter: [(row.name, str(row)) for row in one.rows] for one in claims},
         versions=", ".join(f"{name} {version(name)}" for name in _PACKAGES),
         gains={label: json.dumps(one.gains) for label, one in evidence.variants.items()},
     )  # fmt: skip
@@ -75,16 +75,17 @@ def content(
     timings: bool = False,
 ) -> dict[str, Any]:  # fmt: skip
     """Verdicts and numbers, ready for JSON; with or without what differs from run to run."""
-    strings = {
-        name: [list(table.columns), *([in_words(x) for x in row] for row in table.rows)]
-        for name, table in written.items() if name in ("best", "plants", "periods")
-    }  # fmt: skip
+
+    def strings(name: str) -> list[list[str]]:
+        rows = [written[name].columns, *written[name].rows] if name in written else []
+        return [[*map(in_words, row)] for row in rows]
+
     return {
         "effort": evidence.effort.name, "seeds": evidence.effort.seeds,
         "engine": evidence.effort.engine,
         "claims": [one.to_dict(timings=timings) for one in claims if one.place],
         "questions": [one.to_dict(timings=timings) for one in claims if not one.place],
-        "best": [], "plants": [], "periods": [], **strings,
+        **{name: strings(name) for name in ("best", "plants", "periods")},
         "ranking": [
             {"controller": name, "error_with_noise": [*map(rounded, noisy)],
              "error": [*map(rounded, quiet)]}
@@ -110,25 +111,8 @@ def with_claims(readme: str, numbers: Mapping[str, Any]) -> str:
     return f"{before}{START}\n\n{_rendered('readme.md', **numbers).strip()}\n\n{END}{after}"
 
 
-def _layout(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> PageTable:
-    """A table as pages have it; words stand to the left."""
-    sides = [
-        "left" if any(isinstance(x, str) for x in column) else ""
-        for column in zip(*rows, strict=True)
-    ]
-
-    def cells(row: Sequence[Any]) -> list[Cell]:
-        parts = [(*in_parts(x), side) for x, side in zip(row, sides, strict=True)]
-        return [Cell(value, [ends] if ends else [], side) for value, ends, side in parts]
-
-    return PageTable(cells(columns), [cells(row) for row in rows])
-
-
 def _rendered(template: str, **values: Any) -> str:
     """A template of this folder with the texts that all of them share."""
-    texts = words()
-    common = {key: texts[key] for key in ("title", "picture", "plants_picture")}
-    common |= {key: worded(texts[key], **values) for key in ("command", "lead")}
-    common["setup"] = [worded(text, **values) for text in texts["setup"]]
+    texts = {key: words()[key] for key in ("title", "picture", "plants_picture")}
     templates = PAGES if template.endswith(".html") else TEXTS
-    return templates.get_template(template).render(**(common | values)).strip("\n") + "\n"
+    return templates.get_template(template).render(**texts, **values).strip("\n") + "\n"
