@@ -26,15 +26,14 @@ class Row(NamedTuple):
     name: str  # what was measured
     number: Interval  # median over seeds with its 95 % interval; without width if not random
     unit: str = ""  # of the three; empty for ratios
-    varies: bool = False  # whether it differs from run to run, as timings do
 
     def __str__(self) -> str:
         return f"{in_words(self.number)} {self.unit}".rstrip()
 
 
-def exact(name: str, value: float, unit: str = "", varies: bool = False) -> Row:
+def exact(name: str, value: float, unit: str = "") -> Row:
     """A row of a number that is not random."""
-    return Row(name, Interval(value, value, value), unit, varies)
+    return Row(name, Interval(value, value, value), unit)
 
 
 def rounded(value: float) -> float | str:
@@ -184,19 +183,15 @@ class Claim(NamedTuple):
         """The verdict with its condition."""
         return f"{self.verdict} {self.condition}".strip()
 
-    def to_dict(self, *, timings: bool = False) -> dict[str, Any]:
-        """For JSON, with or without what differs from run to run; infinity becomes a word."""
-        fields = self._asdict()
-        kept = [row for row in self.rows if timings or not row.varies]
-        if len(kept) < len(self.rows):
-            fields = {key: fields[key] for key in ("letter", "title", "quote", "place", "rule")}
-        fields["rows"] = [
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; infinity becomes a word."""
+        rows = [
             {"name": row.name}
             | {end: rounded(x) for end, x in row.number._asdict().items()}
             | {"unit": row.unit}
-            for row in kept
+            for row in self.rows
         ]
-        return fields
+        return {**self._asdict(), "rows": rows}
 
 
 def claim(name: str, cases: Sequence[Case]) -> Claim:

@@ -21,7 +21,7 @@ from octarm.sweeps.tune_cost import root_mean_square, weight
 from octarm.sweeps.workers import WorkerProcesses, cores
 from paper import plants, runs
 from paper.claims import Entry
-from paper.runs import Cost, Outcome, Series, outcomes
+from paper.runs import Cost, Outcome, Series, name_of, outcomes
 from paper.studies import COORDINATES, MODELS, MODULES, NOISE, SCALE, Cell, Effort, Sweep, sweeps
 from paper.variants import ARM, Variant
 
@@ -96,7 +96,7 @@ class Evidence:
             shares = self.values(cell, quantity) / self.values(cell._replace(label=label), quantity)
         return interval(np.where(np.isnan(shares), 1.0, shares))
 
-    def rank(self, cell: Cell, cells: Iterable[Cell]) -> Entry:
+    def rank(self, cell: Cell, cells: Sequence[Cell]) -> Entry:
         """The rank of a law by its error among laws in the same place, 1 the best, or `lost`.
 
         The interval ends where it is better, or worse, than others beyond their own intervals:
@@ -105,9 +105,8 @@ class Evidence:
         error = self.median(cell).value
         if not np.isfinite(error):
             return "lost"
-        others = [other for other in cells if other != cell]
-        ratios = [self.ratio(cell, other.label) for other in others]
-        better = sum(self.median(other).value < error for other in others)
+        ratios = [self.ratio(cell, other.label) for other in cells if other != cell]
+        better = sum(self.median(other).value < error for other in cells)
         low, high = sum(r.low > 1.0 for r in ratios), sum(not r.high < 1.0 for r in ratios)
         return Interval(1.0 + better, 1.0 + low, 1.0 + high)
 
@@ -143,9 +142,9 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
         jobs = [threads.submit(_sweep, x, out, processes) for x in sweeps(variants, effort)]
         for name, perform in all_tasks(variants, effort).items():
             jobs.append(processes.submit(_keep, out / SERIES / f"{name}.npz", perform))
-        for request, model in product(runs.requests(variants, effort), MODELS):
-            if effort.long and request.is_tuned:
-                jobs.append(processes.submit(runs.record, request, model, out / RUNS))
+        for x, model in product(runs.requests(variants, effort), MODELS):
+            if effort.long and x.name == name_of(x.variant.controller, x.reference):
+                jobs.append(processes.submit(runs.record, x, model, out / RUNS))
         try:
             for job in bar(as_completed(jobs), total=len(jobs), unit=" jobs"):
                 job.result()

@@ -20,10 +20,8 @@ from paper.variants import CONTROLLERS, INSTEAD, PROPOSED, SMC, by_hand
 GRAY = "#5f6b77"
 DOTTED = {"color": GRAY, "linewidth": 0.9, "linestyle": ":"}
 ZERO = {"color": INK, "linewidth": 0.6, "zorder": 1}
-NOISES = {"figure-1": 0.0, "figure-2": NOISE}  # of the paper's figures
 Mark = tuple[str, Mapping[str, float], str, str]  # of a row: what it is, fields of a cell, its look
 NOISY = (("40 % noise", {"noise": NOISE}, "o", "full"), ("no noise", {"noise": 0.0}, "o", "none"))
-OF_MOTION = "error [% of the motion]"
 
 
 def look(label: str) -> dict[str, Any]:
@@ -51,7 +49,9 @@ def pictures(evidence: Evidence) -> Iterator[Picture]:
 
     with style.figure_style():
         yield drawn("paper", _readme(evidence))
-        for reference, (key, noise) in product(effort.readings, NOISES.items()):
+        for reference, (key, noise) in product(
+            effort.readings, (("figure-1", 0.0), ("figure-2", NOISE))
+        ):
             figure, name = _tracking(evidence, reference, noise), f"{key}-{READINGS[reference]}"
             yield drawn(key, figure, name, joints=" and ".join(MOVING[reference]))
         if any(evidence.plants()):
@@ -185,7 +185,9 @@ def _dots(
     first = grid[0, 0]
     first.invert_yaxis()
     style.choose_scale(first, "x", np.array(drawn), signed=False)
-    style.name_axes(list(grid.flat), f"error over that of {over}" if over else OF_MOTION)
+    style.name_axes(
+        list(grid.flat), f"error {f'over that of {over}' if over else '[% of the motion]'}"
+    )
     for name, _, marker, fill in marks:
         first.plot([], [], marker, color=GRAY, fillstyle=fill, label=name)
     style.add_legend(figure, first)

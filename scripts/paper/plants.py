@@ -94,8 +94,10 @@ def longest_two(variant: Variant, modules: int, guess: float, engine: str) -> tu
     try:
         predicted = Loop(plant, variant.controls(ARM)).longest_period()
     except NoSlopeError:
-        bears = partial(tracks, variant, modules, engine)
-        return math.nan, longest(bears, guess, SHORTEST_TRACKED)
+        return math.nan, longest(
+            lambda period: bool(tracking(variant, modules, period, engine)["error"] <= TRACKED),
+            guess, SHORTEST_TRACKED,
+        )  # fmt: skip
     bears = partial(rests, variant, modules, engine, plant.rest)
     return predicted, longest(bears, 0.98 * predicted, factor=FIRST)
 
@@ -111,11 +113,6 @@ def rests(variant: Variant, modules: int, engine: str, rest: np.ndarray, period:
     restless = np.linalg.norm(np.diff(q, 2, axis=0) / SCALE, axis=1)
     _, early, _, late = (np.sqrt(np.mean(np.square(x))) for x in np.array_split(restless, 4))
     return bool(late <= max(FALLING * early, CALM * STEP))
-
-
-def tracks(variant: Variant, modules: int, engine: str, period: float) -> bool:
-    """Whether the error of the arm under the sine stays small."""
-    return bool(tracking(variant, modules, period, engine)["error"] <= TRACKED)
 
 
 def tracking(

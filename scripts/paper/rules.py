@@ -6,7 +6,7 @@ has: with sgn(s) and with a boundary layer.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import product
 
 import numpy as np
@@ -135,14 +135,14 @@ def uncertainty(evidence: Evidence) -> Iterator[Case]:
 
 
 def load(evidence: Evidence) -> Iterator[Case]:
-    """(g): a moderate computational load; its numbers are timings, which differ."""
+    """(g): a moderate computational load."""
     ours, smc = evidence.costs[PROPOSED], evidence.costs[SMC]
     sorts = (("one arm", ours.alone, smc.alone), (f"an arm of {ARMS}", ours.many, smc.many))
     for arms, taken, other in sorts:
         rows = [
-            exact("a step", 1e6 * taken, "us", varies=True),
-            exact("of the control period", 100.0 * taken * RATE, "%", varies=True),
-            exact("over smc-boundary", taken / other, varies=True),
+            exact("a step", 1e6 * taken, "us"),
+            exact("of the control period", 100.0 * taken * RATE, "%"),
+            exact("over smc-boundary", taken / other),
         ]
         yield Case({"arms": arms}, rows, taken * RATE / MODERATE)
 
@@ -205,8 +205,5 @@ def _noise(noise: float) -> str:
     return f"{100 * noise:g} % noise" if noise else "no noise"
 
 
-Rule = Callable[[Evidence], Iterator[Case]]
-CLAIMS: tuple[Rule, ...] = (
-    overshoot, oscillations, chattering, rules, stability, uncertainty, load,
-)  # fmt: skip
-QUESTIONS: tuple[Rule, ...] = (premises, plants)
+CLAIMS = (overshoot, oscillations, chattering, rules, stability, uncertainty, load)
+QUESTIONS = (premises, plants)

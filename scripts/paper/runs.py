@@ -78,11 +78,6 @@ class Request(NamedTuple):
         """Rms over the input's amplitude of each arm, shape (n,) [1]."""
         return np.tile([0.0] * self.quiet + [NOISE] * self.seeds, len(self.mismatches))
 
-    @property
-    def is_tuned(self) -> bool:
-        """Whether it is of tuned gains in figures 1 and 2."""
-        return self.name == name_of(self.variant.controller, self.reference)
-
     def perform(self) -> Arrays:
         """Runs the arms; what is kept of them."""
         period = 1.0 / self.rate
@@ -218,9 +213,7 @@ class Outcome(NamedTuple):
     reference: str  # name
     rate: float  # of control [Hz]
     mismatch: float  # of the nominal model [1]
-    # Whether the switching gain covers the model error, K_j >= |F_j|, at all times; for the
-    # adaptive law, whether E_max covers eps.
-    covered: bool
+    covered: bool  # whether K_j >= |F_j| at all times; E_max >= eps for the adaptive law
     outside: int  # periods that begin outside the boundary layer: |s_j| > phi_j for a j
     grown_outside: int  # of them, those over which V grew
     late: int  # those outside that begin in the steady regime, where start-up is over

@@ -97,35 +97,22 @@ class Sweep(NamedTuple):
     study: str  # that its cells belong to
     content: Mapping[str, Any]  # of the spec
     labels: Mapping[str, str]  # of the variants, by controller
-
-    @property
-    def rate(self) -> float:
-        """Of control [Hz]."""
-        return round(1.0 / self.content.get("control_period", 1.0 / RATE), 6)
+    rate: float  # of control [Hz]
 
 
 def sweeps(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Sweep]:
-    """All sweeps; one for each time that a controller occurs, and cells without noise apart."""
+    """All sweeps; one for each list of labels, and cells without noise apart."""
     for entry in effort.sweeps:
         content = {"engine": effort.engine, "duration": effort.duration, **entry}
         name, study, labels = (content.pop(key) for key in ("name", "study", "labels"))
+        rate = round(1.0 / content.get("control_period", 1.0 / RATE), 6)
         parts = [("", content)] if effort.name == "quick" else _quiet_apart(content)
-        for (i, own), (ending, part) in product(enumerate(_apart(variants, labels)), parts):
+        for (i, some), (ending, part) in product(enumerate(labels), parts):
+            own = {variants[label].controller: label for label in some}
             grid = {"controller": list(own), **part["grid"]}
             gains = {one: dict(variants[label].gains) for one, label in own.items()}
             spec = {"seed": SEED, **part, "grid": grid, "gains": gains}
-            yield Sweep(f"{name}{f'-{i}' if i else ''}{ending}", study, spec, own)
-
-
-def _apart(variants: Mapping[str, Variant], labels: Sequence[str]) -> list[dict[str, str]]:
-    """Labels by controller, in as many parts as a controller occurs."""
-    parts: list[dict[str, str]] = []
-    for label in labels:
-        name = variants[label].controller
-        count = sum(name in part for part in parts)
-        parts[count:] = parts[count:] or [{}]
-        parts[count][name] = label
-    return parts
+            yield Sweep(f"{name}{f'-{i}' if i else ''}{ending}", study, spec, own, rate)
 
 
 def _quiet_apart(content: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:

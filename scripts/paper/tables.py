@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octarm.reports.statistics import Interval, binomial
-from paper.claims import Claim, Entry, percent, worded, words
+from paper.claims import Entry, percent, worded, words
 from paper.evidence import Evidence, interval
 from paper.plants import LONGEST, SHORTEST, SHORTEST_TRACKED
 from paper.runs import EVERY, LONG
@@ -42,7 +42,7 @@ class Table(NamedTuple):
     rows: Sequence[Sequence[Any]]  # entries; an interval is a median and its 95 % interval
 
 
-def all_tables(evidence: Evidence, claims: Sequence[Claim], gains: Path) -> dict[str, Table]:
+def all_tables(evidence: Evidence, gains: Path) -> dict[str, Table]:
     """All tables of `words.toml` that have rows, by name; only `timings` differ from run to run.
 
     The folder `gains` has the tuned gain sets.
@@ -50,8 +50,7 @@ def all_tables(evidence: Evidence, claims: Sequence[Claim], gains: Path) -> dict
     made = {
         "best": best, "plants": plants, "plants-ranking": plants_ranking,
         "periods": periods, "tuning": partial(tuning, gains=gains), "drift": drift,
-        "stability": stability, "cells": cells, "claims": lambda _: numbers_of(claims),
-        "timings": timings,
+        "stability": stability, "cells": cells, "timings": timings,
     }  # fmt: skip
     tables: dict[str, Table] = {}
     for name, wording in words()["tables"].items():
@@ -81,8 +80,8 @@ def grid(evidence: Evidence, name: str) -> Rows:
     """The rows of a table of `words.toml`, which says which fields of a cell vary among them.
 
     There is a row for each combination of these for which all was run. Behind it come `values`:
-    a quantity `of` the cell, the error if nothing is said, maybe `over` that of another variant.
-    Other fields of a value are the cell's; `diverged` is of all cells of the row.
+    a quantity `of` a cell `at` this place, the error if nothing is said, maybe `over` that of
+    another variant; `diverged` is of all cells of the row.
     """
     table = words()["tables"][name]
     lists = {"all": evidence.variants, "controllers": CONTROLLERS, "ablations": INSTEAD}
@@ -90,10 +89,7 @@ def grid(evidence: Evidence, name: str) -> Rows:
     for combination in product(*fields.values()):
         place = dict(zip(fields, combination, strict=True))
         start = Cell(**{"label": "", **table["at"], **place})
-        row = [
-            start._replace(**{field: x for field, x in value.items() if field in Cell._fields})
-            for value in table["values"]
-        ]
+        row = [start._replace(**value.get("at", {})) for value in table["values"]]
         asked = list(zip(row, table["values"], strict=True))
         rivals = [cell.of([x["over"].format(cell.label)])[0] for cell, x in asked if "over" in x]
         if evidence.has(*row, *rivals):
@@ -101,7 +97,7 @@ def grid(evidence: Evidence, name: str) -> Rows:
 
 
 def _value(
-    evidence: Evidence, row: list[Cell], cell: Cell, of: str = "error", over: str = "", **_: float
+    evidence: Evidence, row: list[Cell], cell: Cell, of: str = "error", over: str = "", **_: Any
 ) -> Entry:
     """See `grid`; one of the values of a row of cells."""
     if of == "diverged":
@@ -216,14 +212,6 @@ def cells(evidence: Evidence) -> Rows:
         lost, count = evidence.diverged(cell)
         numbers = evidence.median(cell), evidence.median(cell, "chattering")
         yield cell.title, cell.label, *cell[2:-1], count, lost, *numbers
-
-
-def numbers_of(claims: Sequence[Claim]) -> Rows:
-    """All numbers of all claims but timings."""
-    for c in claims:
-        for row in c.rows:
-            if not row.varies:
-                yield c.letter, str(c.verdict), c.condition, row.name, *row.number, row.unit
 
 
 def timings(evidence: Evidence) -> Rows:

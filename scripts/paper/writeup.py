@@ -15,8 +15,8 @@ from paper.rules import CLAIMS, QUESTIONS
 from paper.tables import Table, all_tables, as_csv
 
 PAGE, TABLES, FIGURES = "report.html", "tables", "figures"
+PACKAGES = "octarm", "numpy", "mujoco", "dm-control"
 START, END = "<!-- claims -->", "<!-- /claims -->"
-_PACKAGES = ("octarm", "numpy", "mujoco", "dm-control")
 
 
 def all_claims(evidence: Evidence) -> list[Claim]:
@@ -28,13 +28,15 @@ def all_claims(evidence: Evidence) -> list[Claim]:
 def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = None) -> list[Claim]:
     """Writes tables, claims, figures, the write-up and the page into a folder.
 
-    All files in `tables` and `claims.json` are the same whenever the same is run; timings stand in
-    `timings.csv`. The tuned gain sets are in the folder `gains`. With the `root` of the checkout,
-    what the repository shows is renewed, too: `.readme/paper.*`, and the claims in the README.
-    Raises OctarmError if that has no place for them, and OSError if writing fails.
+    All files in `tables` are the same whenever the same is run, and `claims.json` is but for the
+    timings of one claim; `timings.csv` has the others. The tuned gain sets are in the folder
+    `gains`. With the `root` of the checkout, what the repository shows is renewed, too:
+    `.readme/paper.*`, and the claims in the README. Raises OctarmError if that has no place for
+    them, and OSError if writing fails.
     """
     claims = all_claims(evidence)
-    tables = all_tables(evidence, claims, gains)
+    tables = all_tables(evidence, gains)
+    numbers = content(evidence, claims, tables)
     pictures = list(figures.pictures(evidence))
     said = {"seeds": evidence.effort.seeds, "engine": evidence.effort.engine}
     common: dict[str, Any] = {**said, "claims": claims, "tables": tables}
@@ -43,12 +45,12 @@ def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = No
     page = _rendered(
         "paper.html", **common, pictures=pictures[1:],
         numbers={one.letter: [(row.name, str(row)) for row in one.rows] for one in claims},
-        versions=", ".join(f"{name} {version(name)}" for name in _PACKAGES),
+        versions=", ".join(f"{name} {version(name)}" for name in PACKAGES),
         gains={label: json.dumps(one.gains) for label, one in evidence.variants.items()},
     )  # fmt: skip
     texts = {
         **{f"{TABLES}/{name}.csv": as_csv(table) for name, table in tables.items()},
-        "claims.json": as_json(content(evidence, claims, tables)),
+        "claims.json": as_json(numbers),
         "paper.md": _rendered("paper.md", **common, picture_file=f"{FIGURES}/paper.png"),
         PAGE: page,
     }
@@ -58,7 +60,6 @@ def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = No
         files |= one.files(out / FIGURES)
     if root is not None:
         readme, folder = root / "README.md", root / ".readme"
-        numbers = content(evidence, claims, tables, timings=True)
         text = _rendered("paper.md", **common, picture_file="paper.png")
         files |= {
             readme: with_claims(readme.read_text(encoding="utf-8"), numbers).encode(),
@@ -71,10 +72,9 @@ def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = No
 
 
 def content(
-    evidence: Evidence, claims: Sequence[Claim], written: Mapping[str, Table], *,
-    timings: bool = False,
-) -> dict[str, Any]:  # fmt: skip
-    """Verdicts and numbers, ready for JSON; with or without what differs from run to run."""
+    evidence: Evidence, claims: Sequence[Claim], written: Mapping[str, Table]
+) -> dict[str, Any]:
+    """Verdicts and numbers, ready for JSON."""
 
     def strings(name: str) -> list[list[str]]:
         rows = [written[name].columns, *written[name].rows] if name in written else []
@@ -83,8 +83,8 @@ def content(
     return {
         "effort": evidence.effort.name, "seeds": evidence.effort.seeds,
         "engine": evidence.effort.engine,
-        "claims": [one.to_dict(timings=timings) for one in claims if one.place],
-        "questions": [one.to_dict(timings=timings) for one in claims if not one.place],
+        "claims": [one.to_dict() for one in claims if one.place],
+        "questions": [one.to_dict() for one in claims if not one.place],
         **{name: strings(name) for name in ("best", "plants", "periods")},
         "ranking": [
             {"controller": name, "error_with_noise": [*map(rounded, noisy)],
