@@ -185,13 +185,9 @@ class Claim(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; infinity becomes a word."""
-        rows = [
-            {"name": row.name}
-            | {end: rounded(x) for end, x in row.number._asdict().items()}
-            | {"unit": row.unit}
-            for row in self.rows
-        ]
-        return {**self._asdict(), "rows": rows}
+        names = ("name", *Interval._fields, "unit")
+        rows = [(row.name, *map(rounded, row.number), row.unit) for row in self.rows]
+        return {**self._asdict(), "rows": [dict(zip(names, row, strict=True)) for row in rows]}
 
 
 def claim(name: str, cases: Sequence[Case]) -> Claim:

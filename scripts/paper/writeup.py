@@ -48,13 +48,13 @@ def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = No
         versions=", ".join(f"{name} {version(name)}" for name in PACKAGES),
         gains={label: json.dumps(one.gains) for label, one in evidence.variants.items()},
     )  # fmt: skip
+    folders = {"timings": "."}  # of what differs from run to run
     texts = {
-        **{f"{TABLES}/{name}.csv": as_csv(table) for name, table in tables.items()},
+        **{f"{folders.get(name, TABLES)}/{name}.csv": as_csv(x) for name, x in tables.items()},
         "claims.json": as_json(numbers),
         "paper.md": _rendered("paper.md", **common, picture_file=f"{FIGURES}/paper.png"),
         PAGE: page,
     }
-    texts["timings.csv"] = texts.pop(f"{TABLES}/timings.csv")
     files = {out / name: text.encode() for name, text in texts.items()}
     for one in pictures:
         files |= one.files(out / FIGURES)
