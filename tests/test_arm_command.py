@@ -274,7 +274,8 @@ def test_a_spec_may_hold_the_arm_itself():
 def test_a_margin_and_a_check_take_an_arm():
     text = said(
         "margin", "pd", "--arm", "fabric", "--disturbance", "payload", "--bound",
-        "rms_error_theta1:0.3", "--seeds", "1", "--duration", "2.1", "--high", "0.01",
+        "rms_error_theta1:0.3", "--seeds", "1", "--settle", "0.1", "--duration", "0.2",
+        "--high", "0.01",
     )  # fmt: skip
     assert "the arm fabric" in text
     assert said("validate", "--arm", "mine.toml", "--modules", "4", code=2)

@@ -288,7 +288,7 @@ def test_a_published_arm_says_where_it_comes_from_and_tracks_a_sine(name: str, c
     held = np.minimum(0.4 * reach(p).alike[1], 0.2)  # what the damping takes is not known there
     motion = Sine(center=rest, amplitude=held * bends, frequency=0.5)
     run = octarm.rollout(
-        octarm.load(motion, parameters=p), make_controller(controller, p), duration=3.0
+        octarm.load(motion, parameters=p), make_controller(controller, p), duration=2.0
     )
     assert run.status == "ok"
     late = run.error[run.t > 1.0][:, p.modules :]

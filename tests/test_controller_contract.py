@@ -256,7 +256,7 @@ def test_a_wrong_shape_is_refused_in_one_sentence(name: str, message: str):
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
-@pytest.mark.parametrize("modules", [1, 2, 5])
+@pytest.mark.parametrize("modules", [1, 5])
 def test_any_number_of_modules(name: str, modules: int):
     n = np.ones(modules)
     arm = ArmParameters(
@@ -268,12 +268,12 @@ def test_any_number_of_modules(name: str, modules: int):
         rest_length=0.1 * n,
         gravity=9.81,
     )
-    run = rollout(load(parameters=arm), make_controller(name, arm), 0.5)
+    run = rollout(load(parameters=arm), make_controller(name, arm), 0.3)
     assert run.status == "ok"
     largest = 0.03 if name in REPORTED and name not in NOT_MODEL_BASED else 0.1
     if name == "fuzzy":  # whose force is bounded by what the last angle of a longer arm needs
         largest = 0.3
-    assert np.max(np.abs(run.error[-200:])) < largest
+    assert np.max(np.abs(run.error[-100:])) < largest
 
 
 @pytest.mark.parametrize("name", MODEL_BASED)
@@ -294,6 +294,6 @@ AMPLITUDE = np.array([0.35, 0.25])  # of theta1 and theta2 in the default sine [
 
 def rms_error_over_half_a_period(controller: Controller) -> np.ndarray:
     """On the default sine of 0.5 Hz, once the arm has reached it."""
-    run = rollout(load(), controller, 2.0)
+    run = rollout(load(), controller, 1.5)
     assert run.status == "ok"
-    return np.sqrt(np.mean(run.error[run.t >= 1.0] ** 2, axis=0))
+    return np.sqrt(np.mean(run.error[run.t >= 0.5] ** 2, axis=0))

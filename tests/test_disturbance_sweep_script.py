@@ -4,12 +4,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import octarm
 from controllers import CONTROLLERS
 
 SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "disturbance_sweep.py"
 
 
+@pytest.mark.slow
 def test_the_quick_sweep_prints_its_tables(tmp_path):
     done = subprocess.run(
         [sys.executable, SCRIPT, "--quick", "--out", "sweep"],

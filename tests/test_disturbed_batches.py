@@ -83,7 +83,7 @@ def assert_arms_are_rows(
     return physics
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(listed=descriptions(arms=3), period=st.sampled_from([1, 3, 5]))
 def test_any_combination_gives_an_arm_what_its_row_of_a_batch_gets(listed, period: int):
     assume(suitable(listed, None))
@@ -92,7 +92,7 @@ def test_any_combination_gives_an_arm_what_its_row_of_a_batch_gets(listed, perio
     )
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(listed=descriptions(arms=1), name=st.sampled_from(["pd", "smc", "afsmc"]))
 def test_any_combination_is_finite_or_marked_and_repeats_itself(listed, name: str):
     assume(suitable(listed, 0))
@@ -109,7 +109,7 @@ def test_any_combination_is_finite_or_marked_and_repeats_itself(listed, name: st
         np.testing.assert_array_equal(array, dict(again.arrays())[array_name])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(listed=descriptions(arms=1), removed=st.integers(0, 5))
 def test_removing_one_disturbance_changes_no_other_force(listed, removed: int):
     def shares(which) -> list[dict[str, np.ndarray]]:

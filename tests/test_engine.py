@@ -63,7 +63,7 @@ def lively(physics: LagrangePhysics, seed: int = 0) -> None:
     physics.set_control(5.0 * x[:, 2])
 
 
-@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("arms", [1, 2, 3, 4, 5, 7, 8, 15, 16, 17, 64, 1000])
 def test_bits_do_not_depend_on_the_batch_nor_on_threads(arms: int, threads: int):
     parameters = arms_alike(32)
@@ -188,13 +188,12 @@ def test_a_step_is_that_of_mujoco(modules: int, actuation: str):
 
 
 @pytest.mark.parametrize("name", DISTURBANCES)
-@pytest.mark.parametrize("batch", [None, 3])
-def test_under_every_disturbance_it_moves_as_mujoco_does(name: str, batch: int | None):
+def test_under_every_disturbance_it_moves_as_mujoco_does(name: str):
     controller = make_controller("smc-boundary", P.mismatched(-0.3))
     motions = []
     for engine in ("lagrange", "mujoco"):
         disturbances = [parse_disturbance(SPELLINGS[name])]
-        environment = load(disturbances=disturbances, batch=batch, seed=3, engine=engine)
+        environment = load(disturbances=disturbances, batch=2, seed=3, engine=engine)
         rows: list[np.ndarray] = []
         simulate(environment, controller, 0.1, lambda i, rows=rows: rows.append(i.q))
         motions.append(np.stack(rows))

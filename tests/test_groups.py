@@ -393,10 +393,8 @@ def test_fast_loops_hold_a_plant_that_is_not_their_model(
     assert run.status == "ok" and np.max(slides) < 1e-3 * slide and np.max(bends) < 1e-3 * bend
 
 
-@pytest.mark.parametrize(
-    ("name", "n", "period"), [("smc-boundary", 15, 5e-4), ("smc-boundary", 30, 5e-4),
-                              ("afsmc", 30, 3e-4), ("afsmc", 15, 5e-4)],
-)  # fmt: skip
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "n", "period"), [("smc-boundary", 15, 5e-4), ("afsmc", 30, 3e-4)])
 def test_tuned_gains_lose_such_a_plant_at_the_usual_period(name: str, n: int, period: float):
     environment = load(plant_modules=n, timestep="auto", control_period=period, engine="lagrange")
     run = rollout(environment, law(name, "tuned"), 1.0)

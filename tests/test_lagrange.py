@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -13,10 +14,19 @@ from octarm import ArmParameters
 from octarm.arm import lagrange
 
 MODULES = pytest.mark.parametrize("n", [1, 2, 3, 5])
-BATCHES = pytest.mark.parametrize(
-    ("arms", "states"),
-    [((), ()), ((), (7,)), ((), (2, 3)), ((7,), (7,)), ((3,), (2, 3)), ((2, 3), (2, 3))],
-)
+SHAPES = [((), ()), ((), (7,)), ((), (2, 3)), ((7,), (7,)), ((3,), (2, 3)), ((2, 3), (2, 3))]
+
+
+def every_batch(test):
+    """Runs a test for any shapes of arms and states."""
+
+    def for_all_shapes(n):
+        for arms, states in SHAPES:
+            test(n, arms, states)
+
+    return for_all_shapes
+
+
 FUNCTIONS: dict[str, tuple[Callable, int]] = {  # and how many of q, v, a they take
     "mass_matrix": (lagrange.mass_matrix, 1),
     "coriolis_matrix": (lagrange.coriolis_matrix, 2),
@@ -82,7 +92,7 @@ def swap_columns(p: ArmParameters) -> ArmParameters:
 
 
 @MODULES
-@BATCHES
+@every_batch
 def test_recursion_equals_the_matrices(n, arms, states):
     rng = np.random.default_rng(1)
     p = random_arm(rng, n, arms)
@@ -95,7 +105,7 @@ def test_recursion_equals_the_matrices(n, arms, states):
 
 
 @MODULES
-@BATCHES
+@every_batch
 def test_forward_dynamics_inverts_inverse_dynamics(n, arms, states):
     rng = np.random.default_rng(2)
     p = random_arm(rng, n, arms)
@@ -105,7 +115,7 @@ def test_forward_dynamics_inverts_inverse_dynamics(n, arms, states):
 
 
 @MODULES
-@BATCHES
+@every_batch
 def test_mass_matrix_is_symmetric_positive_definite(n, arms, states):
     rng = np.random.default_rng(3)
     p = random_arm(rng, n, arms)
@@ -116,7 +126,7 @@ def test_mass_matrix_is_symmetric_positive_definite(n, arms, states):
 
 
 @MODULES
-@BATCHES
+@every_batch
 def test_rate_of_d_minus_twice_c_is_skew(n, arms, states):
     rng = np.random.default_rng(4)
     p = random_arm(rng, n, arms)
@@ -139,7 +149,7 @@ def test_velocity_force_is_bilinear_and_symmetric_in_its_two_velocities(n):
 
 
 @MODULES
-@BATCHES
+@every_batch
 def test_kinetic_energy_is_that_of_the_mass_matrix(n, arms, states):
     rng = np.random.default_rng(6)
     p = random_arm(rng, n, arms)
@@ -150,7 +160,7 @@ def test_kinetic_energy_is_that_of_the_mass_matrix(n, arms, states):
 
 
 @MODULES
-@BATCHES
+@every_batch
 def test_potential_force_and_hessian_are_derivatives_of_the_energy(n, arms, states):
     rng = np.random.default_rng(7)
     p = random_arm(rng, n, arms)
@@ -163,7 +173,7 @@ def test_potential_force_and_hessian_are_derivatives_of_the_energy(n, arms, stat
 
 
 @MODULES
-@BATCHES
+@every_batch
 def test_power_in_less_dissipation_is_the_rate_of_the_energy(n, arms, states):
     rng = np.random.default_rng(8)
     p = random_arm(rng, n, arms)
@@ -243,7 +253,7 @@ def test_one_module_is_a_mass_on_a_spring_and_an_independent_rotary_spring():
 
 
 @MODULES
-@BATCHES
+@every_batch
 def test_the_mirrored_arm_moves_in_mirror_image_bit_for_bit(n, arms, states):
     rng = np.random.default_rng(14)
     p = random_arm(rng, n, arms)
@@ -277,10 +287,13 @@ def test_force_coefficients_do_the_work_of_forces_and_couples_on_the_ground(n):
 
 
 @MODULES
-@pytest.mark.parametrize("batch", [1, 7, 257])
-@pytest.mark.parametrize("order", ["C", "F"])
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_a_batch_row_equals_the_single_call_bit_for_bit(n, batch, order, name):
+def test_a_batch_row_equals_the_single_call_bit_for_bit(n, name):
+    for batch, order in itertools.product((1, 7, 65), "CF"):
+        assert_rows_are_single_calls(n, batch, order, name)
+
+
+def assert_rows_are_single_calls(n, batch, order, name):
     rng = np.random.default_rng(17)
     function, count = FUNCTIONS[name]
     p = random_arm(rng, n)
@@ -294,8 +307,8 @@ def test_a_batch_row_equals_the_single_call_bit_for_bit(n, batch, order, name):
 
 
 @MODULES
-@pytest.mark.parametrize("batch", [1, 7, 257])
-@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("batch", [1, 7, 65])
+@pytest.mark.parametrize("order", "CF")
 def test_an_arm_in_a_batch_of_arms_equals_it_alone_bit_for_bit(n, batch, order):
     rng = np.random.default_rng(18)
     p = random_arm(rng, n, (batch,))

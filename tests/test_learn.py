@@ -22,6 +22,7 @@ def learned(folder: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> Pat
     return folder / "policy.py"
 
 
+@pytest.mark.slow
 def test_a_learned_policy_is_the_same_twice_and_swept_and_reported(tmp_path, monkeypatch):
     texts = [learned(tmp_path / name, monkeypatch).read_text("utf-8") for name in "ab"]
     assert texts[0] == texts[1] != learned(tmp_path / "c", monkeypatch, "--seed", "1").read_text()

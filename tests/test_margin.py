@@ -152,8 +152,8 @@ def test_the_interval_leaves_a_fortieth_on_either_side(seeds, share):
     assert found.low < found.value < found.high
 
 
-@pytest.mark.parametrize("share", [0.5, 0.8, 0.9, 0.95, 1.0])
-@pytest.mark.parametrize("seeds", [2, 16, 32, 36, 72])
+@pytest.mark.parametrize("share", [0.5, 0.9, 1.0])
+@pytest.mark.parametrize("seeds", [2, 16, 36])
 def test_intervals_hold_the_margin_as_often_as_they_say(seeds, share):
     """They are exact and may hold it more often; an end that is missing is infinite."""
     draws = np.random.default_rng(seeds).exponential(size=(2000, seeds))
@@ -425,7 +425,8 @@ def test_the_table_is_honest_about_what_is_not_known(tmp_path, capsys, monkeypat
 
 def test_several_arms_stand_in_one_table(tmp_path, capsys):
     arms = ("octarm", "fabric")
-    words = ["margin", "pd", "smc-boundary", *GOOD, "--seeds", "1", "--duration", "2.1"]
+    words = ["margin", "pd", "smc-boundary", *GOOD, "--seeds", "1"]
+    words += ["--settle", "0.2", "--duration", "0.3"]
     files = ["--csv", str(tmp_path / "m.csv"), "--json", str(tmp_path / "m.json")]
     assert main([*words, *(f"--arm={arm}" for arm in arms), *files]) == 0
     out = capsys.readouterr().out

@@ -28,7 +28,8 @@ from octarm.sweeps.spec_file import parse_spec
 
 SPEC = """
 episodes = 2
-duration = 2.1
+duration = 0.3
+settle = 0.1
 timestep = 0.001
 control_period = 0.001
 [grid]

@@ -200,7 +200,7 @@ def test_the_page_says_when_the_viewer_is_gone(capfd):
     assert capfd.readouterr() == ("", "")
 
 
-LIMITS = [3e8, 8e8, 1e9, 1.5e9, 2e9, 3e9]  # of addresses [byte]
+LIMITS = [3e8, 8e8, 1.5e9, 3e9]  # of addresses [byte]
 
 
 @pytest.mark.slow
@@ -281,7 +281,8 @@ def test_a_damaged_description_is_a_sentence(damage, capsys):
         assert cli.main(["record", "a"]) == 2
     del table[keys[-1]]
     Path("a/run.json").write_text(json.dumps(description))
-    assert cli.main(["plot", "a"]) in (0, 2)
+    again = "plot" if damage in ("gains", "parameters") else "record"  # drawing takes longer
+    assert cli.main([again, "a"]) in (0, 2)
     assert len(capsys.readouterr().err.splitlines()) <= 2
 
 
@@ -312,14 +313,20 @@ def test_only_what_is_written_is_read(array, name, capsys):
     assert sorted(map(str, Path().iterdir())) == ["a"]
 
 
-@pytest.mark.parametrize("number", [np.nan, np.inf, -1e308, 5e-324])
-@pytest.mark.parametrize("names", [("tau", "s", "V", "disturbance"), ("q", "q_d")])
-def test_any_numbers_can_be_drawn_and_recorded(number, names):
+NUMBERS = [np.nan, np.inf, -1e308, 5e-324]
+
+
+@pytest.mark.parametrize(
+    "turn", [0, 1, *(pytest.param(turn, marks=pytest.mark.slow) for turn in (2, 3))]
+)
+def test_any_numbers_can_be_drawn_and_recorded(turn):
+    """Those of the motion are others than those of forces."""
     Path("a").mkdir()
     write_run(Path("a"), swinging(rows=60), described())
     arrays = dict(np.load("a/run.npz"))
-    for name in names:
-        arrays[name][::2] = number
+    for i, names in enumerate([("q", "q_d"), ("tau", "s", "V", "disturbance")]):
+        for name in names:
+            arrays[name][::2] = NUMBERS[(turn + i) % 4]
     np.savez("a/run.npz", **arrays)
     assert cli.main(["plot", "a", "--out", "figures"]) == 0
     assert cli.main(["record", "a"]) == 0

@@ -158,6 +158,7 @@ def started(*options):
     return process
 
 
+@pytest.mark.slow
 @posix
 def test_an_interrupted_run_is_kept_and_said_to_be_partial(opened, capsys):
     process = started()
@@ -176,6 +177,7 @@ def test_an_interrupted_run_is_kept_and_said_to_be_partial(opened, capsys):
     assert [name for name, _ in opened] == ["run.rrd"]
 
 
+@pytest.mark.slow
 @posix
 def test_a_killed_run_can_be_replayed_up_to_the_last_block(opened, capsys):
     process = started()

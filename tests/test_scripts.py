@@ -142,6 +142,7 @@ def test_the_benchmark_prints_what_whole_sweeps_take(tmp_path):
     assert sum(line[:4] == ["by", "these", "two,", "a"] for line in lines) == 1
 
 
+@pytest.mark.slow
 def test_the_benchmark_prints_its_figures(tmp_path):
     done = subprocess.run(
         [sys.executable, SCRIPTS / "benchmark.py", "--arms", "8", "--seconds", "0.002",

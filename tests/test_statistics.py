@@ -55,10 +55,10 @@ def coverage(draw, truth: float) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", [6, 8, 11, 16, 25, 64, 150])
+@pytest.mark.parametrize("n", [6, 11, 25, 150])
 @pytest.mark.parametrize(
     ("distribution", "truth"),
-    [("standard_normal", 0.0), ("exponential", np.log(2.0)), ("standard_cauchy", 0.0)],
+    [("exponential", np.log(2.0)), ("standard_cauchy", 0.0)],
 )
 def test_intervals_hold_the_true_median_as_often_as_they_say(distribution, truth, n):
     """They are exact: conservative where few seeds leave few places for an end."""
@@ -70,7 +70,7 @@ def test_intervals_hold_the_true_median_as_often_as_they_say(distribution, truth
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("n", "cells"), [(6, 24), (8, 4), (16, 4), (16, 24), (64, 6)])
+@pytest.mark.parametrize(("n", "cells"), [(6, 24), (16, 4), (64, 6)])
 @pytest.mark.parametrize("common", [0.0, 0.5, 1.0])
 def test_what_cells_share_by_their_seed_is_not_taken_for_new_evidence(n, cells, common):
     """Cells of different sizes, with a factor that the seed brings to all of them."""

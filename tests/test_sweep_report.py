@@ -481,6 +481,7 @@ def test_figures_have_room_for_many_controllers_and_show_failures(tmp_path):
         assert all(look_of(name).color in picture.svg for picture in found.values())
 
 
+@pytest.mark.slow
 def test_the_same_sweep_gives_the_same_files(written, known):
     before = {file: file.read_bytes() for file in written.rglob("*") if file.is_file()}
     code = "import sys; from octarm.commands.cli import main; sys.exit(main(sys.argv[1:]))"
@@ -555,7 +556,8 @@ def test_a_sweep_without_numbers_is_one_sentence(tmp_path, capsys):
 SPEC = """\
 gain_set = "recommended"
 episodes = 2
-duration = 2.02
+duration = 0.2
+settle = 0.1
 timestep = 0.001
 control_period = 0.002
 [grid]

@@ -585,7 +585,7 @@ def test_files_more_in_a_sweep(sweep, capsys):
     assert verified(sweep)
 
 
-@pytest.mark.parametrize("how", FILES)
+@pytest.mark.parametrize("how", ["a byte amid it", "deleted", "swapped"])
 @pytest.mark.parametrize("name", ["run.rrd", "run.npz", "run.json"])
 def test_a_recorded_episode(sweep, another, name, how):
     folder = next((sweep / "recorded").iterdir())

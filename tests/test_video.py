@@ -37,6 +37,7 @@ def film(run, *options, **environment):
     )
 
 
+@pytest.mark.slow
 @linux
 def test_a_film_shows_the_arm_moving(run, tmp_path):
     target = tmp_path / "run.mp4"
@@ -93,6 +94,7 @@ def test_a_finer_plant_stands_beside_the_arm_that_is_measured():
     assert both.min() < -0.9 * length
 
 
+@pytest.mark.slow
 @linux
 def test_without_opengl_it_is_one_sentence(run, tmp_path):
     done = film(run, "--out", str(tmp_path / "x.mp4"), MUJOCO_GL="glfw", DISPLAY="")

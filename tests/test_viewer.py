@@ -83,6 +83,7 @@ def started(monkeypatch):
     return processes
 
 
+@pytest.mark.slow
 def test_a_picture_has_the_size_asked_for_and_shows_something(picture):
     with Image.open(picture) as image:
         assert image.size == (960, 600)
@@ -92,12 +93,14 @@ def test_a_picture_has_the_size_asked_for_and_shows_something(picture):
     assert {tuple(bytes.fromhex(color[1:])) for color in BRIGHT_MODULES[:3]} <= common
 
 
+@pytest.mark.slow
 def test_another_time_is_another_picture(picture, recording, tmp_path):
     screenshot(recording, tmp_path / "later.png", time=1.5, size=(960, 600))
     first, later = (np.asarray(Image.open(p)) for p in (picture, tmp_path / "later.png"))
     assert np.mean(first[:, :380] != later[:, :380]) > 0.02  # the arm, on the left
 
 
+@pytest.mark.slow
 def test_the_viewer_serves_this_machine_only_and_is_gone_afterwards(
     picture, recording, started, tmp_path
 ):
@@ -112,6 +115,7 @@ def test_the_viewer_serves_this_machine_only_and_is_gone_afterwards(
     assert [p.poll() is not None for p in started] == [True]
 
 
+@pytest.mark.slow
 def test_a_damaged_recording_is_one_sentence(picture, tmp_path, started):
     (tmp_path / "bad.rrd").write_bytes(b"no recording")
     with pytest.raises(OctarmError, match=r"bad\.rrd cannot be drawn"):
@@ -120,6 +124,7 @@ def test_a_damaged_recording_is_one_sentence(picture, tmp_path, started):
     assert started[0].poll() is not None
 
 
+@pytest.mark.slow
 @linux
 def test_missing_vulkan_is_one_sentence_and_leaves_nothing(
     recording, tmp_path, monkeypatch, started
@@ -228,6 +233,7 @@ def kinds():
 KINDS = list(kinds())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "run", "more", "views"), KINDS, ids=[kind[0] for kind in KINDS])
 def test_every_kind_of_run_opens_without_warnings(picture, tmp_path, name, run, more, views):
     path = tmp_path / f"{name}.rrd"
@@ -235,6 +241,7 @@ def test_every_kind_of_run_opens_without_warnings(picture, tmp_path, name, run, 
     assert shown_views(path) >= views
 
 
+@pytest.mark.slow
 def test_a_comparison_opens_without_warnings(picture, tmp_path):
     path = tmp_path / "both.rrd"
     run = (swinging(rows=600), described())
@@ -256,6 +263,7 @@ def shown_views(path):
     return len(state.views)
 
 
+@pytest.mark.slow
 @posix
 def test_the_page_is_served_on_this_machine_and_may_fetch_from_it_only(picture, recording):
     process = subprocess.Popen(
