@@ -17,6 +17,7 @@ from paper.claims import (
     matching,
     number,
     numbers_of,
+    passed,
     sensitivity,
     span,
     verdict,
@@ -50,9 +51,9 @@ RULES = {rule.__name__: rule for rule in (*rules.CLAIMS, *rules.QUESTIONS)}
 
 
 def case(value: float, limit: float = 1.0, **where: str) -> Case:
-    """A case that passes while a value is below a limit times the factor."""
+    """A case that passes while a value is at most a limit times the factor."""
     row = Row("value", Interval(value, value, value))
-    return Case(where, [row], lambda factor: value < factor * limit)
+    return Case(where, [row], value / limit)
 
 
 @pytest.mark.parametrize(
@@ -103,7 +104,7 @@ def ratio(value: float, high: float | None = None) -> Interval:
     ],
 )
 def test_better_is_by_a_share_and_not_by_chance(own: Interval, factor: float, expected: bool):
-    assert rules.is_better(own, 0.05, factor) is expected
+    assert (factor <= rules.how_often(own, 0.05)) is expected
 
 
 LABELS = [
@@ -268,7 +269,7 @@ def test_stability(outcomes: list[Outcome], expected: Verdict):
 
 def test_the_load_of_one_arm_and_of_an_arm_of_a_batch_are_two_numbers():
     cases = list(rules.load(evidence()))
-    assert [c.passes(1.0) for c in cases] == [False, True]  # 18 % and 0.2 % of the period
+    assert [passed([c]) for c in cases] == [0, 1]  # 18 % and 0.2 % of the period
     assert verdict(cases) == ONLY_IF
     assert condition(cases, writeup.words()["phrases"]).startswith("it is an arm of 1024 (1 of 2")
 

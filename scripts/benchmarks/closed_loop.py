@@ -57,21 +57,16 @@ Rival = Callable[[str, control.Environment], tuple[Callable[[], object], int]]
 
 
 def closed_loop(settings: Settings) -> list[Row]:
-    """A sweep against the open loop of the physics, whose model has nothing to draw or to read.
-
-    The whole model of `octarm.build_model`, with geoms, sites and sensors, is a slower rival.
-    """
+    """A sweep against the open loop of the physics, whose model has nothing to draw or to read."""
     rows: list[Row] = []
     with WorkerProcesses(PROCESSES) as pool:
         for name, least in TARGETS.items():
-            slim, whole = (compare(pool, name, settings, x) for x in (open_loop, whole_loop))
-            sweep, bare = slim.costs()
+            measured = compare(pool, name, settings, open_loop)
+            sweep, bare = measured.costs()
             rows += [
-                *ratios(name, "throughput over open loop", slim.ratios(), least),
+                *ratios(name, "throughput over open loop", measured.ratios(), least),
                 Row(f"{name}, a step of an arm", 1e6 * sweep, "us"),
                 Row(f"{name}, a step of the open loop", 1e6 * bare, "us"),
-                Row(f"{name}, throughput over the whole model", whole.ratios()[0], "1"),
-                Row(f"{name}, a step of the whole model", 1e6 * whole.costs()[1], "us"),
                 Row(f"{name}, arms in real time, two cores", PROCESSES * _step() / sweep, "1"),
             ]
     return rows
@@ -128,16 +123,7 @@ def take_turns(name: str, arms: int, seconds: float, rival: Rival, engine: str) 
 def open_loop(name: str, environment: control.Environment) -> tuple[Callable[[], object], int]:
     """Steps of the slim model, as many arms, under inputs that do not change."""
     del name
-    return _stepping(build_slim_model(), *environment.physics.batch_shape)
-
-
-def whole_loop(name: str, environment: control.Environment) -> tuple[Callable[[], object], int]:
-    """The same with the model that runs of one arm have, which can be drawn."""
-    del name
-    return _stepping(octarm.build_model(), *environment.physics.batch_shape)
-
-
-def _stepping(model: mujoco.MjModel, arms: int) -> tuple[Callable[[], object], int]:
+    (arms,), model = environment.physics.batch_shape, build_slim_model()
     batch = mujoco.batch.Batch(model, arms, 1)
     batch.bind("qpos")[:] = model.key("hanging").qpos
     batch.bind("ctrl")[:] = np.random.default_rng(0).normal(size=(arms, model.nu))

@@ -28,7 +28,6 @@ def controller_step(settings: Settings) -> list[Row]:
     alone = fastest([controller_call(name, ()) for name in COMPARED], seconds)
     slim = physics_step(build_slim_model(), arms)
     physics, after_physics = fastest([slim, calls[0]], seconds)
-    (whole,) = fastest([physics_step(octarm.build_model(), arms)], seconds)
     rows: list[Row] = []
     for name, batch, single in zip(COMPARED, many, alone, strict=True):
         an_arm, one_arm = LIMITS.get(name, (None, None))
@@ -36,7 +35,6 @@ def controller_step(settings: Settings) -> list[Row]:
         rows.append(Row(f"{name}, one arm alone", 1e6 * single, "us", one_arm))
     return [
         *rows,
-        Row(f"RK4 step of the whole model, an arm of {arms}", 1e6 * whole / arms, "us"),
         Row(f"RK4 step of the slim model, an arm of {arms}", 1e6 * physics / arms, "us"),
         Row(f"{COMPARED[0]} after it, caches cold", 1e6 * after_physics / arms, "us"),
         Row("the ratio of these two", after_physics / physics, "1", at_most=0.25),

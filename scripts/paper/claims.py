@@ -5,13 +5,12 @@ measured: a gain set, the joints that move, a nominal model, and so on. The clai
 in all cases, does not hold if it does in none, and else holds only if the cases are narrowed down.
 """
 
-import dataclasses
 import enum
 import functools
 import itertools
 import math
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,15 +26,14 @@ class Row(NamedTuple):
     name: str  # what was measured
     number: Interval  # median over seeds with its 95 % interval; without width if not random
     unit: str = ""  # of the three; empty for ratios
-    varies: bool = False  # whether it differs from run to run, as timings do
 
     def __str__(self) -> str:
         return f"{in_words(self.number)} {self.unit}".rstrip()
 
 
-def exact(name: str, value: float, unit: str = "", varies: bool = False) -> Row:
+def exact(name: str, value: float, unit: str = "") -> Row:
     """A row of a number that is not random."""
-    return Row(name, Interval(value, value, value), unit, varies)
+    return Row(name, Interval(value, value, value), unit)
 
 
 def rounded(value: float) -> float | str:
@@ -98,19 +96,25 @@ SENSITIVE = ("gains", "joints", "SMC", "against")  # axes along which a verdict 
 
 
 class Case(NamedTuple):
-    """A place in which a claim was measured."""
+    """A place in which a claim was measured: it holds there by a range of thresholds."""
 
     where: Mapping[str, str]  # value of each axis, such as gains, joints and model
     rows: Sequence[Row]  # the numbers
-    passes: Callable[[float], bool]  # whether it holds there, by the factor of the threshold
+    least: float = 0.0  # smallest factor of the rule's threshold by which it holds [1]
+    most: float = math.inf  # largest one [1]
+
+
+def passed(cases: Sequence[Case], factor: float = 1.0) -> int:
+    """In how many cases a claim holds, by a factor of its threshold."""
+    return sum(case.least <= factor <= case.most for case in cases)
 
 
 def verdict(cases: Sequence[Case], factor: float = 1.0) -> Verdict:
     """The rule; a claim without a case does not hold."""
-    passed = [case.passes(factor) for case in cases]
-    if not any(passed):
+    count = passed(cases, factor)
+    if not count:
         return Verdict.FAILS
-    return Verdict.HOLDS if all(passed) else Verdict.ONLY_IF
+    return Verdict.HOLDS if count == len(cases) else Verdict.ONLY_IF
 
 
 def sensitivity(cases: Sequence[Case]) -> tuple[int, int]:
@@ -134,17 +138,15 @@ def condition(cases: Sequence[Case], phrases: Mapping[str, str]) -> str:
     """
     pairs = dict.fromkeys(pair for case in cases for pair in case.where.items())
     dividing = [pair for pair in pairs if len(matching(cases, dict([pair]))) < len(cases)]
-    names: list[str] = []
-    for axes in (1, 2):
-        wheres = [dict(some) for some in itertools.combinations(dividing, axes)]
-        names = names or [
-            " and ".join(phrases[axis].format(value) for axis, value in where.items())
-            for where in wheres
-            if len(where) == axes and verdict(matching(cases, where)) == Verdict.HOLDS
-        ]
-    words = " or ".join(names[:2]) if names else "the cases are picked"
-    count = sum(case.passes(1.0) for case in cases)
-    return f"{words} ({count} of {len(cases)} cases)"
+    wheres = [(pair,) for pair in dividing]
+    wheres += [both for both in itertools.combinations(dividing, 2) if len(dict(both)) == 2]
+    holding = [x for x in wheres if verdict(matching(cases, dict(x))) == Verdict.HOLDS]
+    names = [
+        " and ".join(phrases[axis].format(value) for axis, value in where)
+        for where in holding if len(where) == len(holding[0])
+    ]  # fmt: skip
+    words = " or ".join(names[:2]) or "the cases are picked"
+    return f"{words} ({passed(cases)} of {len(cases)} cases)"
 
 
 def numbers_of(cases: Sequence[Case]) -> list[Row]:
@@ -161,8 +163,7 @@ def matching(cases: Sequence[Case], where: Mapping[str, str]) -> list[Case]:
     return [case for case in cases if where.items() <= case.where.items()]
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Claim:
+class Claim(NamedTuple):
     """A claim, or a question of our own, and what came of it."""
 
     letter: str  # under which it is known here
@@ -182,18 +183,11 @@ class Claim:
         """The verdict with its condition."""
         return f"{self.verdict} {self.condition}".strip()
 
-    def to_dict(self, *, timings: bool = False) -> dict[str, Any]:
-        """For JSON, with or without what differs from run to run; infinity becomes a word."""
-        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        kept = [row for row in self.rows if timings or not row.varies]
-        if len(kept) < len(self.rows):
-            fields = {key: fields[key] for key in ("letter", "title", "quote", "place", "rule")}
-        numbers = [{k: rounded(x) for k, x in row.number._asdict().items()} for row in kept]
-        rows = [
-            {"name": row.name, **values, "unit": row.unit}
-            for row, values in zip(kept, numbers, strict=True)
-        ]
-        return {**fields, "rows": rows}
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; infinity becomes a word."""
+        names = ("name", *Interval._fields, "unit")
+        rows = [(row.name, *map(rounded, row.number), row.unit) for row in self.rows]
+        return {**self._asdict(), "rows": [dict(zip(names, row, strict=True)) for row in rows]}
 
 
 def claim(name: str, cases: Sequence[Case]) -> Claim:
@@ -204,8 +198,8 @@ def claim(name: str, cases: Sequence[Case]) -> Claim:
         return [x for case in matching(cases, where) for x in case.rows if x.name == row]
 
     def count(**where: str) -> str:
-        passed = [case.passes(1.0) for case in matching(cases, where)]
-        return f"{sum(passed)} of {len(passed)}"
+        some = matching(cases, where)
+        return f"{passed(some)} of {len(some)}"
 
     texts: dict[str, str] = words()["claims"][name]
     same, total = sensitivity(cases)
@@ -231,5 +225,5 @@ def worded(text: str, **values: Any) -> str:
 
 
 PAGES = templates(Path(__file__).with_name("templates"))
-PAGES.filters |= {"in_words": in_words, "span": span}
+PAGES.filters |= {"in_parts": in_parts, "in_words": in_words, "span": span}
 TEXTS = PAGES.overlay(autoescape=False)

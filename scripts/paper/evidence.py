@@ -1,7 +1,5 @@
 """Runs all that is missing, and reads it: the measured cells, and what else claims rest on."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -9,23 +7,21 @@ from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import tomlkit
-from tqdm import tqdm
 
 import octarm
 from controllers import make_controller
+from octarm.bars import bar
 from octarm.files import write_files
 from octarm.reports.statistics import Interval, medians
-from octarm.simulation.engines import LAGRANGE, usual_engine
 from octarm.sweeps.tune_cost import root_mean_square, weight
 from octarm.sweeps.workers import WorkerProcesses, cores
 from paper import plants, runs
 from paper.claims import Entry
-from paper.runs import Cost, Outcome, Request, Series
+from paper.runs import Cost, Outcome, Series, name_of, outcomes
 from paper.studies import COORDINATES, MODELS, MODULES, NOISE, SCALE, Cell, Effort, Sweep, sweeps
 from paper.variants import ARM, Variant
 
@@ -33,6 +29,7 @@ SPECS, SWEEPS, SERIES, RUNS = "specs", "sweeps", "series", "runs"  # folders
 # The fields of a cell that differ within a sweep, by the columns of its table.
 FIELDS = {"reference": "reference", "mismatch": "mismatch", "noise": "noise", "noise.time": "time",
           "payload": "payload", "actuation-delay": "delay", "loss": "loss"}  # fmt: skip
+Perform = Callable[[], Mapping[str, np.ndarray]]  # makes the arrays of a file
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,44 +58,45 @@ class Evidence:
 
     def has(self, *cells: Cell) -> bool:
         """Whether all these cells were run."""
-        return set(cells) <= self.cells.keys()
+        return all(one in self.cells for cell in cells for one in cell.models())
 
     def known(self, cells: Iterable[Cell]) -> list[Cell]:
         """Those of the cells that were run."""
-        return [cell for cell in cells if cell in self.cells]
+        return list(filter(self.has, cells))
+
+    def ranked(self, cells: Iterable[Cell]) -> list[Cell]:
+        """Those that were run, the one with the least error first."""
+        return sorted(self.known(cells), key=lambda cell: self.median(cell).value)
 
     def varied(self, start: Cell, field: str) -> list[float]:
         """The values of a field that were tried in this place, by any variant, rising."""
-        place = start._replace(**{"label": "", field: 0.0})
-        return sorted(
-            {getattr(cell, field) for cell in self.cells
-             if cell._replace(**{"label": "", field: 0.0}) == place}
-        )  # fmt: skip
+        same = {"label": "", field: 0.0}
+        alike = [x for x in self.cells if x._replace(**same) == start._replace(**same)]
+        return sorted({getattr(cell, field) for cell in alike})
 
     def diverged(self, *cells: Cell) -> tuple[int, int]:
         """How many episodes of cells diverged, and how many there are."""
         lost = [self.cells[cell]["diverged"] for cell in cells]
         return sum(int(x.sum()) for x in lost), sum(map(len, lost))
 
+    def values(self, cell: Cell, quantity: str = "error") -> np.ndarray:
+        """A quantity in the order of its seeds, shape (seeds,)."""
+        return np.mean([self.cells[one][quantity] for one in cell.models()], axis=0)
+
     def median(self, cell: Cell, quantity: str = "error") -> Interval:
         """Median over seeds of a quantity, and its 95 % interval."""
-        return interval(self.cells[cell][quantity])
-
-    def mean_error(self, cell: Cell, over: str = "") -> Interval:
-        """The error, mean of the models seed by seed [%], or over that of another variant [1]."""
-        return interval(self._over_models(cell) / (self._over_models(cell, over) if over else 1.0))
+        return interval(self.values(cell, quantity))
 
     def ratio(self, cell: Cell, label: str, quantity: str = "error") -> Interval:
         """Median of a quantity over that of another variant in the same place, seed by seed [1].
 
         Where both arms are lost, neither is better: 1.
         """
-        ours, theirs = (self.cells[x][quantity] for x in (cell, cell._replace(label=label)))
         with np.errstate(invalid="ignore", divide="ignore"):
-            shares = ours / theirs
+            shares = self.values(cell, quantity) / self.values(cell._replace(label=label), quantity)
         return interval(np.where(np.isnan(shares), 1.0, shares))
 
-    def rank(self, cell: Cell, cells: Iterable[Cell]) -> Entry:
+    def rank(self, cell: Cell, cells: Sequence[Cell]) -> Entry:
         """The rank of a law by its error among laws in the same place, 1 the best, or `lost`.
 
         The interval ends where it is better, or worse, than others beyond their own intervals:
@@ -107,27 +105,18 @@ class Evidence:
         error = self.median(cell).value
         if not np.isfinite(error):
             return "lost"
-        others = [other for other in cells if other != cell]
-        ratios = [self.ratio(cell, other.label) for other in others]
-        better = sum(self.median(other).value < error for other in others)
+        ratios = [self.ratio(cell, other.label) for other in cells if other != cell]
+        better = sum(self.median(other).value < error for other in cells)
         low, high = sum(r.low > 1.0 for r in ratios), sum(not r.high < 1.0 for r in ratios)
         return Interval(1.0 + better, 1.0 + low, 1.0 + high)
 
     def plants(self) -> Iterator[list[Cell]]:
         """The cells of all laws, the best first, in each place of the study of plants."""
         effort = self.effort
-        for place in product(effort.plant_rates, (0.0, NOISE), effort.plants):
-            start = Cell("", "plants", rate=place[0], noise=place[1], plant=place[2])
-            if known := self.known(start.of(effort.plant_labels)):
-                yield sorted(known, key=lambda cell: self.median(cell).value)
-
-    def ranked(self, cells: Iterable[Cell]) -> list[Cell]:
-        """Those that were run, the one with the least error, mean of the models, first."""
-        return sorted(self.known(cells), key=lambda cell: self.mean_error(cell).value)
-
-    def _over_models(self, cell: Cell, label: str = "") -> np.ndarray:
-        cells = cell._replace(label=label or cell.label).models()
-        return np.mean([self.cells[cell]["error"] for cell in cells], axis=0)
+        for rate, noise, modules in product(effort.plant_rates, (0.0, NOISE), effort.plants):
+            start = Cell("", "plants", rate=rate, noise=noise, plant=modules)
+            if cells := self.ranked(start.of(effort.plant_labels)):
+                yield cells
 
 
 def interval(values: np.ndarray) -> Interval:
@@ -138,14 +127,6 @@ def interval(values: np.ndarray) -> Interval:
     if np.all(values == values[0]):
         return Interval(*[float(values[0])] * 3)
     return Interval(*(float(x[0]) for x in medians(values[:, None], np.arange(len(values)))))
-
-
-class Task(NamedTuple):
-    """Something that is run, of which a file of arrays is kept."""
-
-    name: str  # of the file
-    perform: Callable[[], Mapping[str, np.ndarray]]
-    of: Request | Cell  # what the arrays are measured of
 
 
 def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers: int = 0) -> None:
@@ -159,13 +140,13 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
     count = workers or cores()
     with WorkerProcesses(count) as processes, ThreadPoolExecutor(count + 1) as threads:
         jobs = [threads.submit(_sweep, x, out, processes) for x in sweeps(variants, effort)]
-        for task in all_tasks(variants, effort):
-            jobs.append(processes.submit(_keep, task, out))
-            if task.name in runs.recorded(effort):
-                jobs += [processes.submit(runs.record, task.of, x, out / RUNS) for x in MODELS]
+        for name, perform in all_tasks(variants, effort).items():
+            jobs.append(processes.submit(_keep, out / SERIES / f"{name}.npz", perform))
+        for x, model in product(runs.requests(variants, effort), MODELS):
+            if effort.long and x.name == name_of(x.variant.controller, x.reference):
+                jobs.append(processes.submit(runs.record, x, model, out / RUNS))
         try:
-            bar = tqdm(as_completed(jobs), total=len(jobs), unit=" jobs", disable=None, leave=False)
-            for job in bar:
+            for job in bar(as_completed(jobs), total=len(jobs), unit=" jobs"):
                 job.result()
         except BaseException:  # an interrupt, too
             threads.shutdown(wait=False, cancel_futures=True)
@@ -173,19 +154,23 @@ def run_all(variants: Mapping[str, Variant], effort: Effort, out: Path, workers:
             raise
 
 
-def all_tasks(variants: Mapping[str, Variant], effort: Effort) -> list[Task]:
-    """All that is run besides sweeps; plants where the engine `lagrange` is installed."""
-    tasks = [Task(x.name, x.perform, x) for x in runs.requests(variants, effort)]
-    if usual_engine() != LAGRANGE:
-        return tasks
+def all_tasks(variants: Mapping[str, Variant], effort: Effort) -> dict[str, Perform]:
+    """What makes the arrays of each file of `series`, by its name."""
+    tasks: dict[str, Perform] = {x.name: x.perform for x in runs.requests(variants, effort)}
     for label in effort.plant_labels:
-        search = partial(plants.searched, variants[label], effort.plants)
-        tasks.append(Task(f"periods-{label}", search, Cell(label)))
-    for rate, modules, label in product(effort.plant_rates, effort.plants, effort.plant_labels):
-        perform = partial(plants.planted, variants[label], modules, rate, effort.seeds)
-        cell = Cell(label, "plants", plant=modules, rate=rate)
-        tasks.append(Task(f"plant-{modules}-{rate:g}-Hz-{label}", perform, cell))
+        search = partial(plants.searched, variants[label], effort.plants, effort.engine)
+        tasks[f"periods-{label}"] = search
+    for name, cell in _planted(effort):
+        place = variants[cell.label], cell.plant, cell.rate, effort.seeds, effort.engine
+        tasks[name] = partial(plants.planted, *place)
     return tasks
+
+
+def _planted(effort: Effort) -> Iterator[tuple[str, Cell]]:
+    """The cells on plants without noise, and the names of their files."""
+    for rate, modules in product(effort.plant_rates, effort.plants):
+        for cell in Cell("", "plants", plant=modules, rate=rate).of(effort.plant_labels):
+            yield f"plant-{modules}-{rate:g}-Hz-{cell.label}", cell
 
 
 def _sweep(sweep: Sweep, out: Path, pool: Executor) -> None:
@@ -197,10 +182,10 @@ def _sweep(sweep: Sweep, out: Path, pool: Executor) -> None:
     )  # fmt: skip
 
 
-def _keep(task: Task, out: Path) -> None:
-    file, content = out / SERIES / f"{task.name}.npz", io.BytesIO()
+def _keep(file: Path, perform: Perform) -> None:
     if not file.is_file():
-        np.savez(content, allow_pickle=False, **task.perform())
+        content = io.BytesIO()
+        np.savez(content, allow_pickle=False, **perform())
         write_files({file: content.getvalue()})
 
 
@@ -211,24 +196,27 @@ def gather(
 
     Raises OctarmError if a sweep is missing, and OSError if another file is.
     """
+
+    def kept(name: str) -> dict[str, np.ndarray]:
+        with np.load(out / SERIES / f"{name}.npz", allow_pickle=False) as file:
+            return dict(file)
+
     cells = measured(list(sweeps(variants, effort)), out / SWEEPS)
-    series: dict[str, Series] = {}
-    outcomes: list[Outcome] = []
-    periods: dict[str, Mapping[str, np.ndarray]] = {}
-    for task in all_tasks(variants, effort):
-        with np.load(out / SERIES / f"{task.name}.npz", allow_pickle=False) as file:
-            kept: dict[str, np.ndarray] = dict(file)
-        if isinstance(task.of, Cell) and "predicted" in kept:
-            periods[task.of.label] = kept
-        elif isinstance(task.of, Cell):
-            cells |= _planted(task.of, kept)
-        elif "q" in kept:
-            series[task.name] = Series(**kept)
-        else:
-            outcomes += runs.outcomes(task.of, kept)
+    for name, cell in _planted(effort):
+        arrays = kept(name)
+        error = 100.0 * arrays["error"]
+        none = np.full_like(error, np.nan)
+        known = {"error": error, "diverged": arrays["lost"], "chattering": none}
+        for noise, arms in ((0.0, slice(1)), (NOISE, slice(1, None))):
+            cells[cell._replace(noise=noise)] = {name: x[arms] for name, x in known.items()}
+    requests = list(runs.requests(variants, effort))
     return Evidence(
-        variants=variants, effort=effort, cells=cells, series=series, outcomes=outcomes,
-        periods=periods, costs=costs,
+        variants=variants, effort=effort, cells=cells, costs=costs,
+        series={x.name: Series(**kept(x.name)) for x in requests if x.keep == runs.kept},
+        outcomes=[
+            one for x in requests if x.keep == runs.counts for one in outcomes(x, kept(x.name))
+        ],
+        periods={label: kept(f"periods-{label}") for label in effort.plant_labels},
     )  # fmt: skip
 
 
@@ -238,25 +226,16 @@ def measured(parts: Sequence[Sweep], folder: Path) -> dict[Cell, dict[str, np.nd
     for part in parts:
         table = octarm.read_sweep(folder / part.name)
         names = [name for name in FIELDS if name in table.column_names]
-        rows: dict[Cell, list[int]] = {}
+        rows: dict[Cell, list[int]] = {}  # in the order of their seeds
         for i, row in enumerate(table.select(["controller", *names]).to_pylist()):
-            fields = {FIELDS[name]: row[name] for name in names}
-            cell = Cell(part.labels[row["controller"]], part.study, rate=part.rate, **fields)
-            rows.setdefault(cell, []).append(i)  # in the order of their seeds
+            label = part.labels[row.pop("controller")]
+            fields = {FIELDS[name]: value for name, value in row.items()}
+            cell = Cell(label, part.study, rate=part.rate, **fields)
+            rows.setdefault(cell, []).append(i)
         quantities = _quantities(table)
         for cell, places in rows.items():
             cells[cell] = {name: values[places] for name, values in quantities.items()}
     return cells
-
-
-def _planted(cell: Cell, kept: Mapping[str, np.ndarray]) -> dict[Cell, dict[str, np.ndarray]]:
-    """The cells without and with noise on a plant, of which errors alone are known."""
-    error = 100.0 * kept["error"]
-    known = {"error": error, "diverged": kept["lost"], "chattering": np.full_like(error, np.nan)}
-    return {
-        cell._replace(noise=noise): {name: values[arms] for name, values in known.items()}
-        for noise, arms in ((0.0, slice(1)), (NOISE, slice(1, None)))
-    }
 
 
 def _quantities(table: pa.Table) -> dict[str, np.ndarray]:

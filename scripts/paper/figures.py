@@ -1,7 +1,7 @@
 """The figures: 1 and 2 of the paper on this arm, those of the studies, and the README's."""
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any
 
@@ -11,17 +11,17 @@ from matplotlib.figure import Figure as NewFigure
 from octarm.palette import look_of
 from octarm.reports import figures as style
 from octarm.reports.figures import INK, Axes, Figure, Picture
-from octarm.reports.statistics import Interval
 from paper.claims import percent, worded, words
 from paper.evidence import Evidence
 from paper.runs import LONG, name_of
-from paper.studies import BENDS, COORDINATES, MODELS, MODULES, MOVING, NOISE, READINGS, SLIDES, Cell
+from paper.studies import BENDS, COORDINATES, MEAN, MODELS, MOVING, NOISE, READINGS, SLIDES, Cell
 from paper.variants import CONTROLLERS, INSTEAD, PROPOSED, SMC, by_hand
 
 GRAY = "#5f6b77"
 DOTTED = {"color": GRAY, "linewidth": 0.9, "linestyle": ":"}
 ZERO = {"color": INK, "linewidth": 0.6, "zorder": 1}
-NOISES = {"figure-1": 0.0, "figure-2": NOISE}  # of the paper's figures
+Mark = tuple[str, Mapping[str, float], str, str]  # of a row: what it is, fields of a cell, its look
+NOISY = (("40 % noise", {"noise": NOISE}, "o", "full"), ("no noise", {"noise": 0.0}, "o", "none"))
 
 
 def look(label: str) -> dict[str, Any]:
@@ -49,7 +49,9 @@ def pictures(evidence: Evidence) -> Iterator[Picture]:
 
     with style.figure_style():
         yield drawn("paper", _readme(evidence))
-        for reference, (key, noise) in product(effort.readings, NOISES.items()):
+        for reference, (key, noise) in product(
+            effort.readings, (("figure-1", 0.0), ("figure-2", NOISE))
+        ):
             figure, name = _tracking(evidence, reference, noise), f"{key}-{READINGS[reference]}"
             yield drawn(key, figure, name, joints=" and ".join(MOVING[reference]))
         if any(evidence.plants()):
@@ -97,22 +99,18 @@ def _over_time(
     figure, grid = _panels(len(rows), len(MODELS), width, height, sharex=True, sharey="row")
     for panels, (reference, joint, noise, title, of_error) in zip(grid, rows, strict=True):
         place, largest = COORDINATES.index(joint), 0.0
-        for ax, model in zip(panels, MODELS, strict=True):
-            for label in labels:
-                series = evidence.series[name_of(label, reference)]
-                desired, drawn = series.q_d[:, place], series.of(model, noise)[:, :, place]
-                if of_error:
-                    drawn = 1e3 * (drawn - desired[:, None])
-                elif label == labels[0]:
-                    ax.plot(
-                        series.t, desired, color=INK, linewidth=3.2, alpha=0.25, label="desired"
-                    )
-                _median(ax, label, series.t, drawn)
-                if of_error and label in (SMC, PROPOSED):
-                    late = np.abs(drawn[series.t > 0.5])
-                    largest = max(largest, most * float(np.nanpercentile(late, 99.9)))
+        for (ax, model), label in product(zip(panels, MODELS, strict=True), labels):
+            series = evidence.series[name_of(label, reference)]
+            desired, drawn = series.q_d[:, [place]], series.of(model, noise)[:, :, place]
             if of_error:
+                drawn = 1e3 * (drawn - desired)
                 ax.axhline(0.0, **ZERO)
+                if label in (SMC, PROPOSED):
+                    late = np.nanpercentile(np.abs(drawn[series.t > 0.5]), 99.9)
+                    largest = max(largest, most * float(late))
+            elif label == labels[0]:
+                ax.plot(series.t, desired, color=INK, linewidth=3.2, alpha=0.25, label="desired")
+            _median(ax, label, series.t, drawn)
         if largest:
             panels[0].set_ylim(-largest, largest)
         panels[0].set_ylabel(title)
@@ -128,66 +126,71 @@ def _plants(evidence: Evidence) -> Figure:
     """Errors of all laws: a column a plant, a row a control period."""
     rates, modules = evidence.effort.plant_rates, evidence.effort.plants
     start = Cell("", "plants", noise=NOISE, plant=modules[0], rate=rates[0])
-    cells = start.of(evidence.effort.plant_labels)
-    order = sorted(cells, key=lambda cell: evidence.median(cell).value)
-    height = 0.21 * len(order) + 0.55
-    figure, grid = _panels(len(rates), len(modules), 2.3, height, sharex=True, sharey=True)
-    for ax, (rate, plant) in zip(grid.flat, product(rates, modules), strict=True):
-        _dots(ax, evidence, [cell._replace(plant=plant, rate=rate) for cell in order], lost=True)
-        ax.set_title(f"{plant} modules" + (", the model" if plant == MODULES else ""))
-        _named_rows(ax, [title_of(cell.label) for cell in order])
-    for ax, rate in zip(grid[:, 0], rates, strict=True):
-        ax.set_ylabel(f"control period {1e3 / rate:g} ms")
-    for ax in grid[-1]:
-        ax.set_xlabel("error [% of the motion]")
-    first = grid[0, 0]
-    _logarithmic(first, "x")
-    low, high = first.get_xlim()
-    first.set_xlim(low, high * (high / low) ** 0.12)  # room for the crosses
-    first.invert_yaxis()
-    marks = (("o", "full", "40 % noise"), ("o", "none", "no noise"), ("x", "full", "lost"))
-    for marker, fill, label in marks:
-        first.plot([], [], marker, color=GRAY, fillstyle=fill, label=label)
-    style.add_legend(figure, first)
-    return figure
+    order = evidence.ranked(start.of(evidence.effort.plant_labels))
+    places = [
+        (f"{plant} modules, {1e3 / rate:g} ms", start._replace(plant=plant, rate=rate))
+        for rate, plant in product(rates, modules)
+    ]
+    return _dots(evidence, [cell.label for cell in order], places, len(rates), 2.3, NOISY)
 
 
 def _ranking(evidence: Evidence) -> Figure:
     """Errors of all controllers, a panel a nominal model."""
-    order = evidence.ranked(Cell("", noise=NOISE).of(CONTROLLERS))
-    figure, grid = _panels(1, len(MODELS), 3.1, 0.25 * len(order) + 0.6, sharey=True, sharex=True)
-    for ax, model in zip(grid[0], MODELS, strict=True):
-        _dots(ax, evidence, [cell._replace(mismatch=model) for cell in order])
-        _logarithmic(ax, "x")
-        ax.set(title=f"nominal model {percent(model)}", xlabel="error [% of the motion]")
-        _named_rows(ax, [cell.label for cell in order])
-    grid[0, 0].invert_yaxis()
-    return figure
+    order = evidence.ranked(Cell("", mismatch=MEAN, noise=NOISE).of(CONTROLLERS))
+    places = [(f"nominal model {percent(x)}", Cell("", mismatch=x)) for x in MODELS]
+    return _dots(evidence, [cell.label for cell in order], places, 1, 3.1, NOISY)
 
 
 def _ablations(evidence: Evidence) -> Figure:
     """Errors under noise over those of `afsmc`, a panel for each reading of the joints."""
     labels = [cell.label for cell in evidence.known(Cell("", noise=NOISE).of(INSTEAD))]
-    places = [Cell("", reference=reference, noise=NOISE) for reference in MOVING]
-    places = [place for place in places if evidence.known(place.of(labels))]
-    figure, grid = _panels(1, len(places), 4.6, 0.42 * len(labels) + 0.7, sharey=True)
-    shades = dict(zip(MODELS, (("o", -0.2), ("s", 0.0), ("^", 0.2)), strict=True))
-    for ax, place in zip(grid[0], places, strict=True):
-        for row, cell in enumerate(place.of(labels)):
-            for each in evidence.known(cell.models()):
-                marker, shift = shades[each.mismatch]
-                _dot(ax, each.label, evidence.ratio(each, PROPOSED), row + shift, marker)
-        ax.axvline(1.0, **DOTTED)
-        title = ", ".join(MOVING[place.reference])
-        ax.set(xscale="log", title=title, xlabel="error over that of afsmc")
-        _named_rows(ax, [title_of(label) for label in labels])
-        low, high = ax.get_xlim()  # of few decades: numbers without powers
-        marks = (0.2, 0.3, 0.5, 0.7, 0.8, 1, 1.2, 1.5, 2, 3, 5, 10, 20)
-        _ticks(ax, [mark for mark in marks if low <= mark <= high])
-    for model, (marker, _) in shades.items():
-        grid[0, 0].plot([], [], marker, color=GRAY, label=f"nominal model {percent(model)}")
-    grid[0, 0].invert_yaxis()
-    style.add_legend(figure, grid[0, 0])
+    places = [(", ".join(MOVING[x]), Cell("", reference=x, noise=NOISE)) for x in MOVING]
+    known = [place for place in places if evidence.known(place[1].of(labels))]
+    models = zip(MODELS, "os^", strict=True)
+    marks = [(f"nominal model {percent(x)}", {"mismatch": x}, y, "full") for x, y in models]
+    return _dots(evidence, labels, known, 1, 4.6, marks, PROPOSED)
+
+
+def _dots(
+    evidence: Evidence, labels: Sequence[str], places: Sequence[tuple[str, Cell]], rows: int,
+    width: float, marks: Sequence[Mark], over: str = "",
+) -> Figure:  # fmt: skip
+    """Errors sideways with their intervals: a panel a place, with a row for each variant.
+
+    They may be those over another variant. A cross at the edge is an infinite one.
+    """
+    size = width, (0.1 * len(marks) + 0.05) * len(labels) + 0.5
+    figure, grid = _panels(rows, len(places) // rows, *size, sharex=True, sharey=True)
+    shifts, drawn = np.linspace(-0.2, 0.2, len(marks)), list[float]()
+    for ax, (title, place) in zip(grid.flat, places, strict=True):
+        points = product(enumerate(labels), zip(marks, shifts, strict=True))
+        for (row, label), ((_, fields, marker, fill), shift) in points:
+            cell, y = place._replace(label=label, **fields), row + shift
+            color = look(label)["color"]
+            if not evidence.has(cell):
+                continue
+            value, low, high = evidence.ratio(cell, over) if over else evidence.median(cell)
+            if np.isfinite(value):
+                drawn.append(value)
+                ax.plot([low, high], [y, y], color=color, linewidth=1.2 * (low < high))
+                ax.plot(value, y, marker, color=color, fillstyle=fill)
+            else:
+                ax.plot(0.97, y, "x", color=color, transform=ax.get_yaxis_transform())
+        if over:
+            ax.axvline(1.0, **DOTTED)
+        ax.set_title(title)
+        ax.margins(x=0.1)  # room for the crosses
+        ax.set_yticks(range(len(labels)), [title_of(label) for label in labels])
+        ax.tick_params(axis="y", length=0)
+    first = grid[0, 0]
+    first.invert_yaxis()
+    style.choose_scale(first, "x", np.array(drawn), signed=False)
+    style.name_axes(
+        list(grid.flat), f"error {f'over that of {over}' if over else '[% of the motion]'}"
+    )
+    for name, _, marker, fill in marks:
+        first.plot([], [], marker, color=GRAY, fillstyle=fill, label=name)
+    style.add_legend(figure, first)
     return figure
 
 
@@ -202,7 +205,8 @@ def _drift(evidence: Evidence) -> Figure:
             warnings.simplefilter("ignore")  # of instants at which no arm is left
             _median(gain, label, series.t, np.where(E > 0.0, E, np.nan), np.nanpercentile)
         left.plot(series.t, 100.0 * np.mean(~np.isnan(E), axis=1), color=look(label)["color"])
-    _logarithmic(gain, "y")
+    gain.set_yscale("log")
+    style.logarithmic_ticks(gain.yaxis, *gain.get_ylim())
     gain.set(title="gain E of theta1 [N m]", xlabel="time [s]")
     left.set(title="arms within their limits [%]", xlabel="time [s]", ylim=(-3.0, 103.0))
     style.add_legend(figure, gain)
@@ -228,7 +232,7 @@ def _curves(evidence: Evidence, name: str) -> Figure:
         panel = {**common, **own}
         start, field = Cell("", **panel["at"]), panel["over"]
         values = evidence.varied(start, field)
-        x = panel["unit"] * np.array(values)
+        x, drawn = panel["unit"] * np.array(values), list[np.ndarray]()
         for label in panel["labels"]:
             cells = [start._replace(**{"label": label, field: value}) for value in values]
             if evidence.has(*cells):
@@ -236,38 +240,14 @@ def _curves(evidence: Evidence, name: str) -> Figure:
                 finite = np.where(np.isfinite(medians), medians, np.nan).T
                 line = look(label) if panel["markers"] else {**look(label), "marker": ""}
                 _band(ax, label, x, finite, 0.18, markeredgewidth=0.0, **line)
+                drawn.append(finite[0])
         for axis, value in panel["paper"].items():
             {"x": ax.axvline, "y": ax.axhline}[axis](value, **DOTTED)
-        if panel["log"] == "xy":
-            ax.set_xscale("log")
-            _ticks(ax, values)
-        if panel["log"]:
-            _logarithmic(ax, "y")
-        elif panel["signed"]:
-            ax.axhline(0.0, **ZERO)
-        else:
-            ax.set_ylim(0.0, None)
+        style.choose_scale(ax, "x", x, signed=False)
+        style.choose_scale(ax, "y", np.array(drawn), signed=panel["signed"])
         ax.set(title=panel["title"], xlabel=panel["axis"])
     style.add_legend(figure, grid[0, 0])
     return figure
-
-
-def _logarithmic(ax: Axes, which: str) -> None:
-    """Makes an axis logarithmic, with plain numbers at its ticks."""
-    getattr(ax, f"set_{which}scale")("log")
-    style.logarithmic_ticks(getattr(ax, f"{which}axis"), *getattr(ax, f"get_{which}lim")())
-
-
-def _ticks(ax: Axes, ticks: Sequence[float]) -> None:
-    """Plain numbers at these places of the x axis alone."""
-    ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    ax.set_xticks([], minor=True)
-
-
-def _named_rows(ax: Axes, names: Sequence[str]) -> None:
-    """A name instead of a number at each row of a panel."""
-    ax.set_yticks(range(len(names)), names)
-    ax.tick_params(axis="y", length=0)
 
 
 def _median(
@@ -275,7 +255,8 @@ def _median(
 ) -> None:
     """The median of some arms over time, shape (T, k), and a band of 5 to 95 % of them."""
     low, middle, high = percentile(values, [5.0, 50.0, 95.0], axis=1)
-    _band(ax, label, t, (middle, low, high), 0.22, color=look(label)["color"], linewidth=1.1)
+    line = {**look(label), "marker": "", "linewidth": 1.1}
+    _band(ax, label, t, (middle, low, high), 0.22, **line)
 
 
 def _band(ax: Axes, label: str, x: np.ndarray, of: Any, alpha: float, **line: Any) -> None:
@@ -284,28 +265,3 @@ def _band(ax: Axes, label: str, x: np.ndarray, of: Any, alpha: float, **line: An
     ax.plot(x, value, label=title_of(label), **line)
     if np.any(low < high):
         ax.fill_between(x, low, high, color=line["color"], alpha=alpha, linewidth=0.0)
-
-
-def _dots(ax: Axes, evidence: Evidence, cells: Sequence[Cell], *, lost: bool = False) -> None:
-    """Errors of cells in rows: with noise full, and without it hollow, as nothing is random then.
-
-    Infinite ones are crosses at the edge where the lost are to be seen.
-    """
-    for (row, cell), noise in product(enumerate(cells), (NOISE, 0.0)):
-        error, hollow = evidence.median(cell._replace(noise=noise)), not noise
-        color = look(cell.label)["color"]
-        if lost and not np.isfinite(error.value):
-            ax.plot(0.96, row + 0.2 * hollow, "x", color=color, markersize=3 if hollow else 5,
-                    markeredgewidth=1.4, transform=ax.get_yaxis_transform())  # fmt: skip
-        elif hollow:
-            ax.plot(error.value, row, "o", color=color, fillstyle="none")
-        else:
-            _dot(ax, cell.label, error, row)
-
-
-def _dot(ax: Axes, label: str, median: Interval, y: float, marker: str = "o") -> None:
-    """A median with its interval, sideways; none where it is infinite."""
-    if np.isfinite(median.value):
-        color = look(label)["color"]
-        ax.plot([median.low, median.high], [y, y], color=color, linewidth=1.2)
-        ax.plot(median.value, y, marker, color=color, markersize=5)

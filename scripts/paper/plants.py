@@ -1,7 +1,7 @@
 """Laws that believe in three modules, on chains of as many and more modules of the same rod.
 
-The arms of a law on one plant run side by side on the engine `lagrange`: one without noise, in
-which nothing is random, and one for each seed of the noise.
+The arms of a law on one plant run side by side: one without noise, in which nothing is random, and
+one for each seed of the noise.
 
 The longest control period of a law is predicted by the sampled linear loop about rest, and looked
 for in simulation by bisection. A period is too long where a tiny step of the reference makes the
@@ -24,7 +24,6 @@ from octarm.checks.sampled_loop import LinearPlant, Loop, NoSlopeError
 from octarm.interfaces import Instant
 from octarm.metrics.rows import Size
 from octarm.references import SetPoint
-from octarm.simulation.engines import LAGRANGE
 from octarm.simulation.rollout import simulate
 from octarm.sweeps.tune_cost import root_mean_square
 from paper.runs import noisy_arms
@@ -42,23 +41,25 @@ CALM, FALLING = 1e-3, 0.7  # what dies out, over the step, and over what it was 
 TRACKED = 0.1  # error of tracking, as a share of the motion [1]
 
 
-def planted(variant: Variant, modules: int, rate: float, seeds: int) -> dict[str, np.ndarray]:
+def planted(
+    variant: Variant, modules: int, rate: float, seeds: int, engine: str
+) -> dict[str, np.ndarray]:
     """`tracking` of arms without noise and with so many seeds of it at a rate [Hz]."""
     arms = noisy_arms([0.0] + [NOISE] * seeds, [0, *range(seeds)])
-    return tracking(variant, modules, 1.0 / rate, **arms)
+    return tracking(variant, modules, 1.0 / rate, engine, **arms)
 
 
-def searched(variant: Variant, plants: Sequence[int]) -> dict[str, np.ndarray]:
+def searched(variant: Variant, plants: Sequence[int], engine: str) -> dict[str, np.ndarray]:
     """The longest periods `predicted`, NaN without a slope, and `simulated`, shapes (plants,) [s].
 
     The plants are numbers of modules.
     """
     pairs: list[tuple[float, float]] = []
-    guess = 0.003 / plants[0]  # [s]; about what the end of a group with its 1/N of the mass bears
-    for i, modules in enumerate(plants):
-        if i and pairs[-1][1] and math.isfinite(pairs[-1][1]):
-            guess = pairs[-1][1] * plants[i - 1] / modules
-        pairs.append(longest_two(variant, modules, guess))
+    guess = 0.003  # [s]; of one module: what is borne is inverse to their number, about
+    for modules in plants:
+        pairs.append(longest_two(variant, modules, guess / modules, engine))
+        if 0.0 < pairs[-1][1] < math.inf:
+            guess = pairs[-1][1] * modules
     return dict(zip(("predicted", "simulated"), np.array(pairs).T, strict=True))
 
 
@@ -70,8 +71,7 @@ def longest(
     It is 0 if the shortest one is not borne, infinite if `LONGEST` is. The factor is that between
     the first two periods.
     """
-    good, bad = 0.0, math.inf
-    period = min(max(start, shortest), LONGEST)
+    good, bad, period = 0.0, math.inf, min(max(start, shortest), LONGEST)
     while not (good and bad / good <= CLOSE):
         good, bad = (period, bad) if bears(period) else (good, period)
         if good >= LONGEST or bad <= shortest:
@@ -84,7 +84,7 @@ def longest(
     return good
 
 
-def longest_two(variant: Variant, modules: int, guess: float) -> tuple[float, float]:
+def longest_two(variant: Variant, modules: int, guess: float, engine: str) -> tuple[float, float]:
     """By the spectral radius, infinite where all periods are stable, and in simulation [s].
 
     The guess is where the search begins if nothing is predicted.
@@ -94,14 +94,17 @@ def longest_two(variant: Variant, modules: int, guess: float) -> tuple[float, fl
     try:
         predicted = Loop(plant, variant.controls(ARM)).longest_period()
     except NoSlopeError:
-        return math.nan, longest(partial(tracks, variant, modules), guess, SHORTEST_TRACKED)
-    bears = partial(rests, variant, modules, plant.rest)
+        return math.nan, longest(
+            lambda period: bool(tracking(variant, modules, period, engine)["error"] <= TRACKED),
+            guess, SHORTEST_TRACKED,
+        )  # fmt: skip
+    bears = partial(rests, variant, modules, engine, plant.rest)
     return predicted, longest(bears, 0.98 * predicted, factor=FIRST)
 
 
-def rests(variant: Variant, modules: int, rest: np.ndarray, period: float) -> bool:
+def rests(variant: Variant, modules: int, engine: str, rest: np.ndarray, period: float) -> bool:
     """Whether the arm comes to rest at `rest`, shape (2N,), after a tiny step of the reference."""
-    environment = _load(SetPoint(q=rest + STEP * SCALE), modules, period)
+    environment = _load(SetPoint(q=rest + STEP * SCALE), modules, period, engine)
     duration = min(max(round(LASTING / period), FEWEST), MOST) * period
     q: list[np.ndarray] = []
     simulate(environment, variant.controls(ARM), duration, lambda now: q.append(now.q))
@@ -112,13 +115,8 @@ def rests(variant: Variant, modules: int, rest: np.ndarray, period: float) -> bo
     return bool(late <= max(FALLING * early, CALM * STEP))
 
 
-def tracks(variant: Variant, modules: int, period: float) -> bool:
-    """Whether the error of the arm under the sine stays small."""
-    return bool(tracking(variant, modules, period)["error"] <= TRACKED)
-
-
 def tracking(
-    variant: Variant, modules: int, period: float,
+    variant: Variant, modules: int, period: float, engine: str,
     duration: float = DURATION, counted: float = COUNTED, **arms: Any,
 ) -> dict[str, np.ndarray]:  # fmt: skip
     """`error`, a share of the motion over all physics steps from an instant on [s], and `lost`.
@@ -126,7 +124,7 @@ def tracking(
     The arms are under the sine, n of them or one, shapes (n,) or (); the error of a lost one is
     infinite.
     """
-    environment = _load(BENDS, modules, period, **arms)
+    environment = _load(BENDS, modules, period, engine, **arms)
     environment.physics.plant_tips = False
     size = Size(environment.physics.q())
 
@@ -143,9 +141,9 @@ def tracking(
     return {"error": np.where(lost, np.inf, error), "lost": lost}
 
 
-def _load(reference: Any, modules: int, period: float, **arms: Any) -> Any:
+def _load(reference: Any, modules: int, period: float, engine: str, **arms: Any) -> Any:
     """The environment of arms of so many modules with a control period [s]."""
     return octarm.load(
-        reference, control_period=period, timestep="auto", engine=LAGRANGE, plant_modules=modules,
+        reference, control_period=period, timestep="auto", engine=engine, plant_modules=modules,
         **arms,
     )  # fmt: skip

@@ -5,8 +5,8 @@ same joints, the same nominal model and the same noise. SMC is read in both ways
 has: with sgn(s) and with a boundary layer.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import product
 
 import numpy as np
@@ -16,7 +16,7 @@ from paper import studies, variants
 from paper.claims import Case, Row, exact, percent
 from paper.evidence import Evidence, interval
 from paper.runs import ARMS, Series, name_of
-from paper.studies import BEYOND, MODELS, MOVING, NOISE, RATE, READINGS, Cell
+from paper.studies import BEYOND, MEAN, MODELS, MOVING, NOISE, RATE, READINGS, Cell
 from paper.variants import BY_HAND, FIXED_RULES, PROPOSED, SIGN, SMC, TUNED, by_hand, with_gains
 
 OVERSHOOT = 3.0  # of SMC, by the paper [%]
@@ -38,42 +38,33 @@ Place = tuple[dict[str, str], Cell]  # in words, and as a cell of the proposed l
 
 def overshoot(evidence: Evidence) -> Iterator[Case]:
     """(a): 3 % overshoot with sliding mode, none with the proposed controller."""
-
-    def is_said(ours: float, theirs: float, factor: float) -> bool:
-        return abs(ours) < factor * DIGIT and abs(theirs - OVERSHOOT) < factor * DIGIT
-
     for where, cell in _places(evidence, noises=[0.0]):
         for reading, smc in _rivals(evidence, where, cell, LAWS):
             for joint in MOVING[cell.reference]:
                 ours, theirs = (evidence.median(x, f"overshoot_{joint}").value for x in (cell, smc))
                 rows = [exact("AFSMC overshoot", ours, "%"), exact("SMC overshoot", theirs, "%")]
-                place = {**where, "joint": joint, "SMC": reading}
-                yield Case(place, rows, partial(is_said, ours, theirs))
+                apart = max(abs(ours), abs(theirs - OVERSHOOT))
+                yield Case({**where, "joint": joint, "SMC": reading}, rows, apart / DIGIT)
 
 
 def oscillations(evidence: Evidence) -> Iterator[Case]:
     """(b): slight oscillations of SMC under noise, and none of the proposed controller."""
     for gains, reference in product((TUNED, BY_HAND), evidence.effort.readings):
-        ours, *others = (
-            evidence.series.get(name_of(with_gains(law, gains), reference))
-            for law in (PROPOSED, *LAWS)
-        )
-        pairs = zip(LAWS.values(), others, strict=True)
-        for (reading, smc), joint, model in product(pairs, MOVING[reference], MODELS):
-            if not ours or not smc:
+        for law, joint, model in product(LAWS, MOVING[reference], MODELS):
+            both = [name_of(with_gains(x, gains), reference) for x in (PROPOSED, law)]
+            if not evidence.series.keys() >= set(both):
                 continue
             where = {
                 "gains": gains, "joints": READINGS[reference], "joint": joint,
-                "model": percent(model), "noise": _noise(NOISE), "SMC": reading,
+                "model": percent(model), "noise": _noise(NOISE), "SMC": LAWS[law],
             }  # fmt: skip
-            own, theirs = (_moved(x, joint, model) for x in (ours, smc))
+            own, theirs = (_moved(evidence.series[x], joint, model) for x in both)
             with np.errstate(all="ignore"):
                 size, ratio = interval(theirs), interval(own / theirs)
             rows = [Row("AFSMC, rms", interval(own), OF_AMPLITUDE), Row("AFSMC over SMC", ratio)]
-            slight = partial(_is_between, size.value, VISIBLE, SLIGHT)
+            slight = size.value / SLIGHT if size.value >= VISIBLE else np.inf
             yield Case({**where, "of": "SMC"}, [Row("SMC, rms", size, OF_AMPLITUDE)], slight)
-            none = partial(_is_between, ratio.value, -np.inf, ABSENT)
-            yield Case({**where, "of": "AFSMC"}, rows, none)
+            yield Case({**where, "of": "AFSMC"}, rows, ratio.value / ABSENT)
 
 
 def _moved(series: Series, joint: str, model: float) -> np.ndarray:
@@ -81,10 +72,6 @@ def _moved(series: Series, joint: str, model: float) -> np.ndarray:
     place = studies.COORDINATES.index(joint)
     arms = (series.mismatch == model) & (series.noise == NOISE)
     return 100.0 * series.moved[arms, place] / (0.5 * np.ptp(series.q_d[:, place]))
-
-
-def _is_between(value: float, low: float, high: float, factor: float) -> bool:
-    return bool(low <= value <= factor * high)
 
 
 def chattering(evidence: Evidence) -> Iterator[Case]:
@@ -96,10 +83,8 @@ def chattering(evidence: Evidence) -> Iterator[Case]:
                 Row(rival, evidence.median(other, "chattering"), OF_WEIGHT)
                 for rival, other in _rivals(evidence, where, cell, RIVALS)
             ]
-            yield Case(
-                {**where, "compensation": name}, [Row("AFSMC", size, OF_WEIGHT), *smc],
-                partial(_is_between, size.value, 0.0, CHATTERING),
-            )  # fmt: skip
+            rows = [Row("AFSMC", size, OF_WEIGHT), *smc]
+            yield Case({**where, "compensation": name}, rows, size.value / CHATTERING)
 
 
 def rules(evidence: Evidence) -> Iterator[Case]:
@@ -120,8 +105,8 @@ def stability(evidence: Evidence) -> Iterator[Case]:
     """(e): V falls over every control period, at the default rate."""
     for o in evidence.outcomes:
         law = o.label.removesuffix(by_hand(""))
-        parts = (("outside", o.grown_outside, o.outside), ("inside", o.grown_inside, o.inside))
-        for side, grown, periods in parts:
+        outside, inside = (o.grown_outside, o.outside), (o.grown_inside, o.inside)
+        for side, (grown, periods) in (("outside", outside), ("inside", inside)):
             if o.rate == RATE and periods:
                 where = {
                     "gains": TUNED if law == o.label else BY_HAND,
@@ -132,7 +117,7 @@ def stability(evidence: Evidence) -> Iterator[Case]:
                 if side == "outside" and o.inside:
                     rows.append(exact("of them after start-up", o.late))
                 share = np.inf if o.diverged else grown / periods
-                yield Case(where, rows, partial(_is_between, share, 0.0, NEVER))
+                yield Case(where, rows, share / NEVER)
 
 
 def uncertainty(evidence: Evidence) -> Iterator[Case]:
@@ -150,16 +135,16 @@ def uncertainty(evidence: Evidence) -> Iterator[Case]:
 
 
 def load(evidence: Evidence) -> Iterator[Case]:
-    """(g): a moderate computational load; its numbers are timings, which differ."""
+    """(g): a moderate computational load."""
     ours, smc = evidence.costs[PROPOSED], evidence.costs[SMC]
     sorts = (("one arm", ours.alone, smc.alone), (f"an arm of {ARMS}", ours.many, smc.many))
     for arms, taken, other in sorts:
         rows = [
-            exact("a step", 1e6 * taken, "us", varies=True),
-            exact("of the control period", 100.0 * taken * RATE, "%", varies=True),
-            exact("over smc-boundary", taken / other, varies=True),
+            exact("a step", 1e6 * taken, "us"),
+            exact("of the control period", 100.0 * taken * RATE, "%"),
+            exact("over smc-boundary", taken / other),
         ]
-        yield Case({"arms": arms}, rows, partial(_is_between, taken * RATE, 0.0, MODERATE))
+        yield Case({"arms": arms}, rows, taken * RATE / MODERATE)
 
 
 def plants(evidence: Evidence) -> Iterator[Case]:
@@ -182,12 +167,13 @@ def _places(
 ) -> Iterator[Place]:
     """The cells of a law with both gain sets, both readings and all models, and where they are."""
     for gains, reference, noise in product((TUNED, BY_HAND), READINGS, noises):
-        cell = Cell(with_gains(law, gains), study, reference, noise=noise)
-        for own in evidence.known(cell.models()):
-            yield {
-                "gains": gains, "joints": READINGS[reference], "model": percent(own.mismatch),
-                "noise": _noise(noise),
-            }, own  # fmt: skip
+        cell = Cell(with_gains(law, gains), study, reference, MEAN, noise)
+        for own, model in zip(cell.models(), MODELS, strict=True):
+            if evidence.has(own):
+                yield {
+                    "gains": gains, "joints": READINGS[reference], "model": percent(model),
+                    "noise": _noise(noise),
+                }, own  # fmt: skip
 
 
 def _rivals(
@@ -206,22 +192,18 @@ def _against(
     """A case for each rival that was run in a place: whether its error is larger, by a share."""
     for where, cell in places:
         for name, rival in _rivals(evidence, where, cell, rivals):
-            ratio = evidence.ratio(cell, rival.label)
-            rows = [Row("error over that", ratio)]
-            yield Case({**where, "against": name}, rows, partial(is_better, ratio, by))
+            row = Row("error over that", evidence.ratio(cell, rival.label))
+            yield Case({**where, "against": name}, [row], most=how_often(row.number, by))
 
 
-def is_better(ratio: Interval, by: float, factor: float) -> bool:
-    """Whether a ratio is below 1 by a share times a factor, and its interval below 1."""
-    return bool(ratio.value <= 1.0 - factor * by and ratio.high < 1.0)
+def how_often(ratio: Interval, share: float) -> float:
+    """How many times a share a ratio is below 1; none if its interval is not."""
+    return (1.0 - ratio.value) / share if ratio.high < 1.0 else -math.inf
 
 
 def _noise(noise: float) -> str:
     return f"{100 * noise:g} % noise" if noise else "no noise"
 
 
-Rule = Callable[[Evidence], Iterator[Case]]
-CLAIMS: tuple[Rule, ...] = (
-    overshoot, oscillations, chattering, rules, stability, uncertainty, load,
-)  # fmt: skip
-QUESTIONS: tuple[Rule, ...] = (premises, plants)
+CLAIMS = (overshoot, oscillations, chattering, rules, stability, uncertainty, load)
+QUESTIONS = (premises, plants)

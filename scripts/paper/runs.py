@@ -16,8 +16,6 @@ continuous time, with sgn(s), and without safeguards. What is counted is how oft
 control instant than at the one before.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -35,7 +33,7 @@ from octarm.disturbances.forces import BandLimitedNoise
 from octarm.errors import ExitCode, OctarmError
 from octarm.interfaces import Instant, Rows
 from octarm.lagrange import inverse_dynamics, kinetic_energy
-from octarm.simulation.engines import MUJOCO, usual_engine
+from octarm.simulation.engines import MUJOCO
 from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
 from paper.studies import BENDS, MODELS, NOISE, RATE, SEED, SETTLED, TIME, WRONG, Effort
@@ -46,7 +44,8 @@ STRIDE = round(EVERY * RATE)  # the same in control instants
 LONG = {PROPOSED: "long-guarded", UNGUARDED: "long-unguarded"}
 FEWER = 16  # seeds of hand-set gains, which the figures over time do not show
 ARMS = 1024  # side by side, when a step of a controller is timed
-LYAPUNOV = ("q", "v", "v_d", "wanted_a", "s", "E", "theta", "alpha", "sigma", "lost")  # fields
+OVER_TIME = ("q", "q_d", "lost", "E")  # fields
+LYAPUNOV = ("q", "v", "v_d", "wanted_a", "s", "E", "theta", "alpha", "sigma", "lost")
 Arrays = dict[str, np.ndarray]
 
 
@@ -61,7 +60,7 @@ class Request(NamedTuple):
     # `wanted_a`, the desired acceleration.
     fields: tuple[str, ...]
     # It makes the arrays that are kept from the recorded rows.
-    keep: Callable[[Request, Rows], Mapping[str, np.ndarray]]
+    keep: Callable[["Request", Rows], Mapping[str, np.ndarray]]
     mismatches: tuple[float, ...] = MODELS  # model errors [1]
     seeds: int = 0  # number of seeds of the noise; they are those of the sweeps
     quiet: bool = True  # whether there are arms without noise
@@ -78,11 +77,6 @@ class Request(NamedTuple):
     def noise(self) -> np.ndarray:
         """Rms over the input's amplitude of each arm, shape (n,) [1]."""
         return np.tile([0.0] * self.quiet + [NOISE] * self.seeds, len(self.mismatches))
-
-    @property
-    def nominal(self) -> octarm.ArmParameters:
-        """What the controllers believe, with batch axis (n,)."""
-        return ARM.mismatched(self.mismatch)
 
     def perform(self) -> Arrays:
         """Runs the arms; what is kept of them."""
@@ -102,7 +96,8 @@ class Request(NamedTuple):
             command = instant.command._replace(signals={**instant.command.signals, **more})
             recorder(instant._replace(command=command))
 
-        simulate(environment, self.variant.controls(self.nominal), self.duration, observe)
+        controller = self.variant.controls(ARM.mismatched(self.mismatch))
+        simulate(environment, controller, self.duration, observe)
         recorder.flush()
         with np.errstate(all="ignore"):  # a diverged arm may hold anything
             kept = self.keep(self, blocks[0])
@@ -119,23 +114,20 @@ def noisy_arms(noise: npt.ArrayLike, seeds: Sequence[int]) -> dict[str, Any]:
 
 def requests(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Request]:
     """Those of figures 1 and 2 in both readings, the long ones, those of the Lyapunov functions."""
-    fields = ("q", "q_d", "lost", "E")
     for label, reference in product(effort.labels, effort.readings):
         seeds = effort.seeds if label in CONTROLLERS else min(effort.seeds, FEWER)
-        own = name_of(label, reference), variants[label], reference, effort.duration
-        yield Request(*own, fields, kept, seeds=seeds)
+        place = variants[label], reference, effort.duration
+        yield Request(name_of(label, reference), *place, OVER_TIME, kept, seeds=seeds)
     for label, name in LONG.items() if effort.long else ():
         yield Request(
-            name, variants[label], BENDS, effort.long, fields, kept, mismatches=(WRONG,),
-            seeds=effort.seeds, quiet=False, stride=STRIDE, engine=usual_engine(),
+            name, variants[label], BENDS, effort.long, OVER_TIME, kept, mismatches=(WRONG,),
+            seeds=effort.seeds, quiet=False, stride=STRIDE, engine=effort.engine,
         )  # fmt: skip
-    places = [(BENDS, rate) for rate in effort.rates]
-    places += [(reference, RATE) for reference in effort.readings if reference != BENDS]
-    for label, (reference, rate) in product(effort.lyapunov, places):
-        yield Request(
-            f"lyapunov-{name_of(label, reference)}-{rate:g}-Hz", variants[label], reference,
-            effort.duration, LYAPUNOV, counts, rate=rate,
-        )  # fmt: skip
+    for label, reference, rate in product(effort.lyapunov, effort.readings, effort.rates):
+        if reference == BENDS or rate == RATE:
+            name = f"lyapunov-{name_of(label, reference)}-{rate:g}-Hz"
+            place = variants[label], reference, effort.duration
+            yield Request(name, *place, LYAPUNOV, counts, rate=rate)
 
 
 def name_of(label: str, reference: str) -> str:
@@ -183,12 +175,6 @@ def kept(request: Request, rows: Rows) -> Arrays:
     }  # fmt: skip
 
 
-def recorded(effort: Effort) -> list[str]:
-    """The names of the runs that can be looked at, too: those of tuned gains in figure 1."""
-    labels = [label for label in effort.labels if label in CONTROLLERS] if effort.long else []
-    return [name_of(*own) for own in product(labels, effort.readings)]
-
-
 def record(request: Request, model: float, out: Path) -> None:
     """Has `octarm run` write the folder of one arm without noise; OctarmError if it does not."""
     variant, folder = request.variant, out / f"{request.name}-{100 * model:+.0f}"
@@ -227,9 +213,7 @@ class Outcome(NamedTuple):
     reference: str  # name
     rate: float  # of control [Hz]
     mismatch: float  # of the nominal model [1]
-    # Whether the switching gain covers the model error, K_j >= |F_j|, at all times; for the
-    # adaptive law, whether E_max covers eps.
-    covered: bool
+    covered: bool  # whether K_j >= |F_j| at all times; E_max >= eps for the adaptive law
     outside: int  # periods that begin outside the boundary layer: |s_j| > phi_j for a j
     grown_outside: int  # of them, those over which V grew
     late: int  # those outside that begin in the steady regime, where start-up is over
@@ -250,15 +234,15 @@ def outcomes(request: Request, arrays: Mapping[str, np.ndarray]) -> list[Outcome
 def counts(request: Request, rows: Rows) -> dict[str, np.ndarray]:
     """The fields of `Outcome` that differ from arm to arm, each of shape (n,)."""
     gains, s = request.variant.gains, rows["s"]
-    kinetic = kinetic_energy(ARM, rows["q"], s)
-    v, lambda_ = rows["v"], np.asarray(gains["lambda"])
-    motion = rows["q"], v, rows["wanted_a"] - lambda_ * (v - rows["v_d"]), v - s
+    kinetic, v = kinetic_energy(ARM, rows["q"], s), rows["v"]
+    a_r = rows["wanted_a"] - np.asarray(gains["lambda"]) * (v - rows["v_d"])
+    motion = rows["q"], v, a_r, v - s
     # The model error (D^ - D) q_r'' + .. + G^ - G, shape (T, n, 2N) [N], [N m].
-    F = inverse_dynamics(request.nominal, *motion) - inverse_dynamics(ARM, *motion)
+    nominal = ARM.mismatched(request.mismatch)
+    F = inverse_dynamics(nominal, *motion) - inverse_dynamics(ARM, *motion)
+    learnt, covered = 0.0, np.all(_largest(F) <= np.asarray(gains.get("K", 0.0)), axis=-1)
     if "E" in rows:
         learnt, covered = _learnt(gains, rows, F)
-    else:
-        learnt, covered = 0.0, np.all(_largest(F) <= np.asarray(gains.get("K", 0.0)), axis=-1)
     V = kinetic + learnt
     grown = V[1:] > V[:-1]
     outside = np.any(np.abs(s[:-1]) > np.asarray(gains.get("phi", 0.0)), axis=-1)
@@ -276,8 +260,8 @@ def counts(request: Request, rows: Rows) -> dict[str, np.ndarray]:
 def _learnt(gains: Mapping[str, Any], rows: Rows, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """V of eq (80) beyond the first term, shape (T, n) [J]; whether E_max covers eps, (n,)."""
     theta, alpha, sigma, E = (rows[name] for name in ("theta", "alpha", "sigma", "E"))
-    z = (rows["s"] / np.asarray(gains["scale"]))[..., None]
-    alpha0, sigma0 = np.asarray(gains["alpha0"]), np.asarray(gains["sigma0"])
+    alpha0, sigma0, scale = (np.asarray(gains[name]) for name in ("alpha0", "sigma0", "scale"))
+    z = (rows["s"] / scale)[..., None]
     phi = np.exp(-np.square(sigma * (z - alpha)))
     by_alpha, by_sigma = 2.0 * sigma**2 * (z - alpha) * phi, -2.0 * sigma * (z - alpha) ** 2 * phi
     moved = (alpha - alpha0) * by_alpha + (sigma - sigma0) * by_sigma

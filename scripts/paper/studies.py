@@ -4,8 +4,6 @@ Each becomes specs that `octarm sweep` runs as they stand: with the controllers 
 name, and all their gains. Cells without noise get one seed: nothing in them is random.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -24,6 +22,7 @@ BENDS, SLIDES = "sine", "sine-slides"  # the two readings of "first two links"
 READINGS = {BENDS: "bends", SLIDES: "slides"}
 MOVING = {BENDS: ("theta1", "theta2"), SLIDES: ("s1", "s2")}  # what each of them moves
 MODELS = (-0.3, 0.0, 0.3)  # model errors of the paper's figures [1]
+MEAN = "mean"  # of these, episode by episode, instead of a model error
 MODULES = 3  # that every controller believes in
 WRONG = -0.3  # the one model error of the studies that vary something else
 NOISE = 0.4  # the paper's: rms over the amplitude of the input signal [1]
@@ -41,7 +40,7 @@ class Cell(NamedTuple):
     label: str  # of the variant
     study: str = "tracking"  # that they belong to; see `title`
     reference: str = BENDS  # name
-    mismatch: float = 0.0  # of the nominal model [1]
+    mismatch: float | str = 0.0  # of the nominal model [1]; or `MEAN`
     noise: float = 0.0  # its rms over the input's amplitude [1]
     time: float = TIME  # its correlation time [s]
     payload: float = 0.0  # [kg]
@@ -57,11 +56,12 @@ class Cell(NamedTuple):
             return f"{self.study.replace('tracking', 'rate')}-{self.rate:g}"
         return self.study if self.time == TIME else "correlation"
 
-    def models(self) -> list[Cell]:
-        """The same with each nominal model of the paper's figures."""
-        return [self._replace(mismatch=model) for model in MODELS]
+    def models(self) -> "list[Cell]":
+        """The cells that it stands for."""
+        models = MODELS if self.mismatch == MEAN else (self.mismatch,)
+        return [self._replace(mismatch=model) for model in models]
 
-    def of(self, labels: Iterable[str]) -> list[Cell]:
+    def of(self, labels: Iterable[str]) -> "list[Cell]":
         """The same place for each of these variants."""
         return [self._replace(label=label) for label in labels]
 
@@ -71,6 +71,7 @@ class Effort:
     """How much is run, as `studies.toml` says it."""
 
     name: str  # `full` or `quick`
+    engine: str = usual_engine()  # of all that does not say its own
     sweeps: Sequence[Mapping[str, Any]]  # in the order in which cells are listed
     seeds: int  # in each cell with noise
     duration: float  # of the runs of figures 1 and 2 [s]
@@ -96,35 +97,22 @@ class Sweep(NamedTuple):
     study: str  # that its cells belong to
     content: Mapping[str, Any]  # of the spec
     labels: Mapping[str, str]  # of the variants, by controller
-
-    @property
-    def rate(self) -> float:
-        """Of control [Hz]."""
-        return round(1.0 / self.content.get("control_period", 1.0 / RATE), 6)
+    rate: float  # of control [Hz]
 
 
 def sweeps(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Sweep]:
-    """All sweeps; one for each time that a controller occurs, and cells without noise apart."""
+    """All sweeps; one for each list of labels, and cells without noise apart."""
     for entry in effort.sweeps:
-        content = {"engine": usual_engine(), "duration": effort.duration, **entry}
+        content = {"engine": effort.engine, "duration": effort.duration, **entry}
         name, study, labels = (content.pop(key) for key in ("name", "study", "labels"))
-        parts = [("", content)] if effort is QUICK else _quiet_apart(content)
-        for (i, own), (ending, part) in product(enumerate(_apart(variants, labels)), parts):
+        rate = round(1.0 / content.get("control_period", 1.0 / RATE), 6)
+        parts = [("", content)] if effort.name == "quick" else _quiet_apart(content)
+        for (i, some), (ending, part) in product(enumerate(labels), parts):
+            own = {variants[label].controller: label for label in some}
             grid = {"controller": list(own), **part["grid"]}
             gains = {one: dict(variants[label].gains) for one, label in own.items()}
             spec = {"seed": SEED, **part, "grid": grid, "gains": gains}
-            yield Sweep(f"{name}{f'-{i}' if i else ''}{ending}", study, spec, own)
-
-
-def _apart(variants: Mapping[str, Variant], labels: Sequence[str]) -> list[dict[str, str]]:
-    """Labels by controller, in as many parts as a controller occurs."""
-    parts: list[dict[str, str]] = []
-    for label in labels:
-        name = variants[label].controller
-        if all(name in part for part in parts):
-            parts.append({})
-        next(part for part in parts if name not in part)[name] = label
-    return parts
+            yield Sweep(f"{name}{f'-{i}' if i else ''}{ending}", study, spec, own, rate)
 
 
 def _quiet_apart(content: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octarm.reports.statistics import Interval, binomial
-from paper.claims import Claim, Entry, percent, worded, words
+from paper.claims import Entry, percent, worded, words
 from paper.evidence import Evidence, interval
 from paper.plants import LONGEST, SHORTEST, SHORTEST_TRACKED
 from paper.runs import EVERY, LONG
-from paper.studies import MODELS, MOVING, NOISE, RATE, WRONG, Cell
+from paper.studies import MODELS, MOVING, NOISE, RATE, Cell
 from paper.variants import CONTROLLERS, INSTEAD, PROPOSED, SIGN, SMC, by_hand
 
 Rows = Iterator[Sequence[Any]]  # of entries
@@ -42,21 +42,22 @@ class Table(NamedTuple):
     rows: Sequence[Sequence[Any]]  # entries; an interval is a median and its 95 % interval
 
 
-def all_tables(evidence: Evidence, claims: Sequence[Claim], gains: Path) -> dict[str, Table]:
+def all_tables(evidence: Evidence, gains: Path) -> dict[str, Table]:
     """All tables of `words.toml` that have rows, by name; only `timings` differ from run to run.
 
     The folder `gains` has the tuned gain sets.
     """
     made = {
-        "ranking": ranking, "best": best, "plants": plants, "plants-ranking": plants_ranking,
+        "best": best, "plants": plants, "plants-ranking": plants_ranking,
         "periods": periods, "tuning": partial(tuning, gains=gains), "drift": drift,
-        "stability": stability, "cells": cells, "claims": lambda _: numbers_of(claims),
-        "timings": timings,
+        "stability": stability, "cells": cells, "timings": timings,
     }  # fmt: skip
     tables: dict[str, Table] = {}
     for name, wording in words()["tables"].items():
         if evidence.effort.long or not wording.get("long"):
             rows = list(made[name](evidence) if name in made else grid(evidence, name))
+            if wording.get("ranked"):
+                rows.sort(key=lambda row: row[1].value)
             heads = wording["columns"] if "columns" in wording else rows.pop(0)
             tables[name] = Table(name, worded(wording["caption"]), heads, rows)
     return {name: table for name, table in tables.items() if table.rows}
@@ -68,7 +69,7 @@ def as_csv(table: Table) -> str:
     for head, column in zip(table.columns, zip(*table.rows, strict=True), strict=True):
         ends = ("", " low", " high") if any(isinstance(x, Interval) for x in column) else ("",)
         for i, end in enumerate(ends):
-            entries = [x[i] if isinstance(x, Interval) else x for x in column]
+            entries = (x[i] if isinstance(x, Interval) else x for x in column)
             columns.append([head + end, *map(_plain, entries)])
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(zip(*columns, strict=True))
@@ -79,8 +80,8 @@ def grid(evidence: Evidence, name: str) -> Rows:
     """The rows of a table of `words.toml`, which says which fields of a cell vary among them.
 
     There is a row for each combination of these for which all was run. Behind it come `values`:
-    a quantity `of` the cell, the error if nothing is said, maybe `over` that of another variant.
-    Other fields of a value are the cell's; `diverged` is of all cells of the row.
+    a quantity `of` a cell `at` this place, the error if nothing is said, maybe `over` that of
+    another variant; `diverged` is of all cells of the row.
     """
     table = words()["tables"][name]
     lists = {"all": evidence.variants, "controllers": CONTROLLERS, "ablations": INSTEAD}
@@ -88,34 +89,21 @@ def grid(evidence: Evidence, name: str) -> Rows:
     for combination in product(*fields.values()):
         place = dict(zip(fields, combination, strict=True))
         start = Cell(**{"label": "", **table["at"], **place})
-        asked = [_asked(start, **value) for value in table["values"]]
-        row = list(dict.fromkeys(cell for _, cell, _ in asked))
-        rivals = [cell._replace(label=rival) for _, cell, rival in asked if rival]
+        row = [start._replace(**value.get("at", {})) for value in table["values"]]
+        asked = list(zip(row, table["values"], strict=True))
+        rivals = [cell.of([x["over"].format(cell.label)])[0] for cell, x in asked if "over" in x]
         if evidence.has(*row, *rivals):
-            yield *_where(place), *(_value(evidence, row, *one) for one in asked)
+            yield *_where(place), *(_value(evidence, row, cell, **value) for cell, value in asked)
 
 
-def _asked(
-    start: Cell, of: str = "error", over: str = "", **fields: float
-) -> tuple[str, Cell, str]:
-    """A quantity, the cell that has it, and the variant that it is held against, if any."""
-    cell = start._replace(**fields)
-    return of.format(*MOVING[cell.reference]), cell, over.format(cell.label)
-
-
-def _value(evidence: Evidence, row: list[Cell], quantity: str, cell: Cell, rival: str) -> Entry:
-    if quantity == "diverged":
-        return "{} of {}".format(*evidence.diverged(*row))
-    return evidence.ratio(cell, rival, quantity) if rival else evidence.median(cell, quantity)
-
-
-def ranking(evidence: Evidence) -> Rows:
-    """The tuned controllers, the best under noise first."""
-    for noisy in evidence.ranked(Cell("", noise=NOISE).of(CONTROLLERS)):
-        both = (noisy, noisy._replace(noise=0.0))
-        errors = [[evidence.mean_error(x), *map(evidence.median, x.models())] for x in both]
-        rattle = [evidence.median(x._replace(mismatch=WRONG), "chattering") for x in both]
-        yield noisy.label, *errors[0], *errors[1], *rattle, evidence.mean_error(noisy, SMC)
+def _value(
+    evidence: Evidence, row: list[Cell], cell: Cell, of: str = "error", over: str = "", **_: Any
+) -> Entry:
+    """See `grid`; one of the values of a row of cells."""
+    if of == "diverged":
+        return "{} of {}".format(*evidence.diverged(*dict.fromkeys(row)))
+    of = of.format(*MOVING[cell.reference])
+    return evidence.ratio(cell, over.format(cell.label), of) if over else evidence.median(cell, of)
 
 
 def best(evidence: Evidence) -> Rows:
@@ -123,8 +111,7 @@ def best(evidence: Evidence) -> Rows:
     for reference, noise, model in product(MOVING, (NOISE, 0.0), MODELS):
         start = Cell(PROPOSED, "tracking", reference, model, noise)
         if evidence.has(start):
-            cells = evidence.known(start.of(CONTROLLERS))
-            first = min(cells, key=lambda cell: evidence.median(cell).value)
+            first, *_ = evidence.ranked(start.of(CONTROLLERS))
             ratios = [evidence.ratio(start, first.label, x) for x in ("error", "chattering")]
             place = _where({"reference": reference, "noise": noise, "mismatch": model})
             yield *place, first.label, evidence.median(first), *ratios
@@ -162,18 +149,17 @@ def _plant(cell: Cell) -> tuple[Entry, ...]:
 
 def periods(evidence: Evidence) -> Rows:
     """The longest control periods of each law, predicted and simulated [ms], below headings."""
-    kinds = product(evidence.effort.plants, ("predicted", "simulated"))
-    yield "controller", *(f"{modules} modules, {kind} [ms]" for modules, kind in kinds)
-    for name, both in evidence.periods.items():
-        row: list[Entry] = [name]
-        for pair in zip(both["predicted"].tolist(), both["simulated"].tolist(), strict=True):
-            shortest = SHORTEST_TRACKED if math.isnan(pair[0]) else SHORTEST
-            row += [_period(seconds, shortest) for seconds in pair]
-        yield row
+    kinds = ("predicted", "simulated")
+    both = product(evidence.effort.plants, kinds)
+    yield "controller", *(f"{modules} modules, {kind} [ms]" for modules, kind in both)
+    for name, kept in evidence.periods.items():
+        pairs = zip(*(kept[kind].tolist() for kind in kinds), strict=True)
+        yield name, *(_period(seconds, pair[0]) for pair in pairs for seconds in pair)
 
 
-def _period(seconds: float, shortest: float) -> Entry:
+def _period(seconds: float, predicted: float) -> Entry:
     """In milliseconds, or beyond which one it is [s]."""
+    shortest = SHORTEST_TRACKED if math.isnan(predicted) else SHORTEST
     if math.isnan(seconds):
         return "no slope"
     if seconds > LONGEST:
@@ -203,10 +189,10 @@ def drift(evidence: Evidence) -> Rows:
         bounds = np.asarray(evidence.variants[label].gains["E_max"])
         largest = np.max(series.E / bounds, axis=2)  # of all coordinates, in bounds
         lost = int(np.sum(~np.isnan(series.diverged_at)))
-        first = float(np.nanmin(series.diverged_at)) if lost else math.nan
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of arms that are lost from the start
+            warnings.simplefilter("ignore")  # of arms that are lost from the start, or never
             late = [np.nanmax(largest[: round(t / EVERY)], axis=0) for t in (2.0, 5.0, 10.0, 20.0)]
+            first = float(np.nanmin(series.diverged_at))
         yield label, *map(interval, late), f"{lost} of {len(series.noise)}", first
 
 
@@ -226,14 +212,6 @@ def cells(evidence: Evidence) -> Rows:
         lost, count = evidence.diverged(cell)
         numbers = evidence.median(cell), evidence.median(cell, "chattering")
         yield cell.title, cell.label, *cell[2:-1], count, lost, *numbers
-
-
-def numbers_of(claims: Sequence[Claim]) -> Rows:
-    """All numbers of all claims but timings."""
-    for c in claims:
-        for row in c.rows:
-            if not row.varies:
-                yield c.letter, str(c.verdict), c.condition, row.name, *row.number, row.unit
 
 
 def timings(evidence: Evidence) -> Rows:

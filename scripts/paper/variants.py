@@ -4,8 +4,6 @@ A variant is a controller of the command line with all its gains written out, so
 stands in can be run by `octarm sweep` and `octarm verify` alone.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Mapping
@@ -52,7 +50,7 @@ class Variant:
     # for every model that the controller believes.
     gains: Mapping[str, Any]
 
-    def changed(self, label: str, **gains: Any) -> Variant:
+    def changed(self, label: str, **gains: Any) -> "Variant":
         """The same with some gains replaced."""
         return dataclasses.replace(self, label=label, gains={**self.gains, **gains})
 

@@ -8,17 +8,15 @@ from typing import Any
 
 from octarm.errors import OctarmError
 from octarm.files import write_files
-from octarm.html import Cell
-from octarm.html import Table as PageTable
 from paper import figures
-from paper.claims import PAGES, TEXTS, Claim, claim, in_parts, in_words, rounded, worded, words
+from paper.claims import PAGES, TEXTS, Claim, claim, in_words, rounded, worded, words
 from paper.evidence import Evidence
 from paper.rules import CLAIMS, QUESTIONS
 from paper.tables import Table, all_tables, as_csv
 
 PAGE, TABLES, FIGURES = "report.html", "tables", "figures"
+PACKAGES = "octarm", "numpy", "mujoco", "dm-control"
 START, END = "<!-- claims -->", "<!-- /claims -->"
-_PACKAGES = ("octarm", "numpy", "mujoco", "dm-control")
 
 
 def all_claims(evidence: Evidence) -> list[Claim]:
@@ -30,34 +28,38 @@ def all_claims(evidence: Evidence) -> list[Claim]:
 def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = None) -> list[Claim]:
     """Writes tables, claims, figures, the write-up and the page into a folder.
 
-    All files in `tables` and `claims.json` are the same whenever the same is run; timings stand in
-    `timings.csv`. The tuned gain sets are in the folder `gains`. With the `root` of the checkout,
-    what the repository shows is renewed, too: `.readme/paper.*`, and the claims in the README.
-    Raises OctarmError if that has no place for them, and OSError if writing fails.
+    All files in `tables` are the same whenever the same is run, and `claims.json` is but for the
+    timings of one claim; `timings.csv` has the others. The tuned gain sets are in the folder
+    `gains`. With the `root` of the checkout, what the repository shows is renewed, too:
+    `.readme/paper.*`, and the claims in the README. Raises OctarmError if that has no place for
+    them, and OSError if writing fails.
     """
     claims = all_claims(evidence)
-    tables = all_tables(evidence, claims, gains)
+    tables = all_tables(evidence, gains)
+    numbers = content(evidence, claims, tables)
     pictures = list(figures.pictures(evidence))
-    common = {"claims": claims, "seeds": evidence.effort.seeds, "tables": tables}
+    said = {"seeds": evidence.effort.seeds, "engine": evidence.effort.engine}
+    common: dict[str, Any] = {**said, "claims": claims, "tables": tables}
+    common |= {key: worded(words()[key], **said) for key in ("command", "lead")}
+    common["setup"] = [worded(text, **said) for text in words()["setup"]]
     page = _rendered(
-        "paper.html", **common, pictures=pictures[1:], layout=_layout,
-        numbers=lambda one: _layout(["", "measured"], [(row.name, str(row)) for row in one.rows]),
-        versions=", ".join(f"{name} {version(name)}" for name in _PACKAGES),
+        "paper.html", **common, pictures=pictures[1:],
+        numbers={one.letter: [(row.name, str(row)) for row in one.rows] for one in claims},
+        versions=", ".join(f"{name} {version(name)}" for name in PACKAGES),
         gains={label: json.dumps(one.gains) for label, one in evidence.variants.items()},
     )  # fmt: skip
+    folders = {"timings": "."}  # of what differs from run to run
     texts = {
-        **{f"{TABLES}/{name}.csv": as_csv(table) for name, table in tables.items()},
-        "claims.json": as_json(content(evidence, claims, tables)),
+        **{f"{folders.get(name, TABLES)}/{name}.csv": as_csv(x) for name, x in tables.items()},
+        "claims.json": as_json(numbers),
         "paper.md": _rendered("paper.md", **common, picture_file=f"{FIGURES}/paper.png"),
         PAGE: page,
     }
-    texts["timings.csv"] = texts.pop(f"{TABLES}/timings.csv")
     files = {out / name: text.encode() for name, text in texts.items()}
     for one in pictures:
         files |= one.files(out / FIGURES)
     if root is not None:
         readme, folder = root / "README.md", root / ".readme"
-        numbers = content(evidence, claims, tables, timings=True)
         text = _rendered("paper.md", **common, picture_file="paper.png")
         files |= {
             readme: with_claims(readme.read_text(encoding="utf-8"), numbers).encode(),
@@ -70,20 +72,20 @@ def write_all(evidence: Evidence, out: Path, gains: Path, root: Path | None = No
 
 
 def content(
-    evidence: Evidence, claims: Sequence[Claim], written: Mapping[str, Table], *,
-    timings: bool = False,
-) -> dict[str, Any]:  # fmt: skip
-    """Verdicts and numbers, ready for JSON; with or without what differs from run to run."""
-    strings = {
-        name: [list(table.columns), *([in_words(x) for x in row] for row in table.rows)]
-        for name, table in written.items() if name in ("best", "plants", "periods")
-    }  # fmt: skip
+    evidence: Evidence, claims: Sequence[Claim], written: Mapping[str, Table]
+) -> dict[str, Any]:
+    """Verdicts and numbers, ready for JSON."""
+
+    def strings(name: str) -> list[list[str]]:
+        rows = [written[name].columns, *written[name].rows] if name in written else []
+        return [[*map(in_words, row)] for row in rows]
+
     return {
         "effort": evidence.effort.name, "seeds": evidence.effort.seeds,
-        "command": words()["command"],
-        "claims": [one.to_dict(timings=timings) for one in claims if one.place],
-        "questions": [one.to_dict(timings=timings) for one in claims if not one.place],
-        "best": [], "plants": [], "periods": [], **strings,
+        "engine": evidence.effort.engine,
+        "claims": [one.to_dict() for one in claims if one.place],
+        "questions": [one.to_dict() for one in claims if not one.place],
+        **{name: strings(name) for name in ("best", "plants", "periods")},
         "ranking": [
             {"controller": name, "error_with_noise": [*map(rounded, noisy)],
              "error": [*map(rounded, quiet)]}
@@ -109,24 +111,8 @@ def with_claims(readme: str, numbers: Mapping[str, Any]) -> str:
     return f"{before}{START}\n\n{_rendered('readme.md', **numbers).strip()}\n\n{END}{after}"
 
 
-def _layout(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> PageTable:
-    """A table as pages have it; words stand to the left."""
-    sides = [
-        "left" if any(isinstance(x, str) for x in column) else ""
-        for column in zip(*rows, strict=True)
-    ]
-
-    def cells(row: Sequence[Any]) -> list[Cell]:
-        parts = [(*in_parts(x), side) for x, side in zip(row, sides, strict=True)]
-        return [Cell(value, [ends] if ends else [], side) for value, ends, side in parts]
-
-    return PageTable(cells(columns), [cells(row) for row in rows])
-
-
 def _rendered(template: str, **values: Any) -> str:
     """A template of this folder with the texts that all of them share."""
-    texts = words()
-    common = {key: texts[key] for key in ("title", "command", "picture", "plants_picture")}
-    common |= {"lead": worded(texts["lead"]), "setup": [worded(text) for text in texts["setup"]]}
+    texts = {key: words()[key] for key in ("title", "picture", "plants_picture")}
     templates = PAGES if template.endswith(".html") else TEXTS
-    return templates.get_template(template).render(**(common | values)).strip("\n") + "\n"
+    return templates.get_template(template).render(**texts, **values).strip("\n") + "\n"
