@@ -1,7 +1,6 @@
 """The fuzzy engine against scikit-fuzzy, against closed forms, and against its own promises."""
 
 import dataclasses
-import functools
 import itertools
 import math
 from collections.abc import Callable
@@ -12,7 +11,7 @@ import skfuzzy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers.fuzzy.inference import Mamdani, Sugeno, Variable, probabilistic_sum
+from controllers.fuzzy.inference import Mamdani, Sugeno, Variable, linear, probabilistic_sum
 from controllers.fuzzy.membership import Gaussian, GeneralisedBell, Trapezoidal, Triangular
 from controllers.fuzzy.rule_base import RuleBase
 from controllers.fuzzy_rules import LEVELS, RULES, SURFACE
@@ -71,10 +70,6 @@ def their_sets(rules, x, y, conjunction, implication, output) -> np.ndarray:
     )
 
 
-def plane(c: float, a: float, b: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return c + a * x + b * y
-
-
 def their_centroid(universe: np.ndarray, sets: np.ndarray) -> np.ndarray:
     return np.array([skfuzzy.defuzz(universe, mu, "centroid") for mu in sets], dtype=float)
 
@@ -128,9 +123,7 @@ def test_the_printed_sum_tends_to_the_centroid_of_scikit_fuzzy():
 def test_sugeno_is_the_weighted_mean_of_scikit_fuzzys_weights(conjunction):
     rules, (x, y) = random_rules(3), random_inputs(500)
     draw = np.random.default_rng(4).normal(size=(7, 3))
-    planes = {
-        n: functools.partial(plane, c, a, b) for n, (c, a, b) in zip(LABELS, draw, strict=True)
-    }
+    planes = {n: linear(c, a, b) for n, (c, a, b) in zip(LABELS, draw, strict=True)}
     weights = np.stack(their_weights(rules, x, y, conjunction))
     z = {n: c + a * x + b * y for n, (c, a, b) in zip(LABELS, draw, strict=True)}
     for consequents, values in ((planes, z), (LEVELS, LEVELS)):

@@ -278,9 +278,10 @@ def test_arms_of_different_size_have_plants_of_different_size(layout: str, engin
         np.testing.assert_allclose(*tips, rtol=1e-9, atol=1e-12)
 
 
-def test_a_copy_goes_on_as_the_original():
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_copy_goes_on_as_the_original(engine: str):
     environment = load(
-        plant_modules=9, layout="centred", timestep=1e-4,
+        plant_modules=9, layout="centred", timestep=1e-4, engine=engine,
         disturbances=[parse_disturbance("noise:0.4")],
     )  # fmt: skip
     environment.reset()

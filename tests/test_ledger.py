@@ -54,11 +54,21 @@ def test_a_noise_of_few_numbers_does_not_tell_its_spectrum():
     assert row["delivered"]["rms"] == [0.0] * 6
 
 
-def test_a_sine_is_as_strong_as_asked():
+def test_a_sine_is_a_line():
     _, [row] = watched("sine:0.05,frequency=3,on=theta1")
     delivered = row["delivered"]
+    assert delivered["frequency"] == pytest.approx(3.0, rel=1e-4)
+    assert delivered["share_in_line"] > 0.999
     assert delivered["rms"][3] == pytest.approx(0.05 / np.sqrt(2.0), rel=1e-6)
     assert delivered["peak"] == pytest.approx([0, 0, 0, 0.05, 0, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize("frequency", [2.7, 11.31])
+def test_a_frequency_need_not_fit_the_run(frequency: float):
+    _, [row] = watched(f"sine:0.05,frequency={frequency},on=tip-y", period=0.005)
+    assert row["delivered"]["frequency"] == pytest.approx(frequency, rel=0.01)
+    _, [row] = watched(f"sine:0.05,frequency={frequency}", duration=1.0 / frequency)
+    assert "frequency" not in row["delivered"]  # one period does not tell
 
 
 def test_a_pulse_is_there_from_its_beginning_to_its_end():

@@ -93,6 +93,16 @@ class Variable:
         return float(bare[0]) if bare.size else None
 
 
+def linear(constant: float, *slopes: float) -> Callable[..., np.ndarray]:
+    """The consequent z = constant + slopes[0] x + .., eq (46), shape (...) as the inputs."""
+
+    def z(*inputs: np.ndarray) -> np.ndarray:
+        terms = (slope * x for slope, x in zip(slopes, inputs, strict=True))
+        return np.asarray(sum(terms, start=constant))
+
+    return z
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class FuzzySystem:
     """Rules over some inputs; what they conclude is up to the kind of system.

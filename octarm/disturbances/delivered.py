@@ -118,6 +118,27 @@ class Record:
         corner = float(frequency[below[0]]) if below.size else math.nan
         return {"hold": dt * hold, "corner": corner}
 
+    def line(self) -> dict[str, float]:
+        """`frequency` of the strongest line [Hz], and `share_in_line`, the power around it [1].
+
+        A force on the tip acts on each coordinate by a lever that moves; all of them count alike.
+        There is nothing for less than two periods.
+        """
+        rows = np.stack(self._rows)
+        moving = rows[:, np.std(rows, axis=0) > 0.0]
+        if moving.shape[1] == 0:
+            return {}
+        moving = (moving - moving.mean(axis=0)) / moving.std(axis=0)
+        spectrum = np.fft.rfft(moving * np.hanning(len(moving))[:, None], axis=0)
+        power = np.sum(np.abs(spectrum) ** 2, axis=1)
+        at = int(np.argmax(power))
+        if not 2 <= at < len(power) - 1:
+            return {}  # less than two periods do not show a frequency
+        low, top, high = np.log(power[at - 1 : at + 2] + 1e-300)
+        peak = at + 0.5 * (low - high) / (low - 2.0 * top + high)
+        share = float(np.sum(power[at - 2 : at + 3]) / np.sum(power))
+        return {"frequency": peak / (self._timestep * len(rows)), "share_in_line": share}
+
 
 class Measured(NamedTuple):
     """What was measured of one disturbance during an episode of one arm.

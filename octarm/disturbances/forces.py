@@ -114,6 +114,7 @@ class SineForce(_PushForce):
     """
 
     name: ClassVar[str] = "sine"
+    units: ClassVar[Mapping[str, str]] = {"frequency": "Hz"}
     amplitude: Size
     frequency: Annotated[Amount, Quantity("Hz", above=0.0)] = 1.0
     phase: Annotated[Amount, PHASE] = 0.0
@@ -130,6 +131,11 @@ class SineForce(_PushForce):
             )
         box, omega = super()._size(values, timestep), 2.0 * np.pi * values["frequency"]
         return functools.partial(_sine, box, omega, values["phase"], values["at"], timestep)
+
+    def delivered(self, measured: Measured) -> dict[str, Any]:
+        """How strong it was, its frequency and how pure it was."""
+        sizes = measured.signal.sizes() | measured.signal.line()
+        return sizes | {"unexplained": measured.unexplained}
 
 
 def _sine(

@@ -8,10 +8,11 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import io
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -26,7 +27,6 @@ from octarm.references.hanging import Hanging
 from octarm.references.motions import Spline
 from octarm.references.named import NamedReference
 from octarm.references.wanted import REAL
-from octarm.units import NUMBER
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -99,24 +99,40 @@ def _arrays(file: Path) -> dict[str, np.ndarray]:
 
 def _table(file: Path, modules: int | None) -> dict[str, np.ndarray]:
     """The columns of a CSV file by name, shapes (K,), those without a name for any arm if None."""
-    lines = read_bytes(file).decode("utf-8-sig", "replace").splitlines()
-    lines = [line for line in lines if line.strip() and not line.startswith("#")]
-    names = [word.strip() for word in lines[0].split(",")] if lines else []
-    if names and NUMBER.fullmatch(names[0]):
+    text = read_bytes(file).decode("utf-8-sig", "replace")
+    lines = csv.reader(io.StringIO(text))
+    try:
+        rows = [(lines.line_num, row) for row in lines if row and not row[0].startswith("#")]
+    except csv.Error as error:
+        raise OctarmError(f"{file}, line {lines.line_num}: {error}") from None
+    if not rows:
+        raise OctarmError(f"{file} holds no samples")
+    names = [word.strip() for word in rows[0][1]]
+    if _is_number(names[0]):
         names = ["t", *coordinate_names(len(names) // 2 if modules is None else modules)]
     else:
-        lines = lines[1:]
-    if not lines:
-        raise OctarmError(f"{file} holds no samples")
+        rows = rows[1:]
     if len(set(names)) < len(names):
         raise OctarmError(f"{file} has two columns of the same name")
-    try:
-        table = np.loadtxt(lines, delimiter=",", ndmin=2)
-    except ValueError as error:
-        sentence = str(error).partition(";")[0].rstrip(".")
-        raise OctarmError(f"{file}, below the names: {sentence}") from None
-    if table.shape[-1] != len(names):
+    table = np.array([_numbers(file, line, row, names) for line, row in rows])
+    return dict(zip(names, table.reshape(-1, len(names)).T, strict=True))
+
+
+def _numbers(file: Path, line: int, row: Sequence[str], names: Sequence[str]) -> list[float]:
+    if len(row) != len(names):
         raise OctarmError(
-            f"{file} has {table.shape[-1]} columns; it must have {len(names)}: {', '.join(names)}"
+            f"{file}, line {line} has {len(row)} values; it must have {len(names)}: "
+            f"{', '.join(names)}"
         )
-    return dict(zip(names, table.T, strict=True))
+    for word in row:
+        if not _is_number(word):
+            raise OctarmError(f"{file}, line {line} has {quoted(word)}; it must be a number")
+    return [float(word) for word in row]
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -85,7 +85,8 @@ class TipPath(NamedReference):
         across = arm.bend() * np.sum(p.rest_length) / 0.36  # [m] that the nominal arm has
         if self.path == "line" and self.angle == 0.0:
             return 0.04 * float(across)
-        return float(0.04 * np.minimum(across, np.sum(arm.slide()) / 3.0))
+        usual = 0.04 * np.minimum(across, np.sum(arm.slide()) / 3.0)
+        return float(np.minimum(usual, 0.5 * _smooth_until(p, arm.rest)))
 
     def place(self, rounds: np.ndarray) -> np.ndarray:
         """Where the tip is after so many rounds, shape (K,) [1], in sizes, shape (K, 2) [1].
@@ -167,6 +168,17 @@ def _curvature(p: ArmParameters, q: np.ndarray, pull: np.ndarray) -> np.ndarray:
 def _weights(p: ArmParameters) -> np.ndarray:
     """The diagonal of W, shape (2N,) [1/m^2], [1/rad^2]."""
     return np.concatenate([1.0 / np.square(p.rest_length), np.ones(p.modules)])
+
+
+def _smooth_until(p: ArmParameters, rest: np.ndarray) -> float:
+    """How far up the tip of a straight arm goes before the closest poses are bent ones [m].
+
+    As a column that buckles they may then bend to either side, and jump between both.
+    """
+    n = p.modules
+    up = _curvature(p, rest[None], np.array([[-1.0, 0.0]]))[0, n:, n:]
+    with np.errstate(divide="ignore"):
+        return float(np.sum(np.square(p.rest_length)) / np.max(np.linalg.eigvalsh(up)))
 
 
 def _check(p: ArmParameters, q: np.ndarray, solved: np.ndarray, ways: np.ndarray) -> None:

@@ -7,9 +7,10 @@ the same bits whatever the batch, the threads and the processor.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from octarm.arm.mjcf import physics_step
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Entry
 from octarm.disturbances.episode import Plant
+from octarm.simulation.exclusive import Exclusive
 from octarm.simulation.lagrange_kernel import LANES, rk4_step, work_space
 from octarm.simulation.stepping import AnyPhysics
 
@@ -67,6 +69,18 @@ class LagrangePhysics(AnyPhysics):
             for i in range(1, len(self._rest)):
                 self._rest[i] = equilibrium(parameters.arm(i))
         self.reset()
+
+    def __getstate__(self) -> dict[str, Any]:
+        hidden = ("_pool", "watch", "exclusive")
+        return {name: value for name, value in self.__dict__.items() if name not in hidden}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.exclusive = Exclusive()
+
+    def copy(self) -> LagrangePhysics:
+        """Physics in the same state, with the same actuation, inputs and disturbances."""
+        return copy.deepcopy(self)
 
     def reset(self) -> None:
         """All arms to zero, undisturbed and with no input."""
