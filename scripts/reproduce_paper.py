@@ -2,8 +2,8 @@
 
 Run it: python scripts/reproduce_paper.py [--quick] [--out DIR]
 Below 20 minutes of processor time, or 100 s with --quick, on the engine `lagrange`, which is the
-default where it is installed; two hours on `mujoco`. Run it again with --resume, and it goes on where
-it was interrupted. `--publish` also renews .readme/ and the claims in README.md, by MuJoCo.
+default where it is installed; two hours on `mujoco`. Run it again with --resume, and it goes on
+where it was interrupted. `--publish` also renews .readme/ and the claims in README.md, by MuJoCo.
 """
 
 import argparse
