@@ -26,10 +26,13 @@ from octarm.files import write_files, write_text
 
 # The keys of --from-rod; what tapers has a number at the base and one at the tip.
 _ROD: dict[str, Any] = {
-    name: Quantity(**dataclasses.asdict(kind), each=name in PROFILES)
-    for name, kind in PROPERTIES.items()
+    **{
+        name: Quantity(**dataclasses.asdict(kind), each=name in PROFILES)
+        for name, kind in PROPERTIES.items()
+    },
+    "modules": Quantity("1"),
+    "layout": Words(),
 }
-_ROD |= {"modules": Quantity("1"), "layout": Words()}
 
 
 def arm(
