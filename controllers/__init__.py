@@ -116,8 +116,11 @@ def make_controller(
         OctarmError: for an unknown name or gain set, or a gain that is unknown or invalid.
     """
     law: Any = CONTROLLERS[name]
-    if name not in CONTROLLERS and gain_set is None:  # no gains are shipped for it
-        gain_set = "recommended"
+    if name not in CONTROLLERS:  # no gains are shipped for it
+        if gain_set == "tuned":
+            lacks = "comes without tuned gains; `octarm tune` finds some"
+            raise OctarmError(f"{short_name(name)} {lacks}")
+        gain_set = "recommended" if gain_set is None else gain_set
     model = LagrangeModel(nominal) if isinstance(nominal, ArmParameters) else nominal
     given, known = dict(gains or {}), _gains_of(law)
     starting: dict[str, Any] = {

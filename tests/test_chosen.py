@@ -237,4 +237,4 @@ def test_the_command_records_after_the_sweep_and_when_it_goes_on(tmp_path, capsy
 
     monkeypatch.setattr(episodes, "run_into", interrupted)
     assert main([*command, "--resume"]) == 130
-    assert capsys.readouterr().err.strip().endswith("--workers 1 --resume goes on")
+    assert capsys.readouterr().err.strip().endswith("--workers=1 --resume goes on")

@@ -186,14 +186,6 @@ def test_a_run_records_its_step_and_integrator_and_verify_repeats_them(tmp_path)
     assert not (tmp_path / "no").exists()
 
 
-def test_what_grows_by_itself_is_said_of_a_run_that_diverged(tmp_path, capsys):
-    words = ["run", "--parameter", "gravity:-9.81", "--parameter", "width:0.01"]
-    words += ["--disturbance", "noise:0.1"]
-    words += ["--gain", "K_p:1e-9", "--gain", "K_d:1e-9", "--controller", "pd", "--duration", "5"]
-    assert parse([*words, "--out", str(tmp_path / "run")])() == 3
-    assert "a mode grows e-fold in" in capsys.readouterr().err
-
-
 SWEEP = """
 episodes = 2
 duration = 0.01

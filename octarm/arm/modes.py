@@ -86,13 +86,6 @@ def rate_bound(p: ArmParameters, q: np.ndarray) -> np.ndarray:
         return 0.5 * (b + np.sqrt(b * b + 4.0 * k))
 
 
-def growth_rate(p: ArmParameters, q: np.ndarray) -> np.ndarray:
-    """How fast the fastest growing mode at q grows, shape (...) [1/s]; 0 where none does."""
-    eigenvalues = rates(p, q)
-    speed = np.real(eigenvalues)
-    return np.max(np.where(speed > _GROWING * np.abs(eigenvalues), speed, 0.0), axis=-1)
-
-
 def longest_step(p: ArmParameters, q: np.ndarray, integrator: str = "rk4") -> np.ndarray:
     """The longest step at which no mode at q grows that does not grow by itself, shape (...) [s].
 
