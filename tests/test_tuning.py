@@ -424,7 +424,7 @@ def test_the_command_writes_gains_and_how_they_were_found(capsys):
     longest = max(values(SCENARIOS, "period")) / LagrangeModel(P).time_scale
     assert content["arm"]["control_period"] == pytest.approx(longest, rel=1e-3)
     tuning = content["tuning"]
-    assert tuning["command"] == "octarm tune smc --seed=5"
+    assert tuning["command"] == "octarm tune smc --budget 16000 --seed 5"
     assert tuning["date"] == datetime.date.today()
     assert (tuning["seed"], tuning["candidates"]) == (5, 20)
     assert tuning["objective"].startswith(
@@ -469,7 +469,8 @@ def test_an_interrupted_command_goes_on(capsys, monkeypatch):
     monkeypatch.setattr(StateFile, "write", interrupted)
     assert cli.main(arguments) == 130
     assert capsys.readouterr().err == (
-        "octarm: interrupted; go on by: octarm tune smc --seed=5 --out=smc.toml --resume\n"
+        "octarm: interrupted; go on by: octarm tune smc --budget 16000 --seed 5 "
+        "--out=smc.toml --resume\n"
     )
     assert [path.name for path in Path().iterdir()] == ["smc.toml.state"]
     assert cli.main(arguments) == 2

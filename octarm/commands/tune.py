@@ -100,7 +100,8 @@ def _with_gains(
 
 def _command(controller: str, options: TuneOptions, *more: str) -> str:
     """The command line that finds the same gains."""
-    words = spelt(options, "out", "resume", "force", "workers")
+    words = ["--budget", f"{options.budget:g}", "--seed", str(options.seed)]
+    words += spelt(options, "out", "resume", "force", "workers", "budget", "seed")
     return shlex.join(["octarm", "tune", controller, *words, *more])
 
 
