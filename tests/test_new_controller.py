@@ -41,7 +41,7 @@ class Follower(Law):
         GainField(
             "what an error is answered with",
             "N/m, N m/rad",
-            lambda nominal: np.where([u == "m" for u in nominal.units], 2000.0, 20.0),
+            lambda nominal: [{"m": 2000.0, "rad": 20.0}[unit] for unit in nominal.units],
             Knob("pull", high=2.0, apart=True),
             zero=True,
         ),
