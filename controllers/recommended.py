@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from controllers.law import GainField
-from controllers.scaling import Scales, along, unit
+from controllers.scaling import GainScales, along, unit
 from octarm.interfaces import Knob, NominalModel
 
-SET_FOR = Scales(  # the arm of models/octarm.xml
+SET_FOR = GainScales(  # the arm of models/octarm.xml
     scale=np.array([0.12, 0.12, 0.12, 1.0, 1.0, 1.0]),  # [m], [rad]
     time_scale=np.array(0.006505611964237445),  # [s]
     force_scale=np.array(  # [N], [N m]

@@ -19,7 +19,7 @@ from octarm.errors import OctarmError, quoted
 from octarm.interfaces import NominalModel
 
 
-class Scales(NamedTuple):
+class GainScales(NamedTuple):
     """What gains are scaled by; an `octarm.interfaces.NominalModel` has the same.
 
     Attributes:
@@ -78,7 +78,7 @@ def _exponents(product: ast.expr) -> np.ndarray:
             raise ValueError
 
 
-def unit(units: str, arm: Scales | NominalModel) -> np.ndarray:
+def unit(units: str, arm: GainScales | NominalModel) -> np.ndarray:
     """The value of 1 in SI, shape () where at most time counts, for one arm, else (..., 2N).
 
     Of a batch where only time counts it has the shape (..., 1). Raises OctarmError if the units

@@ -223,7 +223,7 @@ def test_a_law_without_a_slope_is_asked_to_track():
     assert plants.tracking(usual, 3, 0.001, LAGRANGE)["error"] <= plants.TRACKED
 
 
-def outcomes(variant, rate: float, duration: float) -> list[runs.Outcome]:
+def outcomes(variant, rate: float, duration: float) -> list[runs.Descent]:
     request = runs.Request("run", variant, BENDS, duration, runs.LYAPUNOV, runs.counts, rate=rate)
     return runs.outcomes(request, request.perform())
 

@@ -24,7 +24,7 @@ from paper.claims import (
 )  # fmt: skip
 from paper.evidence import Evidence, interval
 from paper.plants import longest
-from paper.runs import Cost, Outcome, Series
+from paper.runs import Cost, Descent, Series
 from paper.studies import BENDS, FULL, MODELS, NOISE, SLIDES, Cell
 from paper.tables import Table, as_csv, best, grid, plants, plants_ranking
 from paper.variants import (
@@ -245,7 +245,7 @@ def test_oscillations(smc: float, ours: float, expected: Verdict):
 
 
 def outcome(*, label: str = "afsmc", outside: int = 0, inside: int = 0, lost: bool = False):
-    return Outcome(
+    return Descent(
         label=label, reference=BENDS, rate=2000.0, mismatch=0.0, covered=True, outside=100,
         grown_outside=outside, late=0, inside=5000, grown_inside=inside, start=1.0, bound=0.1,
         diverged=lost,
@@ -263,7 +263,7 @@ def outcome(*, label: str = "afsmc", outside: int = 0, inside: int = 0, lost: bo
         ([], FAILS),
     ],
 )
-def test_stability(outcomes: list[Outcome], expected: Verdict):
+def test_stability(outcomes: list[Descent], expected: Verdict):
     assert judged("stability", evidence(outcomes=outcomes)) == expected
 
 

@@ -11,7 +11,7 @@ from octarm.arm.groups import groups_of
 from octarm.checks.stability import LoopAtRest, linear_plant, loop_at_rest
 from octarm.commands import loops
 from octarm.commands.cli import main
-from octarm.commands.loops import Row, loops_of
+from octarm.commands.loops import LoopRow, loops_of
 from octarm.reports.frame import read_episodes
 
 LAW = """
@@ -52,7 +52,7 @@ def made(tmp_path_factory) -> Path:
     return folder
 
 
-def rows(folder: Path, *, run_code: bool = False) -> dict[tuple[str, str], loops.Row]:
+def rows(folder: Path, *, run_code: bool = False) -> dict[tuple[str, str], loops.LoopRow]:
     found = loops_of(folder / "s", read_episodes(folder / "s"), run_code)
     return {(row.controller, row.where["plant_modules"]): row for row in found.rows}
 
@@ -131,5 +131,5 @@ def test_disturbances_excuse_only_what_they_can_do(
     longest: float, poor: int, disturbed: bool, judged: bool, agrees: bool
 ):
     loop = LoopAtRest(period=5e-4, radius=0.9 if longest > 5e-4 else 1.1, longest=longest)
-    row = Row("pd", {}, loop, episodes=8, diverged=0, poor=poor, disturbed=disturbed)
+    row = LoopRow("pd", {}, loop, episodes=8, diverged=0, poor=poor, disturbed=disturbed)
     assert (row.judged, row.agrees) == (judged, agrees)

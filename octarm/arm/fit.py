@@ -42,7 +42,7 @@ _PRIOR = 0.01  # weight of the logarithm of such a ratio
 _PERIODS, _SAMPLES = 3.0, 150  # of the transients
 
 
-class Row(NamedTuple):
+class FitRow(NamedTuple):
     """One quantity of the fine chain, for a transient its final value, and the errors of others.
 
     `before` and `after` are the relative errors [1] of the lumped chain, from which the search
@@ -63,7 +63,7 @@ class Fit:
 
     parameters: ArmParameters
     start: ArmParameters
-    rows: tuple[Row, ...]
+    rows: tuple[FitRow, ...]
 
     def rms(self, kind: str) -> tuple[float, float]:
         """The rms of the errors of one kind, before and after [1]."""
@@ -143,7 +143,7 @@ def _residuals(errors: Behaviour) -> list[np.ndarray]:
     return [part / np.sqrt(part.size) for part in parts]
 
 
-def _rows(right: Behaviour, before: Behaviour, after: Behaviour) -> Iterator[Row]:
+def _rows(right: Behaviour, before: Behaviour, after: Behaviour) -> Iterator[FitRow]:
     m = len(right.weight) - 2
     loads = ["force along", "force across", *(f"couple {b + 1}" for b in range(m))]
     outputs = ["tip along", "tip across", *(f"plate {b + 1}" for b in range(m))]
@@ -155,19 +155,19 @@ def _rows(right: Behaviour, before: Behaviour, after: Behaviour) -> Iterator[Row
             continue
         unit = "1/N" if i < 2 <= j else per[j]
         errors = (float(e.compliance[i, j]) for e in (before, after))
-        yield Row("statics", f"{outputs[i]}, {loads[j]}", value, unit, *errors)
+        yield FitRow("statics", f"{outputs[i]}, {loads[j]}", value, unit, *errors)
     for i, output in enumerate(outputs):
         errors = (float(e.weight[i]) for e in (before, after))
         what = f"{output}, weight {'across' if i else 'along'}"
-        yield Row("statics", what, float(right.weight[i]), "m" if i < 2 else "rad", *errors)
+        yield FitRow("statics", what, float(right.weight[i]), "m" if i < 2 else "rad", *errors)
     modes = [*(f"bending {k + 1}" for k in range(len(right.frequencies) - 1)), "stretching 1"]
     for k, mode in enumerate(modes):
         errors = (float(np.expm1(e.frequencies[k])) for e in (before, after))
-        yield Row("modes", mode, float(right.frequencies[k]), "Hz", *errors)
+        yield FitRow("modes", mode, float(right.frequencies[k]), "Hz", *errors)
     for k, i in enumerate((0, 1, m + 1)):
         errors = (
             float(np.linalg.norm(e.response[k])) / len(e.response[k]) ** 0.5
             for e in (before, after)
         )
         what = f"{outputs[i]}, step of {loads[i]}"
-        yield Row("transient", what, float(right.finals[k]), per[i], *errors)
+        yield FitRow("transient", what, float(right.finals[k]), per[i], *errors)

@@ -21,7 +21,7 @@ from octarm.arm import lagrange
 from octarm.arm.actuation import GroundedActuation, InternalActuation
 from octarm.arm.kinematics import tip_force
 from octarm.arm.parameters import ArmParameters
-from octarm.checks.free_motion import Motion, fastest_rate, reference_motion
+from octarm.checks.free_motion import FreeMotion, fastest_rate, reference_motion
 from octarm.checks.mechanics import levers
 from octarm.disturbances.forces import PulseForce, SineForce, StepForce
 from octarm.disturbances.plant import Payload
@@ -80,13 +80,13 @@ def references(p: ArmParameters) -> np.ndarray:
     return reference_motion(arms, start, np.zeros_like(start), force, times)
 
 
-def driven(model: mujoco.MjModel, p: ArmParameters, reference: np.ndarray) -> dict[str, Motion]:
+def driven(model: mujoco.MjModel, p: ArmParameters, reference: np.ndarray) -> dict[str, FreeMotion]:
     """The motions of DRIVEN, with the references of `references`, shape (SAMPLES + 1, 8, 2N)."""
     tau, still = inputs(p), np.zeros(p.coordinates)
-    out: dict[str, Motion] = {}
+    out: dict[str, FreeMotion] = {}
     for i, name in enumerate(DRIVEN):
         ctrl = _KINDS[i // 2](p.widths).ctrl(tau[:, i])
-        out[name] = Motion(model, p, still, reference[:, i], DURATION, ctrl)
+        out[name] = FreeMotion(model, p, still, reference[:, i], DURATION, ctrl)
     return out
 
 

@@ -100,7 +100,7 @@ def reference_motion(
     return out[:, 0]
 
 
-class Motion(NamedTuple):
+class FreeMotion(NamedTuple):
     """An arm in motion, and how it moves by the analytic equations.
 
     Attributes:

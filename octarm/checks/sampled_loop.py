@@ -272,7 +272,7 @@ class Loop:
         return stable
 
 
-class Mode(NamedTuple):
+class LoopMode(NamedTuple):
     """What a loop does in the direction in which it grows fastest, or decays slowest.
 
     Attributes:
@@ -290,7 +290,7 @@ class Mode(NamedTuple):
     plant_frequency: float
 
 
-def first_mode(loop: Loop, period: float) -> Mode:
+def first_mode(loop: Loop, period: float) -> LoopMode:
     """The mode of a loop that grows fastest at a control period [s]."""
     values, vectors = np.linalg.eig(loop.matrix(period))
     worst = int(np.argmax(np.abs(values)))
@@ -301,7 +301,7 @@ def first_mode(loop: Loop, period: float) -> Mode:
     size = np.sqrt(np.sum(plant.inertia[:, None] * np.abs(shapes) ** 2, axis=0))
     most = int(np.argmax(np.abs(np.linalg.solve(shapes, state[n:])) * size))
     square = np.real(squares)
-    return Mode(
+    return LoopMode(
         radius=float(np.abs(values[worst])),
         frequency=abs(float(np.angle(values[worst]))) / (2.0 * math.pi * period),
         coordinate=plant.names[int(np.argmax(energy))],

@@ -10,7 +10,14 @@ from octarm.arm.groups import Groups
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.summary import milliseconds
-from octarm.checks.sampled_loop import LONGEST, LinearPlant, Loop, Mode, NoSlopeError, first_mode
+from octarm.checks.sampled_loop import (
+    LONGEST,
+    LinearPlant,
+    Loop,
+    LoopMode,
+    NoSlopeError,
+    first_mode,
+)
 from octarm.errors import OctarmError
 from octarm.interfaces import Controller
 
@@ -30,7 +37,7 @@ class LoopAtRest:
     period: float
     radius: float = math.nan
     longest: float = math.nan
-    mode: Mode | None = None
+    mode: LoopMode | None = None
     reason: str = ""
 
     @property

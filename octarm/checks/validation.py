@@ -172,7 +172,7 @@ def _compare_free_motion(
 ) -> Iterator[Check]:
     q, v = free_motion.initial_motion(p, rng)
     reference = free_motion.reference_motion(p, q, v)
-    motion = free_motion.Motion(model, p, v, reference, free_motion.DURATION)
+    motion = free_motion.FreeMotion(model, p, v, reference, free_motion.DURATION)
     error = motion.error(_RK4, round(motion.duration / model.opt.timestep))
     yield Check("free motion against DOP853, RK4", error, 1e-6, unit="m")
     yield from _compare_orders("order of convergence", motion)
@@ -196,7 +196,7 @@ def _compare_forced_motion(model: mujoco.MjModel, p: ArmParameters) -> Iterator[
         yield Check(f"order with a {what}, RK4", order, high, low)
 
 
-def _compare_orders(what: str, motion: free_motion.Motion) -> Iterator[Check]:
+def _compare_orders(what: str, motion: free_motion.FreeMotion) -> Iterator[Check]:
     for name, integrator in mujoco.mjtIntegrator.__members__.items():
         order = motion.observed_order(integrator)
         low, high = (3.7, 4.5) if integrator == _RK4 else (0.8, 1.2)

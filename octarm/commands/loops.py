@@ -35,7 +35,7 @@ _AXES = (ARM, LAYOUT, PLANT_MODULES, "mismatch")
 _UNRUN = "a report runs no code of your own unless --run-code is given"
 
 
-class Row(NamedTuple):
+class LoopRow(NamedTuple):
     """One controller on one plant.
 
     Attributes:
@@ -83,7 +83,7 @@ class Loops(NamedTuple):
         drawn: whether the mismatch of the models was drawn, so that the rows have exact models.
     """
 
-    rows: list[Row]
+    rows: list[LoopRow]
     planned: int
     period: float
     drawn: bool
@@ -126,7 +126,7 @@ class Loops(NamedTuple):
         return Table(head, [_cells(row) for row in self.rows], group)
 
 
-def _cells(row: Row) -> list[Cell]:
+def _cells(row: LoopRow) -> list[Cell]:
     loop, where = row.loop, [", ".join(map(" ".join, row.where.items()))]
     kind = "even" if row.agrees else "bad"
     diverged = [f"{row.diverged} diverged"] if row.diverged else []
@@ -156,7 +156,7 @@ def loops_of(folder: Path, episodes: Episodes, run_code: bool) -> Loops:
     def plant(arm: str, modules: int | None, layout: str) -> LinearPlant:
         return linear_plant(spec.arm(arm), spec.groups(arm, modules, layout))
 
-    def row(which: int, name: str, *places: tuple[int, Any]) -> Row:
+    def row(which: int, name: str, *places: tuple[int, Any]) -> LoopRow:
         value: dict[str, Any] = {a.name: x for a, (_, x) in zip(axes, places, strict=True)}
         arm, here, where = value.get(ARM, ""), episodes.controller == which, dict[str, str]()
         for axis, (level, _) in zip(axes, places, strict=True):
@@ -174,7 +174,7 @@ def loops_of(folder: Path, episodes: Episodes, run_code: bool) -> Loops:
             int(np.sum(x[here])) for x in (here, episodes.diverged, episodes.poor)
         )
         label, disturbed = episodes.controllers[which], bool(spec.disturbances)
-        return Row(label, where, loop, all_of, diverged, poor, disturbed)
+        return LoopRow(label, where, loop, all_of, diverged, poor, disturbed)
 
     asked: Any = itertools.product(*map(enumerate, values), enumerate(spec.controllers))
     rows = [row(*law, *places) for *places, law in itertools.islice(asked, _MOST)]

@@ -21,7 +21,7 @@ _SETTINGS = (
 _UNITS = {"duration": "s", "settle": "s", "timestep": "s", "control_period": "s"}
 
 
-class Difference(NamedTuple):
+class Contrast(NamedTuple):
     """Something in which runs differ.
 
     Attributes:
@@ -55,13 +55,13 @@ class Compared:
         self.verdict = verdict(self.differences)
 
 
-def differences(descriptions: Sequence[Mapping[str, Any]]) -> list[Difference]:
+def differences(descriptions: Sequence[Mapping[str, Any]]) -> list[Contrast]:
     """In what runs differ, whose `run.json` is given; gains only where the controller is the same.
 
     The seed belongs to the task where there are disturbances, which draw from it.
     """
     tables = [dict(_aspects(description)) for description in descriptions]
-    differing: list[Difference] = []
+    differing: list[Contrast] = []
     for name in dict.fromkeys(name for table in tables for name in table):
         values = [table.get(name) for table in tables]
         law = name.startswith("gain ") and any(d.name == "controller" for d in differing)
@@ -73,11 +73,11 @@ def differences(descriptions: Sequence[Mapping[str, Any]]) -> list[Difference]:
         task = not name.startswith(_OF_THE_LAW)
         if name in ("seed", "spawn_key"):
             task = any(each.get("disturbances") or "start" in each for each in descriptions)
-        differing.append(Difference(name.replace("_", " ") + _unit(name), texts, task))
+        differing.append(Contrast(name.replace("_", " ") + _unit(name), texts, task))
     return differing
 
 
-def verdict(differing: Sequence[Difference]) -> str:
+def verdict(differing: Sequence[Contrast]) -> str:
     """One sentence on whether runs with these differences can be ranked."""
     task = [difference.name for difference in differing if difference.of_the_task]
     if task:

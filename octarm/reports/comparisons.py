@@ -29,7 +29,7 @@ from octarm.reports.statistics import (
 TABLES = ("medians.csv", "failures.csv", "differences.csv", "cells.csv")
 
 
-class Difference(NamedTuple):
+class PairedDifference(NamedTuple):
     """A controller against the baseline: pairs of episodes of the same seed and cell.
 
     Attributes:
@@ -74,7 +74,7 @@ class Group(NamedTuple):
     failures: Interval
     medians: Interval
     seeds: np.ndarray
-    difference: Difference | None
+    difference: PairedDifference | None
 
     @property
     def label(self) -> str:
@@ -151,14 +151,14 @@ def compare(episodes: Episodes, baseline: str | None = None) -> Comparisons:
     return Comparisons(episodes, selected, tuple(groups), cells)
 
 
-def _difference(episodes: Episodes, rows: np.ndarray, partner: np.ndarray) -> Difference:
+def _difference(episodes: Episodes, rows: np.ndarray, partner: np.ndarray) -> PairedDifference:
     mine, other = rows[partner >= 0], partner[partner >= 0]
     zero_best = [measure.declared.zero_best for measure in episodes.measures]
     compared = np.where(zero_best, np.abs(episodes.values), episodes.values)
     fell, partner_fell = episodes.diverged[mine], episodes.diverged[other]
     signs = np.array([measure.sign for measure in episodes.measures])
     measured = paired(compared[mine], compared[other], episodes.seed[mine], signs)
-    return Difference(
+    return PairedDifference(
         measured=measured,
         pairs=len(mine),
         alone=int(np.sum(fell & ~partner_fell)),

@@ -12,7 +12,7 @@ import numpy as np
 from octarm.html import Cell, Table, templates
 from octarm.palette import look_of
 from octarm.reports.charts import Scale, scales_of
-from octarm.reports.comparisons import Comparisons, Difference, Group
+from octarm.reports.comparisons import Comparisons, Group, PairedDifference
 from octarm.reports.consistency import Remark
 from octarm.reports.factors import Factor
 from octarm.reports.figures import Picture
@@ -162,7 +162,7 @@ def _estimate(
     return text, ["no spread" if low == value == high else ends]
 
 
-def _judged(difference: Difference, j: int, sign: int) -> str:
+def _judged(difference: PairedDifference, j: int, sign: int) -> str:
     """The style of a difference, which is better or worse when it is unlikely to be chance."""
     sure = difference.chance[j] <= 1.0 - CONFIDENCE + 1e-12  # not for NaN
     value = sign * difference.measured.difference.value[j]

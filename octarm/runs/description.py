@@ -36,7 +36,7 @@ class _Disturbance(_Named):
     drawn: Drawn | None = None
 
 
-class Plant(_Table):
+class FinerPlant(_Table):
     """Which plant of more modules it was, see `octarm.arm.groups`."""
 
     modules: Annotated[int, Field(ge=1)]
@@ -57,7 +57,7 @@ class Description(_Table):
     parameters: dict[str, Any]
     reference: _Named
     code: dict[str, Code] = Field(default_factory=dict)
-    plant: Plant | None = None
+    plant: FinerPlant | None = None
     settle: Annotated[FiniteFloat, Field(ge=0.0)] = SETTLED_AFTER
     start: str = REST
     start_share: FiniteFloat = SHARE

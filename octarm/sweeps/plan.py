@@ -28,7 +28,7 @@ _MOST_SHARDS = 100_000
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Arms(Setup):
+class EpisodeArms(Setup):
     """All that makes episodes what they are: of arms that share a batch, or of one arm alone.
 
     See `octarm.load` for what is not said here.
@@ -109,13 +109,13 @@ class Plan:
         drawn = self._drawn(int(seeds.max()) + 1) if self.spec.random else {}
         return gridded | {name: column[seeds] for name, column in drawn.items()}
 
-    def arms(self, episodes: npt.ArrayLike) -> Arms:
+    def arms(self, episodes: npt.ArrayLike) -> EpisodeArms:
         """Episodes of one shard, given by their numbers, shape (n,)."""
         numbers, spec = np.asarray(episodes), self.spec
         values = {name: _common(column) for name, column in self.values(numbers).items()}
         alike = [field.name for field in dataclasses.fields(Setup) if field.name in SETTINGS]
         arm = values.get(ARM, "")
-        return Arms(
+        return EpisodeArms(
             episodes=numbers,
             batch=len(numbers),
             controller=values["controller"],
@@ -132,7 +132,7 @@ class Plan:
             **{name: values[name] for name in PLANT if name in values},
         )
 
-    def episode(self, number: int) -> Arms:
+    def episode(self, number: int) -> EpisodeArms:
         """One episode, to be run alone; raises OctarmError if there is none of this number."""
         if not 0 <= number < self.episodes:
             raise OctarmError(
@@ -222,7 +222,7 @@ def with_step(spec: SweepSpec, *, probes: bool = False) -> SweepSpec:
     return dataclasses.replace(spec, timestep=step, control_period=period)
 
 
-def _longest(spec: SweepSpec, arms: Arms) -> float:
+def _longest(spec: SweepSpec, arms: EpisodeArms) -> float:
     """The longest stable step of some arms [s], or infinity for a given step that suits them."""
     groups = spec.groups(arms.arm, arms.plant_modules, arms.layout)
     batch = (len(arms.seeds),)

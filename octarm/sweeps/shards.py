@@ -27,7 +27,7 @@ from octarm.simulation.physics import BatchPhysics
 from octarm.simulation.recorder import Recorder
 from octarm.simulation.rollout import simulate
 from octarm.sweeps.engine_check import COLUMN, TipPaths, checked_episodes
-from octarm.sweeps.plan import Arms, Plan
+from octarm.sweeps.plan import EpisodeArms, Plan
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SENSING, SweepSpec
 
 Observe = Callable[[Instant], object]
@@ -61,7 +61,11 @@ def run_shard(
 
 
 def _checked_rows(
-    plan: Plan, arms: Arms, again: np.ndarray, factory: ControllerFactory, *observers: Observe
+    plan: Plan,
+    arms: EpisodeArms,
+    again: np.ndarray,
+    factory: ControllerFactory,
+    *observers: Observe,
 ) -> pa.Table:
     """The rows of arms, some of which, shape (k,), are run on MuJoCo as well.
 
@@ -87,7 +91,7 @@ def _checked_rows(
 
 def run_arms(
     plan: Plan,
-    arms: Arms,
+    arms: EpisodeArms,
     factory: ControllerFactory,
     *observers: Observe,
     duration: float | None = None,
@@ -126,7 +130,7 @@ def run_arms(
 
 
 def begin(
-    spec: SweepSpec, arms: Arms, factory: ControllerFactory
+    spec: SweepSpec, arms: EpisodeArms, factory: ControllerFactory
 ) -> tuple[control.Environment, Controller]:
     """The environment and the controller of arms that share a batch, or of one arm alone.
 

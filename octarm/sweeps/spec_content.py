@@ -149,7 +149,7 @@ class Random(Model):
     disturbance: dict[str, Any] = Field(default_factory=dict)
 
 
-class Record(Model):
+class RecordedEpisodes(Model):
     """The table `[record]`."""
 
     episodes: Array[Annotated[int, Field(ge=0)] | Annotated[str, one_of(RECORDED)]] = ()
@@ -200,5 +200,5 @@ class SpecFile(Model):
     arm: str | dict[str, Any] | None = None
     arms: dict[str, dict[str, Any]] = Field(default_factory=dict)
     model: str | dict[str, Any] | None = None
-    record: Record = Record()
+    record: RecordedEpisodes = RecordedEpisodes()
     code: dict[str, Code] = Field(default_factory=dict)

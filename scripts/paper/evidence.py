@@ -21,7 +21,7 @@ from octarm.sweeps.tune_cost import root_mean_square, weight
 from octarm.sweeps.workers import WorkerProcesses, cores
 from paper import plants, runs
 from paper.claims import Entry
-from paper.runs import Cost, Outcome, Series, name_of, outcomes
+from paper.runs import Cost, Descent, Series, name_of, outcomes
 from paper.studies import COORDINATES, MODELS, MODULES, NOISE, SCALE, Cell, Effort, Sweep, sweeps
 from paper.variants import ARM, Variant
 
@@ -52,7 +52,7 @@ class Evidence:
     # Quantities, and `diverged`, by cell and name, each in the order of its seeds, shape (seeds,).
     cells: Mapping[Cell, Mapping[str, np.ndarray]]
     series: Mapping[str, Series]  # runs over time, by name
-    outcomes: Sequence[Outcome]  # how Lyapunov functions went
+    outcomes: Sequence[Descent]  # how Lyapunov functions went
     periods: Mapping[str, Mapping[str, np.ndarray]]  # by label; see `paper.plants.searched`
     costs: Mapping[str, Cost]  # of a controller's step, by name
 

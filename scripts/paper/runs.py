@@ -206,7 +206,7 @@ def costs(variants: Mapping[str, Variant], seconds: float = 0.1) -> dict[str, Co
     return {name: Cost(many / ARMS, alone) for name, many, alone in pairs}
 
 
-class Outcome(NamedTuple):
+class Descent(NamedTuple):
     """How V went on one arm."""
 
     label: str  # of the variant
@@ -224,15 +224,15 @@ class Outcome(NamedTuple):
     diverged: bool  # whether the arm left its limits
 
 
-def outcomes(request: Request, arrays: Mapping[str, np.ndarray]) -> list[Outcome]:
+def outcomes(request: Request, arrays: Mapping[str, np.ndarray]) -> list[Descent]:
     """What `counts` gave, arm by arm."""
     place = request.variant.label, request.reference, request.rate
-    arms = zip(*(arrays[name].tolist() for name in Outcome._fields[len(place) :]), strict=True)
-    return [Outcome(*place, *arm) for arm in arms]
+    arms = zip(*(arrays[name].tolist() for name in Descent._fields[len(place) :]), strict=True)
+    return [Descent(*place, *arm) for arm in arms]
 
 
 def counts(request: Request, rows: Rows) -> dict[str, np.ndarray]:
-    """The fields of `Outcome` that differ from arm to arm, each of shape (n,)."""
+    """The fields of `Descent` that differ from arm to arm, each of shape (n,)."""
     gains, s = request.variant.gains, rows["s"]
     kinetic, v = kinetic_energy(ARM, rows["q"], s), rows["v"]
     a_r = rows["wanted_a"] - np.asarray(gains["lambda"]) * (v - rows["v_d"])
