@@ -484,7 +484,7 @@ def test_everything_by_the_command_line_and_the_same_table_however_it_is_run(
         "--metric", "./reach.py:Reach", "--bound", "largest_bend:1.2", "--seeds", "2",
         "--duration", "0.3", "--settle", "0.1", "--timestep", "0.001", "--json", "margin.json",
     )  # fmt: skip
-    assert margin.startswith("largest gust [m/s] of 0 .. 8 at which") and "(Swing, 0.3 s" in margin
+    assert margin.startswith("largest gust [m/s] of 0 .. 8 at which") and "--duration=0.3" in margin
     written = json.loads(Path("margin.json").read_text())
     assert {*written["code"]} == {"Damper", "gust", "Swing", "Reach"}
     monkeypatch.setattr(Budget, "within", classmethod(lambda cls, seconds: BUDGET))

@@ -2,13 +2,16 @@
 
 import dataclasses
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import filelock
 import numpy as np
 import pytest
 import tomlkit
@@ -48,7 +51,11 @@ class Quick:
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Quick]:
     out = tmp_path_factory.mktemp("paper")
-    run_all(VARIANTS, QUICK, out)
+    base = tmp_path_factory.getbasetemp()  # of a worker it lies in that of the session
+    shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "quick-paper"
+    with filelock.FileLock(f"{shared}.lock"):
+        run_all(VARIANTS, QUICK, shared)
+    shutil.copytree(shared, out, dirs_exist_ok=True)
     evidence = gather(VARIANTS, QUICK, out, runs.costs(VARIANTS))
     yield Quick(evidence, writeup.write_all(evidence, out, SHIPPED), out)
 

@@ -163,7 +163,7 @@ def test_the_command_prints_the_table_and_draws_figures(study, monkeypatch, tmp_
     assert "weight across, tapered" in out
     assert "PyElastica is not installed" in out
     names = {path.name for path in Path("figures").iterdir()}
-    assert names == {"convergence.png", "convergence.svg"}
+    assert names == {f"{x}.{kind}" for x in ("convergence", "release") for kind in ("png", "svg")}
     (report,) = json.loads(Path("rod.json").read_text())
     assert report["passed"]
     assert report["modules"] == list(MODULES)
