@@ -36,6 +36,11 @@ def by_hand(nominal: NominalModel, units: str, first: float, *others: float) -> 
     return along(numbers, nominal.modules, nominal.coordinates) * unit(units, nominal)
 
 
+def by_unit(nominal: NominalModel, m: float, rad: float) -> np.ndarray:
+    """One value for each slide and another one for each bend, shape (2N,) [m], [rad]."""
+    return np.array([{"m": m, "rad": rad}[unit] for unit in nominal.units])
+
+
 def apparent_mass(nominal: NominalModel) -> np.ndarray:
     """What each coordinate feels when the others are free: 1 / [D^-1]_jj, shape (..., 2N)."""
     return nominal.force_scale * nominal.time_scale * nominal.time_scale / nominal.scale

@@ -27,7 +27,7 @@ import dataclasses
 from typing import Annotated
 
 from controllers.law import Gain, GainField, Law
-from controllers.recommended import linear_gain
+from controllers.recommended import by_unit, linear_gain
 from octarm.interfaces import Command, Knob
 
 
@@ -41,7 +41,7 @@ class Follower(Law):
         GainField(
             "what an error is answered with",
             "N/m, N m/rad",
-            lambda nominal: [{"m": 2000.0, "rad": 20.0}[unit] for unit in nominal.units],
+            lambda nominal: by_unit(nominal, 2000.0, 20.0),
             Knob("pull", high=2.0, apart=True),
             zero=True,
         ),
