@@ -111,6 +111,18 @@ def test_an_engine_that_is_wrong_fails(law: str, monkeypatch: pytest.MonkeyPatch
     assert not table.passed
 
 
+@pytest.mark.parametrize(("parted", "passed"), [(60, True), (80, False)])
+def test_an_arm_is_compared_until_its_loop_magnifies_rounding(parted: int, passed: bool):
+    """The engines are 1 mm apart from instant 70 on; so is the nudged run from `parted` on."""
+    t, q = np.linspace(0.0, 1.0, 100), np.zeros((100, 20, 6))
+    apart = [np.where(np.arange(100) >= k, 1e-3, 0.0)[:, None, None] + q for k in (70, parted)]
+    one, two, nudged = ((t, x, q, q + 1.0) for x in (q, *(q + x for x in apart)))
+    nudged = nudged[0], two[1] + apart[1], *nudged[2:]
+    check = engines._check("law", one, two, nudged, np.ones(6), switches=False)
+    assert check.passed == passed
+    assert ("20 arms until rounding decides" in check.what) == (parted < 100)
+
+
 def test_an_hundredth_of_the_episodes_is_drawn_by_the_seed():
     plan = Plan(parse_spec(SPEC))
     episodes = checked_episodes(plan)
