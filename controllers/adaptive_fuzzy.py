@@ -193,7 +193,7 @@ class AdaptiveLaw(SlidingLaw):
         """A new array with one value a rule, shape (..., 2N, M), the batch contiguous."""
         rules = np.broadcast_shapes(self.alpha0.shape, self.sigma0.shape)[-1]
         shape = np.broadcast_shapes((*batch_shape, self.nominal.coordinates, rules), value.shape)
-        table = np.empty_like(value, shape=shape[::-1]).T
+        table = np.empty(shape[::-1]).T
         table[...] = value
         return table
 

@@ -35,7 +35,8 @@ def join(entries: Sequence[Entry], like: np.ndarray, *shapes: tuple[int, ...]) -
     """
     if like.ndim == 1 and sum(map(len, shapes)) == len(shapes):  # none has a batch axis
         return np.array(entries)
-    shape = np.broadcast_shapes(like.shape, *(other for other in shapes if other != like.shape))
+    others = [other for other in shapes if other != like.shape]
+    shape = np.broadcast_shapes(like.shape, *others) if others else like.shape
     out = np.empty_like(like, shape=shape, dtype=np.result_type(like, 1.0))
     for i, value in enumerate(entries):
         out[..., i] = value

@@ -133,13 +133,11 @@ def tip(q: np.ndarray) -> tuple[Entry, Entry]:
     and a cosine.
     """
     n = q.shape[-1] // 2
-    if q.ndim > 1:
-        return _tips(q)
     if n > _FEW:
-        x, y = _tips(q[None])
-        return float(x[0]), float(y[0])
+        x, y = _tips(np.atleast_2d(q))
+        return (float(x[0]), float(y[0])) if q.ndim == 1 else (x, y)
     entries = split(q)
-    x, y, phi = entries[0], 0.0, 0.0
+    x, y, phi = entries[0], entries[0] - entries[0], 0.0  # y is an entry, too
     for i, theta in enumerate(entries[n:-1], 1):
         phi = phi + theta
         half = np.tan(0.5 * phi)
@@ -150,7 +148,7 @@ def tip(q: np.ndarray) -> tuple[Entry, Entry]:
 
 
 def _tips(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same for arms side by side: all modules at once, added up in the same order."""
+    """The same for arms of many modules: all of them at once, added up in the same order."""
     n = q.shape[-1] // 2
     s, phi = q.T[:n], np.add.accumulate(q.T[n:-1], axis=0)
     half = np.tan(0.5 * phi)

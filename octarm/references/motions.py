@@ -87,11 +87,17 @@ class MultiSine:
 
     def __call__(self, t: float) -> Reference:
         """Desired motion at time t [s]."""
-        total = self.tones[0](t)
-        for tone in self.tones[1:]:
-            part = tone(t)
-            total = Reference(total.q + part.q, total.v + part.v, total.a + part.a)
-        return total
+        return Reference(*(functools.reduce(np.add, part) for part in self._together(t)))
+
+    @functools.cached_property
+    def _together(self) -> Sine:
+        """The tones as one, the first axis of whose arrays they are."""
+        fields = [(tone.center, tone.amplitude, tone.frequency, tone.phase) for tone in self.tones]
+        shape = np.broadcast_shapes(*(np.shape(x) for tone in fields for x in tone))
+        center, amplitude, frequency, phase = (
+            np.array([np.broadcast_to(x, shape) for x in each]) for each in zip(*fields, strict=True)
+        )
+        return Sine(center=center, amplitude=amplitude, frequency=frequency, phase=phase)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

@@ -164,10 +164,10 @@ class TrackingTask(control.Task):
         seen: collections.OrderedDict[str, np.ndarray] = collections.OrderedDict(
             q=q,
             v=v,
-            q_d=desired.q.copy(),
-            v_d=desired.v.copy(),
-            a_d=desired.a.copy(),
-            tip_position=tip[..., ::2].copy(),  # the arm stays in the plane of x and z
+            q_d=desired.q.copy("K"),
+            v_d=desired.v.copy("K"),
+            a_d=desired.a.copy("K"),
+            tip_position=tip[..., ::2].copy("K"),  # the arm stays in the plane of x and z
         )
         if not self.flat:
             return seen

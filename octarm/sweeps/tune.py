@@ -16,7 +16,6 @@ import dataclasses
 import functools
 import json
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,6 +31,7 @@ from octarm.roll_off import fields_of
 from octarm.runs import versions as origin
 from octarm.simulation.engines import MUJOCO
 from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, UNSEEN, Examination, Rig, costs
+from octarm.sweeps.workers import WorkerProcesses
 
 _PACKAGES = ("python", "octarm", "mujoco", "dm-control", "numpy", "scipy")
 _LARGEST = 1e8  # [s] of simulated time
@@ -208,7 +208,7 @@ def tune(
     keep: Callable[[SearchState], object] = lambda state: None,
     progress: Callable[[float], object] = lambda seconds: None,
     rig: Rig | None = None,
-    workers: Executor | None = None,
+    workers: WorkerProcesses | None = None,
 ) -> Tuned:
     """Searches gains; the same bits for the same arguments, wherever it went on from.
 

@@ -28,8 +28,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
 from typing import Any
 
 import numpy as np
@@ -54,6 +54,7 @@ from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.steps import AUTO
 from octarm.sweeps.progress import arm_seconds
 from octarm.sweeps.scenarios import EVALUATION, SCENARIOS, Scenario, disturbances
+from octarm.sweeps.workers import WorkerProcesses
 
 SLIDE_SCALE = 0.0175  # A [m]
 BEND_SCALE = 0.3  # A [rad]
@@ -165,15 +166,16 @@ def costs(
     candidates: Mapping[str, np.ndarray],
     progress: Callable[[float], object] = lambda seconds: None,
     rig: Rig | None = None,
-    workers: Executor | None = None,
+    workers: WorkerProcesses | None = None,
 ) -> np.ndarray:
     """The cost of each candidate in each scenario, shape (n, scenarios) [1].
 
     J is its `Examination.mean`. A cost does not depend on the other candidates, nor on workers.
     Candidates are gains by name with a row for each, shapes (n, 1) or (n, 2N); the factory makes
     the controller of its nominal model and gains, hand-set where not given. The progress is called
-    with the seconds that were simulated since the last call, all arms counted. Workers take the
-    scenarios of one control period and plant at a time, for which the factory can be pickled.
+    with the seconds that were simulated since the last call, all arms counted. Workers take
+    scenarios of one control period and plant at a time, at most a worker's share of all; for them
+    it must be possible to pickle the factory.
     """
     rig, n = rig or Rig(), len(next(iter(candidates.values())))
     table = np.empty((n, len(examination.scenarios)))
@@ -183,6 +185,9 @@ def costs(
         for places in parts:
             table[:, places] = _costs((examination, places), factory, candidates, rig, progress)
         return table
+    share = math.ceil(len(kinds) / workers.count)
+    parts = [part[i : i + share] for part in parts for i in range(0, len(part), share)]
+    parts.sort(key=len, reverse=True)
     calls = [
         workers.submit(_costs, (examination, places), factory, candidates, rig) for places in parts
     ]
@@ -259,8 +264,8 @@ class EachItsOwn:
 
     def __call__(self, t: float) -> Reference:
         """What the arms shall do at time t [s], shapes (n, 2N)."""
-        few = np.array([motion(t) for motion in self.motions])  # motion, part, coordinate
-        return Reference(*few.transpose(1, 2, 0).take(self.choice, -1).transpose(0, 2, 1))
+        few = np.array([motion(t) for motion in self.motions]).transpose(1, 2, 0)
+        return Reference(*(part.take(self.choice, -1).T for part in few))
 
 
 class _Observer:

@@ -64,6 +64,9 @@ class WorkerProcesses(ThreadPoolExecutor):
     When a process dies, only the call that it was at fails, with a `BrokenProcessPool`; another
     one takes its place. When the process that made them dies, all of them end. A call fails with a
     `WorkersError` if no process can begin, or what is to be called is not known there.
+
+    Attributes:
+        count: of the processes.
     """
 
     def __init__(self, workers: int) -> None:
@@ -74,6 +77,7 @@ class WorkerProcesses(ThreadPoolExecutor):
         check_not_beginning()
         _check_script()
         super().__init__(workers, initializer=_block_interrupts)
+        self.count = workers
         self._processes: dict[int, _Process] = {}
         self._killed = False
 

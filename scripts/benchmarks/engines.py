@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from concurrent.futures import Executor
 
 import numpy as np
 
@@ -116,7 +115,7 @@ def tuning(settings: Settings) -> list[Row]:
     whole = min(1.0, settings.seconds)
     examination = Examination(begin=whole, duration=3.0 * whole)
 
-    def evaluation(engine: str, workers: Executor | None = None) -> Callable[[], object]:
+    def evaluation(engine: str, workers: WorkerProcesses | None = None) -> Callable[[], object]:
         return lambda: costs(examination, factory, candidates, rig=Rig(engine), workers=workers)
 
     compiling = Examination(begin=1e-3, duration=2e-3)
