@@ -30,7 +30,7 @@ from octarm.commands.kinds import GENERATION
 from octarm.disturbances.actuators import ActuationDelay, Lag
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.disturbances.streams import stream
-from octarm.interfaces import Knob
+from octarm.interfaces import Controller, Knob, Measurement, Reference
 from octarm.metrics.chattering import Chattering
 from octarm.metrics.metric import Settings
 from octarm.references import named_reference
@@ -79,6 +79,33 @@ def scaled(name: str):
 
 
 # The measure
+
+
+@dataclasses.dataclass(frozen=True)
+class Watched:
+    """A law, and whether the arms of its arrays lie side by side."""
+
+    law: Controller
+    side_by_side: list[bool]
+
+    def initial_state(self, batch_shape: tuple[int, ...] = ()) -> Any:
+        return self.law.initial_state(batch_shape)
+
+    def __call__(self, state: Any, measurement: Measurement, reference: Reference):
+        command, state = self.law(state, measurement, reference)
+        arrays = (*measurement[1:], *reference, command.force, *state[1:])
+        self.side_by_side.extend(x.T.flags.c_contiguous for x in arrays)
+        return command, state
+
+
+def test_arms_lie_side_by_side_in_memory():
+    seen: list[bool] = []
+    costs(
+        TINY,
+        lambda nominal, gains: Watched(by_hand("afsmc")(nominal, gains), seen),
+        {"K_v": np.tile([1.0, 3.0], (2 * N, 1)).T},
+    )
+    assert seen and all(seen)  # else a law takes almost twice as long
 
 
 @pytest.mark.parametrize("scenario", [*SCENARIOS, *EVALUATION])
