@@ -95,7 +95,8 @@ class MultiSine:
         fields = [(tone.center, tone.amplitude, tone.frequency, tone.phase) for tone in self.tones]
         shape = np.broadcast_shapes(*(np.shape(x) for tone in fields for x in tone))
         center, amplitude, frequency, phase = (
-            np.array([np.broadcast_to(x, shape) for x in each]) for each in zip(*fields, strict=True)
+            np.array([np.broadcast_to(x, shape) for x in each])
+            for each in zip(*fields, strict=True)
         )
         return Sine(center=center, amplitude=amplitude, frequency=frequency, phase=phase)
 
