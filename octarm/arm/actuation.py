@@ -78,7 +78,8 @@ class InternalActuation(Actuation):
     def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
         n, wanted, out = force.shape[-1] // 2, split(force), list[Entry]()
         for push, couple, width in zip(wanted[:n], wanted[n:], self._widths, strict=True):
-            out += [0.5 * push + couple / width, 0.5 * push - couple / width]
+            half, turn = 0.5 * push, couple / width
+            out += [half + turn, half - turn]
         return self._joined(out, force, q)
 
     def ctrl(self, tau: np.ndarray) -> np.ndarray:
@@ -119,8 +120,8 @@ class GroundedActuation(Actuation):
         fx = fy = along = carried = 0.0  # force and moment of the modules below
         for i in reversed(range(n)):
             push = wanted[i] - along
-            couple = (wanted[n + i] - carried) / width[i]
-            out[2 * i], out[2 * i + 1] = 0.5 * push + couple, 0.5 * push - couple
+            half, turn = 0.5 * push, (wanted[n + i] - carried) / width[i]
+            out[2 * i], out[2 * i + 1] = half + turn, half - turn
             if i > 0:
                 (cos, sin), (cos_above, sin_above) = axes[i], axes[i - 1]
                 fx, fy = fx + push * cos, fy + push * sin
