@@ -100,7 +100,8 @@ class GainField:
         Raises OctarmError if it is not finite, not positive, or has neither one value nor 2N of
         them.
         """
-        gain = read_only(name, value, unbounded=self.infinite)
+        gain = read_only(name, value, unbounded=self.infinite).copy(order="F")  # arm beside arm
+        gain.setflags(write=False)
         if gain.ndim and gain.shape[-1] not in (1, nominal.coordinates):
             raise OctarmError(
                 f"{name} has {gain.shape[-1]} values; it needs 1 or {nominal.coordinates}, one for "

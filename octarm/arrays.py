@@ -111,12 +111,10 @@ def read_only(
 ) -> np.ndarray:
     """A read-only float64 copy, of the shape of the value; `name` is for errors.
 
-    What stands in its first axis, mostly arms, lies side by side in memory.
-
     Raises OctarmError if it is not made of finite numbers; infinity may be allowed at either end.
     """
     try:
-        array = np.array(value, dtype=np.float64, order="F")
+        array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise OctarmError(f"{name} is {quoted(value)}; it must be made of numbers") from None
     good = np.isfinite(array) | (unbounded & np.isposinf(array))
