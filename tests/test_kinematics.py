@@ -52,6 +52,19 @@ def test_axes_are_the_same_as_an_array_and_entry_by_entry(modules: int):
         np.testing.assert_allclose(plate_axes(q), np.broadcast_to(expected, plate_axes(q).shape))
 
 
+def test_axes_that_are_kept_follow_coordinates_that_change_in_place():
+    q = np.full((4, 6), 0.3)
+    before = plate_entries(q)
+    assert plate_entries(q.copy()) is before
+    q[:, 3] = 0.5
+    cos, sin = plate_entries(q)[1]
+    np.testing.assert_array_equal(cos, np.cos(0.5))
+    np.testing.assert_array_equal(sin, np.sin(0.5))
+    with pytest.raises(ValueError, match="read-only"):
+        before[1][0][0] = 1.0
+
+
+
 @MODULES
 def test_a_tip_force_does_the_work_of_a_force_on_the_tip(modules: int):
     """Q . dq = f . dp, by complex steps on the tip's position."""

@@ -14,6 +14,11 @@ y across it.
 
 from __future__ import annotations
 
+import functools
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from octarm.arrays import Entry, added_up, cos_sin, entry, join, split
@@ -104,14 +109,28 @@ def plate_axes(q: np.ndarray) -> np.ndarray:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
-def plate_entries(q: np.ndarray) -> list[tuple[Entry, Entry]]:
-    """The same as N pairs (cos, sin) of entries of shape (...) [1]; see `octarm.arrays.split`."""
-    n = q.shape[-1] // 2
+def plate_entries(q: np.ndarray) -> Sequence[tuple[Entry, Entry]]:
+    """The same as N pairs (cos, sin) of read-only entries of shape (...) [1]; see `split`."""
+    bends = q[..., q.shape[-1] // 2 : -1].T
+    return _axes_after(bends.tobytes(), bends.dtype, bends.shape)
+
+
+@functools.lru_cache(maxsize=4)  # a control period asks for the same ones several times
+def _axes_after(
+    bends: bytes, kind: np.dtype[Any], shape: tuple[int, ...]
+) -> Sequence[tuple[Entry, Entry]]:
+    """The axes of the base and of the plates after so many bends, an array (N - 1, ...) in C order.
+
+    They are kept, and therefore read-only.
+    """
     angle: Entry = 0.0
     axes: list[tuple[Entry, Entry]] = [(1.0, 0.0)]
-    for theta in split(q[..., n:-1]):
+    for theta in split(np.frombuffer(bends, kind).reshape(shape).T):
         angle = angle + theta
         axes.append(cos_sin(angle))
+    for x in itertools.chain(*axes):
+        if isinstance(x, np.ndarray):
+            x.setflags(write=False)
     return axes
 
 

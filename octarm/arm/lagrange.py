@@ -26,10 +26,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from octarm.arm.kinematics import jacobian, jacobian_rate, plate_axes
+from octarm.arm.kinematics import jacobian, jacobian_rate, plate_axes, plate_entries
 from octarm.arm.kinematics import positions as positions
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import Entry, cos_sin, join, split
+from octarm.arrays import Entry, join, split
 from octarm.errors import OctarmError
 
 NO_EQUILIBRIUM = "no static equilibrium was found: stiffness is too low for this weight"
@@ -50,7 +50,8 @@ def inverse_dynamics(
 
     x = split(q)  # one entry a coordinate: a number for one arm, an array for a batch
     pushes, couples = _column_forces(p, x, split(v_r))
-    axes, forces = inertial_forces(p, x, split(v), split(a), split(v_r))
+    axes = plate_entries(q)
+    forces = inertial_forces(p, axes, x, split(v), split(a), split(v_r))
 
     # Inwards: force and moment that each module carries, projected on its own axes.
     fx = fy = moment = 0.0
@@ -68,34 +69,32 @@ def inverse_dynamics(
 
 def inertial_forces(
     p: ArmParameters,
+    axes: Sequence[tuple[Entry, Entry]],
     x: Sequence[Entry],
     v: Sequence[Entry],
     a: Sequence[Entry],
     v_r: Sequence[Entry],
-) -> tuple[list[tuple[Entry, Entry]], list[tuple[Entry, Entry, Entry]]]:
+) -> list[tuple[Entry, Entry, Entry]]:
     """What accelerates the masses and inertias against gravity, from the base outwards.
 
-    Arguments are those of `inverse_dynamics` as 2N entries of shape (...). For each module it gives
-    the axis (cos, sin) of the plate that the module stands on [1], and force along x, force along y
-    and couple on its end [N], [N], [N m].
+    Arguments are the axes of the plates that the modules stand on, see `plate_entries`, and those
+    of `inverse_dynamics` as 2N entries of shape (...). For each module it gives force along x,
+    force along y and couple on its end [N], [N], [N m].
     """
     n, mass, inertia = p.modules, p.entries.mass, p.entries.inertia
     # The first module stands on the ground, which accelerates against gravity and does not turn.
-    phi, w, w_r, alpha = 0.0, v[n], v_r[n], a[n]
+    w, w_r, alpha = v[n], v_r[n], a[n]
     ax, ay = a[0] - p.entries.gravity, 0.0
-    axes: list[tuple[Entry, Entry]] = [(1.0, 0.0)]
     forces: list[tuple[Entry, Entry, Entry]] = [(mass[0] * ax, ay, inertia[0] * alpha)]
     for i in range(1, n):
-        phi = phi + x[n + i - 1]
-        cos, sin = cos_sin(phi)
-        axes.append((cos, sin))
+        cos, sin = axes[i]
         along = a[i] - x[i] * (w * w_r)
         across = x[i] * alpha + (v[i] * w_r + v_r[i] * w)
         ax = ax + (along * cos - across * sin)
         ay = ay + (along * sin + across * cos)
         w, w_r, alpha = w + v[n + i], w_r + v_r[n + i], alpha + a[n + i]
         forces.append((mass[i] * ax, mass[i] * ay, inertia[i] * alpha))
-    return axes, forces
+    return forces
 
 
 def mass_matrix(p: ArmParameters, q: np.ndarray) -> np.ndarray:
@@ -191,13 +190,12 @@ def energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, 
 def kinetic_energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """1/2 v^T D(q) v, shape (...) [J], in O(N) by recursion along the arm."""
     n = _modules(p, q=q, v=v)
-    x, rate = split(q), split(v)
+    x, rate, axes = split(q), split(v), plate_entries(q)
     mass, inertia = p.entries.mass, p.entries.inertia
-    phi, w, vx, vy = 0.0, rate[n], rate[0], 0.0
+    w, vx, vy = rate[n], rate[0], 0.0
     twice = mass[0] * (vx * vx) + inertia[0] * (w * w)
     for i in range(1, n):
-        phi = phi + x[n + i - 1]
-        cos, sin = cos_sin(phi)
+        cos, sin = axes[i]
         across = x[i] * w
         vx = vx + (rate[i] * cos - across * sin)
         vy = vy + (rate[i] * sin + across * cos)

@@ -22,6 +22,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from octarm.arm.kinematics import plate_entries
 from octarm.arm.lagrange import inertial_forces, turned
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import Entry, entry, join, split
@@ -47,7 +48,9 @@ def largest_error(
     x, rates = split(q), split(v_r)
     stretches = [x[i] - rest for i, rest in enumerate(entries.rest_length)]
     turns = x[n:] if entries.plain else turned(nominal, x)
-    inertial = _inertial_terms(x, *inertial_forces(nominal, x, split(v), split(a_r), rates))
+    axes = plate_entries(q)
+    forces = inertial_forces(nominal, axes, x, split(v), split(a_r), rates)
+    inertial = _inertial_terms(x, axes, forces)
     damping = _column_terms(entries.half_width, entries.damping, rates[:n], rates[n:])
     elastic = _column_terms(entries.half_width, entries.stiffness, stretches, turns)
     if not entries.plain:

@@ -265,7 +265,7 @@ class EachItsOwn:
     def __call__(self, t: float) -> Reference:
         """What the arms shall do at time t [s], shapes (n, 2N)."""
         few = np.array([motion(t) for motion in self.motions]).transpose(1, 2, 0)
-        return Reference(*(part.take(self.choice, -1).T for part in few))
+        return Reference(*(part.T for part in few.take(self.choice, -1)))
 
 
 class _Observer:
