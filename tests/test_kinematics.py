@@ -64,7 +64,6 @@ def test_axes_that_are_kept_follow_coordinates_that_change_in_place():
         before[1][0][0] = 1.0
 
 
-
 @MODULES
 def test_a_tip_force_does_the_work_of_a_force_on_the_tip(modules: int):
     """Q . dq = f . dp, by complex steps on the tip's position."""
