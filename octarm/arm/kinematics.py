@@ -111,26 +111,30 @@ def plate_axes(q: np.ndarray) -> np.ndarray:
 
 def plate_entries(q: np.ndarray) -> Sequence[tuple[Entry, Entry]]:
     """The same as N pairs (cos, sin) of read-only entries of shape (...) [1]; see `split`."""
-    bends = q[..., q.shape[-1] // 2 : -1].T
-    return _axes_after(bends.tobytes(), bends.dtype, bends.shape)
+    bends = q[..., q.shape[-1] // 2 : -1]
+    if q.ndim == 1:
+        return _axes_after(bends.tolist())
+    return _kept_axes(bends.T.tobytes(), bends.dtype, bends.T.shape)
 
 
 @functools.lru_cache(maxsize=4)  # a control period asks for the same ones several times
-def _axes_after(
+def _kept_axes(
     bends: bytes, kind: np.dtype[Any], shape: tuple[int, ...]
 ) -> Sequence[tuple[Entry, Entry]]:
-    """The axes of the base and of the plates after so many bends, an array (N - 1, ...) in C order.
+    """The axes of a batch, whose bends are an array (N - 1, ...) of this shape in C order."""
+    axes = _axes_after(split(np.frombuffer(bends, kind).reshape(shape).T))
+    for x in itertools.chain(*axes[1:]):
+        np.asarray(x).setflags(write=False)
+    return axes
 
-    They are kept, and therefore read-only.
-    """
+
+def _axes_after(bends: Sequence[Entry]) -> Sequence[tuple[Entry, Entry]]:
+    """The axis of the base, and those after one bend, two, and so on."""
     angle: Entry = 0.0
     axes: list[tuple[Entry, Entry]] = [(1.0, 0.0)]
-    for theta in split(np.frombuffer(bends, kind).reshape(shape).T):
+    for theta in bends:
         angle = angle + theta
         axes.append(cos_sin(angle))
-    for x in itertools.chain(*axes):
-        if isinstance(x, np.ndarray):
-            x.setflags(write=False)
     return axes
 
 
