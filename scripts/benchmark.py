@@ -13,29 +13,29 @@ write a function that returns rows in `scripts/benchmarks/`, and its line in `SE
 """
 
 import argparse
-import importlib
 import json
 import math
+import pkgutil
 import platform
 from importlib.metadata import version
 from pathlib import Path
 
 import psutil
-from benchmarks.figures import LeftOut, Row, Section, Settings
+from benchmarks.figures import LeftOut, Row, Settings
 
-SECTIONS = {  # module below `benchmarks` and function
-    "controller-step": "controller_step.controller_step",
-    "plants": "engines.plants",
-    "closed-loop": "closed_loop.closed_loop",
-    "engines": "engines.engines",
-    "tuning": "engines.tuning",
-    "peers": "peers.peers",
-    "one-by-one": "closed_loop.one_by_one",
-    "one-arm": "one_arm.one_arm",
-    "workers": "whole_sweeps.workers",
-    "memory": "whole_sweeps.memory",
-    "overhead": "whole_sweeps.overhead",
-    "recording": "recordings.recording",
+SECTIONS = {  # module below `benchmarks`, imported when it is run, and function
+    "controller-step": "controller_step:controller_step",
+    "plants": "engines:plants",
+    "closed-loop": "closed_loop:closed_loop",
+    "engines": "engines:engines",
+    "tuning": "engines:tuning",
+    "peers": "engines:peers",
+    "one-by-one": "closed_loop:one_by_one",
+    "one-arm": "closed_loop:one_arm",
+    "workers": "whole_sweeps:workers",
+    "memory": "whole_sweeps:memory",
+    "overhead": "whole_sweeps:overhead",
+    "recording": "recordings:recording",
 }
 _QUIET = 10.0  # [%] of all processors, that other programs may use
 _MET = {None: "", True: "met", False: "NOT met"}
@@ -43,7 +43,8 @@ _MET = {None: "", True: "met", False: "NOT met"}
 
 def main() -> None:
     """Prints the table, and writes it as JSON where that is asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=_Plain)
+    plain = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=plain)
     parser.add_argument("--only", nargs="+", choices=SECTIONS, metavar="SECTION",
                         default=list(SECTIONS), help=f"some of {', '.join(SECTIONS)}")  # fmt: skip
     parser.add_argument("--arms", type=int, default=1024, help="arms in a batch")
@@ -81,16 +82,10 @@ def load_note(share: float) -> str:
 def rows_of(title: str, settings: Settings) -> list[Row]:
     """The rows of a section; none, and a line that says why, if an extra is missing."""
     try:
-        return section(title)(settings)
+        return pkgutil.resolve_name(f"benchmarks.{SECTIONS[title]}")(settings)
     except LeftOut as reason:
         print(f"  {reason}", flush=True)
         return []
-
-
-def section(title: str) -> Section:
-    """A section, imported when it is run: worker processes import this file, too."""
-    module, _, function = SECTIONS[title].partition(".")
-    return getattr(importlib.import_module(f"benchmarks.{module}"), function)
 
 
 def line(row: Row) -> str:
@@ -112,10 +107,6 @@ def as_json(measured: dict[str, list[Row]], loads: dict[str, float]) -> str:
     packages = {name: version(name) for name in ("numpy", "mujoco", "rerun-sdk")}
     machine = {"platform": platform.platform(), "python": platform.python_version(), **packages}
     return json.dumps({"machine": machine, "load": loads, **figures}, indent=2) + "\n"
-
-
-class _Plain(argparse.RawDescriptionHelpFormatter):
-    """Leaves the lines of the description as they are."""
 
 
 if __name__ == "__main__":

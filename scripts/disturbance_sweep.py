@@ -23,9 +23,7 @@ def run(out: Path, **changes: float) -> dict[str, np.ndarray]:
     """The columns of the sweep's table, of the spec with some fields changed."""
     spec = dataclasses.replace(octarm.read_spec(SPEC), **changes)
     with ProgressBar(spec) as bar:
-        octarm.sweep(
-            spec, make_controller, out, resume=True, progress=bar.update, say=bar.say
-        )  # fmt: skip
+        octarm.sweep(spec, make_controller, out, resume=True, progress=bar.update, say=bar.say)
     table = octarm.read_sweep(out, ["controller", "noise", "mismatch", "status", METRIC])
     return {name: np.array(table[name].to_pylist()) for name in table.column_names}
 

@@ -18,7 +18,9 @@ import av
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parent.parent
-HARD = ("--disturbance", "noise:40%", "--disturbance", "payload:100g,at=3", "--duration", "8")
+HARD = ("--mismatch", "-0.3", "--disturbance", "noise:40%", "--disturbance", "payload:100g,at=3",
+        "--duration", "8")  # fmt: skip
+ADAPTIVE = ("--controller", "afsmc", *HARD)
 MOVING = (400, 400)  # size of the moving picture [pixel]
 RATE = 12.5  # of the moving picture [Hz]
 MOST = 3e6  # of its file [byte]
@@ -80,8 +82,8 @@ class Studio:
 
 def moving(studio: Studio, name: str) -> None:
     """The arm under control, noise and a payload, as a GIF that repeats."""
-    run = studio.run("--controller", "afsmc", "--mismatch", "-0.3", *HARD)
-    pictures = studio.film(run, MOVING, RATE)[int(2 * RATE) :]  # whole periods of the sine
+    film = studio.film(studio.run(*ADAPTIVE), MOVING, RATE)
+    pictures = film[int(2 * RATE) :]  # whole periods of the sine
     some = Image.new("RGB", (MOVING[0], 5 * MOVING[1]))
     for k in range(5):
         some.paste(pictures[k * (len(pictures) - 1) // 4], (0, k * MOVING[1]))
@@ -96,15 +98,13 @@ def moving(studio: Studio, name: str) -> None:
 
 def plot(studio: Studio, name: str) -> None:
     """The figure of tracking."""
-    run = studio.run("--mismatch", "-0.3", *HARD)
-    octarm("plot", run, "--out", studio.scratch / "plot", "--force")
+    octarm("plot", studio.run(*HARD), "--out", studio.scratch / "plot", "--force")
     studio.figure(name, studio.scratch / "plot" / "tracking.png")
 
 
 def video(studio: Studio, name: str) -> None:
     """Three pictures of a film side by side."""
-    run = studio.run("--controller", "afsmc", "--mismatch", "-0.3", *HARD)
-    pictures = studio.film(run, (480, 480), 2.0)
+    pictures = studio.film(studio.run(*ADAPTIVE), (480, 480), 2.0)
     row = Image.new("RGB", (1440, 480))
     for k, at in enumerate((0.5, 5.5, 6.5)):
         row.paste(pictures[round(2.0 * at)], (480 * k, 0))
@@ -113,8 +113,7 @@ def video(studio: Studio, name: str) -> None:
 
 def degradation(studio: Studio, name: str) -> None:
     """Errors over noise, from the report of a sweep."""
-    figures = studio.sweep() / "report" / "figures"
-    studio.figure(name, figures / "degradation-noise.png")
+    studio.figure(name, studio.sweep() / "report" / "figures" / "degradation-noise.png")
 
 
 def report(studio: Studio, name: str) -> None:
@@ -142,17 +141,11 @@ def arm(studio: Studio, name: str) -> None:
 
 PICTURES: dict[str, Callable[[Studio, str], None]] = {
     "run": lambda s, name: s.view(name, s.run("--mismatch", "-0.3")),
-    "disturbed": lambda s, name: s.view(name, s.run("--mismatch", "-0.3", *HARD)),
-    "compare": lambda s, name: s.view(
-        name,
-        s.run("--mismatch", "-0.3", *HARD),
-        s.run("--controller", "afsmc", "--mismatch", "-0.3", *HARD),
-    ),
+    "disturbed": lambda s, name: s.view(name, s.run(*HARD)),
+    "compare": lambda s, name: s.view(name, s.run(*HARD), s.run(*ADAPTIVE)),
     "plot": plot,
     "video": video,
-    "adaptive": lambda s, name: s.view(
-        name, s.run("--controller", "afsmc", "--mismatch", "-0.3", *HARD)
-    ),
+    "adaptive": lambda s, name: s.view(name, s.run(*ADAPTIVE)),
     "model_free": lambda s, name: s.view(name, s.run("--controller", "fuzzy")),
     "diverged": lambda s, name: s.view(name, s.run("--disturbance", "actuation-delay:60ms")),
     "episodes": lambda s, name: s.view(name, s.sweep()),

@@ -7,15 +7,13 @@ import pytest
 from scipy.linalg import expm
 
 from octarm.arm import lagrange
-from octarm.arm.behaviour import behaviour_of
 from octarm.arm.file import read_arm
-from octarm.arm.fit import fit_modules
+from octarm.arm.fit import behaviour_of, fit_modules
 from octarm.arm.kinematics import tip_force, tip_position
-from octarm.arm.lumped import lumped
 from octarm.arm.modes import state_matrix
 from octarm.arm.parameters import ArmParameters
-from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod
-from octarm.checks import rod_motion, rod_study
+from octarm.arm.rod import LAYOUTS, Rod, arm_from_rod, lumped
+from octarm.checks import rod_study
 from octarm.commands import cli
 from octarm.errors import OctarmError
 
@@ -180,10 +178,10 @@ def test_no_nearby_chain_fits_better(fits):
 
 
 def test_the_centred_fit_moves_more_like_the_rod_in_a_release_far_from_where_it_was_made(fits):
-    right = rod_motion.released(arm_from_rod(ROD, 40, "centred"))[: rod_motion.FIRST + 1]
+    right = rod_study.released(arm_from_rod(ROD, 40, "centred"))[: rod_study.FIRST + 1]
     apart = []
     for p in (fits["centred"].start, fits["centred"].parameters):
-        apart.append(rod_motion.distance(ROD, rod_motion.released(p)[: len(right)], right))
+        apart.append(rod_study.distance(ROD, rod_study.released(p)[: len(right)], right))
     assert apart[1] < 0.5 * apart[0]
 
 

@@ -11,8 +11,7 @@ import octarm
 from controllers import make_controller
 from octarm.arm.file import Arm, arm_toml
 from octarm.arm.groups import groups_of
-from octarm.arm.lumped import lumped
-from octarm.arm.rod import Rod, arm_from_rod
+from octarm.arm.rod import Rod, arm_from_rod, lumped
 from octarm.checks.stability import linear_plant, loop_at_rest
 from octarm.commands.cli import main
 from octarm.disturbances.varied import parse_varied

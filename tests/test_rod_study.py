@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from octarm.arm.rod import Rod, arm_from_rod
-from octarm.checks import rod_convergence, rod_motion
+from octarm.checks import rod_convergence, rod_study
 from octarm.checks.rod_convergence import MODULES, Curve, Study, table
 from octarm.commands import cli
 from octarm.commands import validate as command
@@ -20,7 +20,7 @@ ROD = Rod()
 def study():
     """The whole comparison, but for PyElastica."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rod_motion, "installed", lambda: False)
+        patch.setattr(rod_study, "installed", lambda: False)
         return rod_convergence.study()
 
 
@@ -125,7 +125,7 @@ def test_the_rod_passes_and_one_that_is_another_by_a_percent_fails(monkeypatch, 
         return arm_from_rod(rod, modules, layout)
 
     monkeypatch.setattr(rod_convergence, "arm_from_rod", stiffer)
-    monkeypatch.setattr(rod_motion, "installed", lambda: False)
+    monkeypatch.setattr(rod_study, "installed", lambda: False)
     for name in ("_motion", "_large_load", "_tapered"):
         monkeypatch.setattr(rod_convergence, name, lambda *_: iter(()))
     failed = {c.what for c in rod_convergence.study().table.checks if not c.passed}
@@ -136,9 +136,9 @@ def test_both_engines_let_a_chain_go_alike(monkeypatch):
     p = arm_from_rod(ROD, 4, "centred")
     tips = []
     for engine in ("mujoco", "lagrange"):
-        monkeypatch.setattr(rod_motion, "usual_engine", lambda name=engine: name)
-        tips.append(rod_motion.released(p))
-    assert rod_motion.distance(ROD, *tips) < 1e-9
+        monkeypatch.setattr(rod_study, "usual_engine", lambda name=engine: name)
+        tips.append(rod_study.released(p))
+    assert rod_study.distance(ROD, *tips) < 1e-9
     np.testing.assert_allclose(tips[0][0], [ROD.length, 0.0], atol=1e-15)
 
 
@@ -149,8 +149,8 @@ def test_pyelastica_s_rod_moves_like_the_chain_of_its_own_discretisation():
     checks = list(rod_convergence._peer(motions))
     assert [c for c in checks if not c.passed] == []
     assert len(checks) == 4
-    rod = rod_motion.slim_rod()
-    coarse = rod_motion.distance(rod, motions["PyElastica, n = 20"], motions["rod"])
+    rod = rod_study.slim_rod()
+    coarse = rod_study.distance(rod, motions["PyElastica, n = 20"], motions["rod"])
     assert coarse > 0.1  # far from the rod, and all the same near the chain
 
 

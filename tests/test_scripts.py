@@ -17,6 +17,7 @@ from octarm.arm.kinematics import jacobian, positions
 from octarm.arm.lagrange import damping_matrix, stiffness_matrix
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.rod import Rod
+from octarm.checks.rod_study import cosserat_rod
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 Script = Callable[..., list[list[str]]]
@@ -187,7 +188,7 @@ def test_the_peer_is_the_same_rod():
     """It has the mass, the stiffness and the inertia of the default rod, and hardly shears."""
     pytest.importorskip("elastica")
     rod = Rod()
-    body = names_in("benchmarks/peers.py")["cosserat_rod"](rod, 20, 100.0)
+    body = cosserat_rod(rod, 20, 100.0)
     thin = body.shear_matrix[0, 0] / body.shear_matrix[2, 2]
     assert np.all(thin > 10.0)  # shear stiffness over axial stiffness
     np.testing.assert_allclose(np.sum(body.mass) / rod.length, rod.density)

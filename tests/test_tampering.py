@@ -16,7 +16,7 @@ import rerun as rr
 
 import octarm
 from controllers import make_controller
-from octarm.checks.run_files import sweep_differences
+from octarm.checks.differences import sweep_differences
 from octarm.checks.verify import RunCheck, check_run
 from octarm.commands.cli import main
 from octarm.errors import OctarmError

@@ -228,10 +228,34 @@ class _Reader:
         return time * stiffness, time * springs
 
     def _shares(self, what: str, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What columns and backbone have of stiffness or damping, shapes (2, N)."""
-        whole = self._whole(f"axial_{what}"), self._whole(f"bending_{what}")
-        left_out = what not in self._given and not any(x is None for x in whole)
-        return _shared(None if left_out else self._value(what, 2), whole, width, what)
+        """What the columns have of stiffness or damping, and the backbone, shapes (2, N).
+
+        The backbone has what a whole module has beyond its columns. Where columns would have more
+        than the whole module, that is taken off both of them alike. Where only the whole module is
+        given they have as much as they can; what is not given of it is what the columns give.
+        """
+        axial, bending = self._whole(f"axial_{what}"), self._whole(f"bending_{what}")
+        lever = 0.25 * width * width
+        if what in self._given or axial is None or bending is None:
+            columns = self._value(what, 2)
+            if axial is None and bending is None:
+                return columns, np.zeros_like(columns)
+            both = columns[0] + columns[1]
+            axial = both if axial is None else axial
+            bending = lever * both if bending is None else bending
+        else:
+            both = np.minimum(axial, bending / lever)
+            columns = np.stack([0.5 * both] * 2)
+        excess = np.maximum(both - np.minimum(axial, bending / lever), 0.0)
+        left = columns - 0.5 * excess
+        if np.any(left < 0.0):
+            module = int(np.argmax(np.any(left < 0.0, axis=0)))
+            raise OctarmError(
+                f"{what} of the columns of module {module + 1} differs by more than its axial and "
+                f"bending {what} allow"
+            )
+        total = left[0] + left[1]
+        return left, np.maximum([axial - total, bending - lever * total], 0.0)
 
     def _shape(self, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         first, second = self._value("rest_length", 2)
@@ -243,39 +267,6 @@ class _Reader:
             return 0.5 * (first + second), (first - second) / width
         bent = "rest_angle" in self._given
         return first, self._value("rest_angle") if bent else np.zeros(self._modules)
-
-
-def _shared(
-    columns: np.ndarray | None,
-    whole: tuple[np.ndarray | None, np.ndarray | None],
-    width: np.ndarray,
-    what: str,
-) -> tuple[np.ndarray, np.ndarray]:
-    """What the columns have, shape (2, N), and what is left for the backbone, shape (2, N).
-
-    The backbone has what a whole module has beyond its columns. Where columns would have more than
-    the whole module, that is taken off both of them alike. Where columns are None they have as much
-    as they can; where an axial or bending value of the whole is None, it is what the columns give.
-    """
-    lever = 0.25 * width * width
-    both = np.full_like(width, np.inf) if columns is None else columns[0] + columns[1]
-    axial = both if whole[0] is None else whole[0]
-    bending = lever * both if whole[1] is None else whole[1]
-    if columns is None:
-        both = np.minimum(axial, bending / lever)
-        columns = np.stack([0.5 * both] * 2)
-    elif whole[0] is None and whole[1] is None:
-        return columns, np.zeros_like(columns)
-    excess = np.maximum(both - np.minimum(axial, bending / lever), 0.0)
-    left = columns - 0.5 * excess
-    if np.any(left < 0.0):
-        module = int(np.argmax(np.any(left < 0.0, axis=0)))
-        raise OctarmError(
-            f"{what} of the columns of module {module + 1} differs by more than its axial and "
-            f"bending {what} allow"
-        )
-    total = left[0] + left[1]
-    return left, np.maximum([axial - total, bending - lever * total], 0.0)
 
 
 def _range(value: np.ndarray, modules: int) -> np.ndarray:

@@ -3,7 +3,7 @@
 The arm of M modules, which a controller knows, stands for a rod whose properties are the same
 within a module. The plant is a chain of N = n M modules of that rod, n to a group, in one of the
 layouts of `octarm.arm.rod`. Or the plant is given, and the arm of M modules has the sums of its
-groups, see `octarm.arm.lumped`. For coordinates q_N of the plant the controller is given
+groups, see `octarm.arm.rod.lumped`. For coordinates q_N of the plant the controller is given
 
     q_M = B q_N + offset,    v_M = B v_N
 
@@ -32,9 +32,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from octarm.arm.kinematics import last_axis, tip
-from octarm.arm.lumped import group_sums, lumped
 from octarm.arm.parameters import MOST_MODULES, ArmParameters
-from octarm.arm.rod import LAYOUTS, check_layout
+from octarm.arm.rod import LAYOUTS, check_layout, group_sums, lumped
 from octarm.arrays import added_up, join
 from octarm.errors import OctarmError, closest, quoted
 

@@ -1,4 +1,18 @@
-"""The analytic Lagrange model as a controller's nominal model, with the range of its inputs."""
+"""The analytic Lagrange model as a controller's nominal model, with its scales and input range.
+
+What makes two arms alike but for their size are scales of length, force and time, and ratios.
+Gains are multiples of these scales, so that dynamically similar arms behave identically: arms whose
+masses, lengths and times differ by three factors, and everything else accordingly.
+
+- Length of a coordinate: the rest length of a slide, 1 rad of a bend; `LagrangeModel.scale`.
+- Time: 1 / omega of the fastest undamped mode of the hanging arm. It is the mode that a sampled
+  loop has to bear. It hardly changes with the number of modules, as neighbours of the same kind
+  swing against each other in it (3 modules 154 rad/s, 30 of them 181 rad/s), while the slowest one
+  becomes slower and slower (15 and 1.9 rad/s).
+- Force of a coordinate: what accelerates it, all others being free, by its length within the square
+  of the time. So K_v = 1 in these scales is a decay at the rate of the fastest mode, whatever the
+  number of modules.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +22,26 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from octarm.arm import lagrange, model_error, similarity
+from octarm.arm import lagrange, model_error
 from octarm.arm.actuation import GroundedActuation
+from octarm.arm.modes import rates
 from octarm.arm.parameters import ArmParameters
 from octarm.arrays import coordinate_names, coordinate_units
+from octarm.errors import OctarmError
 from octarm.interfaces import NominalModel
+
+_BEYOND = (
+    "gains have no scale here: masses, lengths and stiffnesses of the nominal model are beyond a "
+    "float, or leave no mode that swings"
+)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LagrangeModel(NominalModel):
     """The planar arm with these parameters, by `octarm.arm.lagrange`.
 
-    `octarm.interfaces.NominalModel` says what each method takes and gives; scales are those of
-    `octarm.arm.similarity`, errors those of `octarm.arm.model_error`.
+    `octarm.interfaces.NominalModel` says what each method takes and gives; errors are those of
+    `octarm.arm.model_error`.
 
     Attributes:
         parameters: what the controller believes of the arm, of one arm or of a batch.
@@ -52,19 +73,48 @@ class LagrangeModel(NominalModel):
 
     @property
     def time_scale(self) -> np.ndarray:
-        return self._scales.time
+        return self._scales[0]
 
     @property
     def force_scale(self) -> np.ndarray:
-        return self._scales.force
+        return self._scales[1]
 
     @functools.cached_property
-    def _scales(self) -> similarity.Scales:
-        return similarity.scales(self.parameters)
+    def _scales(self) -> tuple[np.ndarray, np.ndarray]:
+        """Those of time and of force; the mass of a coordinate is 1 / [D^-1]_jj."""
+        with np.errstate(all="ignore"):
+            squares, half = _modes(self.parameters, self.equilibrium())
+            fastest = squares[..., -1:] if squares.ndim > 1 else squares[-1]
+            mass = 1.0 / np.sum(half * half, axis=-2)  # D^-1 = half^T half
+            force = self.scale * mass * fastest
+            # Forces are contiguous along the arms.
+            both = np.asarray(1.0 / np.sqrt(fastest)), np.array(force.T, order="C").T
+        if not all(np.all(np.isfinite(scale) & (scale > 0.0)) for scale in both):
+            raise OctarmError(_BEYOND)
+        return both
 
     @property
     def descriptors(self) -> Mapping[str, np.ndarray]:
-        return similarity.descriptors(self.parameters)
+        """Ratios in which arms may differ that are not similar, each of shape (...) [1].
+
+        `modules` N; `mode_ratio`, the fastest over the slowest undamped frequency; `damping_ratio`
+        of the slowest mode; `weight_ratio`, the weight over the force that doubles the first
+        module's length; `mass_ratio`, the last module's mass over the first one's.
+        """
+        p, rest = self.parameters, self.equilibrium()
+        modes = np.sqrt(np.abs(_modes(p, rest)[0]))
+        eigenvalues: np.ndarray = rates(p, rest)
+        size, decay = np.abs(eigenvalues), -np.real(eigenvalues)
+        slowest = np.argmin(size, axis=-1)[..., None]
+        damping = np.take_along_axis(decay / size, slowest, -1)[..., 0]
+        doubling = np.sum(p.stiffness[..., 0], axis=-1) * p.rest_length[..., 0]
+        return {
+            "modules": np.asarray(float(p.modules)),
+            "mode_ratio": np.max(modes, axis=-1) / np.min(modes, axis=-1),
+            "damping_ratio": damping,
+            "weight_ratio": np.abs(p.gravity) * np.sum(p.mass, axis=-1) / doubling,
+            "mass_ratio": p.mass[..., -1] / p.mass[..., 0],
+        }
 
     @property
     def input_range(self) -> tuple[np.ndarray, np.ndarray]:
@@ -158,3 +208,17 @@ def _largest(x: np.ndarray) -> list[float]:
     if x.ndim == 1:
         return [abs(value) for value in x.tolist()]
     return np.max(np.abs(x), axis=tuple(range(x.ndim - 1))).tolist()
+
+
+def _modes(p: ArmParameters, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The squares of the undamped frequencies at rest, rising, and L^-1 of D = L L^T.
+
+    Shapes (..., 2N) [1/s^2] and (..., 2N, 2N). With a negative square the arm does not stay there.
+    """
+    try:
+        half = np.linalg.inv(np.linalg.cholesky(lagrange.mass_matrix(p, rest)))
+        # L^-1 K L^-T is symmetric, and has the eigenvalues of D^-1 K.
+        stiffness = half @ lagrange.potential_hessian(p, rest) @ half.swapaxes(-1, -2)
+        return np.linalg.eigvalsh(stiffness), half
+    except np.linalg.LinAlgError:
+        raise OctarmError(_BEYOND) from None

@@ -17,7 +17,7 @@ from octarm.arm.kinematics import plate_entries
 from octarm.arm.lagrange import equilibrium, inverse_dynamics, stiffness_matrix
 from octarm.arm.limits import Limits
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import Entry, split
+from octarm.arrays import split
 
 _POINTS = 49  # bends that are tried at a time, from one that is held to one that is not
 _REFINED = 3  # times
@@ -89,9 +89,7 @@ def _inputs(p: ArmParameters, q: np.ndarray, needed: np.ndarray) -> tuple[np.nda
     lowest, highest = (bound.tolist() for bound in p.input_bounds(()))
     tau = np.empty_like(q)
     within = np.ones(q.shape[:-1], dtype=bool)
-    fx: Entry = 0.0
-    fy: Entry = 0.0
-    carried: Entry = 0.0
+    fx = fy = carried = 0.0  # force and moment of the modules below
     for i in reversed(range(n)):
         couple = (wanted[n + i] - carried) / widths[i]
         left, right = 2 * i, 2 * i + 1
@@ -99,7 +97,7 @@ def _inputs(p: ArmParameters, q: np.ndarray, needed: np.ndarray) -> tuple[np.nda
         most = np.minimum(highest[left] - couple, highest[right] + couple)
         within = within & (least <= most)
         common = np.minimum(np.maximum(0.0, least), most)
-        tau[..., 2 * i], tau[..., 2 * i + 1] = common + couple, common - couple
+        tau[..., left], tau[..., right] = common + couple, common - couple
         cos, sin = axes[i]
         fx, fy = fx + 2.0 * common * cos, fy + 2.0 * common * sin
         carried = carried_moment(wanted[n + i], s[i], axes[i], fx, fy)

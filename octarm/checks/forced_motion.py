@@ -21,7 +21,12 @@ from octarm.arm import lagrange
 from octarm.arm.actuation import GroundedActuation, InternalActuation
 from octarm.arm.kinematics import tip_force
 from octarm.arm.parameters import ArmParameters
-from octarm.checks.free_motion import FreeMotion, fastest_rate, reference_motion
+from octarm.checks.free_motion import (
+    FreeMotion,
+    fastest_rate,
+    observed_order,
+    reference_motion,
+)
 from octarm.checks.mechanics import levers
 from octarm.disturbances.forces import PulseForce, SineForce, StepForce
 from octarm.disturbances.plant import Payload
@@ -93,9 +98,8 @@ def driven(model: mujoco.MjModel, p: ArmParameters, reference: np.ndarray) -> di
 def disturbed_orders(p: ArmParameters, reference: np.ndarray) -> dict[str, float]:
     """Order of convergence [1] of the loop's physics with RK4, for each of DISTURBED.
 
-    Over two timesteps, 0.2 of the arm's shortest time constant and half of it, with the references
-    of `references`, shape (SAMPLES + 1, 8, 2N). They are longer where that is so short, by much
-    damping, that the arm with the payload is followed to rounding.
+    By `observed_order`, from 0.2 of the arm's shortest time constant on, with the references of
+    `references`, shape (SAMPLES + 1, 8, 2N).
     """
     hold, (push, on), only = DURATION / SAMPLES, _push(p), np.eye(len(DISTURBED))
     disturbances = [
@@ -124,14 +128,8 @@ def disturbed_orders(p: ArmParameters, reference: np.ndarray) -> dict[str, float
             worst = np.maximum(worst, np.max(off, axis=-1))
         return worst
 
-    coarse = 8 * int(np.ceil(hold * fastest_rate(p) / 1.6))
-    rough, fine = errors(coarse), errors(2 * coarse)
-    for _ in range(3):
-        if not rough[0] < 1e-9:
-            break
-        coarse //= 2
-        rough, fine = errors(coarse), rough
-    return dict(zip(DISTURBED, np.log2(rough / fine).tolist(), strict=True))
+    orders = observed_order(errors, 8 * int(np.ceil(hold * fastest_rate(p) / 1.6)))
+    return dict(zip(DISTURBED, orders.tolist(), strict=True))
 
 
 def _push(p: ArmParameters) -> tuple[float, str]:

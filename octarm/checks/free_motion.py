@@ -132,21 +132,29 @@ class FreeMotion(NamedTuple):
         return float(np.max(np.abs(q - self.reference) * levers(self.parameters)))
 
     def observed_order(self, integrator: mujoco.mjtIntegrator) -> float:
-        """Order of convergence of an integrator [1].
+        """Order of convergence of an integrator [1]; see the function of this name.
 
-        By the errors at two timesteps, one half the other. The longer one is a tenth of the arm's
-        shortest time constant, which lets the leading term dominate; it is longer where that is so
-        short, by much damping, that the motion which matters is followed to rounding.
+        The longer timestep is a tenth of the arm's shortest time constant, which lets the leading
+        term dominate.
         """
         fastest, whole = fastest_rate(self.parameters), 8 * (len(self.reference) - 1)
         steps = whole * int(np.ceil(self.duration * fastest / 0.1 / whole))
-        error = self.error(integrator, steps)
-        for _ in range(3):
-            if not error < 1e-9:
-                break
-            steps //= 2
-            error = self.error(integrator, steps)
-        return float(np.log2(error / self.error(integrator, 2 * steps)))
+        return float(observed_order(lambda n: np.array([self.error(integrator, n)]), steps)[0])
+
+
+def observed_order(errors: Callable[[int], np.ndarray], steps: int) -> np.ndarray:
+    """Orders of convergence by the errors, shape (k,), at `steps` and at twice as many, shape (k,).
+
+    There are fewer steps, a half up to three times, where the first one's timestep is so short, by
+    much damping, that the motion which matters is followed to rounding.
+    """
+    rough, fine = errors(steps), errors(2 * steps)
+    for _ in range(3):
+        if not rough[0] < 1e-9:
+            break
+        steps //= 2
+        rough, fine = errors(steps), rough
+    return np.log2(rough / fine)
 
 
 def fastest_rate(p: ArmParameters) -> float:

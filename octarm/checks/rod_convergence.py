@@ -1,7 +1,7 @@
 """How many modules are enough: chains of both layouts against the rod that they stand for.
 
 Errors at N = 1 .. 40 of statics, frequencies and motion, and the orders at which they vanish.
-`rod_theory` has the exact statics and the frequencies, `rod_motion` the motions.
+`rod_theory` has the exact statics and the frequencies, `rod_study` what chains do.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import root_scalar
 
 from octarm.arm.rod import Rod, arm_from_rod
-from octarm.checks import rod_motion, rod_study, rod_theory
+from octarm.checks import rod_study, rod_theory
 from octarm.tolerances import Check, CheckTable, run_checks
 
 MODULES = (1, 2, 3, 5, 10, 20, 40)
@@ -104,7 +104,7 @@ class Study(NamedTuple):
             "hinges: paper, at the ends of modules; centred, amid elements, with a rigid tip;",
             "half-half, amid modules, as no arm has them. Releases: distances in rod lengths.",
         ]
-        notes += [] if self.peer else [rod_motion.MISSING]
+        notes += [] if self.peer else [rod_study.MISSING]
         return "\n".join([table(self.curves), *notes, "", str(self.table)])
 
 
@@ -129,7 +129,7 @@ def study(progress: Callable[[str], object] | None = None) -> Study:
         "frequencies": listed(_frequencies(rod)),
         "motion": listed(_motion(rod, motions)),
     }
-    if rod_motion.installed():
+    if rod_study.installed():
         parts["PyElastica"] = _peer(peer)
     checks = run_checks(parts, progress)
     title = f"chains of up to {MODULES[-1]} modules against the extensible rod"
@@ -214,31 +214,31 @@ def _frequencies(rod: Rod) -> Iterator[Curve]:
 
 def _motion(rod: Rod, motions: dict[str, np.ndarray]) -> Iterator[Curve]:
     """The largest distance of the tip of a chain let go from that of the rod, in .3 and 1 s."""
-    motions["rod"] = rod_motion.converged(rod)
+    motions["rod"] = rod_study.converged(rod)
     for layout, order in ORDERS.items():
-        tips = [rod_motion.released(arm_from_rod(rod, n, layout)) for n in MODULES]
+        tips = [rod_study.released(arm_from_rod(rod, n, layout)) for n in MODULES]
         motions |= {f"{layout}, N = {n}": tip for n, tip in zip(MODULES, tips, strict=True)}
-        for case, last in (("in .3 s", rod_motion.FIRST), ("in 1 s", rod_motion.SAMPLES)):
+        for case, last in (("in .3 s", rod_study.FIRST), ("in 1 s", rod_study.SAMPLES)):
             exact, *others = (tip[: last + 1] for tip in (motions["rod"], *tips))
-            errors = [rod_motion.distance(rod, tip, exact) for tip in others]
+            errors = [rod_study.distance(rod, tip, exact) for tip in others]
             yield Curve(f"release, tip {case}", layout, np.array(errors), order)
 
 
 def _peer(motions: dict[str, np.ndarray]) -> Iterator[Check]:
     """PyElastica's slim rod against the chain of its own discretisation, and extrapolated."""
-    rod = rod_motion.slim_rod()
-    motions["rod"] = rod_motion.converged(rod)
-    peers = [rod_motion.peer_released(rod, n) for n in rod_motion.ELEMENTS]
-    for n, tips in zip(rod_motion.ELEMENTS, peers, strict=True):
+    rod = rod_study.slim_rod()
+    motions["rod"] = rod_study.converged(rod)
+    peers = [rod_study.peer_released(rod, n) for n in rod_study.ELEMENTS]
+    for n, tips in zip(rod_study.ELEMENTS, peers, strict=True):
         motions[f"PyElastica, n = {n}"] = tips
-        chain = motions[f"the same chain, N = {n}"] = rod_motion.released(rod_motion.like(rod, n))
-        apart = rod_motion.distance(rod, tips, chain)
+        chain = motions[f"the same chain, N = {n}"] = rod_study.released(rod_study.like(rod, n))
+        apart = rod_study.distance(rod, tips, chain)
         yield Check(f"slim rod let go: PyElastica, n = {n}, against its chain", apart, _APART)
     # From n, 2n and 4n elements, without the errors of the orders 1/n and 1/n^2.
     limit = (peers[0] - 6.0 * peers[1] + 8.0 * peers[2]) / 3.0
     motions["PyElastica, extrapolated"] = limit
-    part = slice(rod_motion.FIRST + 1)
-    apart = rod_motion.distance(rod, limit[part], motions["rod"][part])
+    part = slice(rod_study.FIRST + 1)
+    apart = rod_study.distance(rod, limit[part], motions["rod"][part])
     # The weights of the extrapolation, in sum 5, magnify what PyElastica's rods differ by.
     what = "slim rod let go, .3 s: PyElastica extrapolated, against the rod"
     yield Check(what, apart, 5.0 * _APART)

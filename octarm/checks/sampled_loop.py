@@ -226,12 +226,6 @@ def _seen(law: LinearLaw) -> LinearLaw:
     return LinearLaw(law.F, law.C @ basis.T, basis @ law.R, basis @ law.S @ basis.T)
 
 
-def loop_matrix(plant: LinearPlant, law: LinearLaw, period: float) -> np.ndarray:
-    """The map of (x, z) from one control instant to the next, shape (m + k, m + k)."""
-    phi, gamma = plant.sampled(period)
-    return np.block([[phi + gamma @ law.F @ plant.M, gamma @ law.C], [law.R @ plant.M, law.S]])
-
-
 class Loop:
     """A plant and a law, at any control period."""
 
@@ -244,8 +238,9 @@ class Loop:
             self._law = lambda T: first
 
     def matrix(self, period: float) -> np.ndarray:
-        """`loop_matrix` for a control period [s], shape (m + k, m + k)."""
-        return loop_matrix(self.plant, self._law(period), period)
+        """The map of (x, z) over a control period [s], shape (m + k, m + k)."""
+        (phi, gamma), law, M = self.plant.sampled(period), self._law(period), self.plant.M
+        return np.block([[phi + gamma @ law.F @ M, gamma @ law.C], [law.R @ M, law.S]])
 
     def radius(self, period: float) -> float:
         """The spectral radius at a control period [s]; the loop is stable where it is below 1."""

@@ -118,10 +118,8 @@ def _compare_states(
     model: mujoco.MjModel, p: ArmParameters, count: int, rng: np.random.Generator
 ) -> Iterator[Check]:
     states = mechanics.random_states(p, count, rng)
-    by_mujoco, by_lagrange = (
-        mechanics.mujoco_mechanics(model, p, states),
-        mechanics.lagrange_mechanics(p, states),
-    )
+    by_mujoco = mechanics.mujoco_mechanics(model, p, states)
+    by_lagrange = mechanics.lagrange_mechanics(p, states)
     r = mechanics.levers(p)  # makes one unit of the entries of each quantity: forces and lengths
     force, column = 1.0 / r, 1.0 / r[:, None]
     rows: tuple[tuple[str, str, np.ndarray | float, float], ...] = (

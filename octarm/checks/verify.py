@@ -10,8 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from octarm.checks import run_files
-from octarm.checks.differences import Comparison, compare, listed, origin
+from octarm.checks.differences import (
+    Comparison,
+    Deviation,
+    array_differences,
+    checksum_differences,
+    compare,
+    listed,
+    origin,
+    recording_differences,
+    stored_arrays,
+)
 from octarm.declared import CodeChanged
 from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory
@@ -42,7 +51,7 @@ class RunCheck(Comparison):
     rows: int
     arrays: int
     recorded: bool
-    deviations: tuple[run_files.Deviation, ...]
+    deviations: tuple[Deviation, ...]
 
     @property
     def identical(self) -> bool:
@@ -101,20 +110,20 @@ def check_run(
     again, described = perform(environment, controller, announced, progress=progress)
     if again.status == "interrupted" and not (interrupted and len(again) == len(was["t"])):
         raise KeyboardInterrupt
-    now, written = run_files.saved_arrays(again), runs.written(described)
+    now, written = again.saved(), runs.written(described)
     names = environment.physics.coordinates.names
-    form, deviations = run_files.array_differences(was, now, names)
+    form, deviations = array_differences(was, now, names)
     stated = {key: value for key, value in description.items() if key != runs.SUMS}
     may_differ = (*_MAY_DIFFER, *(_OF_INTERRUPTED if interrupted else ()))
     differences = [
         *form,
         *compare(stated, written, may_differ),
-        *run_files.checksum_differences(folder, description),
+        *checksum_differences(folder, description),
     ]
     recording = folder / runs.RECORDING
     if recording.is_file() and not (differences or deviations):
         as_then = written | {key: description[key] for key in may_differ}
-        differences = [*run_files.recording_differences(recording, again, as_then)]
+        differences = [*recording_differences(recording, again, as_then)]
     return RunCheck(
         rows=len(was["t"]),
         arrays=len(was.keys() - Ending._fields),
@@ -132,7 +141,7 @@ def _stored(folder: Path, description: Mapping[str, Any]) -> dict[str, np.ndarra
         killed = description.get("status") == runs.RUNNING
         why = "it is still going on or was killed" if killed else "it is incomplete"
         raise OctarmError(f"{folder} has no {runs.ARRAYS} to compare with: {why}")
-    return run_files.stored_arrays(file)
+    return stored_arrays(file)
 
 
 def _interrupting(rows: int, progress: Callable[[], object] | None) -> Callable[[], object]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from octarm.arm.rod import LAYOUTS
-from octarm.checks import rod_motion
+from octarm.checks import rod_study
 from octarm.checks.rod_convergence import MODULES, Study
 from octarm.files import write_files
 from octarm.reports.convergence import pictures
@@ -44,6 +44,6 @@ def draw(out: Path, result: Study) -> None:
         for title, tips, drawn in motions
     ]
     files: dict[Path, bytes] = {}
-    for picture in pictures(MODULES, errors, panels, rod_motion.DURATION):
+    for picture in pictures(MODULES, errors, panels, rod_study.DURATION):
         files |= picture.files(out)
     write_files(files)

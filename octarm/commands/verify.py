@@ -10,8 +10,7 @@ import numpy as np
 
 from controllers import make_controller
 from octarm.bars import bar as new_bar
-from octarm.checks.differences import listed
-from octarm.checks.run_files import sweep_differences
+from octarm.checks.differences import listed, sweep_differences
 from octarm.checks.verify import check_episode, check_run
 from octarm.commands.terminal import note
 from octarm.declared import Code, CodeChanged, file_of, samples_of, word_of

@@ -157,11 +157,15 @@ class Trajectory:
             yield name, getattr(self, name)
         yield from self.signals.items()
 
+    def saved(self) -> dict[str, np.ndarray]:
+        """All that `save` writes, by name: rows of shape (T, ...), and the ending."""
+        ending = Ending(self.layer, self.status, self.message, self.digest)
+        return {**dict(self.arrays()), **ending.arrays()}
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the twin `.npz`, whole or not at all; equal trajectories give equal bytes."""
-        ending = Ending(self.layer, self.status, self.message, self.digest)
         with whole_file(path) as part, open(part, "wb") as file:
-            np.savez(file, allow_pickle=False, **dict(self.arrays()), **ending.arrays())
+            np.savez(file, allow_pickle=False, **self.saved())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], *, mapped: bool = False) -> Trajectory:

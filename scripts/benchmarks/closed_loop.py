@@ -4,15 +4,21 @@ Two processes of one thread each run a shard of a sweep, all that it measures in
 control periods they stop and let the rival do as much, so that both meet the same machine. A
 figure is the median of the ratios of such turns: of wall time, and of the time that the processor
 computed, which other programs disturb less.
+
+One arm alone has turns with the physics as well, of which the shortest counts: other programs
+lengthen both.
 """
 
-from __future__ import annotations
-
+import functools
 import itertools
 import math
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import mujoco
 import mujoco.batch
 import numpy as np
 from dm_control.rl import control
@@ -24,6 +30,7 @@ from octarm.arm.mjcf import build_slim_model
 from octarm.interfaces import Instant, Measurement, Reference
 from octarm.metrics.table import SETTLED_AFTER, Metrics
 from octarm.simulation.engines import MUJOCO
+from octarm.simulation.rollout import ArmRecorder
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.shards import Observe, Observer, begin, run_arms
 from octarm.sweeps.spec_file import parse_spec
@@ -34,7 +41,9 @@ FASTER = 30.0  # than one arm at a time
 PROCESSES = 2
 DURATION = 10.0  # of the episodes [s]
 TURN = 16  # control periods
+TURN_OF_ONE = 25  # control periods of one arm, and physics steps
 _SECONDS = 15.0  # a measurement, by that many of the settings' seconds
+_SECONDS_OF_ONE = 5.0  # likewise of one arm
 
 
 class Turns(NamedTuple):
@@ -185,3 +194,40 @@ def _alone(name: str, observe: Observe) -> tuple[Callable[[], object], int]:
 def _step() -> float:
     """Physics step and control period [s]."""
     return float(octarm.build_model().opt.timestep)
+
+
+def one_arm(settings: Settings) -> list[Row]:
+    """One arm alone: the shortest turns of its loop and of the physics, and a whole run."""
+    rows: list[Row] = []
+    for law in TARGETS:
+        period, step = _alternating(law, _SECONDS_OF_ONE * settings.seconds)
+        rows += [
+            Row(f"{law}, a control period in RK4 steps", period / step, "1", at_most=10.0),
+            Row(f"{law}, a control period", 1e6 * period, "us"),
+            Row(f"{law}, an RK4 step of the slim model", 1e6 * step, "us"),
+        ]
+        duration = 10.0 * min(1.0, settings.seconds)
+        with tempfile.TemporaryDirectory() as folder:
+            command = [sys.executable, "-m", "octarm", "run", "--controller", law,
+                       "--duration", str(duration), "--out", f"{folder}/run"]  # fmt: skip
+            quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+            taken = duration_of(functools.partial(subprocess.run, command, check=True, **quiet))[0]
+        rows.append(Row(f"{law}, octarm run, times real time", duration / taken, "1", at_least=3.0))
+    return rows
+
+
+def _alternating(law: str, seconds: float) -> np.ndarray:
+    """A control period, and a physics step of the slim model, whose arm hangs [s]."""
+    arm = octarm.nominal_parameters()
+    environment, controller = octarm.load(), make_controller(law, arm.mismatched(-0.3))
+    model = build_slim_model(arm)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+
+    def step() -> None:
+        for _ in range(TURN_OF_ONE):
+            mujoco.mj_step(model, data)
+
+    recorder = ArmRecorder(environment, lambda rows: None)
+    times = turns(environment, controller, 1e4, recorder, step, TURN_OF_ONE, seconds)
+    return np.min(times[:, :, 0], axis=0) / TURN_OF_ONE

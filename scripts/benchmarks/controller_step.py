@@ -1,7 +1,5 @@
 """What a step of a controller costs, against a step of the physics."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

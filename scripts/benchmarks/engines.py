@@ -3,11 +3,17 @@
 Closed loops of both engines run in turns with the same open loop of MuJoCo, see
 `benchmarks.closed_loop`, and are compared by it, so that other programs disturb the ratio least.
 The hundredth of a sweep's episodes that runs on MuJoCo as well is not in these figures.
+
+Beside chains of as many modules stands PyElastica's Cosserat rod. Every program takes the longest
+step at which it is stable on the default rod, so that the time that it simulates in a second
+compares them. PyElastica's rod moves in space and shears; with a hundred times the shear stiffness
+it is the rod of octarm's chains, which do not shear. Its damping is uniform and sets the step no
+limit; the dampers along the springs of the chains are what limits the step of the finer ones.
+PyElastica steps one rod; octarm steps one arm alone, or an arm of a batch, on one core.
 """
 
-from __future__ import annotations
-
 import functools
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -28,9 +34,12 @@ from benchmarks.figures import (
     ratios,
 )  # fmt: skip
 from controllers import make_controller
+from octarm.arm.lagrange import equilibrium
 from octarm.arm.mjcf import build_slim_model
+from octarm.arm.modes import longest_step
 from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
+from octarm.checks.rod_study import installed, peer
 from octarm.simulation.engines import ENGINES, LAGRANGE, usual_engine
 from octarm.sweeps.tune import Budget, Space
 from octarm.sweeps.tune_cost import Examination, Rig, costs
@@ -40,6 +49,14 @@ MODULES = {3: None, 10: None, 15: 10.0, 30: None}  # and how much faster the eng
 STEP = 5e-5  # physics step of all these plants [s]; that of 30 modules may be 88 us
 TUNED = "afsmc"
 _TIMES = 2  # that a generation is run
+
+ELEMENTS = (10, 20)
+SHEAR = {"": 1.0, " without shear": 100.0}  # times the stiffness of the section
+_LONGEST = 4e-3  # step of PyElastica that is tried first [s]
+_SHORTER = 0.8  # each step over the one before
+_SWING = 1.0  # of a rod that is let go across gravity, which a stable step survives [s]
+_DAMPING = 1.0  # of PyElastica, uniform [1/s]
+_STEPS = 50  # that are timed together
 
 
 def check_installed() -> None:
@@ -133,3 +150,57 @@ def tuning(settings: Settings) -> list[Row]:
         *(Row(f"{TUNED}, {engine}, a generation of {examination.duration:g} s", x, "s")
           for engine, x in zip(ENGINES, wall, strict=True)),
     ]  # fmt: skip
+
+
+def peers(settings: Settings) -> list[Row]:
+    """A step of a rod, and the time that a second of computation simulates."""
+    if not installed():
+        raise LeftOut("peers", "PyElastica")
+    rod, rows = Rod(), list[Row]()
+    for n in ELEMENTS:
+        arm = arm_from_rod(rod, n)
+        own = float(longest_step(arm, equilibrium(arm)))
+        model = build_slim_model(arm)
+        paths: list[tuple[str, Callable[[], object], float, int]] = [
+            (f"PyElastica{word}, N = {n}", *stepping(rod, n, shear), _STEPS)
+            for word, shear in SHEAR.items()
+        ]
+        paths += [
+            (f"mujoco, N = {n}, alone", physics_step(model, 1), own, 1),
+            (f"mujoco, N = {n}, batch", physics_step(model, settings.arms), own, settings.arms),
+        ]
+        if usual_engine() == LAGRANGE:
+            many = analytic_step(arm, settings.arms)
+            paths.append((f"lagrange, N = {n}, batch", many, own, settings.arms))
+        best = fastest([call for _, call, _, _ in paths], settings.seconds)
+        for (name, _, step, count), taken in zip(paths, best, strict=True):
+            cost = taken / count
+            rows += [
+                Row(f"{name}, step of {1e6 * step:.0f} us", 1e6 * cost, "us"),
+                Row(f"{name}, arm-seconds/s", step / cost, "1"),
+            ]
+    return rows
+
+
+def stepping(rod: Rod, elements: int, shear: float) -> tuple[Callable[[], object], float]:
+    """Some steps of PyElastica's rod, and the longest that it survives of those tried [s]."""
+    step = _LONGEST
+    while not _survives(rod, elements, shear, step):
+        step *= _SHORTER
+    _, advance = peer(rod, elements, step, shear=shear, damping=_DAMPING)
+
+    def turn() -> None:
+        for _ in range(_STEPS):
+            advance()
+
+    return turn, step
+
+
+def _survives(rod: Rod, elements: int, shear: float, step: float) -> bool:
+    tip, advance = peer(rod, elements, step, shear=shear, damping=_DAMPING)
+    with np.errstate(all="ignore"):
+        for _ in range(math.ceil(_SWING / step)):
+            advance()
+            if not np.linalg.norm(tip()) < 2.0 * rod.length:
+                return False
+    return True

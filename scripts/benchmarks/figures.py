@@ -1,7 +1,5 @@
 """What a section of the benchmark is given, how it takes times, and what it returns."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time
@@ -61,9 +59,6 @@ class Settings(NamedTuple):
     arms: int  # in a batch
     seconds: float  # the measure of how long a section takes; each says how many of them [s]
     episodes: int  # of the largest sweep
-
-
-Section = Callable[[Settings], list[Row]]
 
 
 def ratios(law: str, what: str, by_clock: Sequence[float], least: float | None) -> list[Row]:

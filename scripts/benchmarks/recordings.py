@@ -1,7 +1,5 @@
 """What it costs to record a run: time and size of the file, against logging step by step."""
 
-from __future__ import annotations
-
 import functools
 import tempfile
 import time

@@ -1,7 +1,5 @@
 """How whole sweeps do: with two workers, over many episodes, and beside what they compute."""
 
-from __future__ import annotations
-
 import contextlib
 import subprocess
 import sys
