@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import textwrap
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +12,7 @@ from cyclopts import Parameter
 
 from octarm.commands import kinds
 from octarm.commands.terminal import surviving_output
-from octarm.errors import OctarmError
+from octarm.errors import ExitCode, OctarmError
 
 
 @Parameter(name="*")
@@ -130,6 +131,31 @@ def doctor() -> kinds.Work:
     Examples:
       octarm doctor
     """
-    from octarm.commands import doctor as work
+    from octarm.checks import doctor as machine
 
-    return work.doctor
+    def job() -> int:
+        found: list[machine.Finding] = []
+        for title, findings in {
+            "versions": machine.versions(),
+            "processor": machine.processor(),
+            "commands, tried out": machine.work(),
+            "folders": machine.folders(),
+        }.items():
+            print(f"{title}:", flush=True)
+            for each in findings:  # as they come in
+                head = f"  {each.state.value:<8} {each.name:<16} "
+                text = textwrap.fill(each.text, 80, initial_indent=head, subsequent_indent=" " * 28)
+                print(text, flush=True)
+                found.append(each)
+        remedies = [f"  {each.name}: {each.remedy}" for each in found if each.remedy]
+        if remedies:
+            print("\n".join(["", "to do:", *remedies]))
+        works = all(each.state is not machine.State.BROKEN for each in found)
+        slow = [each.name for each in found if each.state is machine.State.SLOW and each.remedy]
+        verdict = "works here" if works else "does not work here"
+        if works and "octarm run" in slow:
+            works, verdict = False, "was too slow here to tell whether it works"
+        print(f"\noctarm run {verdict}")
+        return ExitCode.FINE if works else ExitCode.CHECK_FAILED
+
+    return job

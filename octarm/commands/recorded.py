@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from octarm.commands import kinds
-from octarm.commands.terminal import surviving_output
+from octarm.commands.terminal import note, surviving_output
 from octarm.errors import OctarmError, printable
+
+if TYPE_CHECKING:
+    from octarm.runs.folder import Run
 
 
 def replay(
@@ -68,9 +71,9 @@ def compare(
     kinds.check_runs(*runs)
     if len(runs) < 2:
         raise OctarmError(f"octarm compare needs two runs or more; {len(runs)} given")
-    from octarm.commands.compare import compare as work
+    from octarm.commands import replay as work
 
-    return surviving_output(work, runs, out)
+    return surviving_output(work.compare, runs, out)
 
 
 def record(
@@ -94,7 +97,6 @@ def record(
     """
     kinds.check_free(force, out)
     kinds.check_runs(run)
-    from octarm.commands.rows import rows_of
     from octarm.recordings.recording import write_recording
     from octarm.runs import folder as runs
 
@@ -129,7 +131,6 @@ def plot(
     out = out or _sibling(run, "-figures")
     kinds.check_free(force, out / "tracking.png")
     kinds.check_runs(run)
-    from octarm.commands.rows import rows_of
     from octarm.reports.run_figures import write_figures
 
     def job() -> None:
@@ -172,7 +173,6 @@ def video(
     from octarm.recordings.video import choose_renderer, write_video
 
     choose_renderer()  # before anything imports MuJoCo
-    from octarm.commands.rows import rows_of
 
     def job() -> None:
         write_video(out, *rows_of(run), size=(width, height), rate=rate, speed=speed)
@@ -184,3 +184,16 @@ def video(
 def _sibling(folder: Path, ending: str) -> Path:
     """A name like the run folder's; the folder itself holds the run and nothing else."""
     return folder.resolve().with_name(folder.resolve().name + ending)
+
+
+def rows_of(folder: Path) -> Run:
+    """The arrays of a run, whole or partial, and its description; raises OctarmError."""
+    from octarm.runs import folder as runs
+
+    trajectory, description = runs.map_run(folder)
+    if description["status"] == runs.RUNNING:
+        end = f"t = {trajectory.t[-1]:.6g} s"
+        note(f"the run is partial: it is still going on or was killed, and reaches to {end}")
+        ended = {"status": trajectory.status, "message": trajectory.message}
+        description = {**description, **ended}
+    return runs.Run(trajectory, description)

@@ -1,4 +1,4 @@
-"""What `octarm replay` does."""
+"""What `octarm replay` and `octarm compare` do."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from octarm.commands.rows import rows_of
+from octarm.commands.recorded import rows_of
 from octarm.commands.terminal import note
 from octarm.errors import OctarmError, printable
+from octarm.files import write_files
 from octarm.recordings import viewer
-from octarm.recordings.comparison import write_comparison
+from octarm.recordings.comparison import check_comparable, write_comparison
 from octarm.recordings.recording import write_recording
 from octarm.recordings.rrd import last_instant, telling_instant
 from octarm.recordings.titles import LONGEST, conditions_of
 from octarm.runs import folder as runs
 
 _SWEEP = "manifest.json"  # a folder with it is a sweep
+_PAGE, _COMPARISON, _FIGURES = "comparison.html", "comparison.rrd", "figures"
 _MOST = 32  # recordings of a sweep that are opened at once
 
 
@@ -51,7 +53,7 @@ def _recordings(folders: Sequence[Path]) -> Generator[list[Path]]:
         raise OctarmError(f"{len(folders)} runs are given; replay shows one, or two side by side")
     with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
         if len(folders) == 2:
-            both = Path(scratch) / "comparison.rrd"
+            both = Path(scratch) / _COMPARISON
             write_comparison(both, *(rows_of(folder) for folder in folders))
             yield [both]
         elif (folders[0] / _SWEEP).is_file():
@@ -88,7 +90,7 @@ def _episode_name(folder: str, description: Mapping[str, Any]) -> str:
 
 
 def _of_run(folder: Path, scratch: Path) -> Path:
-    """The recording of a run; of one that is partial it is made of its arrays."""
+    """The recording of a run; of one that has not ended it is made of its arrays."""
     if folder.suffix == ".rrd" and folder.is_file():
         return folder
     description = runs.read_description(folder)  # raises when this is no run
@@ -102,3 +104,30 @@ def _of_run(folder: Path, scratch: Path) -> Path:
         message = printable(description.get("message", ""), 200)
         note(f"the run is partial: it was {message}")
     return recording
+
+
+def compare(folders: Sequence[Path], out: Path) -> None:
+    """`octarm compare`: runs in one page and one recording."""
+    from octarm.reports.run_comparison import RunComparison  # takes a second to import
+
+    compared = [rows_of(folder) for folder in folders]
+    check_comparable([run.trajectory for run in compared])
+    comparison = RunComparison(compared)
+    pictures = list(comparison.pictures())
+    text = comparison.page([str(folder) for folder in folders], pictures)
+    contents = {out / _PAGE: text.encode(errors="backslashreplace")}
+    for picture in pictures:
+        contents |= picture.files(out / _FIGURES)
+    write_files(contents)
+    write_comparison(out / _COMPARISON, *compared)
+    titles = zip(comparison.names, folders, comparison.titles, compared, strict=True)
+    for name, folder, title, run in titles:
+        tip = run.metrics.get("tip_rms_error")
+        rms = "" if tip is None else f"; tip: {1e3 * tip:.3g} mm rms"
+        print(f"{name}: {printable(str(folder))}, {title}{rms}")
+    for each in comparison.differences:
+        print(f"  {each.name}: {'; '.join(map(printable, each.values))}")
+    print(printable(comparison.verdict, 2000))
+    for line in comparison.ranking():
+        print(f"  {printable(line)}")
+    print(f"wrote {printable(str(out))}/  ({_PAGE}, {_COMPARISON}, {_FIGURES}/)")

@@ -8,18 +8,24 @@ import functools
 import shlex
 import sys
 import time
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
 from controllers import make_controller
+from octarm.arm.groups import SUMS
 from octarm.bars import bar as new_bar
 from octarm.commands.notes import print_late, print_unsuited, starts_of
-from octarm.commands.summary import summary
 from octarm.commands.terminal import note
 from octarm.declared import short_name, word_of
+from octarm.disturbances.ledger import in_words
 from octarm.errors import ExitCode, OctarmError, printable
+from octarm.metrics.declared import declared_metrics
+from octarm.metrics.metric import unsettled
+from octarm.metrics.table import METRICS
 from octarm.recordings import viewer
 from octarm.recordings.live import LiveRecording
 from octarm.recordings.recording import run_recording
@@ -27,6 +33,12 @@ from octarm.references import recorded_word
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
+
+# Those of the table of a run, with their widths.
+_COLUMNS = {
+    "rms": 10, "peak": 11, "rms/amplitude": 15, "overshoot": 11, "chattering": 14,
+    "reached s=0": 13,
+}  # fmt: skip
 
 
 def run(
@@ -57,7 +69,8 @@ def _run(
     periods = whole_periods(experiment.duration, period)
     word = recorded_word(experiment.reference, experiment.code)
     print_late(starts_of(experiment.disturbances), [word], experiment.duration)
-    out = out or _dated_folder(experiment.controller)
+    date = f"{datetime.datetime.now():%Y%m%d-%H%M%S.%f}"
+    out = out or Path("runs") / f"{date}-{experiment.controller}"
 
     def say(sentence: str) -> None:
         tqdm.write(f"octarm: {sentence}", file=sys.stderr)  # above the bar
@@ -76,7 +89,7 @@ def _run(
         )
     elapsed = time.perf_counter() - started
     amplitude = 0.5 * np.ptp(ends, axis=0)
-    print(summary(len(trajectory), amplitude, description, elapsed, experiment.code))
+    _print_summary(experiment, description, len(trajectory), amplitude, elapsed)
     print(f"wrote {printable(str(out))}/  ({runs.RECORDING}, {runs.ARRAYS}, {runs.DESCRIPTION})")
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt(f"{out} holds the run up to t = {trajectory.t[-1]:.6g} s")
@@ -104,5 +117,71 @@ def _view(folder: Path) -> None:
         print(f"a picture: octarm replay {name} --screenshot picture.png")
 
 
-def _dated_folder(controller: str) -> Path:
-    return Path("runs") / f"{datetime.datetime.now():%Y%m%d-%H%M%S.%f}-{controller}"
+def _print_summary(
+    experiment: Experiment,
+    description: Mapping[str, Any],
+    periods: int,
+    amplitude: np.ndarray,
+    elapsed: float,
+) -> None:
+    """Says what was run, what the disturbances delivered, and what came of it.
+
+    Of so many control periods, a desired motion with amplitudes of shape (2N,) [m], [rad], what
+    run.json says, and how long it took [s].
+    """
+    period, metrics = description["control_period"], description["metrics"]
+    on = ""
+    if plant := description.get("plant"):
+        read = "" if plant["sensing"] == SUMS else f", read by {plant['sensing']}"
+        on = f", a plant of {plant['modules']} modules ({plant['layout']}{read})"
+    print(
+        f"{description['controller']['name']} on {description['reference']['name']}{on}: "
+        f"{periods * period:g} s at {1.0 / period:g} Hz, done in {elapsed:.1f} s"
+    )
+    if description["disturbances"]:
+        print("disturbances, as delivered")
+        print("\n".join(in_words(description["disturbances"], experiment.code)))
+    if None not in metrics["rms_error"]:
+        _print_table(amplitude, description["coordinates"], metrics, experiment.settle)
+    elif early := unsettled(experiment.duration, experiment.settle):
+        print(f"note: {early}")
+    for name, metric in declared_metrics(experiment.code).items():
+        if name not in METRICS and name in metrics:
+            numbers = np.atleast_1d(np.array(metrics[name], dtype=float))
+            values = ", ".join("none" if np.isnan(x) else f"{x:.3g}" for x in numbers.tolist())
+            print(f"{name} [{', '.join(metric.units)}]: {values}")
+
+
+def _print_table(
+    amplitude: np.ndarray,
+    coordinates: Sequence[Mapping[str, str]],
+    metrics: Mapping[str, Any],
+    settle: float,
+) -> None:
+    """A row a coordinate."""
+
+    def print_row(head: str, cells: Iterable[str]) -> None:
+        print(head.ljust(14) + "".join(map(str.rjust, cells, _COLUMNS.values())).rstrip())
+
+    print_row(f"after {settle:g} s", _COLUMNS)
+    for j, coordinate in enumerate(coordinates):
+        name, unit = coordinate["name"], coordinate["unit"]
+        force = METRICS["chattering"].unit_for(unit)
+        rms = metrics["rms_error"][j]
+        reached = metrics.get("reaching_time")
+        cells = (
+            f"{1e3 * rms:.3g}",
+            f"{1e3 * metrics['peak_error'][j]:.3g}",
+            _cell(100.0 * rms / amplitude[j] if amplitude[j] > 0.0 else None, ".3f", " %"),
+            _cell(metrics["overshoot"][j], "+.2f", " %"),
+            _cell(metrics["chattering"][j], ".3g", f" m{force}", 1e3),
+            _cell(reached[j] if reached else None, ".4g", " s"),
+        )
+        print_row(f"{name:>7} [m{unit}]", cells)
+    bound = metrics.get("reaching_bound")
+    promise = "" if bound is None else f"; s = 0 is reached within {bound:.3g} s by (14)-(15)"
+    print(f"tip: {1e3 * metrics['tip_rms_error']:.3g} mm rms{promise}")
+
+
+def _cell(value: float | None, form: str, unit: str, factor: float = 1.0) -> str:
+    return "" if value is None else f"{factor * value:{form}}{unit}"

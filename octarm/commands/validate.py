@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,18 +16,36 @@ from octarm.arm.file import read_arm
 from octarm.arm.lagrange import equilibrium
 from octarm.arm.modes import rates
 from octarm.arm.parameters import ArmParameters
+from octarm.arm.rod import LAYOUTS
 from octarm.bars import bar as new_bar
+from octarm.checks import rod_study
 from octarm.checks.closed_loops import compare_engines
-from octarm.checks.rod_convergence import Study, study
+from octarm.checks.rod_convergence import MODULES, Study, study
 from octarm.checks.validation import arm_with, random_arm
 from octarm.checks.validation import validate as plant
 from octarm.commands.checks import ValidateOptions
-from octarm.commands.rod import draw
 from octarm.errors import ExitCode, printable
-from octarm.files import write_text
+from octarm.files import write_files, write_text
+from octarm.reports.convergence import pictures
 from octarm.tolerances import CheckTable
 
 SWITCHING = ("smc", "super-twisting")  # laws with sgn(s)
+# The cases and motions of --rod that are drawn, the motions with their styles.
+_DRAWN = (
+    "small tip load", "tip at 1 rad", "weight across", "weight across, tapered",
+    "bending frequency 1", "bending frequency 2", "axial frequency 1", "release, tip in 1 s",
+)  # fmt: skip
+_CHAINS = {
+    "rod": "rod",
+    "paper, N = 3": "first, coarse", "centred, N = 3": "second, coarse",
+    "paper, N = 10": "first", "centred, N = 10": "second",
+}  # fmt: skip
+_PEERS = {
+    "rod": "rod",
+    "PyElastica, n = 20": "first",
+    "the same chain, N = 20": "dots",
+    "PyElastica, extrapolated": "second",
+}
 
 Check = Callable[[Callable[[str], None]], CheckTable]
 
@@ -41,7 +60,7 @@ def validate(options: ValidateOptions) -> int:
         print(result, flush=True)
         reports.append(result.to_dict())
         if options.out is not None and isinstance(result, Study):
-            draw(options.out, result)
+            _draw(options.out, result)
             print(f"wrote {printable(str(options.out))}")
     if options.json is not None:
         write_text(options.json, json.dumps(reports, indent=2) + "\n")
@@ -82,3 +101,22 @@ def _engines(
         seed=options.seed,
         progress=progress,
     )
+
+
+def _draw(out: Path, result: Study) -> None:
+    """Writes the figures of a convergence study into a folder, all or none."""
+    errors: dict[str, dict[str, np.ndarray]] = {case: {} for case in _DRAWN}
+    for curve in result.curves:
+        if curve.case in errors and curve.layout in LAYOUTS:
+            errors[curve.case][curve.layout] = curve.errors
+    motions = [("the default rod", result.motions, _CHAINS)]
+    if result.peer:
+        motions.append(("a slim rod, beside PyElastica", result.peer, _PEERS))
+    panels = [
+        (title, {name: (tips[name], style) for name, style in drawn.items()})
+        for title, tips, drawn in motions
+    ]
+    files: dict[Path, bytes] = {}
+    for picture in pictures(MODULES, errors, panels, rod_study.DURATION):
+        files |= picture.files(out)
+    write_files(files)

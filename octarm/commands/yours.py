@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import re
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +13,18 @@ from cyclopts import Parameter
 
 from octarm.commands import kinds
 from octarm.commands.terminal import surviving_output
+from octarm.errors import OctarmError, closest, printable, quoted
+
+_STARTS = Path(__file__).resolve().parent / "starts"
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*([_-][A-Za-z0-9]+)*")
+_NEXT = {
+    "controller": "octarm run --controller ./{file}:{Name}",
+    "reference": "octarm run --reference ./{file}:{Name}",
+    "disturbance": "octarm run --disturbance ./{file}:{Name}:5",
+    "metric": "octarm run --metric ./{file}:{Name}",
+    "arm": "octarm run --arm {file}",
+    "experiment": "octarm sweep {file} --out runs/{name}",
+}
 
 
 @Parameter(name="*")
@@ -115,6 +129,39 @@ def new(
       octarm new disturbance soft-wall
       octarm new experiment first
     """
-    from octarm.commands import new as work
+    return partial(_new, kind, name)
 
-    return partial(work.new, kind, name)
+
+def _new(kind: str, name: str) -> None:
+    from jinja2 import Template
+
+    from octarm.disturbances.spelling import DISTURBANCES
+    from octarm.files import write_text
+
+    if kind not in kinds.NEW_FILES:
+        raise OctarmError(f"unknown kind {quoted(kind)}{closest(kind, kinds.NEW_FILES)}")
+    if not _NAME.fullmatch(name):
+        raise OctarmError(
+            f"name is {quoted(name)}; it must be letters and digits, joined by - or _, such as "
+            "my-law"
+        )
+    words = re.split("[_-]", name)
+    hyphened = "-".join(words).lower()
+    if kind == "disturbance" and (hyphened in DISTURBANCES or words[-1].isdigit()):
+        raise OctarmError(
+            f"{hyphened} cannot be the name of a disturbance: it is built in, or ends in a number"
+        )
+    (start,) = _STARTS.glob(f"{kind}.*")
+    suffix, column = Path(start.stem).suffix, "_".join(words).lower()
+    named = {
+        "file": f"{column if suffix == '.py' else hyphened}{suffix}",
+        "Name": "".join(word[0].upper() + word[1:] for word in words),
+        "name": hyphened,
+        "column": column,
+    }
+    if os.path.lexists(named["file"]):
+        raise OctarmError(f"{named['file']} exists; choose another name, or remove it")
+    template = Template(start.read_text(encoding="utf-8"), keep_trailing_newline=True)
+    write_text(named["file"], template.render(named))
+    print(f"wrote {printable(named['file'])}")
+    print(f"try it: {_NEXT[kind].format(**named)}")
