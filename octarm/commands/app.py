@@ -23,7 +23,7 @@ from cyclopts.exceptions import (
 )
 
 from octarm.commands import checks, kinds, many_runs, one_run, recorded, yours
-from octarm.commands.kinds import SHELLS, Work
+from octarm.commands.kinds import Work
 from octarm.commands.pages import arguments_of, commands, is_operand, overview, page, spelling
 from octarm.errors import ExitCode, FileError, OctarmError, closest, printable, quoted
 
@@ -36,7 +36,7 @@ APP = App(
 )
 
 
-def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
+def completion(shell: Annotated[kinds.Shell, kinds.SHELL], /) -> Work:
     """Print a script by which a shell completes commands.
 
     Commands, options, names of controllers and references, files and folders.
@@ -49,8 +49,6 @@ def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
       octarm completion zsh >> ~/.zshrc
       octarm completion fish > ~/.config/fish/completions/octarm.fish
     """
-    if shell not in SHELLS:
-        raise OctarmError(f"unknown shell {quoted(shell)}{closest(shell, SHELLS)}")
     script = APP.generate_completion(shell=shell)
     return functools.partial(print, script + _AFTER.get(shell, ""))
 

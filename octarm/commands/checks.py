@@ -76,9 +76,6 @@ def validate(*, options: ValidateOptions = ValidateOptions()) -> kinds.Work:
     against each other; with --rod, chains of modules against rod theory. Prints a report; exit
     code 1 when a check failed.
 
-    Args:
-        options: see `ValidateOptions`
-
     Examples:
       octarm validate --modules 5 --json report.json
       octarm validate --controllers

@@ -20,7 +20,6 @@ from octarm.errors import OctarmError, closest, quoted
 from octarm.units import ANY, Range, number
 
 Work = Callable[[], int | None]  # what a command does; returns the exit code, if all is not fine
-Convert = Callable[[str, str], Any]  # from an option and its word to its value
 
 GENERATION = 1224.0  # [s] that one generation of octarm tune simulates
 
@@ -59,10 +58,11 @@ def known_words(metavar: str) -> list[str]:
     return [*words, *map(str, files)]
 
 
-def kind(metavar: str, convert: Convert | None = None) -> Parameter:
+def kind(metavar: str, convert: Callable[[str, str], Any] | None = None) -> Parameter:
     """A kind of value; without a conversion it is the word as it is.
 
-    A ValueError of the conversion is the sentence that refuses a word. A shell asks the program for
+    It is given the option and the word, and its ValueError is the sentence that refuses the word,
+    before anything that takes longer is imported. A shell asks the program for
     the words of a kind that has a list of them.
     """
 
@@ -89,48 +89,39 @@ def _one_of(metavar: str) -> Parameter:
     return kind(metavar, convert)
 
 
-def check(metavar: str, word: str, *more: str) -> None:
-    """Raises OctarmError for a word that can mean nothing of a kind, such as CONTROLLER."""
-    pkgutil.resolve_name(_WORDS[metavar]).check(word, *more)
+def _declared(metavar: str, *more: str) -> Parameter:
+    """A name, or a path of a user's own; more names may be known where it stands.
 
-
-def check_numbers(metavar: str, text: str, *, varied: bool) -> None:
-    """Raises OctarmError for parameters that a built-in disturbance or reference cannot have.
-
-    The first number of one that is to be `varied` may be missing.
+    Numbers of built-in disturbances and references are looked at, but for one that is to vary.
     """
-    if metavar == "DISTURBANCE":
-        from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
-        from octarm.disturbances.varied import is_varied
-
-        built_in = DISTURBANCES.split(text).word in DISTURBANCES
-        if built_in and not (varied and is_varied(text)):
-            parse_disturbance(text)
-    elif metavar == "REFERENCE":
-        from octarm.references import REFERENCES, parameters_of
-
-        if REFERENCES.split(text).word in REFERENCES:
-            REFERENCES.code(text)  # raises for a file that is not there
-            parameters_of(text)
-
-
-def _declared(metavar: str, *more: str, known: bool = True) -> Parameter:
-    """A name, or a path of a user's own; what is not `known` yet is looked at after all options."""
 
     def convert(option: str, word: str) -> str:
-        from octarm.declared import absolute
+        word = _absolute(option, word)
+        table = pkgutil.resolve_name(_WORDS[metavar])
+        table.check(word, *more)
+        if metavar == "DISTURBANCE" and table.split(word).word in table:
+            from octarm.disturbances.spelling import parse_disturbance
+            from octarm.disturbances.varied import is_varied
 
-        word = absolute(word)
-        if known:
-            check(metavar, word, *more)
-            check_numbers(metavar, word, varied=bool(more))
+            if not (more and is_varied(word)):
+                parse_disturbance(word)
+        elif metavar == "REFERENCE" and table.split(word).word in table:
+            from octarm.references import parameters_of
+
+            table.code(word)  # raises for a file that is not there
+            parameters_of(word)
         return word
 
     return kind(metavar, convert)
 
 
-def arm(option: str, word: str) -> str:
-    """An arm that is there, before anything that takes longer is imported."""
+def _absolute(option: str, word: str) -> str:
+    from octarm.declared import absolute
+
+    return absolute(word)
+
+
+def _arm(option: str, word: str) -> str:
     from octarm.arm.file import read_arm
 
     read_arm(word)  # raises
@@ -238,13 +229,13 @@ CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
     _declared, ("CONTROLLER", "REFERENCE", "DISTURBANCE", "METRIC")
 )
 VARIED = _declared("DISTURBANCE", "nominal-mismatch")  # see `octarm.disturbances.varied`
-CALLED = _declared("CONTROLLER", known=False)
-COLUMN = _declared("METRIC", known=False)  # of the table of a sweep
-ACTUATION, INTEGRATOR, ENGINE, LAYOUT, SENSING, START = map(
-    _one_of, ("ACTUATION", "INTEGRATOR", "ENGINE", "LAYOUT", "SENSING", "START")
+CALLED = kind("CONTROLLER", _absolute)  # in a sweep
+COLUMN = kind("METRIC", _absolute)  # of the table of a sweep
+ACTUATION, INTEGRATOR, ENGINE, LAYOUT, SENSING, START, SHELL, KIND = map(
+    _one_of,
+    ("ACTUATION", "INTEGRATOR", "ENGINE", "LAYOUT", "SENSING", "START", "SHELL", "KIND"),
 )
-GAINS, ARM = kind("GAINS", _gains), kind("ARM", arm)
-FILE_OR_ARM, SHELL, KIND = map(kind, ("ARM", "SHELL", "KIND"))  # operands: looked at last
+GAINS, ARM = kind("GAINS", _gains), kind("ARM", _arm)
 # An option whose value may be left out; the value, if there is one, as a list.
 LIVE = Parameter(metavar="[HOST:PORT]", converter=_live, consume_multiple=(0, 1))
 

@@ -222,7 +222,7 @@ class MarginOptions:
 
 
 def margin(
-    *controllers: Annotated[str, kinds.CALLED], options: MarginOptions = MarginOptions()
+    *controllers: Annotated[str, kinds.CONTROLLER], options: MarginOptions = MarginOptions()
 ) -> kinds.Work:
     r"""Find how much of a disturbance controllers bear.
 
@@ -244,8 +244,6 @@ def margin(
         --disturbance payload --bound tip_rms_error:0.01
     """
     kinds.check_free(options.force, options.csv, options.json)
-    for word in controllers:
-        kinds.check("CONTROLLER", word)
     options.gain_options.values(*controllers)  # raises
     if controllers:
         options.varied()  # raises
@@ -290,7 +288,7 @@ class TuneOptions:
 
 
 def tune(
-    controller: Annotated[str, kinds.CALLED], /, *, options: TuneOptions = TuneOptions()
+    controller: Annotated[str, kinds.CONTROLLER], /, *, options: TuneOptions = TuneOptions()
 ) -> kinds.Work:
     """Find gains for one controller.
 
@@ -319,7 +317,6 @@ def tune(
     """
     from octarm.declared import short_name
 
-    kinds.check("CONTROLLER", controller)
     out = options.out or Path(f"{short_name(controller)}.toml")
     kinds.check_free(options.force or options.resume, out)
     options.gain_options.values(controller)  # raises

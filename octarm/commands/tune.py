@@ -14,11 +14,10 @@ from typing import Any
 from controllers import CONTROLLERS, make_controller
 from controllers.gain_sets import GainSet, shortest
 from octarm.arm.nominal import LagrangeModel
-from octarm.arm.parameters import ArmParameters
 from octarm.bars import bar as new_bar
 from octarm.commands.many_runs import TuneOptions
 from octarm.commands.options import GainOptions, spelt
-from octarm.declared import Code, lacking, short_name
+from octarm.declared import lacking, short_name
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import OctarmError, printable
 from octarm.files import write_text
@@ -43,52 +42,34 @@ from octarm.sweeps.workers import WorkerProcesses, cores
 def tune(controller: str, options: TuneOptions) -> None:
     """`octarm tune`: gains for one controller, as a TOML file."""
     assert options.out is not None
-    out, budget, rig = options.out, Budget.within(options.budget), _rig(options)
+    out, model, name = options.out, options.model, short_name(controller)
+    budget = Budget.within(options.budget)
+    rig = Rig(
+        engine=options.engine or usual_engine(),
+        plant_modules=model.plant_modules,
+        layout=model.layout,
+        sensing=model.sensing,
+        parameters=model.true_arm() if model.arm is not None or model.parameter else None,
+        reference=options.reference,
+        disturbances=tuple(map(parse_disturbance, options.disturbance)),
+        mismatch=model.mismatch,
+        nominal=model.factors(),
+    )
     rig.check()
     if misses := lacking(CONTROLLERS[controller], knobs=[], scales=[]):
         raise OctarmError(
-            f"{short_name(controller)} {misses}; a controllers.law.Law has it, and "
-            "octarm.interfaces.Tunable says what it answers"
+            f"{name} {misses}; a controllers.law.Law has it, and octarm.interfaces.Tunable says "
+            "what it answers"
         )
-    if options.force and not options.resume:
-        state_file(out).unlink(missing_ok=True)
-    tuned = _search(controller, out, budget, rig, options)
-    origin = {
-        "command": _command(controller, options),
-        "date": datetime.date.today(),
-        "seed": options.seed,
-        "budget": options.budget,
-        **rig.settings(),
-    }
-    name, code, start = short_name(controller), CONTROLLERS.code(controller), _start(options)
-    write_text(out, gain_set(name, rig.arm(), origin, budget, tuned, code, start).to_toml())
-    state_file(out).unlink(missing_ok=True)
+    state = out.with_name(out.name + ".state")  # of a search that has not ended
+    tuned = _search(controller, state, budget, rig, options)
+    start = "recommended" if options.gain_options == GainOptions() else "start"
+    write_text(out, _gain_set(controller, options, rig, budget, tuned, start).to_toml())
+    state.unlink(missing_ok=True)
     _print_summary(name, budget, tuned, start)
     print(f"wrote {printable(str(out))}")
     gains, word = (printable(shlex.quote(str(each))) for each in (out, controller))
     print(f"try it: octarm run --controller {word} --gains {gains}")
-
-
-def _rig(options: TuneOptions) -> Rig:
-    """What gains are tried on."""
-    model = options.model
-    given = model.arm is not None or model.parameter
-    return Rig(
-        options.engine or usual_engine(),
-        model.plant_modules,
-        model.layout,
-        model.sensing,
-        model.true_arm() if given else None,
-        options.reference,
-        tuple(map(parse_disturbance, options.disturbance)),
-        model.mismatch,
-        model.factors(),
-    )
-
-
-def _start(options: TuneOptions) -> str:
-    """What the gains are called that the search begins around."""
-    return "recommended" if options.gain_options == GainOptions() else "start"
 
 
 def _with_gains(
@@ -105,7 +86,7 @@ def _command(controller: str, options: TuneOptions, *more: str) -> str:
     return shlex.join(["octarm", "tune", controller, *words, *more])
 
 
-def _search(controller: str, out: Path, budget: Budget, rig: Rig, options: TuneOptions) -> Tuned:
+def _search(controller: str, path: Path, budget: Budget, rig: Rig, options: TuneOptions) -> Tuned:
     """The search, with a bar on its progress and its state on disk."""
     gains, nominal = options.gain_options, rig.arm()
     begun = gains.gains or "recommended", gains.values()
@@ -114,13 +95,15 @@ def _search(controller: str, out: Path, budget: Budget, rig: Rig, options: TuneO
     depends_on = settings(controller, space, budget, options.seed, rig)
     code = CONTROLLERS.code(controller)
     depends_on |= {} if code is None else {"code": code.sha256}
-    file = StateFile(state_file(out), depends_on)
-    if file.path.exists() and not options.resume:
+    file = StateFile(path, depends_on)
+    state = file.read() if options.resume else None
+    if options.force and not options.resume:
+        path.unlink(missing_ok=True)
+    elif path.exists() and not options.resume:
         raise OctarmError(
-            f"{file.path} keeps a search that was interrupted; go on with it by --resume, or "
+            f"{path} keeps a search that was interrupted; go on with it by --resume, or "
             "begin it anew by --force"
         )
-    state = file.read() if options.resume else None
     workers = options.workers or cores()
     pool = WorkerProcesses(workers) if workers > 1 else contextlib.nullcontext()
     bar = new_bar(total=budget.seconds, unit=" simulated s", unit_scale=True)
@@ -142,46 +125,40 @@ def _search(controller: str, out: Path, budget: Budget, rig: Rig, options: TuneO
                 workers=processes,
             )
     except KeyboardInterrupt:
-        if not file.path.exists():
+        if not path.exists():
             raise KeyboardInterrupt("nothing was written") from None
-        again = _command(controller, options, f"--out={out}", "--resume")
+        again = _command(controller, options, f"--out={options.out}", "--resume")
         raise KeyboardInterrupt(f"go on by: {again}") from None
 
 
-def state_file(out: Path) -> Path:
-    """Where the state of the search is kept that ends in a file."""
-    return out.with_name(out.name + ".state")
-
-
-def gain_set(
-    controller: str,
-    arm: ArmParameters,
-    origin: Mapping[str, Any],
-    budget: Budget,
-    tuned: Tuned,
-    code: Code | None = None,
-    start: str = "recommended",
+def _gain_set(
+    controller: str, options: TuneOptions, rig: Rig, budget: Budget, tuned: Tuned, start: str
 ) -> GainSet:
     """The result, with all that is needed to find it again.
 
-    `code` is where a controller comes from that is not built in, `start` what the gains are called
-    that the search began around.
+    `start` is what the gains are called that the search began around.
     """
-    tuning = {
-        **origin,
-        "candidates": budget.generations * budget.population,
-        "simulated_seconds": budget.seconds,
-        "objective": FORMULA,
-        "selection": f"the best of the last generation's best {budget.finalists} and the "
-        f"{start} gains in the long trial, on {MUJOCO}",
-        "at_bounds": tuned.at_bounds,
-    }
+    model, code = LagrangeModel(rig.arm()), CONTROLLERS.code(controller)
+    longest = max(scenario.period for scenario in budget.short.scenarios)
+    arm = {**model.descriptors, "control_period": longest / model.time_scale}
     return GainSet.model_validate(
         {
-            "controller": controller,
+            "controller": short_name(controller),
             "gains": {name: shortest(gain) for name, gain in tuned.gains.items()},
-            "arm": _described(arm, budget),
-            "tuning": tuning,
+            "arm": {name: float(f"{float(x):.4g}") for name, x in arm.items()},
+            "tuning": {
+                "command": _command(controller, options),
+                "date": datetime.date.today(),
+                "seed": options.seed,
+                "budget": options.budget,
+                **rig.settings(),
+                "candidates": budget.generations * budget.population,
+                "simulated_seconds": budget.seconds,
+                "objective": FORMULA,
+                "selection": f"the best of the last generation's best {budget.finalists} and the "
+                f"{start} gains in the long trial, on {MUJOCO}",
+                "at_bounds": tuned.at_bounds,
+            },
             **({} if code is None else {"code": code.model_dump()}),
             "versions": versions(),
             "search": _outcome(budget.short, tuned.short, start),
@@ -189,14 +166,6 @@ def gain_set(
             "evaluation": _outcome(budget.unseen, tuned.unseen, start),
         }
     )
-
-
-def _described(arm: ArmParameters, budget: Budget) -> dict[str, float]:
-    """The arm that gains are tuned for, and the longest control period, in its time scale."""
-    model = LagrangeModel(arm)
-    longest = max(scenario.period for scenario in budget.short.scenarios)
-    numbers = {**model.descriptors, "control_period": longest / model.time_scale}
-    return {name: float(f"{float(x):.4g}") for name, x in numbers.items()}
 
 
 def _outcome(examination: Examination, costs: Costs, start: str) -> dict[str, Any]:
