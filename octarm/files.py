@@ -45,8 +45,6 @@ def whole_file(path: str | os.PathLike[str], part: Path | None = None) -> Genera
         part.touch()  # fails before the work rather than after
         yield part
         if special:
-            if target.is_dir():
-                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
             with open(part, "rb") as source, open(target, "wb") as sink:
                 shutil.copyfileobj(source, sink)
             return

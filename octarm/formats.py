@@ -232,17 +232,15 @@ def _text(path: Path) -> str:
     try:
         with open(path, encoding="utf-8") as file:
             text = file.read(_LONGEST + 1)  # a device may have no end
-        if len(text) > _LONGEST:
-            raise FileError(f"{path} has more than {_LONGEST} characters")
-        return text
     except OSError as error:
-        if isinstance(error, FileError):
-            raise
         raise unreadable(path, error) from None
     except UnicodeDecodeError:
         raise FileError(f"{path} is not a text file in UTF-8") from None
     except ValueError:  # a zero byte
         raise FileError(f"{path} cannot be the name of a file") from None
+    if len(text) > _LONGEST:
+        raise FileError(f"{path} has more than {_LONGEST} characters")
+    return text
 
 
 def _finite(word: str) -> float:

@@ -18,8 +18,7 @@ from recordings import described
 import octarm
 from octarm.arm.parameters import ArmParameters
 from octarm.commands import cli
-from octarm.commands.app import APP, parse
-from octarm.commands.pages import commands
+from octarm.commands.app import commands, parse
 from octarm.errors import FileError
 from octarm.runs import experiment
 
@@ -264,7 +263,7 @@ def test_it_runs_as_a_process_elsewhere_and_a_reader_that_goes_away_is_no_error(
     assert (folder / "run.rrd").stat().st_size > 1000
 
 
-@pytest.mark.parametrize("name", commands(APP))
+@pytest.mark.parametrize("name", commands())
 def test_the_examples_of_a_page_are_understood(name: str, capsys):
     assert cli.main([name, "--help"]) == 0
     examples = capsys.readouterr().out.partition("\nexamples:\n")[2].partition("\n\n")[0]

@@ -10,9 +10,8 @@ import pytest
 
 from controllers import CONTROLLERS
 from octarm.commands import cli
-from octarm.commands.app import APP
+from octarm.commands.app import arguments_of, commands, is_operand
 from octarm.commands.kinds import SHELLS
-from octarm.commands.pages import arguments_of, commands, is_operand
 
 BIN = Path(sys.executable).parent  # where the installed command is
 
@@ -27,9 +26,9 @@ def test_a_script_is_well_formed_and_has_all_commands_and_options(
     shell: str, capsys: pytest.CaptureFixture[str]
 ):
     text = script(shell, capsys)
-    for name in commands(APP):
+    for name in commands():
         assert name in text
-        for argument in arguments_of(APP, name):
+        for argument in arguments_of(name):
             if not is_operand(argument):
                 assert argument.name.removeprefix("--") in text
     if shutil.which(shell):
@@ -41,7 +40,7 @@ def test_bash_offers_what_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str
     (tmp_path / "runs" / "mine").mkdir(parents=True)
     (tmp_path / "gains.toml").touch()
     lines = {
-        "": set(commands(APP)),
+        "": set(commands()),
         "comp": {"compare", "completion"},
         "run --contr": {"--controller", "--control-period"},
         "run --controller afsmc": {"afsmc", "afsmc-consequent"},

@@ -23,9 +23,8 @@ from hypothesis import strategies as st
 from controllers import CONTROLLERS, make_controller
 from octarm.checks import verify
 from octarm.commands import margin, report, run, sweep, tune, validate
-from octarm.commands.app import APP
+from octarm.commands.app import arguments_of, commands, is_operand, spelling
 from octarm.commands.cli import main
-from octarm.commands.pages import arguments_of, commands, is_operand, spelling
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError
 from octarm.recordings import viewer
@@ -202,8 +201,8 @@ SLOW = ("doctor",)
 @st.composite
 def command_lines(draw):
     """A command with options that it has, mostly, and values that suit them, often."""
-    command = draw(st.sampled_from([name for name in commands(APP) if name not in SLOW]))
-    arguments = arguments_of(APP, command)
+    command = draw(st.sampled_from([name for name in commands() if name not in SLOW]))
+    arguments = arguments_of(command)
     words = [command]
     for argument in arguments:
         kind = str(argument.parameter.metavar or "")

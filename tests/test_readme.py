@@ -13,9 +13,8 @@ from own_things import write_things
 
 import octarm
 from controllers import CONTROLLERS, make_controller
-from octarm.commands.app import APP, parse
+from octarm.commands.app import commands, parse
 from octarm.commands.cli import main
-from octarm.commands.pages import commands
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.references import REFERENCES
 from octarm.sweeps.spec_file import read_spec
@@ -47,7 +46,7 @@ def test_the_example_has_eight_lines():
 def test_every_command_is_understood(line: str):
     words = shlex.split(line[line.index("octarm ") :].partition(">>")[0], comments=True)
     words = [word.strip("[]") for word in words if word != ".."]
-    assert words[1] in commands(APP)
+    assert words[1] in commands()
     assert callable(parse(words[1:]))
 
 
@@ -58,7 +57,7 @@ def test_the_two_commands_are_the_only_ones_of_sh():
 
 def test_every_command_controller_and_reference_that_stands_there_is_known():
     table = TEXT.partition("## What it does")[2].partition("\n\n`octarm COMMAND")[0]
-    assert set(re.findall(r"`octarm (\w+)", table)) == set(commands(APP))
+    assert set(re.findall(r"`octarm (\w+)", table)) == set(commands())
     named = re.search(r"^Controllers: (.*?)\. A run", TEXT, re.MULTILINE)
     assert named is not None
     assert set(re.findall(r"`([\w-]+)`", named[1])) == set(CONTROLLERS)

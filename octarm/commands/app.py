@@ -1,30 +1,22 @@
-"""All commands, and what a command line asks of them."""
+"""All commands, their help pages, and what a command line asks of them."""
 
 from __future__ import annotations
 
 import functools
 import importlib.metadata
+import inspect
 import os
+import pkgutil
 import re
 import resource
+import textwrap
 from collections.abc import Callable, Sequence
-from typing import Annotated
+from typing import Annotated, Any, get_origin
 
-from cyclopts import App, Argument, Group, Parameter
-from cyclopts.exceptions import (
-    CoercionError,
-    ConsumeMultipleError,
-    CycloptsError,
-    MissingArgumentError,
-    RepeatArgumentError,
-    UnknownCommandError,
-    UnknownOptionError,
-    UnusedCliTokensError,
-)
+from cyclopts import App, Argument, CycloptsError, Group, Parameter, exceptions
 
 from octarm.commands import checks, kinds, many_runs, one_run, recorded, yours
-from octarm.commands.kinds import Work
-from octarm.commands.pages import arguments_of, commands, is_operand, overview, page, spelling
+from octarm.commands.kinds import SHELLS, Work, known_words
 from octarm.errors import ExitCode, FileError, OctarmError, closest, printable, quoted
 
 APP = App(
@@ -36,7 +28,7 @@ APP = App(
 )
 
 
-def completion(shell: Annotated[kinds.Shell, kinds.SHELL], /) -> Work:
+def completion(shell: Annotated[str, kinds.SHELL], /) -> Work:
     """Print a script by which a shell completes commands.
 
     Commands, options, names of controllers and references, files and folders.
@@ -49,6 +41,8 @@ def completion(shell: Annotated[kinds.Shell, kinds.SHELL], /) -> Work:
       octarm completion zsh >> ~/.zshrc
       octarm completion fish > ~/.config/fish/completions/octarm.fish
     """
+    if shell not in SHELLS:
+        raise OctarmError(f"unknown shell {quoted(shell)}{closest(shell, SHELLS)}")
     script = APP.generate_completion(shell=shell)
     return functools.partial(print, script + _AFTER.get(shell, ""))
 
@@ -74,6 +68,30 @@ _ADDRESS_SPACE = {"run": 3.5, "record": 3.5, "replay": 3.5, "compare": 3.5}
 # What makes the script work at the end of ~/.zshrc; the function is named by cyclopts.
 _AFTER = {"zsh": "autoload -U +X compinit && compinit\ncompdef _cyclopts_octarm octarm"}
 
+_WIDTH = 80  # also where a page is piped
+_COLUMN = 24  # where the text on an option begins
+_LISTED = ("CONTROLLER", "REFERENCE", "SHELL", "KIND")  # whose words stand in the text
+# Where the texts are made that stand below the examples.
+_TEXTS = {
+    "{references}": "octarm.references.catalogue:help_text",
+    "{disturbances}": "octarm.disturbances.spelling:help_text",
+}
+_OVERVIEW = """\
+usage: octarm COMMAND [OPTIONS]
+
+A testbed for robust controllers of a continuum robot arm.
+
+{commands}
+
+options:
+  -h, --help  show this page, or that of a COMMAND, with examples
+  --version   show the version
+
+exit codes:
+  0 fine, 1 a check failed, 2 bad input, 3 the run diverged, 130 interrupted
+
+To begin with: octarm run --view"""
+
 
 def parse(words: Sequence[str]) -> Callable[[], int]:
     """What a command line asks for, with the modules that it needs imported; gives the exit code.
@@ -94,7 +112,7 @@ def parse(words: Sequence[str]) -> Callable[[], int]:
         raise sentence from None
     if command == APP.help_print:
         name = next(iter(bound.arguments["tokens"]), None)
-        work: Work = functools.partial(print, overview(APP) if name is None else page(APP, name))
+        work: Work = functools.partial(print, overview() if name is None else page(name))
     elif command.__module__.startswith("octarm."):
         _check_address_space(words[0])
         try:
@@ -135,24 +153,24 @@ def _refuse(error: OctarmError) -> int:
 def _sentence(error: CycloptsError, command: str) -> str:
     """What is wrong with a command line, as a sentence."""
     match error:
-        case UnknownCommandError():
-            return f"unknown command {quoted(command)}{closest(command, commands(APP))}"
-        case UnknownOptionError():
+        case exceptions.UnknownCommandError():
+            return f"unknown command {quoted(command)}{closest(command, commands())}"
+        case exceptions.UnknownOptionError():
             return _no_such_option(command, (error.token.keyword or error.token.value))
-        case UnusedCliTokensError(unused_tokens=[word, *_]):
+        case exceptions.UnusedCliTokensError(unused_tokens=[word, *_]):
             return f"octarm {command} has no use for {quoted(word)}{_as_option(command, word)}"
-        case RepeatArgumentError():
+        case exceptions.RepeatArgumentError():
             return f"{error.token.keyword} is given twice"
-        case ConsumeMultipleError(argument=Argument() as argument):
+        case exceptions.ConsumeMultipleError(argument=Argument() as argument):
             return f"{argument.name} takes one value at most"
-        case MissingArgumentError(argument=Argument() as argument) if is_operand(argument):
-            known = {spelling(a): a.parameter.help for a in arguments_of(APP, command)}
+        case exceptions.MissingArgumentError(argument=Argument() as argument):
+            if not is_operand(argument):
+                return f"{argument.name} needs a value after it"
+            known = {spelling(a): a.parameter.help for a in arguments_of(command)}
             return f"octarm {command} needs {spelling(argument)}, {known[spelling(argument)]}"
-        case MissingArgumentError(argument=Argument() as argument):
-            return f"{argument.name} needs a value after it"
-        case CoercionError(msg=str() as sentence):
+        case exceptions.CoercionError(msg=str() as sentence):
             return sentence
-        case CoercionError(token=token) if token is not None:
+        case exceptions.CoercionError(token=token) if token is not None:
             return f"{token.keyword} is {quoted(token.value)}; it is a flag and takes no value"
         case _:
             return " ".join(str(error).split())
@@ -162,14 +180,100 @@ def _as_option(command: str, word: str) -> str:
     """What a word may have meant that lacks the dashes of an option."""
     name, equals, value = word.lstrip("-").partition("=")
     option = f"--{name.replace('_', '-')}"
-    if option not in map(spelling, arguments_of(APP, command)):
+    if option not in map(spelling, arguments_of(command)):
         return ""
     return f", did you mean {printable(option + equals + value, 80)}?"
 
 
 def _no_such_option(command: str, word: str) -> str:
-    owners = [n for n in commands(APP) if word in map(spelling, arguments_of(APP, n))]
+    owners = [n for n in commands() if word in map(spelling, arguments_of(n))]
     if owners:
         return f"octarm {command} has no option {word}; it belongs to octarm {', '.join(owners)}"
-    known = [spelling(a) for a in arguments_of(APP, command) if not is_operand(a)]
+    known = [spelling(a) for a in arguments_of(command) if not is_operand(a)]
     return f"octarm {command} has no option {quoted(word)}{closest(word, known)}"
+
+
+def overview() -> str:
+    """The page of `octarm --help`: all commands by group."""
+    groups: dict[str, list[str]] = {}
+    for name in commands():
+        command = APP[name]
+        summary = command.help.partition("\n")[0]
+        for title in _titles(command):
+            groups.setdefault(title, []).append(f"  {name:<11} {summary}")
+    blocks = ["\n".join([f"{title}:", *lines]) for title, lines in groups.items()]
+    return _OVERVIEW.format(commands="\n\n".join(blocks))
+
+
+def page(name: str) -> str:
+    """The page of `octarm NAME --help`.
+
+    The docstring of the command has the text, the arguments and the examples, in this order.
+    """
+    text, _, examples = inspect.cleandoc(APP[name].help).partition("\nExamples:\n")
+    paragraphs = text.partition("\nArgs:\n")[0].strip().split("\n\n")
+    arguments = arguments_of(name)
+    operands = [a for a in arguments if is_operand(a)]
+    usage = "".join(f" {spelling(a)}" + f" [{spelling(a)} ..]" * is_repeatable(a) for a in operands)
+    lines = [f"usage: octarm {name}{usage} [OPTIONS]"]
+    for paragraph in paragraphs:
+        words = " ".join(paragraph.split())
+        lines += ["", textwrap.fill(words, _WIDTH, break_on_hyphens=False)]
+    for title in dict.fromkeys(title for a in arguments for title in _titles(a.parameter)):
+        lines += ["", f"{title}:"]
+        lines += [_entry(a) for a in arguments if title in _titles(a.parameter)]
+    for mark, place in _TEXTS.items():
+        if mark in examples:
+            examples = examples.replace(mark, pkgutil.resolve_name(place)() or "  none")
+    return "\n".join([*lines, "", "examples:", examples.rstrip()])
+
+
+def _titles(grouped: App | Parameter) -> list[str]:
+    """The headings under which a command or an argument stands."""
+    groups: Any = grouped.group
+    return [group.name for group in groups]
+
+
+def commands() -> list[str]:
+    """The names of all commands, in order."""
+    return [name for name in APP if not name.startswith("-")]
+
+
+def arguments_of(name: str) -> list[Argument]:
+    """The options and operands of a command, with their help."""
+    collection = APP[name].assemble_argument_collection(parse_docstring=True)
+    return [a for a in collection if a.name != "*"]  # a table of options is none itself
+
+
+def is_operand(argument: Argument) -> bool:
+    """Whether an argument is given by its place."""
+    return argument.index is not None
+
+
+def is_repeatable(argument: Argument) -> bool:
+    """Whether an argument may be given several times."""
+    return get_origin(argument.hint) is tuple
+
+
+def spelling(argument: Argument) -> str:
+    """How an argument stands on a page: `--control-period`, or RUN for an operand."""
+    return str(argument.parameter.metavar) if is_operand(argument) else argument.name
+
+
+def _entry(argument: Argument) -> str:
+    """The lines on an argument: its spelling, what it is for, its words and its default."""
+    value = argument.parameter.metavar or ""
+    parts = [argument.parameter.help or ""]
+    if value in _LISTED:
+        own = ", FILE.py:NAME, MODULE:NAME" if value in ("CONTROLLER", "REFERENCE") else ""
+        parts[0] += f": {', '.join(known_words(value))}{own}"
+    default: Any = argument.field_info.default
+    if is_repeatable(argument) and not is_operand(argument):
+        parts.append("(repeatable)")
+    elif isinstance(default, int | float | str) and not isinstance(default, bool):
+        shown = default if isinstance(default, str) else f"{default:g}"
+        parts.append(f"(default:\xa0{shown})")
+    lines = textwrap.wrap(" ".join(parts), _WIDTH - _COLUMN, break_on_hyphens=False)
+    text = textwrap.indent("\n".join(lines), " " * _COLUMN).replace("\xa0", " ")
+    head = "  " + (value if is_operand(argument) else f"{argument.name} {value}".rstrip())
+    return f"{head}\n{text}" if len(head) > _COLUMN - 2 else head.ljust(_COLUMN) + text.lstrip()

@@ -121,11 +121,14 @@ def _absolute(option: str, word: str) -> str:
     return absolute(word)
 
 
-def _arm(option: str, word: str) -> str:
-    from octarm.arm.file import read_arm
+def _checked(metavar: str, place: str) -> Parameter:
+    """A word that a function, given by its place, reads without an error."""
 
-    read_arm(word)  # raises
-    return word
+    def convert(option: str, word: str) -> str:
+        pkgutil.resolve_name(place)(word)
+        return word
+
+    return kind(metavar, convert)
 
 
 def _gains(option: str, word: str) -> str:
@@ -158,13 +161,6 @@ def _step(option: str, word: str) -> float | str:
         raise OctarmError(str(error).replace("a number", "a number [s] or auto")) from None
     check_step(seconds)
     return seconds
-
-
-def _bound(option: str, word: str) -> str:
-    from octarm.metrics.declared import parse_bound
-
-    parse_bound(word)  # raises
-    return word
 
 
 def _amount(option: str, word: str) -> str:
@@ -223,19 +219,20 @@ SETTLE = _within("S", Range("s", at_least=0.0, at_most=1e9))
 BUDGET = _within("S", Range("s", at_least=GENERATION, at_most=1e8))
 MISMATCH, PERIOD = kind("X", units.MISMATCH.parse), kind("S", units.PERIOD.parse)
 AMOUNT, SHARE = kind("X", _amount), _within("X", units.SHARE)
-BOUND, STEP = kind("METRIC:VALUE", _bound), kind("S", _step)
+BOUND = _checked("METRIC:VALUE", "octarm.metrics.declared:parse_bound")
+STEP = kind("S", _step)
 RUN, DIR = kind("RUN"), kind("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(
     _declared, ("CONTROLLER", "REFERENCE", "DISTURBANCE", "METRIC")
 )
 VARIED = _declared("DISTURBANCE", "nominal-mismatch")  # see `octarm.disturbances.varied`
-CALLED = kind("CONTROLLER", _absolute)  # in a sweep
+CALLED = kind("CONTROLLER", _absolute)  # an operand, or a name in a sweep
 COLUMN = kind("METRIC", _absolute)  # of the table of a sweep
-ACTUATION, INTEGRATOR, ENGINE, LAYOUT, SENSING, START, SHELL, KIND = map(
-    _one_of,
-    ("ACTUATION", "INTEGRATOR", "ENGINE", "LAYOUT", "SENSING", "START", "SHELL", "KIND"),
+ACTUATION, INTEGRATOR, ENGINE, LAYOUT, SENSING, START = map(
+    _one_of, ("ACTUATION", "INTEGRATOR", "ENGINE", "LAYOUT", "SENSING", "START")
 )
-GAINS, ARM = kind("GAINS", _gains), kind("ARM", _arm)
+GAINS, ARM = kind("GAINS", _gains), _checked("ARM", "octarm.arm.file:read_arm")
+FILE_OR_ARM, SHELL, KIND = map(kind, ("ARM", "SHELL", "KIND"))  # operands: looked at last
 # An option whose value may be left out; the value, if there is one, as a list.
 LIVE = Parameter(metavar="[HOST:PORT]", converter=_live, consume_multiple=(0, 1))
 
@@ -261,23 +258,13 @@ def check_runs(*folders: Path, sweeps: bool = False) -> None:
             read_description(folder)
 
 
-def check_sweep(folder: Path) -> None:
-    """Raises OctarmError if a folder holds no sweep."""
-    if not os.path.isfile(folder / "manifest.json"):
-        raise OctarmError(f"{folder} is not a sweep: it has no manifest.json")
-
-
-def heading(name: str) -> Parameter:
-    """A heading of the help pages, which stand in the order of the options."""
-    return Parameter(group=Group(name))
-
-
-EXPERIMENT = heading("the experiment")
-MODEL = heading("the arm, and the model that the controller believes")
-GAIN = heading("gains")
-SOURCE = heading("another source of the arm")
-LOOP = heading("stability of the sampled loop")
-SIMULATION = heading("simulation")
-SOUGHT = heading("what is sought")
-RUNS = heading("the runs, as in octarm run")
-OUTPUT = heading("output")
+# The headings of the help pages, which stand in the order of the options.
+EXPERIMENT = Parameter(group=Group("the experiment"))
+MODEL = Parameter(group=Group("the arm, and the model that the controller believes"))
+GAIN = Parameter(group=Group("gains"))
+SOURCE = Parameter(group=Group("another source of the arm"))
+LOOP = Parameter(group=Group("stability of the sampled loop"))
+SIMULATION = Parameter(group=Group("simulation"))
+SOUGHT = Parameter(group=Group("what is sought"))
+RUNS = Parameter(group=Group("the runs, as in octarm run"))
+OUTPUT = Parameter(group=Group("output"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -127,8 +128,8 @@ def report(
     """
     if sweep is None and not options.columns:
         raise OctarmError("octarm report needs SWEEP, folder of the sweep")
-    if sweep is not None:
-        kinds.check_sweep(sweep)
+    if sweep is not None and not os.path.isfile(sweep / "manifest.json"):
+        raise OctarmError(f"{sweep} is not a sweep: it has no manifest.json")
     if sweep is None or options.columns:
         from octarm.commands import report as work
 
@@ -222,7 +223,7 @@ class MarginOptions:
 
 
 def margin(
-    *controllers: Annotated[str, kinds.CONTROLLER], options: MarginOptions = MarginOptions()
+    *controllers: Annotated[str, kinds.CALLED], options: MarginOptions = MarginOptions()
 ) -> kinds.Work:
     r"""Find how much of a disturbance controllers bear.
 
@@ -243,7 +244,11 @@ def margin(
       octarm margin smc-boundary afsmc --arm octarm --arm eth \
         --disturbance payload --bound tip_rms_error:0.01
     """
+    from controllers import CONTROLLERS
+
     kinds.check_free(options.force, options.csv, options.json)
+    for word in controllers:
+        CONTROLLERS.check(word)
     options.gain_options.values(*controllers)  # raises
     if controllers:
         options.varied()  # raises
@@ -288,7 +293,7 @@ class TuneOptions:
 
 
 def tune(
-    controller: Annotated[str, kinds.CONTROLLER], /, *, options: TuneOptions = TuneOptions()
+    controller: Annotated[str, kinds.CALLED], /, *, options: TuneOptions = TuneOptions()
 ) -> kinds.Work:
     """Find gains for one controller.
 
@@ -315,8 +320,10 @@ def tune(
       octarm tune afsmc --arm eth --disturbance payload:0.05 --out eth.toml
       octarm tune smc-boundary --out my-gains.toml --resume
     """
+    from controllers import CONTROLLERS
     from octarm.declared import short_name
 
+    CONTROLLERS.check(controller)
     out = options.out or Path(f"{short_name(controller)}.toml")
     kinds.check_free(options.force or options.resume, out)
     options.gain_options.values(controller)  # raises

@@ -18,16 +18,15 @@ from octarm.arm.file import read_arm
 from octarm.bars import bar as new_bar
 from octarm.commands.many_runs import MarginOptions
 from octarm.commands.notes import print_late, print_unsuited, starts_of
-from octarm.commands.options import ArmOptions, spelt
+from octarm.commands.options import spelt
 from octarm.declared import Code, named, short_name
-from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.disturbances.varied import NOMINAL, Varied, is_varied
 from octarm.errors import OctarmError, printable
 from octarm.files import write_text
 from octarm.formats import to_json
 from octarm.metrics.declared import ACCUMULATORS, parse_bound
-from octarm.metrics.table import METRICS, Catalogue
+from octarm.metrics.table import METRICS
 from octarm.references import REFERENCES, recorded_word
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import usual_engine
@@ -53,57 +52,45 @@ def margin(controllers: Sequence[str], options: MarginOptions) -> None:
     more += [(ACCUMULATORS, word) for word in options.metric]
     names, code = named([*words, (REFERENCES, options.reference), *more])
     pairs = [(model, *each) for model in options.models for each in zip(words, names, strict=False)]
+    gains, step, period = options.gain_options, options.timestep, options.control_period
     for model, (_, word), _ in pairs:
-        gains, step = options.gain_options.gains, options.timestep
-        print_unsuited(short_name(word), gains, model.both()[1], step, options.control_period)
-    disturbances = [*_fixed(options), *varied.of(np.array([varied.high]))]
-    word = recorded_word(names[len(words)], code)
-    print_late(starts_of(disturbances), [word], options.duration)
+        print_unsuited(short_name(word), gains.gains, model.both()[1], step, period)
+    fixed = [parse_disturbance(text) for text in options.disturbance if not is_varied(text)]
+    motion = recorded_word(names[len(words)], code)
+    disturbances = [*fixed, *varied.of(np.array([varied.high]))]
+    print_late(starts_of(disturbances), [motion], options.duration)
     runs = [
-        (name, model.arm, _runs(options, model, word, varied, metrics).rehearse(options.seeds))
-        for model, (_, word), name in pairs
+        MarginRuns(
+            factory=functools.partial(
+                make_controller, word, gains=gains.values(), gain_set=gains.gains
+            ),
+            varied=varied,
+            bounds=[parse_bound(text) for text in options.bound],
+            disturbances=fixed,
+            nominal=model.factors(),
+            engine=options.engine or usual_engine(),
+            parameters=model.true_arm(),
+            model=None if model.model is None else read_arm(model.model),
+            threads=cores(),
+            catalogue=metrics,
+            **{name: (vars(options) | vars(model))[name] for name in _AS_GIVEN},
+        ).rehearse(options.seeds)
+        for model, (_, word), _ in pairs
     ]
     rows: list[Mapping[str, Any]] = []
-    for name, arm, run in runs:
+    for (model, _, name), run in zip(pairs, runs, strict=True):
         row = _row(name, _search(name, run, options.seeds), options.share, varied)
-        rows.append({**row, "arm": arm or ""})
+        rows.append({**row, "arm": model.arm or ""})
         if len(rows) == 1:  # not before it is known that there is something to say
             print("\n".join(_heading(options, varied)))
-        if len(options.models) > 1 and [row["arm"] for row in rows].count(arm) == 1:
-            print(f"{arm}:")
+        if len(options.models) > 1 and [row["arm"] for row in rows].count(model.arm) == 1:
+            print(f"{model.arm}:")
         print(_line(rows[-1], varied), flush=True)
     _print_notes(rows, varied, options)
     if options.csv is not None:
         write_text(options.csv, _csv(rows))
     if options.json is not None:
         write_text(options.json, to_json(_report(options, varied, rows, code)))
-
-
-def _fixed(options: MarginOptions) -> list[Disturbance]:
-    """The disturbances that do not vary."""
-    return [parse_disturbance(text) for text in options.disturbance if not is_varied(text)]
-
-
-def _runs(
-    options: MarginOptions, model: ArmOptions, controller: str, varied: Varied, metrics: Catalogue
-) -> MarginRuns:
-    """The runs of a controller on an arm."""
-    gains = options.gain_options
-    return MarginRuns(
-        factory=functools.partial(
-            make_controller, controller, gains=gains.values(), gain_set=gains.gains
-        ),
-        varied=varied,
-        bounds=[parse_bound(text) for text in options.bound],
-        disturbances=_fixed(options),
-        nominal=model.factors(),
-        engine=options.engine or usual_engine(),
-        parameters=model.true_arm(),
-        model=None if model.model is None else read_arm(model.model),
-        threads=cores(),
-        catalogue=metrics,
-        **{name: (vars(options) | vars(model))[name] for name in _AS_GIVEN},
-    )
 
 
 def _search(name: str, run: MarginRuns, seeds: int) -> Brackets:
@@ -155,7 +142,6 @@ def _heading(options: MarginOptions, varied: Varied) -> list[str]:
 
 
 def _line(row: Mapping[str, Any], varied: Varied) -> str:
-    """A row of the table."""
     value, low, high, least, median, most = (_spelt(row[key], varied) for key in _NUMBERS)
     interval = "" if low == high == "?" else f"{low} .. {high}"
     mark = "  *" if row["met_again"] else ""
@@ -174,7 +160,6 @@ def _spelt(value: float, varied: Varied) -> str:
 
 
 def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, options: MarginOptions) -> None:
-    """What a reader of the table has to know."""
     seeds = options.seeds
     ends = [row[key] for row in rows for key in _NUMBERS]
     if math.inf in ends:
@@ -187,7 +172,11 @@ def _print_notes(rows: Sequence[Mapping[str, Any]], varied: Varied, options: Mar
     if not all(row["alike"] for row in rows):
         for end, needed in zip(("lower", "upper"), seeds_needed(options.share), strict=True):
             if needed > seeds:
-                enough = f"it needs {needed} seeds" if needed < math.inf else _NEVER_ENOUGH
+                enough = (
+                    f"it needs {needed} seeds"
+                    if needed < math.inf
+                    else "no number of seeds has one"
+                )
                 missing = f"no {end} end of a 95 % interval at {options.share:.0%}"
                 print(f"?: {seeds} seeds have {missing}; {enough}")
     print(

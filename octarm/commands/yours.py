@@ -13,7 +13,7 @@ from cyclopts import Parameter
 
 from octarm.commands import kinds
 from octarm.commands.terminal import surviving_output
-from octarm.errors import OctarmError, printable, quoted
+from octarm.errors import OctarmError, closest, printable, quoted
 
 _STARTS = Path(__file__).resolve().parent / "starts"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*([_-][A-Za-z0-9]+)*")
@@ -70,7 +70,7 @@ class LoopOptions:
 
 
 def arm(
-    *arms: Annotated[str, kinds.ARM],
+    *arms: Annotated[str, kinds.FILE_OR_ARM],
     source: SourceOptions = SourceOptions(),
     write: Annotated[Path | None, kinds.file(".toml"), kinds.OUTPUT] = None,
     out: Annotated[Path | None, kinds.file(".png"), kinds.OUTPUT] = None,
@@ -103,7 +103,11 @@ def arm(
         --control-period 0.001
       octarm arm --controller afsmc --plant-modules 15 --roll-off 60
     """
+    from octarm.arm.file import read_arm
+
     kinds.check_free(force, write, out)
+    for word in arms:
+        read_arm(word)  # raises, before anything that takes longer is imported
     from octarm.commands import arm as work
 
     return surviving_output(work.arm, arms, source, loop, write, out)
@@ -136,6 +140,8 @@ def _new(kind: str, name: str) -> None:
     from octarm.disturbances.spelling import DISTURBANCES
     from octarm.files import write_text
 
+    if kind not in kinds.NEW_FILES:
+        raise OctarmError(f"unknown kind {quoted(kind)}{closest(kind, kinds.NEW_FILES)}")
     if not _NAME.fullmatch(name):
         raise OctarmError(
             f"name is {quoted(name)}; it must be letters and digits, joined by - or _, such as "
