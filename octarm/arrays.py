@@ -80,14 +80,11 @@ def coordinate_units(modules: int) -> list[str]:
 
 
 class Coordinates(NamedTuple):
-    """Names and units of an arm's coordinates and inputs, for printing, plotting and recording.
+    """Names and units of an arm's coordinates in the order of q, and names of its inputs tau.
 
     Attributes:
-        names: one for each coordinate, in the order of q.
-        units: one for each coordinate, `m` or `rad`.
         groups: where the coordinates of one kind stand in q, by the name of the group; they share a
             unit and a scale, and are plotted together, group below group.
-        inputs: one name for each input force, in the order of tau.
     """
 
     names: Sequence[str]

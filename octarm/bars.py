@@ -10,12 +10,7 @@ from tqdm.auto import tqdm
 
 
 def bar(iterable: Iterable[Any] | None = None, **options: Any) -> tqdm[Any]:
-    """A bar of tqdm, which goes when it is closed, and is disabled where it cannot be seen.
-
-    Args:
-        iterable: what is gone through, if anything is.
-        options: of `tqdm.tqdm`.
-    """
+    """A bar of tqdm, with its options; it goes when it is closed, or where it cannot be seen."""
     return tqdm(iterable, disable=not visible(), leave=False, **options)
 
 

@@ -84,9 +84,6 @@ class Declared(collections.UserDict[str, T]):
     """Things of one kind. Iteration and `in` are of those that are built in.
 
     `table[word]` finds all of them; an OctarmError says what is wrong with a word.
-
-    Attributes:
-        kind: in words.
     """
 
     def __init__(

@@ -29,9 +29,6 @@ class OctarmError(ValueError):
 
     The command line prints it and exits with 2. Any other exception is a bug in the program. Names
     of files and keys may stand in it as they are: the whole is made printable and not too long.
-
-    Attributes:
-        exit_code: of the command.
     """
 
     exit_code: ClassVar[ExitCode] = ExitCode.BAD_INPUT

@@ -58,8 +58,6 @@ class Words:
     """What a field of words may be: one of `alone`, or several words joined by `+`.
 
     Attributes:
-        joined: words that may be joined.
-        alone: words that stand alone.
         coordinates: whether names of coordinates, such as `theta1`, may be joined as well. Which
             there are depends on the arm: `Episode.selected` checks them.
     """
@@ -131,15 +129,9 @@ def parsed_fields(
     VALUE is that of the first field; a field that takes several numbers has them separated by `/`,
     as in `loss:0/0/0.5/0/0/0`, as an array of shape (k,). A number may have a unit, as in `100g`.
 
-    Args:
-        name: of the thing.
-        whole: the spelling with the name.
-        text: what stands behind the name; there may be nothing.
-        kinds: of its fields, by name.
-        usage: how all of it must read, for the error.
-
-    Raises:
-        OctarmError: for an unknown key, one that is given twice, or a value of another kind.
+    The `whole` spelling has the name and the text, if there is any, behind it; `kinds` are those of
+    the fields by name, and `usage` says in errors how all of it must read. Raises OctarmError for
+    an unknown key, one that is given twice, or a value of another kind.
     """
     keys = {kind.key or field: field for field, kind in kinds.items()}
     whole = quoted(whole)
@@ -176,10 +168,7 @@ def _value(whole: str, key: str, value: str, kind: Any) -> Amount | str:
 def usage_of(name: str, kinds: Mapping[str, Any], values: Mapping[str, Any]) -> str:
     """The spelling with all keys that have a value: NAME:VALUE,KEY=default and so on.
 
-    Args:
-        name: of the thing.
-        kinds: of its fields, by name; the first one goes without its key.
-        values: defaults by field; None for a field that mostly stands without a value.
+    The default of a field, by name, is None where it mostly stands without a value.
     """
     keys = [(kind.key or field, field) for field, kind in kinds.items()]
     parts = [keys[0][0].upper()] if keys else []

@@ -23,15 +23,9 @@ def whole_file(path: str | os.PathLike[str], part: Path | None = None) -> Genera
     """A name to write to, whose content becomes that of `path` when the block ends well.
 
     A link keeps its place, and the file that it leads to is replaced. What is no regular file, such
-    as a device or a pipe, stays what it is and is written to at the end.
-
-    Args:
-        path: of the file.
-        part: the name to write to, in the same folder, where others are to find it; a name that
-            nobody else has if None.
-
-    Raises:
-        FileError: if the place cannot be written; it names `path`. Nothing is left behind.
+    as a device or a pipe, stays what it is and is written to at the end. The name to write to may
+    be given as `part`, in the same folder, where others are to find it. Raises FileError if the
+    place cannot be written; nothing is left behind.
     """
     path = Path(path)
     if not path.name:
@@ -147,10 +141,7 @@ def write_files(contents: Mapping[Path, bytes]) -> None:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Writes a text file whole or not at all.
-
-    Raises FileError if it cannot be written.
-    """
+    """Writes a text file whole or not at all; raises FileError if it cannot be written."""
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")
 

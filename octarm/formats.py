@@ -57,11 +57,9 @@ class Model(pydantic.BaseModel):
 
     Nothing is converted but whole numbers to floats: a word or a truth value is not a number. A
     validator of a field says in a ValueError what the value must be, such as "positive".
-
-    Attributes:
-        meant: what users mean by keys that there are not, where it is not the most similar one.
     """
 
+    # What users mean by keys that there are not, where it is not the most similar one.
     meant: ClassVar[Mapping[str, str]] = {}
 
     model_config = pydantic.ConfigDict(strict=True, extra="forbid", frozen=True)
@@ -79,15 +77,11 @@ class Model(pydantic.BaseModel):
 
 @dataclasses.dataclass(frozen=True)
 class Document:
-    """The content of a file, with its name in error messages.
-
-    Attributes:
-        text: the TOML text, in which lines are looked up; empty for JSON.
-    """
+    """The content of a file, with its name in error messages."""
 
     file: str
     content: Mapping[str, Any]
-    text: str = ""
+    text: str = ""  # the TOML text, in which lines are looked up
 
     def read(self, kind: type[T], *keys: str) -> T:
         """The content, or the value at some keys, as a model or another type.

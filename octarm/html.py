@@ -19,14 +19,7 @@ _POINTS = 220  # of a curve in it
 
 
 class Cell(NamedTuple):
-    """A cell of a table.
-
-    Attributes:
-        text: its content.
-        small: lines below it.
-        kind: class names of the style.
-        color: of a dot before the text.
-    """
+    """A cell of a table: its text, lines below it, classes of the style, a dot before the text."""
 
     text: str
     small: Sequence[str] = ()
@@ -37,10 +30,7 @@ class Cell(NamedTuple):
 class Table(NamedTuple):
     """A table of a page, for the macro `table` of `parts.html`.
 
-    Attributes:
-        head: the headings.
-        rows: the cells of each row.
-        group: number of rows that belong together, which a line sets off.
+    Lines set off each `group` of so many rows that belong together.
     """
 
     head: Sequence[Cell]

@@ -236,12 +236,8 @@ class NominalModel(Protocol):
     ) -> np.ndarray:
         """The largest error of `inverse_dynamics`, shape (..., 2N) [N], [N m].
 
-        Args:
-            uncertainty: share in [0, 1) by which the parameters may be off, shape () or (..., 1).
-            q: coordinates.
-            v: velocities.
-            a: accelerations.
-            v_r: second velocities.
+        The uncertainty is the share in [0, 1) by which the parameters may be off, shape () or
+        (..., 1).
         """
         ...
 

@@ -10,15 +10,10 @@ from typing import NamedTuple
 
 
 class Look(NamedTuple):
-    """How a controller is drawn in every figure and on every page.
+    """How a controller is drawn in every figure and on every page, on white and dark ground."""
 
-    Attributes:
-        color: hexadecimal; it can be seen on white and on dark ground.
-        marker: Matplotlib's letter.
-    """
-
-    color: str
-    marker: str
+    color: str  # hexadecimal
+    marker: str  # Matplotlib's letter
 
 
 # The colour-blind can tell the first five apart; after Okabe and Ito. The order is that of the

@@ -11,14 +11,9 @@ import numpy as np
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """One measured value against its tolerance.
+    """One measured value against the smallest and the largest one allowed, all in one unit.
 
-    Attributes:
-        what: what was compared.
-        measured: what came out, in `unit`.
-        high: largest value allowed.
-        low: smallest value allowed; -inf for an error, which has no smallest.
-        unit: of the three numbers; "1" for a ratio.
+    An error has no smallest value; a ratio has the unit "1".
     """
 
     what: str
@@ -50,10 +45,8 @@ class Check:
 class CheckTable:
     """The outcome of a set of checks; as text, it is title, table and verdict.
 
-    Attributes:
-        parameters: the arm, as plain numbers and lists.
-        states: number of random states.
-        seed: of the random states and motions.
+    The parameters are those of the arm, as plain numbers and lists; the seed is that of so many
+    random states and of motions.
     """
 
     title: str

@@ -109,14 +109,9 @@ def closed_up(unit: str) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Range:
-    """What a number may be.
+    """What a number may be, in a unit for people, which is "1" for a ratio.
 
     Attributes:
-        unit: for people; "1" for a ratio.
-        at_least: smallest value allowed.
-        above: a value below all that are allowed.
-        at_most: largest value allowed.
-        below: a value above all that are allowed.
         plausible: size beyond which a number is taken for one in another unit where it is typed
             without its unit; with its unit, as in `100kg`, it is meant.
     """

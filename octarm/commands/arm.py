@@ -100,18 +100,14 @@ def _arms(names: Sequence[str], source: SourceOptions) -> list[Arm]:
         given = [_from_rod(source.from_rod)]
     if source.fit_modules is None:
         return given
-    return [_fitted(each, source.fit_modules, source.layout) for each in given]
-
-
-def _fitted(given: Arm, modules: int, layout: str) -> Arm:
-    """The arm of fewer modules that stands best for one."""
-    fit = fit_modules(given.parameters, modules, layout)
-    print(f"{printable(given.name)}, fitted by {modules} modules, layout {layout}\n{fit}\n")
-    return Arm(
-        fit.parameters,
-        f"{modules} modules for {given.name}",
-        converted=(f"all numbers fitted to {given.name}, layout {layout}",),
-    )
+    fitted: list[Arm] = []
+    modules, layout = source.fit_modules, source.layout
+    for each in given:
+        fit = fit_modules(each.parameters, modules, layout)
+        print(f"{printable(each.name)}, fitted by {modules} modules, layout {layout}\n{fit}\n")
+        note = f"all numbers fitted to {each.name}, layout {layout}"
+        fitted.append(Arm(fit.parameters, f"{modules} modules for {each.name}", converted=(note,)))
+    return fitted
 
 
 def _from_rod(text: str) -> Arm:

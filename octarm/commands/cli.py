@@ -23,13 +23,10 @@ _NO_MEMORY = (
 
 
 def main(arguments: Sequence[str] | None = None, *, begin: Callable[[], None] | None = None) -> int:
-    """Runs a command line; returns the exit code.
+    """Runs the words after `octarm`, those of this process if not given; returns the exit code.
 
-    An exception that a user cannot mend is a bug, and passes.
-
-    Args:
-        arguments: the words after `octarm`; those of this process when not given.
-        begin: called when all is understood and imported, before the work.
+    `begin` is called when all is understood and imported, before the work. An exception that a user
+    cannot mend is a bug, and passes.
     """
     with surviving_errors(), warnings.catch_warnings(action="ignore"):  # of numbers, mostly
         try:

@@ -32,16 +32,13 @@ from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec
 
 _MOST = 60  # rows of a page
 _AXES = (ARM, LAYOUT, PLANT_MODULES, "mismatch")
-_UNRUN = "a report runs no code of your own unless --run-code is given"
 
 
 class LoopRow(NamedTuple):
     """One controller on one plant.
 
     Attributes:
-        controller: its name.
         where: the values of the axes that make the plant and the model, in words, by name.
-        loop: what it does about rest.
         episodes: number of those that were simulated.
         diverged: number of those that did.
         poor: number of those and of others that tracked poorly, see `Episodes.poor`.
@@ -74,19 +71,12 @@ class LoopRow(NamedTuple):
 
 
 class Loops(NamedTuple):
-    """The loops of a sweep.
-
-    Attributes:
-        rows: of each plant, a row a controller.
-        planned: number of rows that there are, if no more than a page holds.
-        period: the control period of the sweep [s].
-        drawn: whether the mismatch of the models was drawn, so that the rows have exact models.
-    """
+    """The loops of a sweep: of each plant, a row a controller, as many as a page holds."""
 
     rows: list[LoopRow]
-    planned: int
-    period: float
-    drawn: bool
+    planned: int  # number of all rows
+    period: float  # the control period of the sweep [s]
+    drawn: bool  # whether the mismatch of the models was, so that the rows have exact models
 
     @property
     def caption(self) -> str:
@@ -187,7 +177,7 @@ def _left_out(
 ) -> str:
     """Why nothing is said of a controller, a sentence; empty if it is what the sweep had."""
     if name in spec.code and not run_code:
-        return _UNRUN
+        return "a report runs no code of your own unless --run-code is given"
     try:
         if name in spec.code:
             announce(folder, {name: spec.code[name]})

@@ -85,7 +85,10 @@ def margin(controllers: Sequence[str], options: MarginOptions) -> None:
             print("\n".join(_heading(options, varied)))
         if len(options.models) > 1 and [row["arm"] for row in rows].count(model.arm) == 1:
             print(f"{model.arm}:")
-        print(_line(rows[-1], varied), flush=True)
+        value, low, high, *others = (_spelt(row[key], varied) for key in _NUMBERS)
+        interval = "" if low == high == "?" else f"{low} .. {high}"
+        ends = "".join(f"{each:>10}" for each in others) + "  *" * (row["met_again"] > 0)
+        print(f"{name:<18}{value:>10}  {interval:<24}{ends}", flush=True)
     _print_notes(rows, varied, options)
     if options.csv is not None:
         write_text(options.csv, _csv(rows))
@@ -139,15 +142,6 @@ def _heading(options: MarginOptions, varied: Varied) -> list[str]:
         f"{'controller':<18}{'margin':>10}  {'95 % interval':<24}{'least':>10}{'median':>10}"
         f"{'most':>10}",
     ]
-
-
-def _line(row: Mapping[str, Any], varied: Varied) -> str:
-    value, low, high, least, median, most = (_spelt(row[key], varied) for key in _NUMBERS)
-    interval = "" if low == high == "?" else f"{low} .. {high}"
-    mark = "  *" if row["met_again"] else ""
-    return (
-        f"{row['controller']:<18}{value:>10}  {interval:<24}{least:>10}{median:>10}{most:>10}{mark}"
-    )
 
 
 def _spelt(value: float, varied: Varied) -> str:

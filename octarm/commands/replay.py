@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
-from typing import Any
 
 from octarm.commands.recorded import rows_of
 from octarm.commands.terminal import note
@@ -30,20 +29,16 @@ def replay(folders: Sequence[Path], screenshot: Path | None, time: float | None,
         raise OctarmError("--screenshot and --web exclude each other")
     with _recordings(folders) as files:
         if screenshot is not None:
-            _picture(files, screenshot, time)
+            end = last_instant(files[0])
+            time = telling_instant(files[0]) if time is None else time
+            if not 0.0 <= time <= end:
+                raise OctarmError(f"time is {time:g} s; the run goes from 0 to {end:g} s")
+            viewer.screenshot(files[0], screenshot, others=files[1:], time=time)
+            print(f"wrote {printable(str(screenshot))}")
         elif web:
             viewer.serve(files, lambda url: print(f"open {url}   (Ctrl-C ends it)", flush=True))
         else:
             viewer.open_viewer(files)
-
-
-def _picture(files: Sequence[Path], screenshot: Path, time: float | None) -> None:
-    end = last_instant(files[0])
-    time = telling_instant(files[0]) if time is None else time
-    if not 0.0 <= time <= end:
-        raise OctarmError(f"time is {time:g} s; the run goes from 0 to {end:g} s")
-    viewer.screenshot(files[0], screenshot, others=files[1:], time=time)
-    print(f"wrote {printable(str(screenshot))}")
 
 
 @contextlib.contextmanager
@@ -63,7 +58,7 @@ def _recordings(folders: Sequence[Path]) -> Generator[list[Path]]:
 
 
 def _of_sweep(folder: Path, scratch: Path) -> list[Path]:
-    """The recordings of the episodes of a sweep, the viewer's list of them open."""
+    """The recordings of the episodes of a sweep."""
     files = sorted(folder.rglob("*.rrd"))
     if not files:
         raise OctarmError(
@@ -77,16 +72,11 @@ def _of_sweep(folder: Path, scratch: Path) -> list[Path]:
     for file in files[:_MOST]:
         listed.append(scratch / f"{len(listed)}-{file.parent.name}.rrd")
         trajectory, description = rows_of(file.parent)
-        name = _episode_name(file.parent.name, description)
+        number, _, reason = file.parent.name.partition("-")
+        what = ", ".join([description["controller"]["name"], *conditions_of(description)])
+        name = printable(f"{reason or number}: {what}", LONGEST)
         write_recording(listed[-1], trajectory, description, name=name)
     return listed
-
-
-def _episode_name(folder: str, description: Mapping[str, Any]) -> str:
-    """An episode in a few words, such as `worst: pd, noise 40 %`; its folder is ID-REASON."""
-    number, _, reason = folder.partition("-")
-    what = ", ".join([description["controller"]["name"], *conditions_of(description)])
-    return printable(f"{reason or number}: {what}", LONGEST)
 
 
 def _of_run(folder: Path, scratch: Path) -> Path:

@@ -11,7 +11,7 @@ import os
 import resource
 import sys
 from collections.abc import Callable, Generator
-from typing import Any, TextIO
+from typing import Any, TextIO, cast
 
 from octarm.errors import OctarmError, printable
 
@@ -69,7 +69,7 @@ def surviving_output(
     """
 
     def survivor() -> int | None:
-        with contextlib.redirect_stdout(_Stream(sys.stdout, sys.stderr)):
+        with contextlib.redirect_stdout(cast("TextIO", _Stream(sys.stdout, sys.stderr))):
             return work(*arguments, **options)
 
     return survivor
@@ -78,44 +78,33 @@ def surviving_output(
 @contextlib.contextmanager
 def surviving_errors() -> Generator[None]:
     """Lets what standard error does not take go to standard output, or nowhere."""
-    with contextlib.redirect_stderr(_Stream(sys.stderr, sys.stdout)):
+    with contextlib.redirect_stderr(cast("TextIO", _Stream(sys.stderr, sys.stdout))):
         yield
 
 
-class _Stream(io.TextIOBase):
-    """A stream whose place another one takes when it fails."""
+class _Stream:
+    """A stream whose place another one takes when it fails; the last one fails silently."""
 
     def __init__(self, *streams: TextIO) -> None:
         self._streams = list(streams)
 
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._streams[0], name)
+
     def write(self, text: str) -> int:
         """Writes to the first stream that takes it; never fails."""
-        while self._streams:
+        while True:
             try:
                 self._streams[0].write(text)
                 self._streams[0].flush()
-                break
             except BrokenPipeError:
                 silence(self._streams[0])
-                break
             except OSError:
-                silence(self._streams.pop(0))
-        return len(text)
-
-    def isatty(self) -> bool:
-        """Whether it is a terminal that shows progress."""
-        return bool(self._streams) and self._streams[0].isatty()
-
-    def fileno(self) -> int:
-        """The number of the stream that is written to."""
-        if not self._streams:
-            raise io.UnsupportedOperation("fileno")
-        return self._streams[0].fileno()
-
-    @property
-    def encoding(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """That of the stream that is written to."""
-        return self._streams[0].encoding if self._streams else "utf-8"
+                silence(self._streams[0])
+                if len(self._streams) > 1:
+                    del self._streams[0]
+                    continue
+            return len(text)
 
 
 def silence(stream: TextIO) -> None:
