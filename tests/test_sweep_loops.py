@@ -9,9 +9,9 @@ import octarm
 from controllers import make_controller
 from octarm.arm.groups import groups_of
 from octarm.checks.stability import LoopAtRest, linear_plant, loop_at_rest
-from octarm.commands import loops
+from octarm.commands import report
 from octarm.commands.cli import main
-from octarm.commands.loops import LoopRow, loops_of
+from octarm.commands.report import LoopRow, loops_of
 from octarm.reports.frame import read_episodes
 
 LAW = """
@@ -52,7 +52,7 @@ def made(tmp_path_factory) -> Path:
     return folder
 
 
-def rows(folder: Path, *, run_code: bool = False) -> dict[tuple[str, str], loops.LoopRow]:
+def rows(folder: Path, *, run_code: bool = False) -> dict[tuple[str, str], LoopRow]:
     found = loops_of(folder / "s", read_episodes(folder / "s"), run_code)
     return {(row.controller, row.where["plant_modules"]): row for row in found.rows}
 
@@ -99,7 +99,7 @@ def test_the_page_and_the_terminal_have_them(made: Path, capsys):
 
 
 def test_rows_beyond_a_pages_are_left_out_openly(made: Path, monkeypatch):
-    monkeypatch.setattr(loops, "_MOST", 3)
+    monkeypatch.setattr(report, "_MOST", 3)
     found = loops_of(made / "s", read_episodes(made / "s"), False)
     assert len(found.rows) == 3 and "of the first 3 of all 8" in found.caption
 

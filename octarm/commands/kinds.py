@@ -62,8 +62,7 @@ def kind(metavar: str, convert: Callable[[str, str], Any] | None = None) -> Para
     """A kind of value; without a conversion it is the word as it is.
 
     It is given the option and the word, and its ValueError is the sentence that refuses the word,
-    before anything that takes longer is imported. A shell asks the program for
-    the words of a kind that has a list of them.
+    before anything that takes longer is imported. A shell asks for the words that have a list.
     """
 
     def converter(hint: Any, tokens: Sequence[Token]) -> Any:

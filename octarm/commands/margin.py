@@ -27,7 +27,7 @@ from octarm.files import write_text
 from octarm.formats import to_json
 from octarm.metrics.declared import ACCUMULATORS, parse_bound
 from octarm.metrics.table import METRICS
-from octarm.references import REFERENCES, recorded_word
+from octarm.references import REFERENCES
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import usual_engine
 from octarm.sweeps.margin import Attempt, Brackets, MarginRuns, margin_of, search, seeds_needed
@@ -56,9 +56,8 @@ def margin(controllers: Sequence[str], options: MarginOptions) -> None:
     for model, (_, word), _ in pairs:
         print_unsuited(short_name(word), gains.gains, model.both()[1], step, period)
     fixed = [parse_disturbance(text) for text in options.disturbance if not is_varied(text)]
-    motion = recorded_word(names[len(words)], code)
-    disturbances = [*fixed, *varied.of(np.array([varied.high]))]
-    print_late(starts_of(disturbances), [motion], options.duration)
+    starts = starts_of([*fixed, *varied.of(np.array([varied.high]))])
+    print_late(starts, [names[len(words)]], code, options.duration)
     runs = [
         MarginRuns(
             factory=functools.partial(

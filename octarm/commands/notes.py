@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from controllers.gain_sets import unsuited
 from octarm.arm.mjcf import physics_step
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
 from octarm.commands.terminal import note
-from octarm.declared import samples_of
+from octarm.declared import Code, samples_of
 from octarm.disturbances.episode import Disturbance
+from octarm.references import recorded_word
 from octarm.references.samples import samples_end
 
 
@@ -34,15 +35,20 @@ def print_unsuited(
     return sentence
 
 
-def print_late(starts: Iterable[tuple[str, float]], words: Iterable[str], duration: float) -> None:
+def print_late(
+    starts: Iterable[tuple[str, float]],
+    references: Iterable[str],
+    code: Mapping[str, Code],
+    duration: float,
+) -> None:
     """Notes what a run of this duration [s] does not come to.
 
-    That is what `starts`, and when [s], and the end of samples that desired motions name, whose
-    `words` are as `recorded_word` has them.
+    That is what `starts`, and when [s], and the end of samples that desired motions name.
     """
     for text, at in starts:
         if at >= duration:
             note(f"{text} begins at {at:g} s, and the run ends at {duration:g} s before it")
+    words = [recorded_word(name, code) for name in references]
     for file in filter(None, map(samples_of, words)):
         if (end := samples_end(file)) < duration * (1.0 - 1e-9):
             note(

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import tempfile
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from octarm.commands.recorded import rows_of
@@ -27,7 +26,8 @@ def replay(folders: Sequence[Path], screenshot: Path | None, time: float | None,
     """`octarm replay`: the viewer on runs, or a picture of it."""
     if screenshot is not None and web:
         raise OctarmError("--screenshot and --web exclude each other")
-    with _recordings(folders) as files:
+    with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
+        files = _recordings(folders, Path(scratch))
         if screenshot is not None:
             end = last_instant(files[0])
             time = telling_instant(files[0]) if time is None else time
@@ -41,20 +41,16 @@ def replay(folders: Sequence[Path], screenshot: Path | None, time: float | None,
             viewer.open_viewer(files)
 
 
-@contextlib.contextmanager
-def _recordings(folders: Sequence[Path]) -> Generator[list[Path]]:
+def _recordings(folders: Sequence[Path], scratch: Path) -> list[Path]:
     """The recordings to open: of one run, of two runs together, or of a sweep."""
     if not 1 <= len(folders) <= 2:
         raise OctarmError(f"{len(folders)} runs are given; replay shows one, or two side by side")
-    with tempfile.TemporaryDirectory(prefix="octarm-") as scratch:
-        if len(folders) == 2:
-            both = Path(scratch) / _COMPARISON
-            write_comparison(both, *(rows_of(folder) for folder in folders))
-            yield [both]
-        elif (folders[0] / _SWEEP).is_file():
-            yield _of_sweep(folders[0], Path(scratch))
-        else:
-            yield [_of_run(folders[0], Path(scratch))]
+    if len(folders) == 2:
+        write_comparison(scratch / _COMPARISON, *map(rows_of, folders))
+        return [scratch / _COMPARISON]
+    if (folders[0] / _SWEEP).is_file():
+        return _of_sweep(folders[0], scratch)
+    return [_of_run(folders[0], scratch)]
 
 
 def _of_sweep(folder: Path, scratch: Path) -> list[Path]:

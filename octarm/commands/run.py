@@ -29,7 +29,6 @@ from octarm.metrics.table import METRICS
 from octarm.recordings import viewer
 from octarm.recordings.live import LiveRecording
 from octarm.recordings.recording import run_recording
-from octarm.references import recorded_word
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
@@ -67,8 +66,8 @@ def _run(
     label = short_name(word_of(experiment.controller, experiment.code))
     far = print_unsuited(label, gain_set, experiment.nominal, None, period)
     periods = whole_periods(experiment.duration, period)
-    word = recorded_word(experiment.reference, experiment.code)
-    print_late(starts_of(experiment.disturbances), [word], experiment.duration)
+    starts, motions = starts_of(experiment.disturbances), [experiment.reference]
+    print_late(starts, motions, experiment.code, experiment.duration)
     date = f"{datetime.datetime.now():%Y%m%d-%H%M%S.%f}"
     out = out or Path("runs") / f"{date}-{experiment.controller}"
 

@@ -24,7 +24,6 @@ from octarm.fields import field_kinds
 from octarm.formats import read_toml
 from octarm.memory import check_batch
 from octarm.metrics.metric import unsettled
-from octarm.references import recorded_word
 from octarm.simulation.engines import LAGRANGE, check_engine
 from octarm.simulation.steps import AUTO
 from octarm.sweeps import engine_check
@@ -107,8 +106,7 @@ def _checked_spec(file: Path, options: SweepOptions) -> SweepSpec:
                 print_unsuited(label, gains, arm, spec.timestep, period)
     if early := unsettled(spec.duration, spec.settle, "settle ="):
         print(f"note: {early}")
-    references = [recorded_word(name, spec.code) for name in spec.references]
-    print_late(_starts(spec), references, spec.duration)
+    print_late(_starts(spec), spec.references, spec.code, spec.duration)
     plan = Plan(spec)
     for episode in spec.record:
         if isinstance(episode, int):
