@@ -19,7 +19,7 @@ _POINTS = 220  # of a curve in it
 
 
 class Cell(NamedTuple):
-    """A cell of a table: its text, lines below it, classes of the style, a dot before the text."""
+    """A cell of a table: text, small lines below it, classes of its style, colour of a dot."""
 
     text: str
     small: Sequence[str] = ()

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 
 class Look(NamedTuple):
-    """How a controller is drawn in every figure and on every page, on white and dark ground."""
+    """How a controller is drawn in every figure and on every page, whatever the ground."""
 
     color: str  # hexadecimal
     marker: str  # Matplotlib's letter

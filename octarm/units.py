@@ -109,7 +109,7 @@ def closed_up(unit: str) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Range:
-    """What a number may be, in a unit for people, which is "1" for a ratio.
+    """What a number may be: at least, above, at most or below others, in a unit; "1" for a ratio.
 
     Attributes:
         plausible: size beyond which a number is taken for one in another unit where it is typed

@@ -61,8 +61,9 @@ def known_words(metavar: str) -> list[str]:
 def kind(metavar: str, convert: Callable[[str, str], Any] | None = None) -> Parameter:
     """A kind of value; without a conversion it is the word as it is.
 
-    It is given the option and the word, and its ValueError is the sentence that refuses the word,
-    before anything that takes longer is imported. A shell asks for the words that have a list.
+    A conversion is given the option and the word, before anything that takes longer is imported;
+    its ValueError is the sentence that refuses the word. A shell asks for the words of a kind that
+    has a list of them.
     """
 
     def converter(hint: Any, tokens: Sequence[Token]) -> Any:
