@@ -180,10 +180,27 @@ def check_format(document: Document) -> None:
 
 
 def to_toml(content: Mapping[str, Any]) -> str:
-    """A TOML text of words, numbers, dates, lists and tables; None values are left out."""
+    """A TOML text of words, numbers, dates, lists and tables, with a line for a table in a list.
+
+    None values are left out.
+    """
     import tomlkit
 
-    return tomlkit.dumps({key: value for key, value in content.items() if value is not None})
+    def lined_up(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            table = cast(Mapping[str, Any], value)
+            return {key: lined_up(item) for key, item in table.items()}
+        rows = cast(list[Any], value) if isinstance(value, list) else []
+        if not rows or not all(isinstance(row, Mapping) for row in rows):
+            return cast(Any, value)
+        lines: Any = tomlkit.array().multiline(True)
+        for row in rows:
+            line: Any = tomlkit.inline_table()
+            line.update(row)
+            lines.append(line)
+        return lines
+
+    return tomlkit.dumps(lined_up({k: v for k, v in content.items() if v is not None}))
 
 
 def to_json(content: Mapping[str, Any]) -> str:

@@ -94,7 +94,9 @@ def test_what_is_written_is_read_back():
         "when": datetime.date(2020, 2, 3),
         "d": {"e.f": "é", "rows": [{"x": 1.0}, {"x": 2.0}]},
     }
-    assert tomllib.loads(to_toml(content | {"none": None})) == content
+    text = to_toml(content | {"none": None, "mixed": [1, {"x": 2}]})
+    assert tomllib.loads(text) == content | {"mixed": [1, {"x": 2}]}
+    assert "    {x = 1.0},\n    {x = 2.0}" in text
     odd = {"a": np.array([1.0, math.inf, math.nan]), "b": (-math.inf,)}
     assert json.loads(to_json(odd)) == {"a": [1.0, "inf", None], "b": ["-inf"]}
     assert json.loads(to_json({"a": [1], "b": {"c": [{}], "d": {}}})) == {
