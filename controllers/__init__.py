@@ -26,14 +26,13 @@ from controllers.feedback import ProportionalDerivative as ProportionalDerivativ
 from controllers.fuzzy_rules import FuzzyController as FuzzyController
 from controllers.fuzzy_rules import FuzzySlidingMode as FuzzySlidingMode
 from controllers.gain_sets import gain_set_of
-from controllers.integral_sliding_mode import IntegralSlidingMode as IntegralSlidingMode
-from controllers.law import GainField, Law, gain_fields, spelled
+from controllers.law import GainField, Law, Undeclared, gain_fields, spelled
 from controllers.sliding_mode import BoundaryLayer as BoundaryLayer
+from controllers.sliding_mode import IntegralSlidingMode as IntegralSlidingMode
 from controllers.sliding_mode import SlidingMode as SlidingMode
 from controllers.super_twisting import SuperTwisting as SuperTwisting
 from octarm.arm.nominal import LagrangeModel
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import read_only
 from octarm.declared import Declared, lacking, short_name
 from octarm.errors import OctarmError, closest, quoted
 from octarm.interfaces import NominalModel, Tunable
@@ -41,7 +40,6 @@ from octarm.roll_off import RolledOff
 from octarm.units import ANY
 
 _MISSING = dataclasses.MISSING
-_ANY_GAIN = GainField("what a law does not declare", ANY)
 _ROLL_OFF = GainField("corner of the roll-off of the force", "Hz")
 
 
@@ -81,14 +79,17 @@ def gains_in_si(controller: str, gains: Mapping[str, Any]) -> dict[str, Any]:
         if gain not in known:
             label = short_name(controller)
             raise OctarmError(f"{label} has no gain {quoted(gain)}{closest(gain, known)}")
-    return {gain: (known[gain] or _ANY_GAIN).in_si(gain, value) for gain, value in gains.items()}
+    return {gain: known[gain].in_si(gain, value) for gain, value in gains.items()}
 
 
-def _gains_of(law: Any) -> dict[str, GainField | None]:
+def _gains_of(law: Any) -> dict[str, GainField]:
     """The gains of a controller by how users spell them, and what is declared of each."""
-    declared = gain_fields(law)
-    names = [field.name for field in dataclasses.fields(law) if field.init]
-    gains = {spelled(name): declared.get(name) for name in names if name != "nominal"}
+    declared, gains = gain_fields(law), dict[str, GainField]()
+    for field in dataclasses.fields(law):
+        if field.init and field.name != "nominal":
+            gains[spelled(field.name)] = declared.get(field.name) or Undeclared(
+                "what a law does not declare", ANY, default=_default(field)
+            )
     return {**gains, "roll_off": declared.get("roll_off", _ROLL_OFF)}
 
 
@@ -124,16 +125,13 @@ def make_controller(
     model = LagrangeModel(nominal) if isinstance(nominal, ArmParameters) else nominal
     given, known = dict(gains or {}), _gains_of(law)
     starting: dict[str, Any] = {
-        gain: kind.start(model)
-        for gain, kind in known.items()
-        if kind is not None and kind.recommended is not None
+        gain: kind.start(model) for gain, kind in known.items() if kind.recommended is not None
     }
     _, tuned = gain_set_of(short_name(name), gain_set)
     for gain, value in ({} if tuned is None else tuned.gains).items():
-        kind = known.get(gain)
-        starting[gain] = value if kind is None else kind.scaled(value, model)
+        starting[gain] = known[gain].scaled(value, model) if gain in known else value
     for gain, kind in known.items():
-        if kind is not None and kind.replaced_by in given:
+        if kind.replaced_by in given:
             starting.pop(gain, None)
     wanted = gains_in_si(name, {**starting, **given})
     values: dict[str, Any] = {}
@@ -142,9 +140,9 @@ def make_controller(
         if field.name == "nominal":
             values["nominal"] = model
         elif gain in wanted:
-            value = wanted.pop(gain)  # a `Law` checks its gains itself
-            checked = issubclass(law, Law)
-            values[field.name] = value if checked else _checked(known[gain], field, value, model)
+            value = wanted.pop(gain)
+            own = issubclass(law, Law)  # which checks its gains itself
+            values[field.name] = value if own else known[gain].checked(gain, value, model)
         elif field.init and _default(field) is _MISSING:
             raise OctarmError(f"{short_name(name)} needs the gain {gain}; it recommends no value")
     made: Any = law(**values)
@@ -152,25 +150,6 @@ def make_controller(
         return made
     corner = _ROLL_OFF.checked("roll_off", wanted["roll_off"], model)
     return RolledOff(law=made, roll_off=corner, scale=np.asarray(_ROLL_OFF.scaled(1.0, model)))
-
-
-def _checked(
-    gain: GainField | None, field: dataclasses.Field[Any], value: Any, model: NominalModel
-) -> Any:
-    name = spelled(field.name)
-    if gain is not None:
-        return gain.checked(name, value, model)
-    if isinstance(value, str | bool | int):
-        return value
-    array = read_only(name, value)
-    default = _default(field)
-    like = () if default is _MISSING else np.shape(default)
-    if array.ndim and array.shape[-1] not in (1, model.coordinates) and array.shape != like:
-        raise OctarmError(
-            f"{name} has {array.shape[-1]} values; it needs 1 or {model.coordinates}, one for each "
-            "coordinate"
-        )
-    return array if array.ndim else array.item()
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:

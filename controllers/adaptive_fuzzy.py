@@ -40,7 +40,14 @@ import numpy as np
 
 from controllers.fuzzy.estimators import first_type, second_type, strengths
 from controllers.law import Gain, GainField, RuleField, Switch, elapsed
-from controllers.recommended import LAYER_WIDTH, LINEAR_GAIN, WIDTH, boundary_width, by_hand
+from controllers.recommended import (
+    LAYER_WIDTH,
+    LINEAR_GAIN,
+    WIDTH,
+    boundary_width,
+    by_hand,
+    hand_set,
+)
 from controllers.sliding_mode import SlidingLaw, Surface, saturation
 from octarm.errors import OctarmError
 from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
@@ -78,24 +85,12 @@ class FuzzyState(NamedTuple):
     E: np.ndarray
 
 
-def force_scale(nominal: NominalModel) -> np.ndarray:
-    """F, about what theta may have to be, shape (..., 2N) [N], [N m]: the unit it adapts in."""
-    return by_hand(nominal, "N, N m", 1.0, 0.1)
-
-
-def consequent_bound(nominal: NominalModel) -> np.ndarray:
-    """theta_max, shape (..., 2N) [N], [N m].
-
-    It is what sampling allows. With all theta at their bounds and the premises as they start, the
-    slope of f^ at s = 0 is 3.24 theta_max / scale. With a control period dt, the product
-    dt [D^-1]_jj (K_v + E_max / phi + 3.24 theta_max / scale) should stay below about 0.6.
-    """
-    return by_hand(nominal, "N, N m", 1.0, 1.0, 1.0, 0.6, 0.25, 0.04)
-
-
-def compensation_bound(nominal: NominalModel) -> np.ndarray:
-    """E_max, shape (..., 2N) [N], [N m]: about 0.6 `consequent_bound`; see there."""
-    return by_hand(nominal, "N, N m", 0.6, 0.6, 0.6, 0.3, 0.15, 0.02)
+force_scale = hand_set("N, N m", 1.0, 0.1)  # F, about what theta may have to be: its unit
+# theta_max is what sampling allows. With all theta at their bounds and the premises as they start,
+# the slope of f^ at s = 0 is 3.24 theta_max / scale. With a control period dt, the product
+# dt [D^-1]_jj (K_v + E_max / phi + 3.24 theta_max / scale) should stay below about 0.6.
+consequent_bound = hand_set("N, N m", 1.0, 1.0, 1.0, 0.6, 0.25, 0.04)
+compensation_bound = hand_set("N, N m", 0.6, 0.6, 0.6, 0.3, 0.15, 0.02)  # E_max
 
 
 def rate(times: float, nominal: NominalModel) -> np.ndarray:
@@ -244,7 +239,6 @@ class AdaptiveConsequents(AdaptiveLaw):
     def __call__(
         self, state: ConsequentState, measurement: Measurement, reference: Reference
     ) -> tuple[Command, ConsequentState]:
-        """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
         before, theta, E = state
         surface = self.surface(measurement, reference)
         s = surface.s
@@ -303,7 +297,6 @@ class AdaptiveFuzzy(AdaptiveLaw):
     def __call__(
         self, state: FuzzyState, measurement: Measurement, reference: Reference
     ) -> tuple[Command, FuzzyState]:
-        """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
         before, theta, alpha, sigma, E = state
         surface = self.surface(measurement, reference)
         s = surface.s

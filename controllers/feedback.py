@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from controllers.law import Gain, GainField, Law
-from controllers.recommended import by_hand, decay_rate, layer_slope
+from controllers.recommended import decay_rate, hand_set, layer_slope
 from octarm.interfaces import Command, Knob, Measurement, Reference
 
 
@@ -42,7 +42,6 @@ class ProportionalDerivative(Law):
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
-        """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
         e, e_dot = self.errors(measurement, reference)
         rest = np.zeros_like(e)
         equivalent = self.nominal.inverse_dynamics(reference.q, rest, rest)
@@ -66,27 +65,15 @@ class ComputedTorque(Law):
     # springs: the arm then needs K_p above 0.15 / 1.3 of its highest mode's (154 rad/s)^2.
     K_p: Annotated[
         Gain,
-        GainField(
-            "position gain",
-            "1/s^2",
-            lambda nominal: by_hand(nominal, "1/s^2", 6400.0),
-            Knob("K_p", apart=True),
-        ),
+        GainField("position gain", "1/s^2", hand_set("1/s^2", 6400.0), Knob("K_p", apart=True)),
     ]
     K_d: Annotated[
-        Gain,
-        GainField(
-            "velocity gain",
-            "1/s",
-            lambda nominal: by_hand(nominal, "1/s", 160.0),
-            Knob("K_d", apart=True),
-        ),
+        Gain, GainField("velocity gain", "1/s", hand_set("1/s", 160.0), Knob("K_d", apart=True))
     ]
 
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
-        """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
         e, e_dot = self.errors(measurement, reference)
         q, v = measurement.q, measurement.v
         equivalent = self.nominal.inverse_dynamics(q, v, reference.a)

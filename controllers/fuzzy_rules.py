@@ -11,7 +11,7 @@ import numpy as np
 from controllers.fuzzy.inference import Sugeno, Variable
 from controllers.fuzzy.rule_base import RuleBase
 from controllers.law import Gain, GainField, Law
-from controllers.recommended import LAYER_WIDTH, LINEAR_GAIN, SWITCHING_GAIN, by_hand
+from controllers.recommended import LAYER_WIDTH, LINEAR_GAIN, SWITCHING_GAIN, by_hand, hand_set
 from controllers.sliding_mode import SlidingLaw
 from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
 
@@ -43,19 +43,11 @@ SWITCHING = Sugeno(
 )
 
 
-def force_scale(nominal: NominalModel) -> np.ndarray:
-    """The force of the strongest rule, shape (..., 2N) [N], [N m].
-
-    It gives each coordinate alone, the others being free, a bandwidth of about 300 rad/s. Twice the
-    highest mode of the springs, it leaves an error of a few per cent of the motion; a sampling rate
-    of 2 kHz would bear more.
-    """
-    return by_hand(nominal, "N, N m", 80.0, 40.0, 30.0, 12.0, 2.5, 0.9)
-
-
-def error_scale(nominal: NominalModel) -> np.ndarray:
-    """The error that is big, shape (..., 2N) [m], [rad]."""
-    return by_hand(nominal, "m, rad", 0.003, 0.03)
+# It gives each coordinate alone, the others being free, a bandwidth of about 300 rad/s. Twice the
+# highest mode of the springs, it leaves an error of a few per cent of the motion; a sampling rate
+# of 2 kHz would bear more.
+force_scale = hand_set("N, N m", 80.0, 40.0, 30.0, 12.0, 2.5, 0.9)
+error_scale = hand_set("m, rad", 0.003, 0.03)
 
 
 def rate_scale(nominal: NominalModel) -> np.ndarray:
@@ -104,7 +96,6 @@ class FuzzyController(Law):
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
-        """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
         e, e_dot = self.errors(measurement, reference)
         fuzzy = self.surface(e / self.e_scale, e_dot / self.rate_scale)
         s = e_dot + self.rate_scale / self.e_scale * e
@@ -132,7 +123,6 @@ class FuzzySlidingMode(SlidingLaw):
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
-        """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
         surface = self.surface(measurement, reference)
         switching = -self.K * self.fuzzy(surface.s / self.phi) - self.K_v * surface.s
         return self.command(measurement, surface, switching, layer=self.phi), state

@@ -12,6 +12,7 @@ A law holds them in SI. Its units say how a gain scales with the nominal model, 
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 import functools
 import inspect
@@ -102,11 +103,7 @@ class GainField:
         """
         gain = read_only(name, value, unbounded=self.infinite).copy(order="F")  # arm beside arm
         gain.setflags(write=False)
-        if gain.ndim and gain.shape[-1] not in (1, nominal.coordinates):
-            raise OctarmError(
-                f"{name} has {gain.shape[-1]} values; it needs 1 or {nominal.coordinates}, one for "
-                "each coordinate"
-            )
+        _check_coordinates(name, gain, nominal)
         if self.zero:
             return _within(name, gain, gain >= 0.0, "at least 0")
         return _within(name, gain, gain > 0.0, "above 0")
@@ -124,7 +121,6 @@ class ShareField(_Unscaled):
     """A share in [0, 1), one number an arm: shape () or (..., 1) [1]."""
 
     def checked(self, name: str, value: Any, nominal: NominalModel) -> np.ndarray:
-        """The share as a read-only float array."""
         share = read_only(name, value)
         if share.ndim and share.shape[-1] != 1:
             raise OctarmError(f"{name} has {share.shape[-1]} values; it is one number an arm")
@@ -149,10 +145,33 @@ class Switch(_Unscaled):
     """True or False; 1 or 0 on the command line and in files."""
 
     def checked(self, name: str, value: Any, nominal: NominalModel) -> bool:
-        """Whether it is on."""
         if np.ndim(value) > 0 or value not in (0, 1):
             raise OctarmError(f"{name} is {quoted(value)}; it must be True or False, or 1 or 0")
         return bool(value)
+
+
+@dataclasses.dataclass(frozen=True)
+class Undeclared(_Unscaled):
+    """What a law says nothing of: one number, 2N of them, or what has the shape of its default."""
+
+    default: Any = None
+
+    def checked(self, name: str, value: Any, nominal: NominalModel) -> Any:
+        """A float or a read-only float array; words and whole numbers as they are."""
+        if isinstance(value, str | bool | int):
+            return value
+        array = read_only(name, value)
+        if array.shape != np.shape(self.default):
+            _check_coordinates(name, array, nominal)
+        return array if array.ndim else array.item()
+
+
+def _check_coordinates(name: str, gain: np.ndarray, nominal: NominalModel) -> None:
+    if gain.ndim and gain.shape[-1] not in (1, nominal.coordinates):
+        raise OctarmError(
+            f"{name} has {gain.shape[-1]} values; it needs 1 or {nominal.coordinates}, one for "
+            "each coordinate"
+        )
 
 
 def _within(name: str, gain: np.ndarray, good: np.ndarray, allowed: str) -> np.ndarray:
@@ -181,7 +200,7 @@ def spelled(field: str) -> str:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Law:
+class Law(abc.ABC):
     """A controller with gains; a law adds its gains as fields, and `__call__`.
 
     Attributes:
@@ -204,6 +223,12 @@ class Law:
     def initial_state(self, batch_shape: tuple[int, ...] = ()) -> Any:
         """None: nothing is remembered from before the first call."""
         del batch_shape
+
+    @abc.abstractmethod
+    def __call__(
+        self, state: Any, measurement: Measurement, reference: Reference
+    ) -> tuple[Command, Any]:
+        """The force Q for this instant, shape (..., 2N) [N], [N m], and the next state."""
 
     def knobs(self) -> tuple[Knob, ...]:
         """What tuning may turn, each knob with the names of its gains."""

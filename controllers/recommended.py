@@ -7,6 +7,8 @@ of that arm, `SET_FOR`: another arm has the same numbers in its own scales.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from controllers.law import GainField
@@ -36,6 +38,14 @@ def by_hand(nominal: NominalModel, units: str, first: float, *others: float) -> 
     return along(numbers, nominal.modules, nominal.coordinates) * unit(units, nominal)
 
 
+def hand_set(units: str, *values: float) -> Callable[[NominalModel], np.ndarray]:
+    """What `by_hand` makes of these units and values for a nominal model, broadcasts to (..., 2N).
+
+    It is what a `GainField` recommends.
+    """
+    return lambda nominal: by_hand(nominal, units, *values)
+
+
 def by_unit(nominal: NominalModel, m: float, rad: float) -> np.ndarray:
     """One value for each slide and another one for each bend, shape (2N,) [m], [rad]."""
     return np.array([{"m": m, "rad": rad}[unit] for unit in nominal.units])
@@ -46,33 +56,18 @@ def apparent_mass(nominal: NominalModel) -> np.ndarray:
     return nominal.force_scale * nominal.time_scale * nominal.time_scale / nominal.scale
 
 
-def boundary_width(nominal: NominalModel) -> np.ndarray:
-    """Boundary layer phi, shape (..., 2N) [m/s], [rad/s]."""
-    return by_hand(nominal, "m/s, rad/s", 0.05, 0.8)
-
-
-def switching_gain(nominal: NominalModel) -> np.ndarray:
-    """Switching gain K, shape (..., 2N) [N], [N m].
-
-    It is above the largest model error of the nominal arm along the default sine when the nominal
-    model is at -30 % or +30 %: (1.15, 0.71, 0.33) N and (0.28, 0.15, 0.001) N m.
-    """
-    return by_hand(nominal, "N, N m", 1.6, 1.0, 0.8, 0.4, 0.25, 0.03)
-
-
-def linear_gain(nominal: NominalModel) -> np.ndarray:
-    """Gain K_v of the linear term, shape (..., 2N) [N s/m], [N m s/rad]; see `switching_gain`."""
-    return by_hand(nominal, "N s/m, N m s/rad", 10.0, 10.0, 10.0, 0.15, 0.05, 0.01)
+# Of a nominal model, broadcast to (..., 2N), in the units that are named.
+boundary_width = hand_set("m/s, rad/s", 0.05, 0.8)  # phi
+decay_rate = hand_set("1/s", 15.0)  # lambda: about the nominal arm's lowest mode
+# K is above the largest model error of the nominal arm along the default sine when the nominal
+# model is at -30 % or +30 %: (1.15, 0.71, 0.33) N and (0.28, 0.15, 0.001) N m.
+switching_gain = hand_set("N, N m", 1.6, 1.0, 0.8, 0.4, 0.25, 0.03)
+linear_gain = hand_set("N s/m, N m s/rad", 10.0, 10.0, 10.0, 0.15, 0.05, 0.01)  # K_v
 
 
 def layer_slope(nominal: NominalModel) -> np.ndarray:
     """K_v + K / phi, the slope of the recommended layer, shape (..., 2N) [N s/m], [N m s/rad]."""
     return linear_gain(nominal) + switching_gain(nominal) / boundary_width(nominal)
-
-
-def decay_rate(nominal: NominalModel) -> np.ndarray:
-    """lambda, shape () or (..., 1) [1/s]: about the nominal arm's lowest mode."""
-    return by_hand(nominal, "1/s", 15.0)
 
 
 # All that says how large an |s| is: the hand-set values are multiples of one width.

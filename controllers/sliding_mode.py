@@ -9,6 +9,15 @@ sign; the paper prints a plus sign, which belongs to s of the opposite sign.
 
 By (42) V falls when K_i >= |F_i| + eta_i. The gain K is given, or it is derived from the
 `uncertainty` that the nominal model is declared to have: K_i = max |F_i| + eta_i at every instant.
+
+The integral surface, eqs (10), (24) and (25), in its stable form, holds the integral of the error:
+
+    s = (d/dt + lambda)^2 int e dt = e' + 2 lambda e + lambda^2 int e dt = q' - q_r'
+    q_r' = q_d' - 2 lambda e - lambda^2 int e dt,   q_r'' = q_d'' - 2 lambda e' - lambda^2 e
+
+On s = 0 the error has the double pole -lambda; the surface as printed in (24) has an unstable one.
+Inside the boundary layer a constant error of the model or a constant load moves s, but the
+integral, not the error, makes up for it: s' = 0 holds for e = 0 alone.
 """
 
 from __future__ import annotations
@@ -18,14 +27,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from controllers.law import Gain, GainField, Law, ShareField
-from controllers.recommended import (
-    DECAY_RATE,
-    LAYER_WIDTH,
-    LINEAR_GAIN,
-    SWITCHING_GAIN,
-    switching_gain,
-)
+from controllers import recommended
+from controllers.law import Gain, GainField, Law, ShareField, elapsed
 from octarm.errors import OctarmError
 from octarm.interfaces import Command, Measurement, NominalModel, Reference
 
@@ -54,7 +57,7 @@ def saturation(s: np.ndarray, phi: Gain) -> np.ndarray:
 class SlidingLaw(Law):
     """A law with a sliding surface: the model along q_r', and a robust part."""
 
-    lambda_: Annotated[Gain, DECAY_RATE]
+    lambda_: Annotated[Gain, recommended.DECAY_RATE]
 
     def surface(self, measurement: Measurement, reference: Reference) -> Surface:
         """Eqs (17) and (18)."""
@@ -91,8 +94,10 @@ class SlidingLaw(Law):
 class SwitchingLaw(SlidingLaw):
     """A sliding mode whose switching gain is given, or else derived from an uncertainty."""
 
-    K: Annotated[Gain | None, dataclasses.replace(SWITCHING_GAIN, replaced_by="uncertainty")] = None
-    K_v: Annotated[Gain, LINEAR_GAIN]
+    K: Annotated[
+        Gain | None, dataclasses.replace(recommended.SWITCHING_GAIN, replaced_by="uncertainty")
+    ] = None
+    K_v: Annotated[Gain, recommended.LINEAR_GAIN]
     uncertainty: Annotated[
         Gain | None,
         ShareField("share of the nominal model, see `largest_error`, from which K is derived", "1"),
@@ -111,7 +116,7 @@ class SwitchingLaw(SlidingLaw):
         if self.eta is not None and self.uncertainty is None:
             raise OctarmError("eta is given without uncertainty; only a derived K has that part")
         if self.eta is None and self.uncertainty is not None:
-            object.__setattr__(self, "eta", 0.25 * switching_gain(self.nominal))
+            object.__setattr__(self, "eta", 0.25 * recommended.switching_gain(self.nominal))
         super().__post_init__()
 
     def switched(
@@ -149,7 +154,6 @@ class SlidingMode(SwitchingLaw):
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
-        """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
         surface = self.surface(measurement, reference)
         command = self.switched(measurement, surface, np.sign(surface.s))
         if self.uncertainty is None:
@@ -168,15 +172,69 @@ class BoundaryLayer(SwitchingLaw):
     no time to reach s = 0 can be promised. With phi = 0 this is `SlidingMode`.
     """
 
-    phi: Annotated[Gain, LAYER_WIDTH]
+    phi: Annotated[Gain, recommended.LAYER_WIDTH]
 
     def __call__(
         self, state: None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, None]:
-        """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
         surface = self.surface(measurement, reference)
         switch = saturation(surface.s, self.phi)
         return self.switched(measurement, surface, switch, layer=self.phi), state
+
+
+class IntegralState(NamedTuple):
+    """What the controller remembers.
+
+    Attributes:
+        t: time of the last call [s].
+        integral: int e dt, shape (..., 2N) [m s], [rad s].
+    """
+
+    t: float
+    integral: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class IntegralSlidingMode(SwitchingLaw):
+    """Q = D^ q_r'' + (C^ + B^) q_r' + G^ - K sat(s / phi) - K_v s with the integral surface.
+
+    The integral starts where s = 0, so that there is no reaching phase: the initial error decays
+    with the double pole from the start, and leaves no integral behind that an overshoot has to
+    undo. It gives way where |s| would exceed s_max, and stops where it would only ask for more
+    force than the actuators have, see `Law.without_windup`.
+
+    Here lambda is a double pole. The signals hold the `integral` as well.
+    """
+
+    phi: Annotated[Gain, recommended.LAYER_WIDTH]
+    s_max: Annotated[
+        Gain,
+        GainField(
+            "largest |s| that the integral leaves standing",
+            "m/s, rad/s",
+            lambda nominal: 5.0 * recommended.boundary_width(nominal),
+            recommended.WIDTH,
+        ),
+    ]
+
+    def __call__(
+        self, state: IntegralState | None, measurement: Measurement, reference: Reference
+    ) -> tuple[Command, IntegralState]:
+        e, e_dot = self.errors(measurement, reference)
+        lambda_squared = self.lambda_ * self.lambda_
+        proportional = e_dot + 2.0 * self.lambda_ * e
+        if state is None:
+            s, integral, dt = np.zeros_like(proportional), -proportional / lambda_squared, 0.0
+        else:
+            asked = proportional + lambda_squared * state.integral
+            s = np.clip(asked, -self.s_max, self.s_max)
+            integral = state.integral + (s - asked) / lambda_squared
+            dt = elapsed(state.t, measurement.t)
+        a_r = reference.a - 2.0 * self.lambda_ * e_dot - lambda_squared * e
+        surface, switch = Surface(s, measurement.v - s, a_r), saturation(s, self.phi)
+        command = self.switched(measurement, surface, switch, layer=self.phi, integral=integral)
+        e = self.without_windup(measurement, command, e)
+        return command, IntegralState(measurement.t, integral + e * dt)
 
 
 def reaching_time_bound(

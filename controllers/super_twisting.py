@@ -17,14 +17,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from controllers import recommended
 from controllers.law import Gain, GainField, elapsed
-from controllers.recommended import (
-    LINEAR_GAIN,
-    SWITCHING_GAIN,
-    apparent_mass,
-    by_hand,
-    switching_gain,
-)
 from controllers.sliding_mode import SlidingLaw
 from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
 
@@ -47,12 +41,12 @@ def rate_gain(nominal: NominalModel) -> np.ndarray:
     That rate is 10 1/s, for the nominal arm, times the recommended K, which is above the model
     error itself.
     """
-    return 1.1 * by_hand(nominal, "1/s", 10.0) * switching_gain(nominal)
+    return 1.1 * recommended.by_hand(nominal, "1/s", 10.0) * recommended.switching_gain(nominal)
 
 
 def root_gain(nominal: NominalModel) -> np.ndarray:
     """Gain k_1 = 1.5 sqrt(m L), shape (..., 2N) [N/sqrt(m/s)], [N m/sqrt(rad/s)]."""
-    return 1.5 * np.sqrt(apparent_mass(nominal) * rate_gain(nominal) / 1.1)
+    return 1.5 * np.sqrt(recommended.apparent_mass(nominal) * rate_gain(nominal) / 1.1)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,8 +59,8 @@ class SuperTwisting(SlidingLaw):
     although the proof needs another one.
     """
 
-    K: Annotated[Gain, dataclasses.replace(SWITCHING_GAIN, meaning="largest |w|")]
-    K_v: Annotated[Gain, LINEAR_GAIN]
+    K: Annotated[Gain, dataclasses.replace(recommended.SWITCHING_GAIN, meaning="largest |w|")]
+    K_v: Annotated[Gain, recommended.LINEAR_GAIN]
     k_1: Annotated[
         Gain,
         GainField(
@@ -84,7 +78,6 @@ class SuperTwisting(SlidingLaw):
     def __call__(
         self, state: SuperTwistingState | None, measurement: Measurement, reference: Reference
     ) -> tuple[Command, SuperTwistingState]:
-        """The generalised force for this instant, shape (..., 2N) [N], [N m]."""
         surface = self.surface(measurement, reference)
         s, sign = surface.s, np.sign(surface.s)
         if state is None:

@@ -92,10 +92,7 @@ def _strengths(scaled: np.ndarray, normalised: bool) -> np.ndarray:
     if not normalised:
         return np.exp(exponent, out=exponent)
     # The largest mu is made 1: far from all rules they would all be 0 in floating point.
-    largest = exponent[..., 0]
-    for rule in range(1, exponent.shape[-1]):
-        largest = np.maximum(largest, exponent[..., rule])
-    mu = np.exp(exponent - largest[..., None])
+    mu = np.exp(exponent - np.max(exponent, axis=-1, keepdims=True))
     return mu / _sum_over_rules(mu)[..., None]
 
 

@@ -225,10 +225,7 @@ class Mamdani(FuzzySystem):
     __call__ = coa
 
     def cog(self, *inputs: np.ndarray) -> np.ndarray:
-        """Centre of gravity (49) of all rules' sets, of the broadcast shape of the inputs.
-
-        It is COA under sum-min (48).
-        """
+        """Centre of gravity (49), the COA under sum-min (48), of the shape of `coa`."""
         return self._centre(inputs, np.add)
 
     def _centre(self, inputs: tuple[np.ndarray, ...], aggregation: Operator) -> np.ndarray:

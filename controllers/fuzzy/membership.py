@@ -1,8 +1,9 @@
 """Fuzzy sets, eq (43).
 
 A membership function says how far x belongs to a set: 0 is not at all, 1 is fully. The four kinds
-here have a left and a right side of their own. A side that reaches to infinity is an open shoulder:
-the membership stays 1 on it. Each is called with arrays of any shape, elementwise.
+here have a left and a right side of their own; one that reaches to infinity is an open shoulder, on
+which the membership stays 1. Each is called with arrays of any shape, elementwise, and can be
+spread over a range: `between` makes the set at a peak whose neighbours peak before and after it.
 
     Triangular(0.0, 0.5, 1.0)               # a tent on [0, 1]
     Triangular(-math.inf, -1.0, -0.5)       # 1 up to -1: an open left shoulder
@@ -11,7 +12,6 @@ the membership stays 1 on it. Each is called with arrays of any shape, elementwi
 
 from __future__ import annotations
 
-import abc
 import dataclasses
 import itertools
 import math
@@ -22,26 +22,8 @@ import numpy as np
 from octarm.errors import OctarmError
 
 
-class Membership(abc.ABC):
-    """A fuzzy set on the real line, of a family that can be spread over a range."""
-
-    @property
-    @abc.abstractmethod
-    def corners(self) -> tuple[float, ...]:
-        """Where the membership stops rising or falling, in rising order; it may be infinite."""
-
-    @abc.abstractmethod
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Membership of x [1], in [0, 1]; of the shape of x."""
-
-    @classmethod
-    @abc.abstractmethod
-    def between(cls, before: float, peak: float, after: float) -> Self:
-        """The set at `peak` whose neighbours peak at `before` and `after`."""
-
-
 @dataclasses.dataclass(frozen=True)
-class Trapezoidal(Membership):
+class Trapezoidal:
     """Straight from 0 at `left` up to 1 on [top_left, top_right], and down to 0 at `right`.
 
     Raises OctarmError unless left <= top_left <= top_right <= right and the top is finite.
@@ -62,7 +44,7 @@ class Trapezoidal(Membership):
 
     @property
     def corners(self) -> tuple[float, ...]:
-        """All fields."""
+        """Where the membership stops rising or falling, in rising order; they may be infinite."""
         return self.left, self.top_left, self.top_right, self.right
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
@@ -80,6 +62,13 @@ class Trapezoidal(Membership):
         return cls(peak - 0.75 * before, peak - near, peak + far, peak + 0.75 * after)
 
 
+def _slope(x: np.ndarray, foot: float, top: float) -> np.ndarray | float:
+    """0 at the foot and 1 at the top; upright if both are one, and not there without a foot."""
+    if math.isinf(foot):
+        return 1.0
+    return np.heaviside(x - foot, 1.0) if foot == top else (x - foot) / (top - foot)
+
+
 class Triangular(Trapezoidal):
     """Straight from 0 at `left` up to 1 at `peak`, and down to 0 at `right`.
 
@@ -95,15 +84,8 @@ class Triangular(Trapezoidal):
         return cls(before, peak, after)
 
 
-def _slope(x: np.ndarray, foot: float, top: float) -> np.ndarray | float:
-    """0 at the foot and 1 at the top; upright if both are one, and not there without a foot."""
-    if math.isinf(foot):
-        return 1.0
-    return np.heaviside(x - foot, 1.0) if foot == top else (x - foot) / (top - foot)
-
-
 @dataclasses.dataclass(frozen=True)
-class Gaussian(Membership):
+class Gaussian:
     """exp(-((x - center) / width)^2), with a width for each side; 1 / width is the paper's sigma.
 
     The widths, at which it is 1/e, are inf for open shoulders. Raises OctarmError unless the center
@@ -117,11 +99,12 @@ class Gaussian(Membership):
     right: float
 
     def __post_init__(self) -> None:
-        for name, value in dataclasses.asdict(self).items():
-            allowed = "finite" if name == "center" else "above 0"
-            if not (math.isfinite(value) if name == "center" else value > 0.0):
-                kind = type(self).__name__
-                raise OctarmError(f"{name} of {kind} is {value:g}; it must be {allowed}")
+        kind = type(self).__name__
+        if not math.isfinite(self.center):
+            raise OctarmError(f"center of {kind} is {self.center:g}; it must be finite")
+        for name, value in vars(self).items():
+            if name != "center" and not value > 0.0:
+                raise OctarmError(f"{name} of {kind} is {value:g}; it must be above 0")
 
     @property
     def corners(self) -> tuple[float, ...]:
@@ -162,3 +145,6 @@ class GeneralisedBell(Gaussian):
     def profile(self, z: np.ndarray) -> np.ndarray:
         """Membership [1] at a distance of z widths from the center, of the shape of z."""
         return 1.0 / (1.0 + np.power(z, 2.0 * self.slope))
+
+
+Membership = Trapezoidal | Gaussian

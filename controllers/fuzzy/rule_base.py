@@ -17,20 +17,14 @@ Empty lines, and what follows a #, do not count.
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from octarm.errors import OctarmError, closest, quoted
 
-
-class Clause(NamedTuple):
-    """`variable is label`."""
-
-    variable: str
-    label: str
+Clause = tuple[str, str]  # a variable and its label
 
 
 class Rule(NamedTuple):
@@ -48,20 +42,18 @@ class Rule(NamedTuple):
         return f"if {' or '.join(map(_words, self.cases))} then {self.conclusion}"
 
 
-@dataclasses.dataclass(frozen=True)
-class RuleBase:
+class RuleBase(tuple[Rule, ...]):
     """Rules in the order in which they were written.
 
     Raises OctarmError if there are no rules, or two of them share a case.
     """
 
-    rules: tuple[Rule, ...]
-
-    def __post_init__(self) -> None:
-        if not self.rules:
+    def __init__(self, rules: Iterable[Rule] = (), /) -> None:
+        del rules  # which the tuple holds already
+        if not self:
             raise OctarmError("a rule base has no rules; it needs at least one")
         seen: dict[frozenset[Clause], str] = {}
-        for rule in self.rules:
+        for rule in self:
             for case in rule.cases:
                 if frozenset(case) in seen:
                     raise OctarmError(
@@ -70,14 +62,8 @@ class RuleBase:
                     )
                 seen[frozenset(case)] = rule.conclusion
 
-    def __iter__(self) -> Iterator[Rule]:
-        return iter(self.rules)
-
-    def __len__(self) -> int:
-        return len(self.rules)
-
     def __str__(self) -> str:
-        return "\n".join(map(str, self.rules))
+        return "\n".join(map(str, self))
 
     @classmethod
     def from_sentences(cls, text: str) -> RuleBase:
@@ -85,7 +71,7 @@ class RuleBase:
 
         Raises OctarmError for a line that is not such a sentence, or two rules for one case.
         """
-        return cls(tuple(_sentence(line) for line in _lines(text)))
+        return cls(_sentence(line) for line in _lines(text))
 
     @classmethod
     def from_table(cls, text: str) -> RuleBase:
@@ -109,9 +95,8 @@ class RuleBase:
                     f"{len(columns)}, one for each label of {column_variable}"
                 )
             for column, conclusion in zip(columns, conclusions, strict=True):
-                case = (Clause(row_variable, row), Clause(column_variable, column))
-                rules.append(Rule((case,), conclusion))
-        return cls(tuple(rules))
+                rules.append(Rule((((row_variable, row), (column_variable, column)),), conclusion))
+        return cls(rules)
 
     def check(self, inputs: Mapping[str, Iterable[str]], conclusions: Iterable[str]) -> None:
         """Checks that the rules use known words and leave no combination of labels out.
@@ -119,14 +104,14 @@ class RuleBase:
         Inputs are given with their labels. Raises OctarmError for an unknown variable or label, or
         a combination without a rule.
         """
-        for rule in self.rules:
+        for rule in self:
             for variable, label in itertools.chain(*rule.cases):
                 _check_known(f"variable {quoted(variable)}", rule, variable, inputs)
                 _check_known(f"label {quoted(label)} of {variable}", rule, label, inputs[variable])
             word = rule.conclusion
             _check_known(f"conclusion {quoted(word)}", rule, word, conclusions)
-        cases = [frozenset(case) for rule in self.rules for case in rule.cases]
-        clauses = ([Clause(name, label) for label in labels] for name, labels in inputs.items())
+        cases = [frozenset(case) for rule in self for case in rule.cases]
+        clauses = ([(name, label) for label in labels] for name, labels in inputs.items())
         combinations = itertools.product(*clauses)
         missing = [x for x in combinations if not any(case <= {*x} for case in cases)]
         if missing:
@@ -147,7 +132,7 @@ def _sentence(line: str) -> Rule:
     if not parts or any(len(x) != 3 or x[1] != "is" for x in itertools.chain(*words)):
         example = "if e is NB and rate is PS then NM"
         raise OctarmError(f"the rule '{line}' cannot be read; write it as '{example}'")
-    return Rule(tuple(tuple(Clause(x[0], x[2]) for x in case) for case in words), parts[2])
+    return Rule(tuple(tuple((x[0], x[2]) for x in case) for case in words), parts[2])
 
 
 def _check_known(what: str, rule: Rule, word: str, known: Iterable[str]) -> None:

@@ -12,19 +12,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from controllers import AdaptiveConsequents, AdaptiveFuzzy, make_controller
-from controllers.proofs.lyapunov import (
-    COMPLEX_STEP,
-    LAMBDA,
-    Instants,
-    damped,
-    energy_rate,
-    linear_gain_of,
-    model_error,
-    noticed,
-    proved,
-    random_instants,
-    sliding,
-)
+from controllers.proofs import lyapunov
 from controllers.sliding_mode import Surface
 from octarm.arm.lagrange import coriolis_matrix
 from octarm.arm.parameters import ArmParameters
@@ -50,33 +38,22 @@ class Adapted(NamedTuple):
     E: np.ndarray
 
 
-class AdaptiveTrial(NamedTuple):
-    """Instants with values of all that an adaptive controller adapts, and what it does there.
+class _Trial(NamedTuple):
+    """Instants with values of all that an adaptive controller adapts, and what it does there."""
 
-    Attributes:
-        at: the instants.
-        law: the controller, for its scales and rates.
-        surface: s and what follows from it.
-        now: adapted values.
-        best: their optimal values.
-        eps: error of the approximation, eq (73), shape (..., 2N) [N], [N m].
-        force: what the controller answers, shape (..., 2N) [N], [N m].
-        rates: how fast it adapts.
-    """
-
-    at: Instants
+    at: lyapunov.Instants
     law: AdaptiveLaw
     surface: Surface
     now: Adapted
-    best: Adapted
-    eps: np.ndarray
-    force: np.ndarray
-    rates: Adapted
+    best: Adapted  # optimal values
+    eps: np.ndarray  # error of the approximation, eq (73), shape (..., 2N) [N], [N m]
+    force: np.ndarray  # what the controller answers, shape (..., 2N) [N], [N m]
+    rates: Adapted  # how fast it adapts
 
     @property
     def taken(self) -> np.ndarray:
         """s^T (K_v + B) s, what the linear gain and the dampers take, shape (...)."""
-        return damped(self.at, self.surface.s, self.law.K_v)
+        return lyapunov.damped(self.at, self.surface.s, self.law.K_v)
 
     @property
     def claim(self) -> np.ndarray:
@@ -94,11 +71,7 @@ class AdaptiveTrial(NamedTuple):
             )
         )
         learning = np.sum(E + np.sum(theta + alpha + sigma, axis=-1), axis=-1)
-        return energy_rate(self.at, self.surface, self.force) - learning
-
-    def moving(self, **rates: np.ndarray) -> AdaptiveTrial:
-        """The same with other rates of adaptation, shapes (..., 2N, M)."""
-        return self._replace(rates=self.rates._replace(**rates))
+        return lyapunov.energy_rate(self.at, self.surface, self.force) - learning
 
 
 def adaptive(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
@@ -106,38 +79,39 @@ def adaptive(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterato
     for name, normalised in itertools.product(("afsmc", "afsmc-consequent"), (False, True)):
         label = f"{name} normalised" if normalised else name
         t = adaptive_trial(name, p, states, rng, normalised=normalised)
-        yield from proved(label, t.rate, t.claim, -t.taken)
+        yield from lyapunov.proved(label, t.rate, t.claim, -t.taken)
 
 
 def misprints(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
     """The rows of the paper's wrong variants, on an arm whose dampers do not hide them."""
     t = adaptive_trial("afsmc", p.scaled(damping=0.0), states, rng)
-    yield noticed("C_j as printed, d/d alpha", printed_C(t).rate, t.claim)
-    yield noticed("d/d delta moves sigma", delta_gradient(t).rate, t.claim)
-    yield noticed("+ F^ + F_cp in (63)", added_estimate(t).rate, t.claim)
+    yield lyapunov.noticed("C_j as printed, d/d alpha", printed_C(t).rate, t.claim)
+    yield lyapunov.noticed("d/d delta moves sigma", delta_gradient(t).rate, t.claim)
+    yield lyapunov.noticed("+ F^ + F_cp in (63)", added_estimate(t).rate, t.claim)
     if p.modules > 1:  # a single module has no Coriolis force
-        yield noticed("C laid out as in (4)", paper_coriolis(t).rate, t.claim)
+        yield lyapunov.noticed("C laid out as in (4)", paper_coriolis(t).rate, t.claim)
 
 
-def printed_C(t: AdaptiveTrial) -> AdaptiveTrial:
+def printed_C(t: _Trial) -> _Trial:
     """C_j as printed in (72): d/d alpha where d/d sigma is meant."""
     eta = etas(t.law)
-    return t.moving(sigma=eta.sigma / eta.alpha * t.rates.alpha)
+    return t._replace(rates=t.rates._replace(sigma=eta.sigma / eta.alpha * t.rates.alpha))
 
 
-def delta_gradient(t: AdaptiveTrial) -> AdaptiveTrial:
+def delta_gradient(t: _Trial) -> _Trial:
     """Sigma moved by the gradient in the delta of (59): d/d delta = -sigma^2 d/d sigma."""
-    return t.moving(sigma=-np.square(t.now.sigma) * t.rates.sigma)
+    sigma = -np.square(t.now.sigma) * t.rates.sigma
+    return t._replace(rates=t.rates._replace(sigma=sigma))
 
 
-def added_estimate(t: AdaptiveTrial) -> AdaptiveTrial:
+def added_estimate(t: _Trial) -> _Trial:
     """(63) with + F^ + F_cp."""
     s = t.surface.s
     estimate = np.sum(t.now.theta * membership(t.law, s, t.now), axis=-1)  # eq (67)
     return t._replace(force=t.force + 2.0 * (estimate + t.now.E * np.sign(s)))
 
 
-def paper_coriolis(t: AdaptiveTrial) -> AdaptiveTrial:
+def paper_coriolis(t: _Trial) -> _Trial:
     """C laid out as in (4) in the law: for it, D' - 2C is not skew."""
     nominal, (_, q, v) = t.at.nominal, t.at.measurement
     change = layout_of_the_paper(nominal, q, v) - coriolis_matrix(nominal, q, v)
@@ -155,16 +129,17 @@ def layout_of_the_paper(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.nd
 
 def adaptive_trial(
     name: str, p: ArmParameters, states: int, rng: np.random.Generator, **gains: Any
-) -> AdaptiveTrial:
+) -> _Trial:
     """Random instants, values and optimal values, with the tightest E* = |eps|.
 
     The law is the shipped one, without safeguards and with sgn(s) as the theorem has it.
     """
-    at = random_instants(p, states, rng)
-    surface = sliding(at)
-    F = model_error(at, surface)
+    at = lyapunov.random_instants(p, states, rng)
+    surface = lyapunov.sliding(at)
+    F = lyapunov.model_error(at, surface)
     now, best = _random_values(F, rng), _random_values(F, rng)
-    gains |= {"lambda": LAMBDA, "K_v": linear_gain_of(p), "phi": 0.0, "safeguards": False}
+    gains |= {"lambda": lyapunov.LAMBDA, "K_v": lyapunov.linear_gain_of(p)}
+    gains |= {"phi": 0.0, "safeguards": False}
     gains |= {"alpha0": now.alpha, "sigma0": now.sigma}  # where they do not adapt
     law = cast("AdaptiveLaw", make_controller(name, at.nominal, gains))
     # Premises that do not adapt cannot come closer to their best values.
@@ -172,11 +147,11 @@ def adaptive_trial(
     reached = best._replace(alpha=now.alpha, sigma=now.sigma) if fixed else best
     eps = approximation_error(law, surface.s, F, now, reached)
     best = best._replace(E=np.abs(eps))
-    return AdaptiveTrial(at, law, surface, now, best, eps, *answer(law, at, now))
+    return _Trial(at, law, surface, now, best, eps, *answer(law, at, now))
 
 
 def answer(
-    law: AdaptiveLaw, at: Instants, now: Adapted, step: float = 1.0
+    law: AdaptiveLaw, at: lyapunov.Instants, now: Adapted, step: float = 1.0
 ) -> tuple[np.ndarray, Adapted]:
     """Force and rates, shapes (..., 2N) and (..., 2N, M), by one exact Euler step [s]."""
     state: Any = law.initial_state(at.measurement.q.shape[:-1])
@@ -210,8 +185,9 @@ def approximation_error(
 ) -> np.ndarray:
     """eps of eq (73): what of F - f^ is not linear in the parameters' errors, shape (..., 2N)."""
     tilde = difference(best, now)
-    step = Adapted(*(x + 1j * COMPLEX_STEP * y for x, y in zip(now, tilde, strict=True)))
-    along = np.imag(membership(law, s, step)) / COMPLEX_STEP  # B alpha~ + C sigma~, eq (71)
+    step = Adapted(*(x + 1j * lyapunov.COMPLEX_STEP * y for x, y in zip(now, tilde, strict=True)))
+    # B alpha~ + C sigma~, eq (71)
+    along = np.imag(membership(law, s, step)) / lyapunov.COMPLEX_STEP
     phi_best = membership(law, s, best)
     change = phi_best - membership(law, s, now)
     beyond_estimator = error - np.sum(best.theta * phi_best, axis=-1)

@@ -14,23 +14,9 @@ import numpy as np
 
 from controllers import make_controller
 from controllers.fuzzy_rules import FuzzySlidingMode
-from controllers.integral_sliding_mode import IntegralState
+from controllers.proofs import lyapunov
 from controllers.proofs.adaptive_ledger import adaptive, misprints
-from controllers.proofs.lyapunov import (
-    LAMBDA,
-    Instants,
-    damped,
-    energy_rate,
-    integral_sliding,
-    layer_of,
-    linear_gain_of,
-    model_error,
-    noticed,
-    proved,
-    random_instants,
-    sliding,
-)
-from controllers.sliding_mode import Surface
+from controllers.sliding_mode import IntegralState, Surface
 from controllers.super_twisting import SuperTwistingState
 from octarm.arm.parameters import ArmParameters
 from octarm.errors import OctarmError
@@ -73,35 +59,26 @@ def ledger(
     return CheckTable(title, parameters.to_dict(), states, seed, checks)
 
 
-class SwitchingTrial(NamedTuple):
-    """Random instants with a switching gain that covers the model error there, eq (40).
+class _Trial(NamedTuple):
+    """Random instants with a switching gain that covers the model error there, eq (40)."""
 
-    Attributes:
-        at: the instants.
-        surface: s and what follows from it.
-        F: model error, shape (n, 2N) [N], [N m].
-        eta: margin of the gain, shape (2N,) [N], [N m].
-        K: |F| + eta, shape (n, 2N) [N], [N m].
-        K_v: linear gain, shape (2N,).
-    """
-
-    at: Instants
+    at: lyapunov.Instants
     surface: Surface
-    F: np.ndarray
-    eta: np.ndarray
-    K: np.ndarray
-    K_v: np.ndarray
+    F: np.ndarray  # model error, shape (n, 2N) [N], [N m]
+    eta: np.ndarray  # margin of the gain, shape (2N,) [N], [N m]
+    K: np.ndarray  # |F| + eta
+    K_v: np.ndarray  # linear gain, shape (2N,)
 
     def answer(self, name: str, state: Any = None, **gains: Any) -> tuple[np.ndarray, Any]:
         """The force of the shipped controller of this name, shape (n, 2N), and its next state."""
-        given = {"lambda": LAMBDA, "K": self.K, "K_v": self.K_v} | gains
+        given = {"lambda": lyapunov.LAMBDA, "K": self.K, "K_v": self.K_v} | gains
         controller = make_controller(name, self.at.nominal, given)
         command, after = controller(state, self.at.measurement, self.at.reference)
         return command.force, after
 
     def rate(self, force: np.ndarray) -> np.ndarray:
         """V' by the chain rule through the true arm, shape (n,) [W]."""
-        return energy_rate(self.at, self.surface, force)
+        return lyapunov.energy_rate(self.at, self.surface, force)
 
     def claim(self, robust: np.ndarray) -> np.ndarray:
         """V' = s^T (F + robust part) - s^T (K_v + B) s, eq (38), shape (n,) [W]."""
@@ -115,7 +92,7 @@ class SwitchingTrial(NamedTuple):
     @property
     def taken(self) -> np.ndarray:
         """s^T (K_v + B) s, what the linear gain and the dampers take, shape (n,) [W]."""
-        return damped(self.at, self.surface.s, self.K_v)
+        return lyapunov.damped(self.at, self.surface.s, self.K_v)
 
     def within(self, phi: np.ndarray) -> np.ndarray:
         """The bound (42) with a boundary layer: sum K phi / 4 more, shape (n,) [W]."""
@@ -126,13 +103,13 @@ def _trial(
     p: ArmParameters,
     states: int,
     rng: np.random.Generator,
-    surface_of: Callable[[Instants], Surface] = sliding,
-) -> SwitchingTrial:
-    at = random_instants(p, states, rng)
+    surface_of: Callable[[lyapunov.Instants], Surface] = lyapunov.sliding,
+) -> _Trial:
+    at = lyapunov.random_instants(p, states, rng)
     surface = surface_of(at)
-    F = model_error(at, surface)
+    F = lyapunov.model_error(at, surface)
     eta = 0.01 * np.sqrt(np.mean(F * F, axis=0))
-    return SwitchingTrial(at, surface, F, eta, np.abs(F) + eta, linear_gain_of(p))
+    return _Trial(at, surface, F, eta, np.abs(F) + eta, lyapunov.linear_gain_of(p))
 
 
 def _sliding_mode(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
@@ -141,8 +118,8 @@ def _sliding_mode(p: ArmParameters, states: int, rng: np.random.Generator) -> It
     robust = -t.K * np.sign(t.surface.s)
     force, _ = t.answer("smc")
     rate, claim = t.rate(force), t.claim(robust)
-    yield from proved("smc", rate, claim, t.reaching)
-    yield noticed("+K sgn(s) as in (31)", t.rate(force - 2.0 * robust), claim)
+    yield from lyapunov.proved("smc", rate, claim, t.reaching)
+    yield lyapunov.noticed("+K sgn(s) as in (31)", t.rate(force - 2.0 * robust), claim)
 
 
 def _boundary_layers(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
@@ -151,15 +128,15 @@ def _boundary_layers(p: ArmParameters, states: int, rng: np.random.Generator) ->
     f is a saturation, or fuzzy: on the far side of sat(s / phi) from zero it pushes back at least
     as hard.
     """
-    phi = layer_of(p)
+    phi = lyapunov.layer_of(p)
     t = _trial(p, states, rng)
     rate = t.rate(t.answer("fsmc", phi=phi)[0])
     claim = t.claim(-t.K * FuzzySlidingMode.fuzzy(t.surface.s / phi))
-    yield from proved("fsmc", rate, claim, t.within(phi))
+    yield from lyapunov.proved("fsmc", rate, claim, t.within(phi))
     t = _trial(p, states, rng)
     rate = t.rate(t.answer("smc-boundary", phi=phi)[0])
     claim = t.claim(-t.K * np.clip(t.surface.s / phi, -1.0, 1.0))
-    yield from proved("smc-boundary", rate, claim, t.within(phi))
+    yield from lyapunov.proved("smc-boundary", rate, claim, t.within(phi))
     inside = np.all(np.abs(t.surface.s) < phi, axis=-1)
     rising = float(np.mean(rate[inside] > 0.0))
     yield Check("smc-boundary inside the layer: share of V' > 0", rising, 1.0, 1e-3)
@@ -167,15 +144,15 @@ def _boundary_layers(p: ArmParameters, states: int, rng: np.random.Generator) ->
 
 def _integral_surface(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
     """The same theorem on the surface (24), corrected, whose q_r' holds the integral of e."""
-    t = _trial(p, states, rng, integral_sliding)
+    t = _trial(p, states, rng, lyapunov.integral_sliding)
     state = IntegralState(t.at.measurement.t - 1.0, t.at.integral.copy())
     force, after = t.answer("smc-integral", state, phi=0.0, s_max=1e3)
     # The chain rule takes the rate at which the controller integrates, over its step of 1 s.
     integrated = after.integral - t.at.integral
-    actual = t.surface.a_r - LAMBDA**2 * (integrated - t.at.errors[0])
-    rate = energy_rate(t.at, t.surface._replace(a_r=actual), force)
+    actual = t.surface.a_r - lyapunov.LAMBDA**2 * (integrated - t.at.errors[0])
+    rate = lyapunov.energy_rate(t.at, t.surface._replace(a_r=actual), force)
     claim = t.claim(-t.K * np.sign(t.surface.s))
-    yield from proved("smc-integral", rate, claim, t.reaching)
+    yield from lyapunov.proved("smc-integral", rate, claim, t.reaching)
 
 
 def _super_twisting(p: ArmParameters, states: int, rng: np.random.Generator) -> Iterator[Check]:
@@ -188,9 +165,9 @@ def _super_twisting(p: ArmParameters, states: int, rng: np.random.Generator) -> 
     size = np.abs(t.surface.s)
     w = t.K * rng.uniform(-1.0, 1.0, t.K.shape)
     # A root gain that balances the model error somewhere among these |s|.
-    k_1 = np.sqrt(np.mean(t.F * t.F, axis=0) / layer_of(p))
+    k_1 = np.sqrt(np.mean(t.F * t.F, axis=0) / lyapunov.layer_of(p))
     state = SuperTwistingState(t.at.measurement.t, w.copy())
     rate = t.rate(t.answer("super-twisting", state, k_1=k_1)[0])
     claim = t.claim(w - k_1 * np.sqrt(size) * np.sign(t.surface.s))
     bound = np.sum(4.0 * np.abs(t.F + w) ** 3 / (27.0 * k_1**2), axis=-1)
-    yield from proved("super-twisting", rate, claim, bound - t.taken)
+    yield from lyapunov.proved("super-twisting", rate, claim, bound - t.taken)
