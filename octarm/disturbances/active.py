@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from operator import is_
 from typing import Any
 
@@ -83,7 +83,11 @@ class ActiveDisturbances:
         ranges = [process.extremes for _, process in self.plant_changes]
         self._surveyed = all(ranges) and math.prod(map(len, ranges)) <= _COMBINATIONS
         if self._surveyed:
-            self._survey(ranges)
+            for changes in itertools.product(*ranges):
+                plant = Plant(self.episode.plant)
+                for change in changes:
+                    plant = change(plant)
+                self._check(plant)
         elif (plant := self._changed_plant(0)) is not None:
             self._check(plant)
 
@@ -149,14 +153,6 @@ class ActiveDisturbances:
         for _, process in self.plant_changes:
             plant = process.apply(step, plant)
         return plant
-
-    def _survey(self, ranges: Sequence[Sequence[Callable[[Plant], Plant]]]) -> None:
-        """Checks the plant at all extremes of all changes, those of several combined."""
-        for changes in itertools.product(*ranges):
-            plant = Plant(self.episode.plant)
-            for change in changes:
-                plant = change(plant)
-            self._check(plant)
 
     def _check(self, plant: Plant) -> None:
         if not _beyond(plant.parameters):

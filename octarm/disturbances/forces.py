@@ -129,8 +129,8 @@ class SineForce(_PushForce):
                 f"frequency of sine is {highest:g} Hz; it must be below half of the physics rate, "
                 f"{half_rate:g} Hz"
             )
-        box, omega = super()._size(values, timestep), 2.0 * np.pi * values["frequency"]
-        return functools.partial(_sine, box, omega, values["phase"], values["at"], timestep)
+        values = {**values, "omega": 2.0 * np.pi * values["frequency"]}
+        return functools.partial(_sine, super()._size(values, timestep), values, timestep)
 
     def delivered(self, measured: Measured) -> dict[str, Any]:
         """How strong it was, its frequency and how pure it was."""
@@ -139,18 +139,14 @@ class SineForce(_PushForce):
 
 
 def _sine(
-    box: Callable[[int], Amount],
-    omega: Amount,
-    phase: Amount,
-    at: Amount,
-    timestep: float,
-    step: int,
+    box: Callable[[int], Amount], values: Mapping[str, Amount], timestep: float, step: int
 ) -> Amount:
     """A box times sin(omega t + phase) at the beginning of a step, t counted from `at` [s]."""
     amplitude = box(step)
     if isinstance(amplitude, float) and amplitude == 0.0:
         return amplitude
-    return entry(amplitude * np.sin(omega * (step * timestep - at) + phase) + 0.0)
+    angle = values["omega"] * (step * timestep - values["at"]) + values["phase"]
+    return entry(amplitude * np.sin(angle) + 0.0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,7 +10,7 @@ import dataclasses
 import functools
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -169,8 +169,8 @@ class Drift(PlantChange):
 
     def start(self, episode: Episode) -> PlantProcess:
         value = episode.values(self)
-        ends = np.ones(()), 1.0 + np.sign(value["rate"]) * value["limit"]
-        return _drifting(functools.partial(_ramp, **value), self.of, episode, ends)
+        drifting = _Drifting(functools.partial(_ramp, **value), self.of, episode.timestep)
+        return drifting.process(np.ones(()), 1.0 + np.sign(value["rate"]) * value["limit"])
 
 
 def _ramp(t: float, rate: Amount, limit: Amount) -> np.ndarray:
@@ -193,46 +193,39 @@ class CyclicDrift(PlantChange):
 
     def start(self, episode: Episode) -> PlantProcess:
         value = episode.values(self)
-        ends = np.asarray(1.0 - value["share"]), np.asarray(1.0 + value["share"])
-        return _drifting(functools.partial(_swing, **value), self.of, episode, ends)
+        drifting = _Drifting(functools.partial(_swing, **value), self.of, episode.timestep)
+        return drifting.process(np.asarray(1.0 - value["share"]), np.asarray(1.0 + value["share"]))
 
 
 def _swing(t: float, share: Amount, period: Amount, phase: Amount) -> np.ndarray:
     return 1.0 + share * np.sin(2.0 * np.pi / period * t + phase)
 
 
-def _drifting(
-    factor: Callable[[float], np.ndarray], of: str, episode: Episode, ends: Sequence[np.ndarray]
-) -> PlantProcess:
-    """A factor, shape (...), on some parameters that follows time [s] on a grid of its own.
+class _Drifting(NamedTuple):
+    """A factor, shape (...), on the parameters `of`, that follows time [s] on a grid of its own."""
 
-    It stays between the ends.
-    """
-    names = of.split("+")
-    return PlantProcess(
-        functools.partial(_grid_moves, episode.timestep),
-        functools.partial(_drifted, factor, names, episode.timestep),
-        [functools.partial(_scaled, names, by) for by in ends],
-    )
+    factor: Callable[[float], np.ndarray]
+    of: str
+    timestep: float
 
+    def process(self, *ends: np.ndarray) -> PlantProcess:
+        """The process of a factor that stays between these ends."""
+        return PlantProcess(
+            self._moves, self._moved, [functools.partial(self._scaled, by) for by in ends]
+        )
 
-def _grid_moves(timestep: float, step: int) -> bool:
-    return step == 0 or _grid(timestep, step) != _grid(timestep, step - 1)
+    def _moves(self, step: int) -> bool:
+        return step == 0 or self._grid(step) != self._grid(step - 1)
 
+    def _moved(self, step: int, plant: Plant) -> Plant:
+        return self._scaled(self.factor(self._grid(step) * _GRID), plant)
 
-def _drifted(
-    factor: Callable[[float], np.ndarray], of: list[str], timestep: float, step: int, plant: Plant
-) -> Plant:
-    return _scaled(of, factor(_grid(timestep, step) * _GRID), plant)
+    def _scaled(self, by: np.ndarray, plant: Plant) -> Plant:
+        factors = {name: _spread(name, by) for name in self.of.split("+")}
+        return plant._replace(parameters=plant.parameters.scaled(**factors))
 
-
-def _scaled(of: list[str], by: np.ndarray, plant: Plant) -> Plant:
-    scaled = plant.parameters.scaled(**{name: _spread(name, by) for name in of})
-    return plant._replace(parameters=scaled)
-
-
-def _grid(timestep: float, step: int) -> int:
-    return int(periods_begun(step, timestep, _GRID))
+    def _grid(self, step: int) -> int:
+        return int(periods_begun(step, self.timestep, _GRID))
 
 
 def _spread(name: str, factor: Amount) -> np.ndarray:

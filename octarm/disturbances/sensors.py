@@ -13,7 +13,6 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from octarm.arrays import Entry
 from octarm.disturbances.actuators import Delay
 from octarm.disturbances.delivered import Measured
 from octarm.disturbances.episode import Episode, SensorFault, SensorProcess
@@ -42,10 +41,6 @@ class MeasurementDelay(Delay, SensorFault):
 
 
 class _LateReadings(DelayLine):
-    def __init__(self, delay: Entry, timestep: float, batch_shape: tuple[int, ...]) -> None:
-        super().__init__(delay, timestep, batch_shape)
-        self._timestep = timestep
-
     def record(self, step: int, q: np.ndarray, v: np.ndarray) -> None:
         self.put(step, q, v)
 
@@ -58,7 +53,7 @@ class _LateReadings(DelayLine):
         before_q, before_v = self.take(np.maximum(then - 1, 0))
         between = ((self.rest > 0.0) & (then > 0))[..., None]
         late_q, late_v = _cubic(
-            1.0 - self.rest[..., None], self._timestep, before_q, before_v, then_q, then_v
+            1.0 - self.rest[..., None], self.timestep, before_q, before_v, then_q, then_v
         )
         return np.where(between, late_q, then_q), np.where(between, late_v, then_v)
 

@@ -143,12 +143,9 @@ class DelayLine:
     Attributes:
         steps: whole steps in it, shape (...) of integers.
         rest: what is left, in physics steps, shape (...) [1]; 0 where there are whole steps only.
+        timestep: physics step [s].
         fractions: whether there is a rest for some arm.
     """
-
-    steps: np.ndarray
-    rest: np.ndarray
-    fractions: bool
 
     def __init__(self, delay: Entry, timestep: float, batch_shape: tuple[int, ...]) -> None:
         """An empty line; the delay has shape () or the batch's [s], the physics step is in [s]."""
@@ -156,6 +153,7 @@ class DelayLine:
         self.steps = np.floor(steps).astype(np.int64)
         self.rest = steps - self.steps
         self.fractions = bool(np.any(self.rest > 0.0))
+        self.timestep = timestep
         self._length = int(np.max(np.ceil(steps))) + 1
         self._ring = np.empty(0)
         self._place = np.empty(0, dtype=np.int64)

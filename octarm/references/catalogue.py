@@ -20,18 +20,7 @@ from octarm.declared import BUILT_IN, Code, Declared, word_of
 from octarm.errors import OctarmError, quoted
 from octarm.fields import field_defaults, field_kinds, help_entry, parsed_fields, spelt_value
 from octarm.interfaces import Motion
-from octarm.references.hanging import Hanging
-from octarm.references.named import (
-    BendSine,
-    FastSine,
-    Jump,
-    MinimumJerk,
-    NamedReference,
-    RisingSine,
-    SlideSine,
-    Step,
-    ThreeTones,
-)
+from octarm.references import named
 from octarm.references.samples import Samples
 from octarm.references.tip import TipPath
 
@@ -55,16 +44,16 @@ def _lacks(thing: Any) -> str:
 REFERENCES: Declared[Callable[..., Any]] = Declared(
     "reference",
     {
-        "sine": BendSine,
-        "sine-slides": SlideSine,
-        "multi-sine": ThreeTones,
-        "fast-sine": FastSine,
-        "chirp": RisingSine,
+        "sine": named.BendSine,
+        "sine-slides": named.SlideSine,
+        "multi-sine": named.ThreeTones,
+        "fast-sine": named.FastSine,
+        "chirp": named.RisingSine,
         "tip": TipPath,
         "file": Samples,
-        "minimum-jerk": MinimumJerk,
-        "smooth-step": Step,
-        "set-point": Jump,
+        "minimum-jerk": named.MinimumJerk,
+        "smooth-step": named.Step,
+        "set-point": named.Jump,
     },
     _lacks,
 )
@@ -82,7 +71,7 @@ def named_reference(name: str, rest: np.ndarray, arm: ArmParameters | None = Non
     thing: Any = REFERENCES[word]
     values = parameters_of(name)
     if _suits_an_arm(thing):
-        motion: Any = thing(**values).start(Hanging(rest, arm))
+        motion: Any = thing(**values).start(named.Hanging(rest, arm))
     else:
         motion = thing(rest, **values)
     if not callable(motion):
@@ -132,7 +121,7 @@ def help_text() -> str:
 
 def _suits_an_arm(thing: Any) -> bool:
     """Whether it is started with the arm, rather than called with the pose at rest."""
-    return isinstance(thing, type) and issubclass(thing, NamedReference)
+    return isinstance(thing, type) and issubclass(thing, named.NamedReference)
 
 
 def _kinds(thing: Any) -> dict[str, Any]:

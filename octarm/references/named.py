@@ -8,23 +8,102 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Annotated, ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from octarm.arm.lagrange import equilibrium, stiffness_matrix
+from octarm.arm.modes import rates
+from octarm.arm.parameters import ArmParameters
+from octarm.arm.reach import reach
+from octarm.errors import OctarmError
 from octarm.fields import Quantity
 from octarm.interfaces import Motion
-from octarm.references.hanging import Hanging
 from octarm.references.motions import Chirp, MultiSine, SetPoint, SetPoints, Sine, SmoothStep
 
 BEND = Quantity("rad", at_least=-np.pi, at_most=np.pi)
-BENDS = Quantity("rad", at_least=-np.pi, at_most=np.pi, each=True)
+BENDS = dataclasses.replace(BEND, each=True)
 SLIDE = Quantity("m", at_least=-1.0, at_most=1.0)
 FREQUENCY = Quantity("Hz", above=0.0, at_most=100.0)
 TIME = Quantity("s", above=0.0, at_most=3600.0)
 LATER = Quantity("s", at_least=0.0, at_most=3600.0)
 Sizes = Mapping[str, float | np.ndarray]
+
+# Amplitudes, lengths and frequencies are declared for arms like the nominal one: modules of 120 mm
+# that can be held at twice these sizes, and whose lowest mode is no slower.
+_BEND = 1.0  # [rad]
+_SLIDE, _STRAIN = 0.06, 0.5  # [m], of a rest length [1]
+_LOWEST = 2.4  # [Hz]
+
+
+class Hanging(NamedTuple):
+    """An arm, or arms side by side, as references begin with it.
+
+    Attributes:
+        rest: the pose in which it hangs, shape (..., 2N) [m], [rad].
+        arm: its parameters, with the batch axes of `rest` or none; when None, all sizes are those
+            of the nominal arm.
+    """
+
+    rest: np.ndarray
+    arm: ArmParameters | None = None
+
+    @property
+    def modules(self) -> int:
+        """Number of modules N."""
+        return self.rest.shape[-1] // 2
+
+    def bend(self) -> np.ndarray:
+        """The size of bends, relative to the nominal arm's, shape () or (..., 1) [1].
+
+        Half of the bend at which all modules can be held alike, and 1 rad at most.
+        """
+        held = self._each(lambda arm: np.min(np.abs(reach(arm).alike)))
+        return np.minimum(1.0, held / (2.0 * _BEND))
+
+    def slide(self) -> np.ndarray:
+        """The size of each slide, relative to the nominal arm's, shape () or (..., N) [1].
+
+        Half of what its inputs stretch a module by, and half of its rest length at most.
+        """
+        if self.arm is None:
+            return np.ones(())
+        strain = np.minimum(_STRAIN, 0.5 * self._each(_held_strain))
+        return self.arm.rest_length * strain / _SLIDE
+
+    def pace(self) -> np.ndarray:
+        """The size of frequencies near the lowest mode, shape () or (..., 1) [1]; 1 at most."""
+        slowest = self._each(lambda arm: np.min(np.abs(rates(arm, equilibrium(arm)))))
+        return np.minimum(1.0, slowest / (2.0 * np.pi) / _LOWEST)
+
+    def parameters(self) -> ArmParameters:
+        """Those of one arm, the nominal ones when none are given; OctarmError for other arms."""
+        from octarm.arm.mjcf import nominal_parameters  # which imports MuJoCo
+
+        arm = nominal_parameters() if self.arm is None else self.arm
+        if arm.batch_shape or self.rest.shape != (arm.coordinates,):
+            raise OctarmError(
+                f"the pose at rest has shape {self.rest.shape}; a path of the tip needs one arm, "
+                "or several that are alike, and its parameters"
+            )
+        return arm
+
+    def _each(self, function: Callable[[ArmParameters], Any]) -> np.ndarray:
+        """A function of each arm, shape (), or (..., k); infinity without parameters."""
+        if self.arm is None:
+            return np.array(np.inf)
+        if not self.arm.batch_shape:
+            return np.asarray(function(self.arm))
+        rows = [np.atleast_1d(function(self.arm.arm(i))) for i in range(len(self.rest))]
+        return np.stack(rows)
+
+
+def _held_strain(arm: ArmParameters) -> np.ndarray:
+    """By how much both columns of each module stretch or shorten it, shape (N,) [1]."""
+    force = np.max(np.abs(arm.input_bounds(())), axis=0).reshape(-1, 2).sum(axis=-1)
+    axial = np.diagonal(stiffness_matrix(arm))[: arm.modules]
+    return force / (axial * arm.rest_length)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -105,19 +184,23 @@ class ThreeTones(NamedReference):
         big = poses(
             arm, bends=(0.20, 0.15), slides=(0.008, 0.006), bend=self.amplitude, slide=self.slide
         )
-        tones = ((arm.rest, 1.0, 1.0, 0.0), (0.0 * arm.rest, 0.5, 2**0.5, 1.0),
-                 (0.0 * arm.rest, 0.25, 5**0.5, 2.0))  # fmt: skip
-        return MultiSine(
-            tones=tuple(
-                Sine(
-                    center=center,
-                    amplitude=share * big,
-                    frequency=self.frequency * ratio,
-                    phase=phase,
-                )
-                for center, share, ratio, phase in tones
-            )
-        )
+        tones = (1.0, 1.0, 0.0), (0.5, 2**0.5, 1.0), (0.25, 5**0.5, 2.0)
+        return _together(arm, big, self.frequency, tones)
+
+
+def _together(
+    arm: Hanging,
+    amplitude: np.ndarray,
+    frequency: float | np.ndarray,
+    tones: Sequence[tuple[float, float, float]],
+) -> MultiSine:
+    """Tones about rest, with shares of an amplitude, multiples of a frequency, and phases [rad]."""
+    sines: list[Sine] = []
+    for share, ratio, phase in tones:
+        center = 0.0 * arm.rest if sines else arm.rest
+        part, rate = share * amplitude, frequency * ratio
+        sines.append(Sine(center=center, amplitude=part, frequency=rate, phase=phase))
+    return MultiSine(tones=tuple(sines))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -138,13 +221,7 @@ class FastSine(NamedReference):
             arm, bends=(0.6, 0.5), slides=(0.015, 0.012), bend=self.amplitude, slide=self.slide
         )
         frequency = 1.6 * arm.pace() if self.frequency is None else self.frequency
-        second = frequency * 2**0.5
-        return MultiSine(
-            tones=(
-                Sine(center=arm.rest, amplitude=big, frequency=frequency),
-                Sine(center=0.0 * arm.rest, amplitude=0.5 * big, frequency=second, phase=1.0),
-            )
-        )
+        return _together(arm, big, frequency, [(1.0, 1.0, 0.0), (0.5, 2**0.5, 1.0)])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

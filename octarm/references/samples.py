@@ -23,10 +23,8 @@ from octarm.errors import OctarmError, closest, quoted
 from octarm.fields import FileName, Words
 from octarm.files import read_bytes
 from octarm.interfaces import Motion
-from octarm.references.hanging import Hanging
-from octarm.references.motions import Spline
-from octarm.references.named import NamedReference
-from octarm.references.wanted import REAL
+from octarm.references.motions import REAL, Spline
+from octarm.references.named import Hanging, NamedReference
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

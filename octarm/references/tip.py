@@ -22,9 +22,8 @@ from octarm.arm.parameters import ArmParameters
 from octarm.errors import OctarmError
 from octarm.fields import Quantity, Words
 from octarm.interfaces import Motion, Reference
-from octarm.references.hanging import Hanging
 from octarm.references.motions import Spline
-from octarm.references.named import TIME, NamedReference, Sizes
+from octarm.references.named import TIME, Hanging, NamedReference, Sizes
 
 _A_ROUND = 200  # poses
 _STAGES, _ITERATIONS = 8, 20  # of Newton's method, whose steps are quadratically small in the end
