@@ -15,11 +15,10 @@ from octarm.interfaces import Command, Instant, Measurement, Reference
 from octarm.simulation import analytic
 from octarm.sweeps import engine_check
 from octarm.sweeps.engine_check import TipPaths, checked_episodes
-from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.plan import Plan, with_step
 from octarm.sweeps.shards import begin, run_arms
 from octarm.sweeps.spec_file import parse_spec
-from octarm.sweeps.store import read_sweep
+from octarm.sweeps.store import open_sweep, read_sweep
 
 P = nominal_parameters()
 SPEC = """

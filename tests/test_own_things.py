@@ -28,8 +28,8 @@ from octarm.errors import OctarmError
 from octarm.metrics.declared import ACCUMULATORS
 from octarm.references import REFERENCES, named_reference
 from octarm.runs import folder as runs
-from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.spec_file import parse_spec, read_spec
+from octarm.sweeps.store import open_sweep
 from octarm.sweeps.tune import Budget
 
 P = octarm.nominal_parameters()

@@ -20,11 +20,10 @@ from octarm.checks.verify import check_episode
 from octarm.errors import OctarmError
 from octarm.sweeps.episodes import FinishedSweep
 from octarm.sweeps.execute import estimate
-from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.shards import run_arms
 from octarm.sweeps.spec_file import parse_spec
-from octarm.sweeps.store import MANIFEST, origin_of, read_row
+from octarm.sweeps.store import MANIFEST, open_sweep, origin_of
 from octarm.sweeps.workers import WorkerProcesses
 
 SPEC = """\
@@ -291,11 +290,15 @@ def test_the_manifest_says_what_was_run(tmp_path, undisturbed):
 
 def test_a_shard_says_where_it_was_run(tmp_path):
     run(tmp_path / "s")
-    facts = origin_of(read_row(tmp_path / "s", 23))
+    sweep = FinishedSweep(tmp_path / "s")
+    facts = origin_of(sweep.row(23))
     assert facts["versions"]["octarm"] == version("octarm")
     assert facts["host"]["cores"] == os.cpu_count()
-    with pytest.raises(ValueError, match=r"episode 24 of .* is not finished"):
-        read_row(tmp_path / "s", 24)
+    with pytest.raises(ValueError, match="there is no episode 24"):
+        sweep.row(24)
+    (tmp_path / "s" / sweep.manifest["shards"][-1]["file"]).unlink()
+    with pytest.raises(ValueError, match=r"episode 23 of .* is not finished"):
+        sweep.row(23)
 
 
 def test_a_spec_that_was_changed_after_reading_is_kept_as_it_was_run(tmp_path):

@@ -12,9 +12,8 @@ from test_sweep import Inline
 import octarm
 from controllers import make_controller
 from octarm.errors import OctarmError
-from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.spec_file import parse_spec
-from octarm.sweeps.store import read_shard
+from octarm.sweeps.store import open_sweep, read_shard
 
 SPEC = 'controller = "pd"\nduration = 0.002\nepisodes = 2\nbatch = 1'
 

@@ -32,11 +32,10 @@ from octarm.reports.figures import inline_svg, panels_of
 from octarm.reports.frame import read_episodes
 from octarm.reports.page import Tables, number
 from octarm.reports.statistics import adjusted, binomial
-from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spec import Axis, SweepSpec
 from octarm.sweeps.spec_file import parse_spec
-from octarm.sweeps.store import SweepFolder
+from octarm.sweeps.store import SweepFolder, open_sweep
 
 HOSTILE = '<script>alert("&")</script>'
 NOISES, MISMATCHES, SEEDS = (0.0, 0.2, 0.4), (-0.3, 0.3), 6

@@ -21,8 +21,7 @@ from octarm.recordings.recording import write_recording
 from octarm.runs import folder as runs
 from octarm.simulation.trajectory import Ending, Trajectory, unreadable
 from octarm.sweeps.episodes import FinishedSweep
-from octarm.sweeps.manifest import EPISODES, MANIFEST, SPEC
-from octarm.sweeps.store import LOCK, PROGRESS, RECORDED, read_shard
+from octarm.sweeps.store import EPISODES, LOCK, MANIFEST, PROGRESS, RECORDED, SPEC, read_shard
 
 _LISTED = 12  # differences that are printed
 ABSENT = "absent"  # instead of a value that is missing

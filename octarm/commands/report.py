@@ -40,11 +40,10 @@ from octarm.reports.figures import Picture
 from octarm.reports.frame import Episodes
 from octarm.reports.page import number, page
 from octarm.runs import folder as runs
-from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.shards import schema
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec
 from octarm.sweeps.spec_file import parse_spec
-from octarm.sweeps.store import SPEC, metadata_of
+from octarm.sweeps.store import SPEC, metadata_of, open_sweep
 
 PAGE = "report.html"
 FIGURES = "figures"

@@ -25,6 +25,6 @@ from gymnasium.envs.registration import register  # pyright: ignore[reportUnknow
 
 register(
     "octarm/Track-v0",
-    entry_point="octarm.gym.environments:TrackEnv",
-    vector_entry_point="octarm.gym.environments:TrackVectorEnv",
+    entry_point="octarm.gym.arms:TrackEnv",
+    vector_entry_point="octarm.gym.arms:TrackVectorEnv",
 )

@@ -21,9 +21,8 @@ from octarm.metrics.metric import Metric, unsettled
 from octarm.references import is_built_in, named_reference
 from octarm.reports.factors import LONGEST, Factor, factors_of, places
 from octarm.sweeps import engine_check
-from octarm.sweeps.manifest import open_sweep
 from octarm.sweeps.spec import ARM, SweepSpec
-from octarm.sweeps.store import metadata_of, read_schema, read_sweep
+from octarm.sweeps.store import metadata_of, open_sweep, read_schema, read_sweep
 
 DEFAULT = ("rms_error", "tip_rms_error", "chattering", "effort", "overshoot")
 

@@ -21,9 +21,7 @@ from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
 from octarm.simulation.setup import Setup
-from octarm.simulation.trajectory import Trajectory
-from octarm.sweeps.manifest import open_sweep
-from octarm.sweeps.store import RECORDED, read_row
+from octarm.sweeps.store import RECORDED, open_sweep, read_shard
 
 METRIC = "tip_rms_error"  # one number an arm: by it episodes are the worst or the median ones
 COLUMNS = ("episode", "controller", "status", "diverged_at", METRIC)
@@ -64,9 +62,16 @@ class FinishedSweep:
         return notebook_cell(title, [f"{words}; octarm.read_sweep reads them"], Table(head, rows))
 
     def row(self, episode: int) -> pa.Table:
-        """The row of an episode; raises OctarmError if there is none, or it is damaged."""
+        """The row of an episode; the metadata of its schema are what `origin_of` reads.
+
+        Raises OctarmError if there is no such episode, or it is not finished or damaged.
+        """
         self.plan.episode(episode)  # raises when there is no such episode
-        return read_row(self.path, episode)
+        shard = next(i for i in self.plan.shards if episode in self.plan.shard(i))
+        table = read_shard(self.path, self.plan, self.manifest, shard)
+        if table is None:
+            raise OctarmError(f"episode {episode} of {self.path} is not finished; --resume runs it")
+        return table.slice(episode - self.plan.shard(shard).start, 1)
 
     def experiment(self, episode: int) -> Experiment:
         """An episode as a run of one arm, whose factory is that of the sweep's controllers."""
@@ -204,8 +209,17 @@ def record_episodes(
             folder, environment, controller, announced, recording=run_recording, progress=progress,
             partial=False,
         )  # fmt: skip
-        if difference := _difference(sweep, episode, trajectory, periods):
-            different[episode] = difference
+        digest = StateDigest(periods)
+        for q, v in zip(trajectory.q, trajectory.v, strict=True):
+            digest.update(q, v)
+        (was,) = sweep.row(episode)["checkpoints"].to_pylist()
+        now = digest.result()[1][0].tolist()
+        if between := first_difference(was, now, sweep.plan.spec.duration):
+            different[episode] = (
+                f"episode {episode}: what was recorded differs from the table from an instant "
+                f"between t = {between[0]:g} s and {between[1]:g} s on; octarm verify {sweep.path} "
+                f"--episode {episode} says more"
+            )
     return different
 
 
@@ -226,19 +240,3 @@ def _is_there(folder: Path, episode: int) -> bool:
             return True
         shutil.rmtree(other, ignore_errors=True)
     return False
-
-
-def _difference(sweep: FinishedSweep, episode: int, trajectory: Trajectory, periods: int) -> str:
-    digest = StateDigest(periods)
-    for q, v in zip(trajectory.q, trajectory.v, strict=True):
-        digest.update(q, v)
-    row = sweep.row(episode).to_pylist()[0]
-    marks = digest.result()[1][0].tolist()
-    between = first_difference(row["checkpoints"], marks, sweep.plan.spec.duration)
-    if between is None:
-        return ""
-    return (
-        f"episode {episode}: what was recorded differs from the table from an instant between "
-        f"t = {between[0]:g} s and {between[1]:g} s on; octarm verify {sweep.path} "
-        f"--episode {episode} says more"
-    )

@@ -230,14 +230,9 @@ def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
 
 
 class Forecast(NamedTuple):
-    """What a sweep will take: seconds of one worker, at most `size` bytes on disk.
-
-    Attributes:
-        periods: number of control periods of an episode.
-    """
+    """What a sweep will take: seconds of one worker, at most `size` bytes on disk."""
 
     episodes: int
-    periods: int
     shards: int
     seconds: float
     size: int
@@ -249,16 +244,13 @@ def estimate(spec: SweepSpec, factory: ControllerFactory) -> Forecast:
     plan = Plan(spec)
     rehearse(plan, factory)
     each = len(plan.shards) // len(spec.controllers)  # which are the slowest axis
-    periods, seconds, size = zip(
-        *(_estimate(plan, i, each, factory) for i in plan.shards[::each]), strict=True
-    )
-    return Forecast(plan.episodes, periods[0], len(plan.shards), sum(seconds), sum(size))
+    parts = [_estimate(plan, i, each, factory) for i in plan.shards[::each]]
+    seconds, size = map(sum, zip(*parts, strict=True))
+    return Forecast(plan.episodes, len(plan.shards), seconds, size)
 
 
-def _estimate(
-    plan: Plan, first: int, count: int, factory: ControllerFactory
-) -> tuple[int, float, int]:
-    """Periods of an episode, and time [s] and size [byte] of the shards of one controller."""
+def _estimate(plan: Plan, first: int, count: int, factory: ControllerFactory) -> tuple[float, int]:
+    """Time [s] and size [byte] of the shards of one controller."""
     arms, instants = plan.arms(plan.shard(first)), list[float]()
     period = begin(plan.spec, arms, factory)[0].control_timestep()
     periods = whole_periods(plan.spec.duration, period)
@@ -274,4 +266,4 @@ def _estimate(
     once = max(0.0, elapsed - len(instants) * rate)  # a shard, before and after its periods
     empty = len(shard_bytes(table.slice(0, 0)))
     more = plan.episodes // len(plan.spec.controllers) / len(arms.seeds)  # times as many arms
-    return periods, once * count + rate * periods * more, int(empty * count + table.nbytes * more)
+    return once * count + rate * periods * more, int(empty * count + table.nbytes * more)

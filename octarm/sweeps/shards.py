@@ -233,12 +233,7 @@ def measure(
     The observers are called at every control instant; the steady regime begins at `settle` [s].
     """
     observer = Observer(environment, duration, catalogue, settle)
-
-    def observe(instant: Instant) -> None:
-        for each in (observer, *observers):
-            each(instant)
-
-    return observer.outcome(simulate(environment, controller, duration, observe))
+    return observer.outcome(simulate(environment, controller, duration, observer, *observers))
 
 
 # What columns mean that hold no metric, and their units.

@@ -1,8 +1,11 @@
 """A sweep on disk: `spec.toml`, `manifest.json` and `episodes/*.parquet`, one file a shard.
 
-The manifest holds the SHA-256 of every finished shard. It is written before the shard gets its
-name, so that a file with that name is known, whenever the process is killed. A file is compared
-with its SHA-256 before anything is made of its bytes.
+The manifest holds the SHA-256 of `spec.toml` and of every finished shard: from it hashes chain to
+every byte. It is written before the shard gets its name, so that a file with that name is known,
+whenever the process is killed. All that the spec decides has to be what the spec decides, so that
+nothing is missing, doubled or in another order. A file is compared with its SHA-256 before anything
+is made of its bytes; a shard and its SHA-256 that were changed together are found by
+`octarm verify` alone, which runs episodes again.
 """
 
 from __future__ import annotations
@@ -13,27 +16,116 @@ import hashlib
 import io
 import itertools
 import json
+import os
+import re
 import shutil
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import filelock
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import AfterValidator, Field
 
 from octarm.errors import FileError, OctarmError, closest, quoted
 from octarm.files import read_bytes, whole_file, write_text
-from octarm.formats import spelt, to_json
+from octarm.formats import FORMAT, Array, Model, check_format, read_json, spelt, to_json
 from octarm.runs.versions import host, versions
-from octarm.sweeps.manifest import EPISODES, MANIFEST, SPEC, new_manifest, open_sweep
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spec_file import parse_spec
 
+SPEC = "spec.toml"
+MANIFEST = "manifest.json"
+EPISODES = "episodes"
 RECORDED = "recorded"  # run folders of selected episodes
 PROGRESS = ".progress"  # how far the shards at work are; only while a sweep runs
 LOCK = ".lock"
+
+
+def _sum(text: str) -> str:
+    if not re.fullmatch(r"[0-9a-f]{64}|", text):
+        raise ValueError("a SHA-256, or empty")
+    return text
+
+
+class _Start(Model):
+    time: str
+    versions: dict[str, Any]
+    host: dict[str, Any]
+
+
+class _Shard(Model):
+    file: str
+    first: int
+    episodes: int
+    sha256: Annotated[str, AfterValidator(_sum)]  # empty until it is finished
+
+
+class _Manifest(Model):
+    format: int
+    spec: dict[str, Any]
+    spec_hash: str
+    spec_sha256: str
+    episodes: int
+    gains: dict[str, dict[str, Any]]
+    starts: Annotated[Array[_Start], Field(min_length=1)]
+    shards: Array[_Shard]
+
+
+def new_manifest(plan: Plan, gains: Mapping[str, Any], spec_file: bytes) -> dict[str, Any]:
+    """The manifest of a sweep that begins, without a start.
+
+    It holds the gains of each controller for the nominal arm; `spec_file` are the bytes of
+    `spec.toml`.
+    """
+    return {
+        "format": FORMAT,
+        "spec": plan.spec.content(),
+        "spec_hash": plan.spec.hash(),
+        "spec_sha256": hashlib.sha256(spec_file).hexdigest(),
+        "episodes": plan.episodes,
+        "gains": gains,
+        "shards": [
+            {
+                "file": f"{EPISODES}/{i:05d}.parquet",
+                "first": plan.shard(i).start,
+                "episodes": len(plan.shard(i)),
+                "sha256": "",
+            }
+            for i in plan.shards
+        ],
+        "starts": [],
+    }
+
+
+def open_sweep(folder: Path) -> tuple[Plan, dict[str, Any]]:
+    """The plan of a sweep folder and its manifest, which agree; all that reads a sweep begins here.
+
+    Raises OctarmError if it is no sweep, one of another format, or one whose files were changed.
+    """
+    file = folder / MANIFEST
+    if not os.path.isfile(file):  # nor is what cannot be a file's name
+        raise OctarmError(f"{folder} is not a sweep: it has no {MANIFEST}")
+    document = read_json(file)
+    check_format(document)
+    document.read(_Manifest)
+    manifest = dict(document.content)
+    content = read_bytes(folder / SPEC)
+    if hashlib.sha256(content).hexdigest() != manifest["spec_sha256"]:
+        raise OctarmError(
+            f"{folder / SPEC} was changed: it is not what the sweep was run with, or {MANIFEST} "
+            "was changed"
+        )
+    plan = Plan(parse_spec(content.decode("utf-8", "replace"), str(folder / SPEC)))
+    right = new_manifest(plan, dict.fromkeys(plan.spec.controllers), content)
+    shards = [{**shard, "sha256": ""} for shard in manifest["shards"]]
+    stated = {**manifest, "starts": [], "gains": dict.fromkeys(manifest["gains"]), "shards": shards}
+    for key, value in right.items():
+        if stated[key] != value:
+            raise OctarmError(f"{file} was changed: {key} is not what {SPEC} says")
+    return plan, manifest
 
 
 def read_sweep(folder: str | Path, columns: Sequence[str] | None = None) -> pa.Table:
@@ -51,22 +143,8 @@ def read_schema(folder: str | Path) -> pa.Schema:
     return next(_shards(Path(folder))).schema
 
 
-def read_row(folder: str | Path, episode: int) -> pa.Table:
-    """The row of an episode; the metadata of its schema are what `origin_of` reads.
-
-    Raises OctarmError if the folder holds no sweep, or the episode is not finished or damaged.
-    """
-    plan, manifest = open_sweep(Path(folder))
-    for i in plan.shards:
-        if episode in (episodes := plan.shard(i)):
-            table = read_shard(Path(folder), plan, manifest, i)
-            if table is not None:
-                return table.slice(episode - episodes.start, 1)
-    raise OctarmError(f"episode {episode} of {folder} is not finished; --resume runs it")
-
-
 def origin_of(table: pa.Table) -> dict[str, Any]:
-    """Where and with which versions rows were made, `host` and `versions`."""
+    """What `run_shard` says of rows: `host` and `versions` where they were made, and `gains`."""
     return {key.decode(): json.loads(text) for key, text in metadata_of(table.schema).items()}
 
 
@@ -101,8 +179,7 @@ class SweepFolder:
         """
         if self.path.exists() and not self.path.is_dir():
             raise OctarmError(f"{self.path} is not a folder; choose another --out")
-        entries = self.path.iterdir() if self.path.exists() else ()
-        names = {entry.name for entry in entries}
+        names = {entry.name for entry in self.path.iterdir()} if self.path.exists() else set[str]()
         if MANIFEST not in names:
             if names - {LOCK, PROGRESS, SPEC, EPISODES}:
                 raise OctarmError(f"{self.path} exists and is not a sweep; choose another --out")
@@ -157,10 +234,10 @@ class SweepFolder:
         Returns:
             Which versions have changed since it was begun, a sentence each.
         """
-        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        spec = self._plan.spec
         start: dict[str, Any] = {
-            "time": now,
-            "versions": versions(self._plan.spec.engine, self._plan.spec.code),
+            "time": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "versions": versions(spec.engine, spec.code),
             "host": host(),
         }
         if (self.path / MANIFEST).exists():
@@ -172,7 +249,6 @@ class SweepFolder:
                         "recommends others"
                     )
         else:
-            spec = self._plan.spec
             whole = spec.text and parse_spec(spec.text) == spec
             text = spec.text if whole else spec.to_toml()
             self._manifest = new_manifest(self._plan, gains, text.encode())

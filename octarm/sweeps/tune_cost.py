@@ -242,12 +242,7 @@ def _costs(
     gains = {name: np.repeat(x.T, len(scenarios), axis=-1).T for name, x in candidates.items()}
     observer = _Observer(examination, environment.control_timestep(), environment.physics)
     with arm_seconds(environment, examination.duration, progress) as seconds:
-
-        def observe(instant: Instant) -> None:
-            observer(instant)
-            seconds(instant)
-
-        simulate(environment, factory(nominal, gains), examination.duration, observe)
+        simulate(environment, factory(nominal, gains), examination.duration, observer, seconds)
     return observer.costs(true).reshape(n, len(scenarios))
 
 
