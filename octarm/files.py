@@ -19,6 +19,17 @@ _PART = ".{}.new.part"  # the name that a file has until it is whole
 
 
 @contextlib.contextmanager
+def writing(path: str | os.PathLike[str]) -> Generator[None]:
+    """Lets an OSError of the block become a FileError that names the file or folder."""
+    try:
+        yield
+    except OSError as error:
+        if isinstance(error, FileError):
+            raise
+        raise FileError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+@contextlib.contextmanager
 def whole_file(path: str | os.PathLike[str], part: Path | None = None) -> Generator[Path]:
     """A name to write to, whose content becomes that of `path` when the block ends well.
 
@@ -34,20 +45,17 @@ def whole_file(path: str | os.PathLike[str], part: Path | None = None) -> Genera
     special = target.exists() and not target.is_file()
     lock = None
     try:
-        if part is None:
-            part, lock = _temporary(None if special else target.parent, path.name)
-        part.touch()  # fails before the work rather than after
-        yield part
-        if special:
-            with open(part, "rb") as source, open(target, "wb") as sink:
-                shutil.copyfileobj(source, sink)
-            return
-        _settle(part)
-        os.replace(part, target)
-    except OSError as error:
-        if isinstance(error, FileError):
-            raise
-        raise FileError(f"{path} cannot be written: {error.strerror or error}") from error
+        with writing(path):
+            if part is None:
+                part, lock = _temporary(None if special else target.parent, path.name)
+            part.touch()  # fails before the work rather than after
+            yield part
+            if special:
+                with open(part, "rb") as source, open(target, "wb") as sink:
+                    shutil.copyfileobj(source, sink)
+                return
+            _settle(part)
+            os.replace(part, target)
     finally:
         if part is not None:
             with contextlib.suppress(OSError):

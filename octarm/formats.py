@@ -11,6 +11,7 @@ cattrs checks no ranges.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import inspect
@@ -18,7 +19,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar, cast
 
@@ -104,6 +105,14 @@ class Document:
         lines = _key_lines(self.text)
         known = [lines[keys[:i]] for i in range(len(keys), 0, -1) if keys[:i] in lines]
         return OctarmError(f"{self.file}{f', line {known[0]}' if known else ''}: {message}")
+
+    @contextlib.contextmanager
+    def naming(self, *keys: str) -> Generator[None]:
+        """Lets an OctarmError of the block name the file and the line of a key, as `error` does."""
+        try:
+            yield
+        except OctarmError as error:
+            raise self.error(str(error), *keys) from None
 
     def _sentence(self, above: Key, errors: list[ErrorDetails]) -> OctarmError:
         """The first error, unknown keys before others; a value's alternatives have one."""

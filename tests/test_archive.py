@@ -17,7 +17,7 @@ from recordings import part_of, swinging
 from controllers import make_controller
 from octarm.arm.mjcf import nominal_parameters
 from octarm.interfaces import Rows
-from octarm.runs.archive import Archive, read_blocks
+from octarm.runs.folder import Archive, read_blocks
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import ArmRecorder, copied, rollout
 from octarm.simulation.trajectory import Ending, Trajectory, joined

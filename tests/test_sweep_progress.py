@@ -13,7 +13,7 @@ from test_sweep import SPEC, run
 
 from controllers import make_controller
 from octarm.sweeps import progress
-from octarm.sweeps.progress import Note, Notes, ProgressBar
+from octarm.sweeps.progress import Note, ProgressBar, notes_in
 from octarm.sweeps.shards import run_shard
 from octarm.sweeps.spec_file import parse_spec
 
@@ -26,15 +26,16 @@ def undisturbed(tmp_path_factory) -> pa.Table:
 def test_a_shard_notes_how_far_it_is(tmp_path, monkeypatch, undisturbed):
     spec, shares = parse_spec(SPEC), []
     monkeypatch.setattr(progress, "_EVERY", 0.0)
-    with Notes(tmp_path / "notes") as notes:
-        note = Note(notes.file(1), spec.duration)
-        table = run_shard(spec, 1, make_controller, note, lambda _: shares.append(notes.share(1)))
-        assert notes.share(1) == pytest.approx(1.0, abs=0.05)
-        assert notes.share(0) == 0.0
-        notes.file(0).write_text("nan?")  # half of a note
-        assert notes.share(0) == 0.0
-        notes.forget(1)
-        assert notes.share(1) == 0.0
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "1").write_text("0.9")  # of a process that was killed
+    with notes_in(tmp_path / "notes") as notes:
+        note, other = (Note(notes / name, spec.duration) for name in ("1", "0"))
+        assert note.share() == 0.0
+        table = run_shard(spec, 1, make_controller, note, lambda _: shares.append(note.share()))
+        assert note.share() == pytest.approx(1.0, abs=0.05)
+        assert other.share() == 0.0
+        other.file.write_text("nan?")  # half of a note
+        assert other.share() == 0.0
     assert not (tmp_path / "notes").exists()
     assert shares == sorted(shares) and len(set(shares)) == 40  # of every control period
     assert undisturbed.slice(4, 4).equals(

@@ -51,10 +51,10 @@ from octarm.sweeps.tune_cost import (
     LONG,
     SHORT,
     UNSEEN,
-    EachItsOwn,
     Examination,
     Rig,
     costs,
+    each_its_own,
 )
 from octarm.sweeps.workers import WorkerProcesses
 
@@ -248,7 +248,7 @@ def test_when_all_arms_are_lost_the_bar_still_gets_to_its_end():
 
 def test_each_arm_may_have_its_own_motion():
     motions = [named_reference(name, np.arange(6.0)) for name in ("sine", "multi-sine")]
-    together = EachItsOwn(motions, np.array([1, 0, 1]))(0.3)
+    together = each_its_own(motions, np.array([1, 0, 1]))(0.3)
     for k, which in enumerate([1, 0, 1]):
         for batch, alone in zip(together, motions[which](0.3), strict=True):
             np.testing.assert_array_equal(batch[k], alone)

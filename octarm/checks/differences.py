@@ -244,9 +244,7 @@ def sweep_differences(sweep: FinishedSweep, factory: ControllerFactory) -> list[
     The factory is the one that the sweep had. Raises OctarmError if a controller cannot be made.
     """
     spec = sweep.plan.spec
-    first = spec.all_believed()[0]
-    made = {name: spec.controller(name, first, factory) for name in spec.controllers}
-    gains = {name: runs.gains_of(controller) for name, controller in made.items()}
+    gains = {name: spec.stated_gains(name, factory) for name in spec.controllers}
     recorded = sorted((sweep.path / RECORDED).glob("*"))
     return [
         *compare({"gains": sweep.gains}, {"gains": gains}),

@@ -99,15 +99,10 @@ class Arms:
                 "input_range"
             )
         self._middle, self._reach = 0.5 * (low + high), share * (0.5 * (high - low))
-        self._rest = physics.hanging()
-        self._describe(physics)
-
-    def _describe(self, physics: AnyPhysics) -> None:
-        """Units of the observation, and the spaces."""
+        self._rest, limits = physics.hanging(), physics.limits
         rest = np.atleast_2d(self._rest)[0]
-        arm: ArmParameters = self._environment.task.arm
-        unit = np.concatenate([_TENTH * arm.rest_length, np.ones(arm.modules)])
-        limits = physics.limits
+        seen: ArmParameters = self._environment.task.arm
+        unit = np.concatenate([_TENTH * seen.rest_length, np.ones(seen.modules)])
         low, high, speed = (np.array(x) for x in (limits.low, limits.high, limits.speed))
         least = np.stack([low - rest, -speed, low - high, -2.0 * speed])
         most = np.stack([high - rest, speed, high - low, 2.0 * speed])

@@ -29,8 +29,8 @@ from octarm.metrics.metric import SETTLED_AFTER
 from octarm.metrics.table import Catalogue, Metrics, as_json
 from octarm.references import REFERENCES, recorded_word
 from octarm.runs import folder as runs
-from octarm.runs.archive import Archive
 from octarm.runs.description import REPEATED, USUAL, Description, unusual
+from octarm.runs.folder import Archive
 from octarm.runs.place import new_folder
 from octarm.runs.versions import host, versions
 from octarm.simulation.environment import whole_periods
@@ -143,12 +143,12 @@ class Experiment(Setup):
         """What `run.json` says of a plant of more modules, and of what is measured of it."""
         if groups is None:
             return {}
-        matrix, offset = groups.matrix.tolist(), groups.offset.tolist()
         table: dict[str, Any] = {"modules": groups.plant.modules, "layout": groups.layout}
         table["sensing"] = self.sensing
         if self.plant_modules is None:
             table["parameters"] = self.parameters.to_dict()
-        return {"plant": table | {"map": {"matrix": matrix, "offset": offset}}}
+        table["map"] = {"matrix": groups.matrix.tolist(), "offset": groups.offset.tolist()}
+        return {"plant": table}
 
     @classmethod
     def from_description(cls, description: Mapping[str, Any]) -> Experiment:

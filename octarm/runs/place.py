@@ -17,7 +17,8 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 
-from octarm.errors import FileError, OctarmError
+from octarm.errors import OctarmError
+from octarm.files import writing
 from octarm.runs.folder import ARRAYS, BLOCKS, DESCRIPTION, RECORDING
 
 _FILE = re.compile(
@@ -46,29 +47,26 @@ def new_folder(folder: Path) -> Generator[Path]:
     spare = folder.with_name(f".{folder.name}.part")
     earlier = folder.with_name(f".{folder.name}.old")
     try:
-        if earlier.exists() and not folder.exists():  # a process was killed between two renames
-            earlier.rename(folder)
-        with _claimed(folder, _made(folder)):
-            names = {path.name for path in folder.iterdir()}
-            if names and not (DESCRIPTION in names and all(map(_FILE.fullmatch, names))):
-                raise _taken(folder)
-            for stale in (spare, earlier):  # of killed processes: this one has the place to itself
-                shutil.rmtree(stale, ignore_errors=True)
-            if not names:
-                with _on_failure(lambda: _empty(folder)), _kept_in_reserve():
-                    yield folder
-                return
-            if Path.cwd().is_relative_to(folder):
-                raise OctarmError(
-                    f"{folder} holds an earlier run, and is the current folder; it cannot be "
-                    "replaced from within"
-                )
-            with _replacing(folder, spare, earlier), _kept_in_reserve():
-                yield spare
-    except OSError as error:
-        if isinstance(error, OctarmError):
-            raise
-        raise FileError(f"{folder} cannot be written: {error.strerror or error}") from error
+        with writing(folder):
+            if earlier.exists() and not folder.exists():  # a process was killed between two renames
+                earlier.rename(folder)
+            with _claimed(folder, _made(folder)):
+                names = {path.name for path in folder.iterdir()}
+                if names and not (DESCRIPTION in names and all(map(_FILE.fullmatch, names))):
+                    raise _taken(folder)
+                for stale in (spare, earlier):  # of killed processes: this one has the place
+                    shutil.rmtree(stale, ignore_errors=True)
+                if not names:
+                    with _on_failure(lambda: _empty(folder)), _kept_in_reserve():
+                        yield folder
+                    return
+                if Path.cwd().is_relative_to(folder):
+                    raise OctarmError(
+                        f"{folder} holds an earlier run, and is the current folder; it cannot be "
+                        "replaced from within"
+                    )
+                with _replacing(folder, spare, earlier), _kept_in_reserve():
+                    yield spare
     except KeyboardInterrupt:
         raise KeyboardInterrupt("nothing was written") from None
 

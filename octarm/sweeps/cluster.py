@@ -15,14 +15,13 @@ from octarm.errors import OctarmError
 from octarm.runs.versions import versions
 from octarm.sweeps.workers import check_not_beginning
 
-WAIT = 60.0  # [s]; for so long a cluster may have no worker
 _UNUSED = ("platform", "rerun-sdk")  # by shards
 _GLANCE = 0.1  # [s]
 
 
 @contextlib.contextmanager
 def dask_cluster(
-    address: str, workers: int, wait: float = WAIT
+    address: str, workers: int, wait: float = 60.0
 ) -> Generator[tuple[Executor, Callable[[], int]]]:
     """An executor on a dask cluster, and how many calls it has use for at a time.
 
@@ -50,7 +49,8 @@ def dask_cluster(
             "--cluster needs the package distributed: pip install 'octarm[cluster]'"
         ) from None
     with contextlib.ExitStack() as stack:
-        stack.enter_context(_quiet())
+        stack.enter_context(_quiet("distributed", logging.ERROR))  # warns of what it mends itself
+        stack.enter_context(_quiet("distributed.client", logging.CRITICAL))  # `_Watch` says it
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("ignore", VersionMismatchWarning)  # said below, of what matters
         target: Any = address
@@ -69,7 +69,10 @@ def dask_cluster(
         except (OSError, ValueError) as error:
             raise OctarmError(f"no dask scheduler answers at {address}: {error}") from None
         watch = _Watch(client, address, wait)
-        watch.wait()
+        call = client.submit(os.getpid, pure=False)  # a cluster may grow with the demand
+        while not watch.threads():
+            time.sleep(_GLANCE)
+        call.release()
 
         def useful() -> int:
             threads = watch.threads()
@@ -123,12 +126,6 @@ class _Watch:
         self._seen = time.monotonic()  # when there were workers
         self._looked_at: set[str] = set()
 
-    def wait(self) -> None:
-        call = self._client.submit(os.getpid, pure=False)  # a cluster may grow with the demand
-        while not self.threads():
-            time.sleep(_GLANCE)
-        call.release()
-
     def threads(self) -> int:
         """The number of threads of all workers; raises OctarmError if they will not do."""
         try:
@@ -180,17 +177,12 @@ def _minor(version: str) -> str:
 
 
 @contextlib.contextmanager
-def _quiet() -> Generator[None]:
-    """Lets dask say errors alone: its warnings are of what it mends by itself.
-
-    What its client has to say of a scheduler that is gone, `_Watch` says in one sentence.
-    """
-    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
-    before = [logger.level for logger in loggers]
+def _quiet(name: str, level: int) -> Generator[None]:
+    """Lets a logger say what is at least of this level."""
+    logger = logging.getLogger(name)
+    before = logger.level
+    logger.setLevel(level)
     try:
-        for logger, level in zip(loggers, (logging.ERROR, logging.CRITICAL), strict=True):
-            logger.setLevel(level)
         yield
     finally:
-        for logger, level in zip(loggers, before, strict=True):
-            logger.setLevel(level)
+        logger.setLevel(before)

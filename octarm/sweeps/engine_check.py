@@ -60,10 +60,9 @@ class TipPaths:
 
         It is infinite where one of them diverged [s] and the other, NaN, did not.
         """
-        pairs = zip(self._rows, other._rows, strict=False)
         end = np.fmin(diverged_at, other_diverged_at)
         largest = np.zeros(len(self._arms))
-        for (t, one), (_, two) in pairs:
+        for (t, one), (_, two) in zip(self._rows, other._rows, strict=False):
             distance = np.hypot(*np.moveaxis(one - two, -1, 0))
             largest = np.where(t >= end, largest, np.maximum(largest, distance))
         return np.where(np.isnan(diverged_at) != np.isnan(other_diverged_at), np.inf, largest)

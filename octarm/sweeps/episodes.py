@@ -21,6 +21,7 @@ from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods
 from octarm.simulation.setup import Setup
+from octarm.sweeps import shards
 from octarm.sweeps.store import RECORDED, open_sweep, read_shard
 
 METRIC = "tip_rms_error"  # one number an arm: by it episodes are the worst or the median ones
@@ -52,14 +53,14 @@ class FinishedSweep:
     def _repr_html_(self) -> str:
         """What a notebook shows of it."""
         spec, done = self.plan.spec, len(self.finished())
-        title = f"Sweep {self.path.resolve().name}"
         words = f"{done} of {self.plan.episodes} episodes of {spec.duration:g} s are finished"
         axes = [(axis.name, ", ".join(map(str, axis.values))) for axis in spec.axes]
         axes += [(axis.name, "{:g} .. {:g}, drawn".format(*axis.values)) for axis in spec.random]
         axes.append(("seeds", f"{spec.episodes} a cell"))
         rows = [[Cell(name, kind="left"), Cell(text, kind="wide")] for name, text in axes]
         head = [Cell("axis", kind="left"), Cell("values", kind="left")]
-        return notebook_cell(title, [f"{words}; octarm.read_sweep reads them"], Table(head, rows))
+        lines = [f"{words}; octarm.read_sweep reads them"]
+        return notebook_cell(f"Sweep {self.path.resolve().name}", lines, Table(head, rows))
 
     def row(self, episode: int) -> pa.Table:
         """The row of an episode; the metadata of its schema are what `origin_of` reads.
@@ -97,14 +98,10 @@ class FinishedSweep:
         The factory is the one that the sweep had. Raises OctarmError if the episode is not there or
         cannot be made.
         """
-
-        def make(name: str, nominal: Any, gains: Mapping[str, Any]) -> Controller:
-            del name, gains  # those of the spec
-            return self.plan.spec.controller(experiment.controller, nominal, factory)
-
-        experiment = self.experiment(episode)
-        environment, controller = experiment.begin(make)
-        return environment, controller, experiment.announcement(environment, controller)
+        arms = self.plan.episode(episode)
+        environment, controller = shards.begin(self.plan.spec, arms, factory)
+        announced = self.experiment(episode).announcement(environment, controller)
+        return environment, controller, announced
 
 
 def first_difference(

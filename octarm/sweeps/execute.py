@@ -10,17 +10,16 @@ from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from concurrent.futures import wait as first_of
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 
 from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory, Instant
 from octarm.memory import check_batch
-from octarm.runs import folder as runs
 from octarm.simulation.environment import whole_periods
 from octarm.sweeps.plan import Plan, with_step
-from octarm.sweeps.progress import Note, Notes
+from octarm.sweeps.progress import Note, notes_in
 from octarm.sweeps.shards import begin, run_arms, run_shard
 from octarm.sweeps.spec import SweepSpec
 from octarm.sweeps.store import PROGRESS, SweepFolder, shard_bytes
@@ -93,17 +92,17 @@ def sweep(
         failure = begun.exception() if begun is not None else None
         if isinstance(failure, WorkersError):
             raise failure.with_traceback(None)
-        with folder.locked(), workers.pop_all(), Notes(folder.path / PROGRESS) as notes:
+        with folder.locked(), workers.pop_all(), notes_in(folder.path / PROGRESS) as notes:
             if replace and not resume:
                 folder.clear()
             for change in folder.begin(gains):
                 say(change)
-            done = set(folder.finished())
+            done = folder.finished()
             there = sum(len(plan.shard(i)) for i in done)
             progress(there)
-            todo = [i for i in plan.shards if i not in done]
+            todo = sorted({*plan.shards} - {*done})
             run = _Run(plan, factory, folder, notes, executor, progress, say, todo, there)
-            run.go(in_flight if callable(in_flight) else in_flight or cores())
+            run.go(in_flight if callable(in_flight) else lambda: in_flight or cores())
     run.report()
     return folder.path
 
@@ -115,7 +114,7 @@ class _Run:
     plan: Plan
     factory: ControllerFactory
     folder: SweepFolder
-    notes: Notes
+    notes: Path
     pool: Executor
     progress: Callable[[float], object]
     say: Callable[[str], object]
@@ -128,7 +127,7 @@ class _Run:
         self._failed: dict[int, BaseException] = {}
         self._interrupted = False
 
-    def go(self, limit: int | Callable[[], int]) -> None:
+    def go(self, limit: Callable[[], int]) -> None:
         useful = 1
         while self._at_work or (self.pending and not self._stopping):
             try:
@@ -149,15 +148,18 @@ class _Run:
                 n = len(self._at_work)
                 self.say(f"finishing the {n} shards that are at work; Ctrl-C again stops at once")
 
-    def _useful(self, limit: int | Callable[[], int]) -> int:
+    def _useful(self, limit: Callable[[], int]) -> int:
         """How many shards there is use for; says what is left if there never will be."""
         try:
-            return limit() if callable(limit) else limit
+            return limit()
         except OctarmError as error:
             raise OctarmError(f"{error}; {self._left()}") from error
 
+    def _note(self, shard: int) -> Note:
+        return Note(self.notes / str(shard), self.plan.spec.duration)
+
     def _tell(self) -> None:
-        parts = (self.notes.share(i) * len(self.plan.shard(i)) for i in self._at_work.values())
+        parts = (self._note(i).share() * len(self.plan.shard(i)) for i in self._at_work.values())
         self.progress(self.finished + sum(parts))
 
     def report(self) -> None:
@@ -182,8 +184,8 @@ class _Run:
     def _begin(self, limit: int) -> None:
         while len(self._at_work) < limit and self.pending and not self._stopping:
             shard = self.pending[0]
-            self.notes.forget(shard)
-            note = Note(self.notes.file(shard), self.plan.spec.duration)
+            note = self._note(shard)
+            note.file.unlink(missing_ok=True)
             future = self.pool.submit(run_shard, self.plan.spec, shard, self.factory, note)
             self._at_work[future] = shard
             del self.pending[0]
@@ -205,22 +207,18 @@ class _Run:
             self._failed[shard] = error
         else:
             self.folder.write(shard, table)
-            self.notes.forget(shard)
+            self._note(shard).file.unlink(missing_ok=True)
             self.finished += len(self.plan.shard(shard))
 
 
-def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, object]:
+def rehearse(plan: Plan, factory: ControllerFactory) -> dict[str, Any]:
     """Runs a control period of every controller with every value of every axis.
 
     It returns the gains of each controller for the first arm, ready for JSON.
     """
-    nominal = plan.spec.all_believed()[0]
     # No shard is larger by more than one arm.
     check_batch(len(plan.shard(0)), plan.spec.most_modules)
-    gains: dict[str, object] = {
-        name: runs.gains_of(plan.spec.controller(name, nominal, factory))
-        for name in plan.spec.controllers
-    }
+    gains = {name: plan.spec.stated_gains(name, factory) for name in plan.spec.controllers}
     for episodes in plan.probes():
         arms = plan.arms(episodes)
         environment, _ = begin(plan.spec, arms, factory)

@@ -143,8 +143,7 @@ def margin_of(brackets: Brackets, share: float, confidence: float = 0.95) -> Mar
     allowed = tail * (1.0 + 1e-12)  # up to rounding
     lows = margins[binom.cdf(ranks - 1, n, 1.0 - share) <= allowed]
     highs = margins[binom.sf(ranks - 1, n, 1.0 - share) <= allowed]
-    low, high = (float(x[i]) if len(x) else math.nan for x, i in ((lows, -1), (highs, 0)))
-    return Margin(value, low, high)
+    return Margin(value, float(max(lows, default=math.nan)), float(min(highs, default=math.nan)))
 
 
 def seeds_needed(share: float, confidence: float = 0.95) -> tuple[float, float]:

@@ -56,6 +56,7 @@ class Plan:
     partition depends on the spec alone.
 
     Attributes:
+        episodes: number of episodes.
         shards: their numbers.
         pieces: shards, as equal as they can be, of all that may share a batch.
     """
@@ -64,6 +65,7 @@ class Plan:
         """The plan of a sweep."""
         self.spec = spec
         self._shape = (*(len(axis.values) for axis in spec.axes), spec.episodes)
+        self.episodes = math.prod(self._shape)
         if self.episodes > _MOST_EPISODES:
             raise OctarmError(
                 f"the sweep has {self.episodes} episodes; it must be at most {_MOST_EPISODES}, "
@@ -74,11 +76,6 @@ class Plan:
         self.pieces = -(-self._together // spec.batch)
         self.shards = range(apart * self.pieces)
         self._known, self._draws = 0, dict[str, np.ndarray]()
-
-    @property
-    def episodes(self) -> int:
-        """Number of episodes."""
-        return math.prod(self._shape)
 
     def shard(self, number: int) -> range:
         """The episodes of a shard."""
@@ -211,11 +208,11 @@ def with_step(spec: SweepSpec, *, probes: bool = False) -> SweepSpec:
     plan = Plan(spec)
     alike = len(spec.controllers) * len(spec.references)  # in which the step is the same
     first = range(len(plan.shards) // alike)
-    shards = plan.probes() if probes else (np.array(plan.shard(i)) for i in first)
     if not any(issubclass(spec.class_of(name), PlantChange) for name in spec.disturbances):
-        first = range(0, len(plan.shards) // alike, plan.pieces)
-        shards = (np.array(plan.shard(i)[:1]) for i in first)  # all arms of a plant are alike
-    longest = min(_longest(spec, plan.arms(shard)) for shard in shards)
+        looked_at = [plan.shard(i)[:1] for i in first[:: plan.pieces]]  # a plant's arms are alike
+    else:
+        looked_at = plan.probes() if probes else map(plan.shard, first)
+    longest = min(_longest(spec, plan.arms(episodes)) for episodes in looked_at)
     if spec.timestep != AUTO:
         return spec
     step, period = fitting_step(longest, spec.control_period)

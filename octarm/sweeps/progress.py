@@ -25,7 +25,11 @@ _EVERY = 1.0  # [s]
 
 
 class Note:
-    """Writes which share of a run is done; an observer of `simulate`."""
+    """Which share of a shard is done, in a file; an observer of `simulate` that writes it.
+
+    Attributes:
+        file: in which it stands; it is gone when the note is taken back.
+    """
 
     def __init__(self, file: Path, duration: float) -> None:
         """A note in a file, on a run of so many seconds."""
@@ -40,36 +44,24 @@ class Note:
                 part.write_text(f"{instant.measurement.t / self._duration:.6f}")
                 part.replace(self.file)
 
-
-class Notes:
-    """The notes of the shards of a sweep, read by the process that waits for them."""
-
-    def __init__(self, folder: Path) -> None:
-        """Notes in a folder of their own."""
-        self._folder = folder.resolve()
-
-    def __enter__(self) -> Notes:
-        self.__exit__()  # what a process that was killed has left
-        self._folder.mkdir(exist_ok=True)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        shutil.rmtree(self._folder, ignore_errors=True)
-
-    def file(self, shard: int) -> Path:
-        """The file of a shard."""
-        return self._folder / str(shard)
-
-    def share(self, shard: int) -> float:
-        """Which share of a shard is done, as far as known [1]."""
+    def share(self) -> float:
+        """Which share is done, as far as known [1]."""
         try:
-            return min(1.0, max(0.0, float(self.file(shard).read_text())))
+            return min(1.0, max(0.0, float(self.file.read_text())))
         except (OSError, ValueError):  # none yet
             return 0.0
 
-    def forget(self, shard: int) -> None:
-        """Takes back the note of a shard that is finished, or begins again."""
-        self.file(shard).unlink(missing_ok=True)
+
+@contextlib.contextmanager
+def notes_in(folder: Path) -> Generator[Path]:
+    """A folder for notes, of which nothing is left afterwards; its absolute path."""
+    folder = folder.resolve()
+    shutil.rmtree(folder, ignore_errors=True)  # what a process that was killed has left
+    folder.mkdir(exist_ok=True)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextlib.contextmanager

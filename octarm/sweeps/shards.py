@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,20 +18,16 @@ from octarm.metrics.table import METRICS, Catalogue, Metrics, columns
 from octarm.references import recorded_word
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.experiment import metrics_of
-from octarm.runs.folder import gains_of
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import LAGRANGE, MUJOCO
 from octarm.simulation.environment import AnyPhysics, whole_periods
 from octarm.simulation.physics import BatchPhysics
 from octarm.simulation.recorder import Recorder
+from octarm.simulation.rollout import Observer as Observe
 from octarm.simulation.rollout import simulate
 from octarm.sweeps.engine_check import COLUMN, TipPaths, checked_episodes
 from octarm.sweeps.plan import EpisodeArms, Plan
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SENSING, SweepSpec
-
-Observe = Callable[[Instant], object]
-
-_MARKS = pa.list_(pa.uint64(), CHECKPOINTS)
 
 
 def run_shard(
@@ -51,11 +46,10 @@ def run_shard(
         table = _checked_rows(plan, arms, again, factory, *observers)
     else:
         table = run_arms(plan, arms, factory, *observers)
-    controller = spec.controller(arms.controller, spec.all_believed()[0], factory)
     origin = {
         "host": host(),
         "versions": versions(spec.engine, spec.code),
-        "gains": gains_of(controller),
+        "gains": spec.stated_gains(arms.controller, factory),
     }
     return table.replace_schema_metadata({k: json.dumps(v) for k, v in origin.items()})
 
@@ -103,15 +97,14 @@ def run_arms(
     sweep's. The last arms of a batch are stepped by the physics `twins`, if it is given.
     """
     started = time.perf_counter()
-    environment, controller = begin(plan.spec, arms, factory)
+    spec, n = plan.spec, len(arms.episodes)
+    environment, controller = begin(spec, arms, factory)
     if twins is not None:
         environment.physics.hand_over(twins)
-    length = plan.spec.duration if duration is None else duration
-    catalogue = plan.spec.catalogue()
+    length = spec.duration if duration is None else duration
     outcome = measure(
-        environment, controller, length, *observers, catalogue=catalogue, settle=plan.spec.settle
+        environment, controller, length, *observers, catalogue=spec.catalogue(), settle=spec.settle
     )
-    n = len(arms.episodes)
     values = plan.values(arms.episodes)
     held: dict[str, Any] = {
         "episode": arms.episodes,
@@ -125,7 +118,7 @@ def run_arms(
         "digest": outcome.digest,
         "checkpoints": pa.FixedSizeListArray.from_arrays(outcome.checkpoints.ravel(), CHECKPOINTS),
     }
-    form = schema(plan.spec)
+    form = schema(spec)
     return pa.table([_column(held.get(field.name), field.type, n) for field in form], form)
 
 
@@ -136,13 +129,8 @@ def begin(
 
     Raises OctarmError if an arm, a disturbance or a controller cannot be made.
     """
-    model = spec.believed(arms.arm)
-    environment = arms.load(
-        model,
-        reference=recorded_word(arms.reference, spec.code),
-        batch=arms.batch,
-        seed=arms.seeds[0] if arms.batch is None else arms.seeds,
-    )
+    model, reference = spec.believed(arms.arm), recorded_word(arms.reference, spec.code)
+    environment = arms.load(model, reference=reference, batch=arms.batch, seed=arms.seeds)
     nominal = model.mismatched(arms.mismatch)
     return environment, spec.controller(arms.controller, nominal, factory)
 
@@ -210,11 +198,10 @@ class Observer:
         diverged = ~np.isnan(diverged_at)
         n = len(diverged)
         results = metrics.result(diverged=diverged if batch else diverged[0])
+        names, units, *_ = physics.coordinates
         values = {
             column.name: results[column.metric].reshape(n, -1)[:, column.place]
-            for column in columns(
-                physics.coordinates.names, physics.coordinates.units, self._catalogue
-            )
+            for column in columns(names, units, self._catalogue)
             if column.metric in results
         }
         return Outcome(diverged_at, values, *self._digest.result())
@@ -287,7 +274,7 @@ def schema(spec: SweepSpec) -> pa.Schema:
     fields += [
         field("wall_time", number),
         field("digest", pa.uint64()),
-        field("checkpoints", _MARKS),
+        field("checkpoints", pa.list_(pa.uint64(), CHECKPOINTS)),
     ]
     return pa.schema(fields)
 

@@ -23,11 +23,11 @@ from octarm.metrics.declared import declared_metrics, measured
 from octarm.metrics.metric import SETTLED_AFTER, Metric
 from octarm.metrics.table import Catalogue
 from octarm.runs.description import USUAL, unusual
+from octarm.runs.folder import gains_of
 from octarm.simulation.engines import MUJOCO
 from octarm.simulation.start import REST, SHARE
 from octarm.units import MISMATCH, Range
 
-Value = float | str
 ARM, PLANT_MODULES, LAYOUT, SENSING = "arm", "plant_modules", "layout", "sensing"
 PLANT = (LAYOUT, PLANT_MODULES, SENSING)
 
@@ -65,7 +65,7 @@ class Axis:
     """
 
     name: str
-    values: tuple[Value, ...] = ()
+    values: tuple[float | str, ...] = ()
     method: str = ""
     disturbance: str = ""
     field: str = ""
@@ -105,13 +105,11 @@ SETTINGS = (
 class SweepSpec:
     """A sweep: every controller in every cell of a grid, each with the same seeds.
 
-    See `octarm.load` for what is not said here.
+    See `octarm.sweeps.spec_content` for what is not said here.
 
     Attributes:
         axes: the grid: controller and reference, then what keeps batches apart, then the others.
         random: axes that are drawn.
-        seed: of all that is random.
-        episodes: seeds in each cell of the grid.
         duration: of an episode [s].
         settle: when metrics of the steady regime begin [s].
         batch: largest number of arms that are stepped together.
@@ -198,6 +196,10 @@ class SweepSpec:
         if name not in self.gain_sets:
             return factory(word, nominal, gains)
         return factory(word, nominal, gains, gain_set=self.gain_sets[name])
+
+    def stated_gains(self, name: str, factory: ControllerFactory) -> dict[str, Any]:
+        """The gains of the controller of this name for the first arm, ready for JSON."""
+        return gains_of(self.controller(name, self.all_believed()[0], factory))
 
     def class_of(self, disturbance: str) -> type[Disturbance]:
         """The class of a disturbance of the spec; raises `CodeChanged` as `word_of` does."""

@@ -28,7 +28,9 @@ as `run.json` has them.
 A number may be a text with a unit, such as `"40%"`, `"100 g"`, `"15deg"` or `"60ms"`.
 
 Controllers, references and disturbances may be `MODULE:NAME` or `FILE.py:NAME`, and so may those of
-`metric`, what is measured as well; see `octarm.sweeps.spec_code`. A reference may have parameters
+`metric`, what is measured as well. A file is looked for beside the spec. Such things get short
+names; these, and what they stand for, are in the table `[code]` of the spec that the sweep keeps.
+Whoever reads that one imports nothing: see `octarm.declared`. A reference may have parameters
 behind it, `"sine:amplitude=0.2,frequency=1"`, or be a file of samples, `"file:./motion.csv"`.
 
 A further disturbance of the same class has its number behind its name, from 2 on: `pulse-2`,
@@ -41,8 +43,9 @@ part of the spec that the sweep keeps.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, cast
 
 import pydantic
 from pydantic import AfterValidator, Field, FiniteFloat
@@ -52,18 +55,26 @@ from octarm.arm.groups import SENSINGS
 from octarm.arm.modes import INTEGRATORS, LONGEST_STEP, SHORTEST_STEP
 from octarm.arm.parameters import MOST_MODULES
 from octarm.arm.rod import LAYOUTS
-from octarm.declared import Code
+from octarm.declared import Code, Declared, absolute, named
 from octarm.disturbances.spelling import DISTURBANCES
-from octarm.formats import Array, Model, one_of, spelt
+from octarm.errors import OctarmError
+from octarm.formats import Array, Document, Model, one_of, spelt
+from octarm.metrics.declared import ACCUMULATORS
 from octarm.metrics.metric import SETTLED_AFTER
+from octarm.references import REFERENCES, parameters_of
 from octarm.simulation.engines import ENGINES, MUJOCO
 from octarm.simulation.start import REST, SHARE, STARTS
 from octarm.simulation.steps import AUTO
+from octarm.sweeps.spec import which
 from octarm.units import is_like_a_number
 
 RECORDED = ("worst", "median", "diverged")  # episodes that can be recorded without their number
 METHODS = ("uniform", "sobol")
 GAIN_SETS = ("tuned", "recommended")
+FIXED, GRID, RANDOM = ("disturbance",), ("grid", "disturbance"), ("random", "disturbance")
+
+# Whoever makes controllers knows which are built in, and what a controller is.
+_CONTROLLERS: Declared[Any] = Declared("controller", {}, lambda thing: "")
 
 
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -168,10 +179,7 @@ class GainFile(Model):
 class SpecFile(Model):
     """The whole file; fields of disturbances are read in `_fields`."""
 
-    meant: ClassVar[Mapping[str, str]] = {
-        **_DISTURBANCES,
-        "seeds": _SEEDS,
-    }
+    meant: ClassVar[Mapping[str, str]] = _DISTURBANCES | {"seeds": _SEEDS}
 
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
     episodes: Annotated[int, Field(ge=1)] = 1
@@ -202,3 +210,52 @@ class SpecFile(Model):
     model: str | dict[str, Any] | None = None
     record: RecordedEpisodes = RecordedEpisodes()
     code: dict[str, Code] = Field(default_factory=dict)
+
+
+def short_names(document: Document) -> tuple[dict[tuple[str, str], str], dict[str, Code]]:
+    """Short names by kind and word, and the code that they stand for, by short name.
+
+    Raises:
+        OctarmError: for code that is not there or is not of its kind; the sentence names the line.
+    """
+    known: Mapping[str, Any] = document.content.get("code", {})
+    folder = Path(document.file).parent
+    words: dict[tuple[str, str], tuple[Declared[Any], str]] = {}
+    for table, word, keys in _words(document.content):
+        path = absolute(word, folder)
+        if {word, table.named_by(word).word} & known.keys():
+            continue
+        if table is _CONTROLLERS and ":" not in word:
+            continue
+        try:
+            table.code(path)
+            if table is REFERENCES:
+                parameters_of(path)
+        except OctarmError as error:
+            if ":" not in word and not word.endswith(".py"):
+                continue  # a misspelt name, of which more is said where it is read
+            raise document.error(str(error), *keys) from None
+        words[table.kind, word] = table, path
+    names, code = named(words.values())
+    return dict(zip(words, names, strict=True)), code
+
+
+def _words(content: Mapping[str, Any]) -> Iterator[tuple[Declared[Any], str, tuple[str, ...]]]:
+    for place in ((), ("grid",)):
+        for table in (_CONTROLLERS, REFERENCES, ACCUMULATORS):
+            value = table_at(content, *place).get(table.kind)
+            items = cast("list[Any]", value) if isinstance(value, list) else [value]
+            for word in items:
+                if isinstance(word, str):
+                    yield table, word, (*place, table.kind)
+    for place in (FIXED, GRID, RANDOM):
+        for word in table_at(content, *place):
+            yield DISTURBANCES, which(word)[0], (*place, word)
+
+
+def table_at(content: Mapping[str, Any], *keys: str) -> dict[str, Any]:
+    """The table at these keys; an empty one if there is none."""
+    for key in keys:
+        value = content.get(key)
+        content = cast("dict[str, Any]", value) if isinstance(value, dict) else {}
+    return cast("dict[str, Any]", content)

@@ -18,13 +18,24 @@ from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.declared import short_name, word_of
 from octarm.disturbances.spelling import DISTURBANCES
-from octarm.errors import FileError, OctarmError, closest, quoted
+from octarm.errors import FileError, closest, quoted
 from octarm.fields import field_defaults, field_keys
 from octarm.formats import Array, Document, parse_toml, read_toml, spelt
 from octarm.references import REFERENCES
 from octarm.sweeps.spec import ARM, PLANT, PLANT_MODULES, SETTINGS, Axis, SweepSpec, keys_of, which
-from octarm.sweeps.spec_code import FIXED, GRID, RANDOM, short_names, table_at
-from octarm.sweeps.spec_content import GAIN_SETS, Bounds, Distinct, GainFile, Number, SpecFile
+from octarm.sweeps.spec_content import (
+    FIXED,
+    GAIN_SETS,
+    GRID,
+    RANDOM,
+    Bounds,
+    Distinct,
+    GainFile,
+    Number,
+    SpecFile,
+    short_names,
+    table_at,
+)  # fmt: skip
 from octarm.units import MISMATCH, PERIOD, Range, is_like_a_number
 
 # The units of what is no field of a disturbance; numbers may be texts with another unit.
@@ -66,6 +77,7 @@ class _Reader:
     def __init__(self, document: Document) -> None:
         read = copy.deepcopy(dict(document.content))
         self._document = document = dataclasses.replace(document, content=read)
+        self._error = document.error
         # Of the spec that a sweep keeps no code is imported, and no number is doubted.
         self._kept = read.get("code", {})
         in_tables = isinstance(read.get("gain_set"), dict)
@@ -85,7 +97,7 @@ class _Reader:
         content = self._content
         axes, drawn = self._axes()
         arms = self._arms(axes)
-        model = self._model()
+        model = None if content.model is None else self._arm(content.model, "model")
         self._check_plants(axes, arms, model)
         spec = SweepSpec(
             axes=axes,
@@ -136,10 +148,8 @@ class _Reader:
         *above, key = keys
         table = table_at(self._document.content, *above)
         if key in table:
-            try:
+            with self._document.naming(*keys):
                 table[key] = converted(table[key])
-            except OctarmError as error:
-                raise self._document.error(str(error), *keys) from None
 
     def _fields(self, *place: str) -> Iterator[tuple[Axis, tuple[str, ...]]]:
         """The fields of disturbances in a table: axes without values, and the keys of their values.
@@ -153,8 +163,7 @@ class _Reader:
             name = kind if number == 1 else f"{kind}-{number}"
             if kind not in known:
                 hint = closest(name, known)
-                message = f"unknown disturbance {quoted(name)}{hint}"
-                raise self._document.error(message, *place, word)
+                raise self._error(f"unknown disturbance {quoted(name)}{hint}", *place, word)
             fields = keys_of(name, self._code)
             first = next(iter(fields))
             inner = cast(dict[str, Any], value) if isinstance(value, dict) else None
@@ -162,8 +171,8 @@ class _Reader:
             for key in [first] if bare or inner is None else inner:
                 keys = (*place, word) if bare else (*place, word, key)
                 if key not in fields:
-                    message = f"{name} has no key {quoted(key)}{closest(key, fields)}"
-                    raise self._document.error(message, *keys)
+                    hint = closest(key, fields)
+                    raise self._error(f"{name} has no key {quoted(key)}{hint}", *keys)
                 column = name if key == first else f"{name}.{key}"
                 column = f"disturbance.{column}" if column in _OWN else column
                 yield Axis(name=column, disturbance=name, field=fields[key]), keys
@@ -173,7 +182,7 @@ class _Reader:
         fixed: dict[str, dict[str, Any]] = {}
         for field, keys in self._fields(*FIXED):
             if field.name in varied:
-                raise self._document.error(f"{field.name} is an axis, too", *keys)
+                raise self._error(f"{field.name} is an axis, too", *keys)
             value = self._document.read(_VALUE, *keys)
             fixed.setdefault(field.disturbance, {})[field.field] = value
         return fixed
@@ -190,9 +199,9 @@ class _Reader:
             axes.append(dataclasses.replace(field, values=document.read(_VALUES, *keys)))
         for field, keys in self._fields(*RANDOM):
             if field.range(self._code) is None:
-                raise document.error(f"{field.name} is made of words: it cannot be drawn", *keys)
+                raise self._error(f"{field.name} is made of words: it cannot be drawn", *keys)
             if field.name in [axis.name for axis in axes]:
-                raise document.error(f"{field.name} is an axis of the grid, too", *keys)
+                raise self._error(f"{field.name} is an axis of the grid, too", *keys)
             axes.append(_drawn(field, document.read(Bounds, *keys)))
         kinds = [*DISTURBANCES, *sorted(self._code)]
 
@@ -210,7 +219,7 @@ class _Reader:
 
         It is None if there is none, and needs to be none.
         """
-        document, content, single = self._document, self._content, getattr(self._content, name)
+        content, single = self._content, getattr(self._content, name)
         places: dict[tuple[str, ...], Any] = {
             ("grid", name): getattr(content.grid, name),
             (name,): None if single is None else (ARM if isinstance(single, dict) else single,),
@@ -218,9 +227,9 @@ class _Reader:
         }
         given = {keys: value for keys, value in places.items() if value is not None}
         if len(given) > 1:
-            raise document.error(f"{name} is given twice, here and elsewhere", *next(iter(given)))
+            raise self._error(f"{name} is given twice, here and elsewhere", *next(iter(given)))
         if not given and name == "controller":
-            raise document.error("there is no controller; [grid] needs controller = [...]", "grid")
+            raise self._error("there is no controller; [grid] needs controller = [...]", "grid")
         if not given:
             return Axis(name=name, values=_USUAL[name]) if name in _USUAL else None
         ((keys, value),) = given.items()
@@ -229,12 +238,12 @@ class _Reader:
         if name in ("controller", "reference"):
             value = tuple(self._short(name, str(word)) for word in value)
             if len(set(value)) < len(value):
-                raise document.error(f"{name} has the same value twice", *keys)
+                raise self._error(f"{name} has the same value twice", *keys)
             known = (*REFERENCES, *self._code)
             for word in value if name == "reference" else ():
                 if {word, head := word.partition(":")[0]}.isdisjoint(known):
                     hint = closest(head, known)
-                    raise document.error(f"unknown reference {spelt(head)}{hint}", *keys)
+                    raise self._error(f"unknown reference {spelt(head)}{hint}", *keys)
         return Axis(name=name, values=value)
 
     def _arms(self, axes: tuple[Axis, ...]) -> dict[str, ArmParameters]:
@@ -243,27 +252,19 @@ class _Reader:
         names = [str(value) for axis in axes if axis.name == ARM for value in axis.values]
         for name in content.arms:
             if name not in names:
-                message = f"{quoted(name)} is no arm of this sweep"
-                raise self._document.error(message, "arms", name)
+                raise self._error(f"{quoted(name)} is no arm of this sweep", "arms", name)
         if isinstance(content.arm, dict) and not content.arms:
             return {name: arm_of(self._document, ARM).parameters for name in names}
         keys = ("grid", ARM) if content.arm is None else (ARM,)
         return {name: self._arm(content.arms.get(name, name), *keys) for name in names}
 
-    def _model(self) -> ArmParameters | None:
-        """What the controllers believe of all arms; None if that is what they are."""
-        given = self._content.model
-        return None if given is None else self._arm(given, "model")
-
     def _arm(self, given: str | dict[str, Any], *keys: str) -> ArmParameters:
         """The arm of a file beside the spec, one that comes with octarm, or one of a kept spec."""
-        try:
+        with self._document.naming(*keys):
             if isinstance(given, dict):
                 return ArmParameters.from_dict(given)
             beside = Path(self._document.file).parent / given
             return read_arm(beside if given.endswith(".toml") else given)
-        except OctarmError as error:
-            raise self._document.error(str(error), *keys) from None
 
     def _check_plants(
         self, axes: tuple[Axis, ...], arms: dict[str, ArmParameters], model: ArmParameters | None
@@ -271,13 +272,11 @@ class _Reader:
         given: dict[str, Any] = {axis.name: axis.values for axis in axes if axis.name in PLANT}
         plants = [dict(zip(given, x, strict=True)) for x in itertools.product(*given.values())]
         several = [*arms.values()] or [nominal_parameters()]
+        name = PLANT_MODULES if PLANT_MODULES in given else next(iter(given), "model")
+        keys = (name,) if name in self._document.content else ("grid", name)
         for arm, plant in itertools.product(several, plants):
-            try:
+            with self._document.naming(*keys):
                 groups_of(arm, **plant, groups=grouped(arm, model or arm))
-            except OctarmError as error:
-                name = PLANT_MODULES if PLANT_MODULES in given else next(iter(given), "model")
-                keys = (name,) if name in self._document.content else ("grid", name)
-                raise self._document.error(str(error), *keys) from None
 
     def _gain_sets(self, controllers: list[str]) -> dict[str, Any]:
         """The gain set of each controller: a word, or what a file holds that the spec names."""
@@ -289,7 +288,7 @@ class _Reader:
                 if (name := self._short("controller", word)) not in controllers:
                     hint = closest(name, controllers)
                     message = f"gains of {quoted(name)}, which is no controller of this sweep{hint}"
-                    raise self._document.error(message, table, word)
+                    raise self._error(message, table, word)
         return {
             self._short("controller", x): self._gain_set(x, choice) for x, choice in sets.items()
         }
@@ -302,13 +301,13 @@ class _Reader:
         if not choice.endswith(".toml"):
             words = ", ".join(GAIN_SETS)
             message = f"unknown gain_set {spelt(choice)}; known are {words}, or NAME.toml"
-            raise self._document.error(message, "gain_set", word)
+            raise self._error(message, "gain_set", word)
         name = self._short("controller", word)
         label = short_name(word_of(name, self._code)) if name in self._code else name
         try:
             document = read_toml(Path(self._document.file).parent / choice)
         except FileError as error:
-            raise self._document.error(str(error), "gain_set", word) from None
+            raise self._error(str(error), "gain_set", word) from None
         file = document.read(GainFile)
         if file.controller != label:
             message = f"holds gains of {spelt(file.controller)}, not of {label}"
@@ -323,19 +322,16 @@ class _Reader:
         kind, number = which(name)
         before = kind if number == 2 else f"{kind}-{number - 1}"
         if number > 1 and before not in spec.disturbances:
-            raise self._document.error(f"there is a {name}, but no {before}", *keys)
+            raise self._error(f"there is a {name}, but no {before}", *keys)
         cls: Any = spec.class_of(name)
         given = {*field_defaults(cls), *fixed, *(axis.field for axis in axes)}
         for key, field in field_keys(cls).items():
             if field not in given:
-                raise self._document.error(f"{name} needs a value of {key}", *keys)
+                raise self._error(f"{name} needs a value of {key}", *keys)
         # Side by side suffices: what a value may be does not depend on the other fields' values.
         for i in range(max([1, *(len(axis.values) for axis in axes)])):
-            tried = {axis.field: axis.values[i % len(axis.values)] for axis in axes}
-            try:
-                cls(**fixed, **tried)
-            except OctarmError as error:
-                raise self._document.error(str(error), *keys) from None
+            with self._document.naming(*keys):
+                cls(**fixed, **{axis.field: axis.values[i % len(axis.values)] for axis in axes})
 
 
 def _drawn(axis: Axis, bounds: Bounds) -> Axis:

@@ -30,11 +30,10 @@ from octarm.interfaces import Controller, Knob, Tunable
 from octarm.roll_off import fields_of
 from octarm.runs import versions as origin
 from octarm.simulation.engines import MUJOCO
-from octarm.sweeps.tune_cost import FORMULA, LONG, SHORT, UNSEEN, Examination, Rig, costs
+from octarm.sweeps.tune_cost import FORMULA, Budget, Examination, Rig, costs
 from octarm.sweeps.workers import WorkerProcesses
 
 _PACKAGES = ("python", "octarm", "mujoco", "dm-control", "numpy", "scipy")
-_LARGEST = 1e8  # [s] of simulated time
 _AROUND = 0.5  # decades around the hand-set gains that the search begins in; it may leave them
 
 
@@ -84,7 +83,7 @@ class Space:
             factors = 10.0 ** (unknown.share[:, None] * logarithms)
             for name in unknown.knob.gains:
                 table[name] = table.get(name, self.gains[name].reshape(-1, 1)) * factors
-        return {name: rounded(columns).T for name, columns in table.items()}
+        return {name: _rounded(columns).T for name, columns in table.items()}
 
     def fixed(self) -> dict[str, np.ndarray]:
         """The gains that stay as they are, each of the shape of its value in `gains`."""
@@ -110,49 +109,9 @@ def gains_of(controller: Controller) -> dict[str, np.ndarray]:
     }
 
 
-def rounded(gains: np.ndarray) -> np.ndarray:
-    """Numbers of any shape to four digits: more than anybody can tell apart, and good to read."""
+def _rounded(gains: np.ndarray) -> np.ndarray:
+    """Numbers to four digits: more than anybody can tell apart, and good to read."""
     return np.reshape([float(f"{x:.4g}") for x in gains.ravel().tolist()], gains.shape)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Budget:
-    """How much is tried; the same for every controller.
-
-    Attributes:
-        generations: of the search, the initial one included.
-        finalists: candidates of the last one that are tried for longer, with the hand-set gains.
-        unseen: what the winner is evaluated on.
-    """
-
-    population: int = 24
-    generations: int
-    finalists: int = 7
-    short: Examination = SHORT
-    long: Examination = LONG
-    unseen: Examination = UNSEEN
-
-    @classmethod
-    def within(cls, seconds: float) -> Budget:
-        """As many generations as the search may simulate in so many seconds [s], at least one."""
-        generation = cls(generations=1).search_seconds
-        if not generation <= seconds <= _LARGEST:
-            raise OctarmError(
-                f"budget is {seconds:g} s; it must be at least {generation:g} s, one generation, "
-                f"and finite, at most {_LARGEST:g} s"
-            )
-        return cls(generations=int(seconds // generation))
-
-    @property
-    def search_seconds(self) -> float:
-        """What the search simulates, all arms counted [s]."""
-        return self.generations * self.population * self.short.seconds
-
-    @property
-    def seconds(self) -> float:
-        """What is simulated in all, all arms counted [s]."""
-        trials = (self.finalists + 1) * self.long.seconds
-        return self.search_seconds + trials + 2 * (self.short.seconds + self.unseen.seconds)
 
 
 class SearchState(NamedTuple):

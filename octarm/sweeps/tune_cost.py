@@ -42,6 +42,7 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arrays import plain, split
 from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import to_dict
+from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory, Instant, Motion, Reference
 from octarm.metrics.chattering import Chattering
 from octarm.metrics.metric import Settings
@@ -59,6 +60,7 @@ from octarm.sweeps.workers import WorkerProcesses
 SLIDE_SCALE = 0.0175  # A [m]
 BEND_SCALE = 0.3  # A [rad]
 CHATTERING_WEIGHT = 0.1  # w [1]
+_MOST_SECONDS = 1e8  # of simulated time
 LARGEST = 10.0  # cost of an arm that stays within its limits; one that does not costs up to twice
 
 FORMULA = (
@@ -107,6 +109,46 @@ LONG = Examination(begin=2.0, duration=10.0, noise=1)
 UNSEEN = Examination(scenarios=EVALUATION, noise=2)
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Budget:
+    """How much is tried; the same for every controller.
+
+    Attributes:
+        generations: of the search, the initial one included.
+        finalists: candidates of the last one that are tried for longer, with the hand-set gains.
+        unseen: what the winner is evaluated on.
+    """
+
+    population: int = 24
+    generations: int
+    finalists: int = 7
+    short: Examination = SHORT
+    long: Examination = LONG
+    unseen: Examination = UNSEEN
+
+    @classmethod
+    def within(cls, seconds: float) -> Budget:
+        """As many generations as the search may simulate in so many seconds [s], at least one."""
+        generation = cls(generations=1).search_seconds
+        if not generation <= seconds <= _MOST_SECONDS:
+            raise OctarmError(
+                f"budget is {seconds:g} s; it must be at least {generation:g} s, one generation, "
+                f"and finite, at most {_MOST_SECONDS:g} s"
+            )
+        return cls(generations=int(seconds // generation))
+
+    @property
+    def search_seconds(self) -> float:
+        """What the search simulates, all arms counted [s]."""
+        return self.generations * self.population * self.short.seconds
+
+    @property
+    def seconds(self) -> float:
+        """What is simulated in all, all arms counted [s]."""
+        trials = (self.finalists + 1) * self.long.seconds
+        return self.search_seconds + trials + 2 * (self.short.seconds + self.unseen.seconds)
+
+
 @dataclasses.dataclass(frozen=True)
 class Rig:
     """What controllers are tried on; the nominal arm when no parameters are given.
@@ -141,8 +183,9 @@ class Rig:
         """What the result depends on, ready for JSON and TOML."""
         numbers: dict[str, Any] = {"engine": self.engine}
         if self.plant_modules is not None:
-            numbers |= {"plant_modules": self.plant_modules, "layout": self.layout}
-            numbers["sensing"] = self.sensing
+            numbers |= {
+                name: getattr(self, name) for name in ("plant_modules", "layout", "sensing")
+            }
         if self.parameters is not None:
             numbers["arm"] = self.parameters.to_dict()
         more = {
@@ -207,7 +250,7 @@ def _costs(
     """The costs in the scenarios with these numbers, of one control period and one plant."""
     examination, places = trial
     n = len(next(iter(candidates.values())))
-    scenarios = [examination.scenarios[i] for i in places]
+    scenarios, seeds = [examination.scenarios[i] for i in places], examination.seeds()
     if rig.reference is not None:
         scenarios = [dataclasses.replace(each, reference=rig.reference) for each in scenarios]
     if scenarios[0].plant_modules:
@@ -217,11 +260,11 @@ def _costs(
         """Values of the scenarios for each arm: the scenarios of a candidate side by side."""
         return np.tile(values, n)
 
-    true, seeds = rig.arm(), examination.seeds()
+    true, rest = rig.arm(), rig.rest()
     names = list(dict.fromkeys(s.reference for s in scenarios))
-    motions = [named_reference(name, rest, true) for rest in [rig.rest()] for name in names]
+    motions = [named_reference(name, rest, true) for name in names]
     environment = load(
-        EachItsOwn(motions, each([names.index(s.reference) for s in scenarios])),
+        each_its_own(motions, each([names.index(s.reference) for s in scenarios])),
         disturbances=[
             *disturbances([scenario for _ in range(n) for scenario in scenarios]),
             *rig.disturbances,
@@ -246,21 +289,17 @@ def _costs(
     return observer.costs(true).reshape(n, len(scenarios))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class EachItsOwn:
+def each_its_own(motions: Sequence[Motion], choice: np.ndarray) -> Motion:
     """A desired motion for each arm of a batch, out of a few of one arm each.
 
-    Attributes:
-        choice: which of them each arm has, shape (n,).
+    Which of them each arm has is its `choice`, shape (n,).
     """
 
-    motions: Sequence[Motion]
-    choice: np.ndarray
+    def wanted(t: float) -> Reference:
+        few = np.array([motion(t) for motion in motions]).transpose(1, 2, 0)
+        return Reference(*(part.T for part in few.take(choice, -1)))
 
-    def __call__(self, t: float) -> Reference:
-        """What the arms shall do at time t [s], shapes (n, 2N)."""
-        few = np.array([motion(t) for motion in self.motions]).transpose(1, 2, 0)
-        return Reference(*(part.T for part in few.take(self.choice, -1)))
+    return wanted
 
 
 class _Observer:
@@ -274,10 +313,8 @@ class _Observer:
         steady = instant.measurement.t > self._examination.begin - 0.5 * self._period
         with np.errstate(all="ignore"):  # an arm that is lost may hold anything
             self._chattering.update({"force": instant.tau[None]}, steady)
-            within = instant.within  # errors count at every physics step
-            error = (
-                (instant.q - instant.reference.q)[None] if within is None else within.q - within.q_d
-            )
+            assert instant.within is not None  # errors count at every physics step
+            error = instant.within.q - instant.within.q_d
             self._error.update({"error": error, "squared_error": error * error}, steady)
 
     def costs(self, true: ArmParameters) -> np.ndarray:

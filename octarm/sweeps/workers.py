@@ -89,11 +89,11 @@ class WorkerProcesses(ThreadPoolExecutor):
         """Has the process of this thread call a function; a new one if it has none that lives."""
         thread = threading.get_ident()
         process = self._processes.get(thread)
-        if not self._killed and (process is None or not process.lives()):
+        if not self._killed and (process is None or not process.process.is_alive()):
             process = self._processes[thread] = _Process()
         if self._killed or process is None:
             if process is not None:
-                process.kill()
+                process.process.kill()
             raise BrokenProcessPool("the processes were ended")
         return process.call(call)
 
@@ -109,7 +109,7 @@ class WorkerProcesses(ThreadPoolExecutor):
         self._killed = True
         super().shutdown(wait=False)
         for process in list(self._processes.values()):
-            process.kill()
+            process.process.kill()
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None:
@@ -123,13 +123,10 @@ class _Process:
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")  # threads and forks do not go together
         self._connection, end = context.Pipe()
-        self._process = context.Process(target=_serve, args=(end,), name=_NAME, daemon=True)
-        self._process.start()
+        self.process = context.Process(target=_serve, args=(end,), name=_NAME, daemon=True)
+        self.process.start()
         end.close()
         self._begun = False
-
-    def lives(self) -> bool:
-        return self._process.is_alive()
 
     def call(self, call: tuple[Any, ...]) -> Any:
         """What the function returns, or the exception that it raises."""
@@ -144,25 +141,19 @@ class _Process:
             self._connection.send_bytes(content)
             answer = self._connection.recv_bytes()
         except (EOFError, OSError):
-            raise self._failure() from None
+            # By itself it ends only if its script cannot be imported.
+            self.process.join()
+            if not self._begun and (self.process.exitcode or 0) > 0:
+                raise WorkersError(_GUARD) from None
+            raise BrokenProcessPool("a worker process died") from None
         good, value = pickle.loads(answer)
         if not good:
             raise value
         return value
 
-    def _failure(self) -> Exception:
-        """Why it does not answer: by itself it ends only if its script cannot be imported."""
-        self._process.join()
-        if not self._begun and (self._process.exitcode or 0) > 0:
-            return WorkersError(_GUARD)
-        return BrokenProcessPool("a worker process died")
-
-    def kill(self) -> None:
-        self._process.kill()
-
     def end(self) -> None:
         self._connection.close()
-        self._process.join()
+        self.process.join()
 
 
 def _block_interrupts() -> None:
