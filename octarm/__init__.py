@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from octarm.interfaces import Controller as Controller
     from octarm.interfaces import Measurement as Measurement
     from octarm.interfaces import Reference as Reference
-    from octarm.recordings.cell import show as show
+    from octarm.recordings.viewing import show as show
     from octarm.reports.report import report as report
     from octarm.runs.folder import Run as Run
     from octarm.runs.folder import read_run as read_run
@@ -35,7 +35,7 @@ _NAMES = {
     "arm.parameters": "ArmParameters",
     "arm.rod": "Rod arm_from_rod",
     "interfaces": "Command Controller Measurement Reference",
-    "recordings.cell": "show",
+    "recordings.viewing": "show",
     "reports.report": "report",
     "runs.folder": "Run read_run",
     "simulation.environment": "load",

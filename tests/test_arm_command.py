@@ -21,7 +21,7 @@ from octarm.arm.rod import Rod, arm_from_rod
 from octarm.arm.summary import ArmSummary
 from octarm.checks.validation import random_arm
 from octarm.commands.cli import main
-from octarm.reports.arm_figure import arm_figure
+from octarm.reports.arm_figures import arm_figure
 
 P = octarm.nominal_parameters()
 

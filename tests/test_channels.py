@@ -6,8 +6,7 @@ from recordings import described, layer, swinging
 
 from octarm.recordings.channels import Phases, bounds_of, channels_of
 from octarm.recordings.heat_map import HeatMap
-from octarm.recordings.notes import notes_of
-from octarm.recordings.titles import title_of
+from octarm.recordings.words import notes_of, title_of
 
 LIMITS = [("saturation", 20.0), ("saturation-2", 15.0)]
 

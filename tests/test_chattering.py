@@ -6,7 +6,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import linalg
 
-from octarm.metrics.chattering import Chattering
+from octarm.metrics.forces import Chattering
 from octarm.metrics.metric import CORNER, Settings
 
 

@@ -11,8 +11,7 @@ from recordings import described, entities, fields, swinging, write_run
 
 from octarm.commands.cli import main
 from octarm.palette import look_of
-from octarm.recordings.comparison import difference, write_comparison
-from octarm.recordings.what_differs import differences, labels, verdict
+from octarm.recordings.comparison import difference, differences, labels, verdict, write_comparison
 from octarm.reports.run_comparison import RunComparison
 from octarm.runs.folder import Run
 

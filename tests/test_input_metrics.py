@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from octarm.metrics.inputs import ForceUse, InputUse
+from octarm.metrics.forces import ForceUse, InputUse
 from octarm.metrics.metric import Accumulator, Settings
 
 STEP = 1e-3

@@ -22,8 +22,8 @@ from octarm.commands.cli import main
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import OctarmError
 from octarm.recordings import viewer
-from octarm.recordings.contents import contents
-from octarm.recordings.live import LiveRecording
+from octarm.recordings.rrd import contents
+from octarm.recordings.viewing import LiveRecording
 from octarm.simulation.policy import Policy
 
 RUN = ["run", "--controller", "afsmc", "--disturbance", "noise:.4", "--duration", "1.2"]
@@ -41,7 +41,7 @@ def sink(path: Path) -> Generator[tuple[str, subprocess.Popen[bytes]]]:
     command = [str(viewer._executable()), "--bind", "127.0.0.1", "--port", str(port)]
     environment = viewer._environment()
     with subprocess.Popen([*command, "--save", str(path)], env=environment, stderr=-3) as process:
-        running = viewer._Viewer(process, "", open(os.devnull, "rb"))
+        running = viewer._Viewer(process, port, open(os.devnull, "rb"))
         viewer._await(running, port)
         try:
             yield f"127.0.0.1:{port}", process

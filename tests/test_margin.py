@@ -21,7 +21,7 @@ from octarm.disturbances.forces import PulseForce
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
 from octarm.disturbances.varied import NOMINAL, is_varied, parse_varied, usual_range
 from octarm.interfaces import Command
-from octarm.metrics.declared import parse_bound
+from octarm.metrics.table import parse_bound
 from octarm.sweeps.margin import Attempt, Brackets, MarginRuns, margin_of, search, seeds_needed
 
 P = nominal_parameters()

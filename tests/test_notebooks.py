@@ -20,8 +20,8 @@ import octarm
 from controllers import make_controller
 from octarm import bars
 from octarm.errors import OctarmError
-from octarm.recordings.contents import contents
 from octarm.recordings.recording import write_recording
+from octarm.recordings.rrd import contents
 from octarm.runs.folder import Run
 from octarm.simulation import rollout as rollouts
 from octarm.sweeps.spec_file import parse_spec

@@ -25,7 +25,7 @@ from octarm.declared import Code, CodeChanged, named, word_of
 from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance, spelling
 from octarm.disturbances.varied import is_varied, parse_varied
 from octarm.errors import OctarmError
-from octarm.metrics.declared import ACCUMULATORS
+from octarm.metrics.table import ACCUMULATORS
 from octarm.references import REFERENCES, named_reference
 from octarm.runs import folder as runs
 from octarm.sweeps.spec_file import parse_spec, read_spec

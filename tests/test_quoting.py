@@ -25,8 +25,7 @@ from octarm.commands import cli
 from octarm.errors import FileError, OctarmError, closest, printable, quoted
 from octarm.html import templates
 from octarm.recordings import viewer
-from octarm.recordings.notes import notes_of
-from octarm.recordings.titles import title_of
+from octarm.recordings.words import notes_of, title_of
 
 HOSTILE = "\x1b[31mred\x1b[0m\n\u202eevil\u2028\x85\x7f"
 

@@ -17,8 +17,8 @@ from octarm.commands.cli import main
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.errors import OctarmError
 from octarm.interfaces import Command
-from octarm.recordings.titles import title_of
-from octarm.recordings.what_differs import differences
+from octarm.recordings.comparison import differences
+from octarm.recordings.words import title_of
 from octarm.references import REFERENCES
 from octarm.simulation.start import Start
 from octarm.sweeps.spec_file import parse_spec

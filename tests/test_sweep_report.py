@@ -30,7 +30,7 @@ from octarm.reports.comparisons import compare, partners
 from octarm.reports.consistency import remarks
 from octarm.reports.figures import inline_svg, panels_of
 from octarm.reports.frame import read_episodes
-from octarm.reports.page import Tables, number
+from octarm.reports.report import Tables, number
 from octarm.reports.statistics import adjusted, binomial
 from octarm.sweeps.plan import Plan
 from octarm.sweeps.spec import Axis, SweepSpec
@@ -422,7 +422,7 @@ def test_differences_are_coloured_after_benjamini_and_hochberg(known, written):
     differences = [g.difference for g in numbers.groups if g.difference is not None]
     raw = np.array([difference.measured.chance for difference in differences])
     own = np.array([difference.chance for difference in differences])
-    signs = np.array([measure.sign for measure in numbers.episodes.measures])
+    signs = np.array([measure.declared.sign for measure in numbers.episodes.measures])
     assert np.isnan(own[:, signs == 0]).all()
     raw = np.where(signs == 0, np.nan, raw)
     np.testing.assert_allclose(own, adjusted(raw))

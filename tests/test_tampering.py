@@ -20,8 +20,7 @@ from octarm.checks.differences import sweep_differences
 from octarm.checks.verify import RunCheck, check_run
 from octarm.commands.cli import main
 from octarm.errors import OctarmError
-from octarm.recordings.contents import contents
-from octarm.recordings.rrd import rrd_file
+from octarm.recordings.rrd import contents, rrd_file
 from octarm.runs import folder as runs
 from octarm.sweeps.episodes import FinishedSweep
 from octarm.sweeps.spec_file import parse_spec

@@ -6,7 +6,7 @@ from recordings import arm, described
 
 from octarm.disturbances.ledger import asked
 from octarm.disturbances.spelling import parse_disturbance
-from octarm.recordings.titles import amount, events_of, motion_of, title_of, wrapped
+from octarm.recordings.words import amount, events_of, motion_of, title_of, wrapped
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ from octarm.disturbances.actuators import ActuationDelay, Lag
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.disturbances.streams import stream
 from octarm.interfaces import Controller, Knob, Measurement, Reference
-from octarm.metrics.chattering import Chattering
+from octarm.metrics.forces import Chattering
 from octarm.metrics.metric import Settings
 from octarm.references import named_reference
 from octarm.simulation.environment import load

@@ -20,10 +20,9 @@ from octarm.disturbances.spelling import parse_disturbance, spelling
 from octarm.disturbances.varied import parse_varied
 from octarm.errors import OctarmError
 from octarm.fields import Quantity
-from octarm.metrics.declared import parse_bound
-from octarm.recordings.notes import notes_of
-from octarm.recordings.titles import short_title_of
-from octarm.recordings.what_differs import differences
+from octarm.metrics.table import parse_bound
+from octarm.recordings.comparison import differences
+from octarm.recordings.words import notes_of, short_title_of
 from octarm.references import parameters_of
 from octarm.references.samples import samples_end
 from octarm.runs.folder import read_description

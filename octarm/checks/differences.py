@@ -16,8 +16,8 @@ import pyarrow as pa
 
 from octarm.errors import OctarmError, printable, quoted
 from octarm.interfaces import ControllerFactory
-from octarm.recordings.contents import contents
 from octarm.recordings.recording import write_recording
+from octarm.recordings.rrd import contents
 from octarm.runs import folder as runs
 from octarm.simulation.trajectory import Ending, Trajectory, unreadable
 from octarm.sweeps.episodes import FinishedSweep

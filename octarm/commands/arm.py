@@ -56,7 +56,7 @@ def arm(
             write_text(write, arm_toml(each))
             print(f"wrote {printable(str(write))}")
         if out is not None:
-            from octarm.reports.arm_figure import arm_figure  # takes a second to import
+            from octarm.reports.arm_figures import arm_figure  # takes a second to import
 
             write_files({out: arm_figure(summary).png})
             print(f"wrote {printable(str(out))}")

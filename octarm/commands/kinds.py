@@ -33,7 +33,7 @@ _WORDS = {
     "ARM": "octarm.arm.file:shipped_arms",
     "GAINS": "controllers.gain_sets:CHOICES",
     "CONTROLLER": "controllers:CONTROLLERS",
-    "METRIC": "octarm.metrics.declared:ACCUMULATORS",
+    "METRIC": "octarm.metrics.table:ACCUMULATORS",
     "REFERENCE": "octarm.references:REFERENCES",
     "DISTURBANCE": "octarm.disturbances.spelling:DISTURBANCES",
     "ACTUATION": "octarm.arm.actuation:ACTUATIONS",
@@ -219,7 +219,7 @@ SETTLE = _within("S", Range("s", at_least=0.0, at_most=1e9))
 BUDGET = _within("S", Range("s", at_least=GENERATION, at_most=1e8))
 MISMATCH, PERIOD = kind("X", units.MISMATCH.parse), kind("S", units.PERIOD.parse)
 AMOUNT, SHARE = kind("X", _amount), _within("X", units.SHARE)
-BOUND = _checked("METRIC:VALUE", "octarm.metrics.declared:parse_bound")
+BOUND = _checked("METRIC:VALUE", "octarm.metrics.table:parse_bound")
 STEP = kind("S", _step)
 RUN, DIR = kind("RUN"), kind("DIR")
 CONTROLLER, REFERENCE, DISTURBANCE, METRIC = map(

@@ -202,7 +202,7 @@ class MarginOptions:
     def varied(self) -> Varied:
         """What varies; raises OctarmError for options that cannot be meant."""
         from octarm.disturbances.varied import NOMINAL, is_varied, parse_varied
-        from octarm.metrics.declared import check_measures
+        from octarm.metrics.table import check_measures
         from octarm.simulation.engines import check_engine, usual_engine
 
         check_engine(self.engine or usual_engine())

@@ -25,8 +25,7 @@ from octarm.disturbances.varied import NOMINAL, Varied, is_varied
 from octarm.errors import OctarmError, printable
 from octarm.files import write_text
 from octarm.formats import to_json
-from octarm.metrics.declared import ACCUMULATORS, parse_bound
-from octarm.metrics.table import METRICS
+from octarm.metrics.table import ACCUMULATORS, METRICS, parse_bound
 from octarm.references import REFERENCES
 from octarm.runs.versions import host, versions
 from octarm.simulation.engines import usual_engine

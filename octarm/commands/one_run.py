@@ -67,7 +67,7 @@ class RunOptions:
         from controllers import CONTROLLERS
         from octarm.declared import named
         from octarm.disturbances.spelling import DISTURBANCES, parse_disturbance
-        from octarm.metrics.declared import ACCUMULATORS
+        from octarm.metrics.table import ACCUMULATORS
         from octarm.references import REFERENCES
         from octarm.runs.experiment import Experiment
 

@@ -14,7 +14,7 @@ from octarm.recordings import viewer
 from octarm.recordings.comparison import check_comparable, write_comparison
 from octarm.recordings.recording import write_recording
 from octarm.recordings.rrd import last_instant, telling_instant
-from octarm.recordings.titles import LONGEST, conditions_of
+from octarm.recordings.words import LONGEST, conditions_of
 from octarm.runs import folder as runs
 
 _SWEEP = "manifest.json"  # a folder with it is a sweep

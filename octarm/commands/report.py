@@ -13,7 +13,7 @@ import os
 import shlex
 import shutil
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,11 +34,9 @@ from octarm.html import Cell, Table
 from octarm.palette import look_of
 from octarm.reports import report as reports
 from octarm.reports.charts import pictures, scales_of
-from octarm.reports.comparisons import TABLES, Comparisons, tables
-from octarm.reports.consistency import Remark
+from octarm.reports.comparisons import TABLES, tables
 from octarm.reports.figures import Picture
 from octarm.reports.frame import Episodes
-from octarm.reports.page import number, page
 from octarm.sweeps.shards import schema
 from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SweepSpec
 from octarm.sweeps.spec_file import parse_spec
@@ -54,17 +52,16 @@ def report(sweep: Path, options: ReportOptions) -> None:
     """`octarm report`: a page, tables and figures on a sweep."""
     folder = options.out or sweep / "report"
     _check_place(folder, sweep)
-    name, numbers, remarked = reports.report(sweep, options.baseline, options.metric)
+    made = reports.report(sweep, options.baseline, options.metric)
+    numbers = made.comparisons
     loops = loops_of(sweep, numbers.episodes, options.run_code)
     drawn = list(pictures(numbers))
     files = tables(numbers)
     again = [str(sweep / SPEC), "--out", f"{os.path.normpath(sweep)}-again"]
     commands = [["sweep", *again], ["report", str(sweep), *spelt(options, "force")]]
-    text = page(
-        numbers,
-        remarks=remarked,
+    text = reports.page(
+        made,
         pictures=drawn,
-        name=name,
         spec=read_toml(sweep / SPEC).text,
         commands=[shlex.join(["octarm", *words]) for words in commands],
         files=files,
@@ -72,7 +69,7 @@ def report(sweep: Path, options: ReportOptions) -> None:
         of_loops=loops.caption,
     )
     _write(folder, text, files, drawn)
-    _print_summary(numbers, remarked, loops)
+    _print_summary(made, loops)
     print(f"wrote {printable(str(folder / PAGE))}")
 
 
@@ -119,8 +116,9 @@ def _write(out: Path, text: str, files: dict[str, str], drawn: list[Picture]) ->
             file.unlink(missing_ok=True)  # of another choice of metrics
 
 
-def _print_summary(numbers: Comparisons, remarked: Sequence[Remark], loops: Loops) -> None:
+def _print_summary(made: reports.Report, loops: Loops) -> None:
     """A row a controller, the loops, and the warnings."""
+    numbers = made.comparisons
     measure, scale = numbers.episodes.measures[0], scales_of(numbers.episodes)[0]
     unit = scale.unit or "1"
     print(f"controller            episodes  diverged  median {measure.name} [{unit}]")
@@ -130,7 +128,7 @@ def _print_summary(numbers: Comparisons, remarked: Sequence[Remark], loops: Loop
         median = f"{middle:.3g}{ends}" if group.episodes else "none finished"
         print(f"{group.controller:<20} {group.episodes:>9} {group.failed:>9}  {median}")
     print(f"{loops.verdict}: the sampled loops about rest")
-    for remark in remarked:
+    for remark in made.remarks:
         print(f"{'warning' if remark.warning else 'note'}: {remark.text}")
 
 
@@ -225,8 +223,8 @@ def _cells(row: LoopRow) -> list[Cell]:
         Cell(row.controller, where, "left", look_of(row.controller).color),
         Cell(row.predicted or "-", kind=kind),
         Cell(f"{row.poor} of {row.episodes}", diverged, kind),
-        Cell(number(1e3 * loop.longest)),
-        Cell(number(loop.longest / loop.period)),
+        Cell(reports.number(1e3 * loop.longest)),
+        Cell(reports.number(loop.longest / loop.period)),
         Cell("-" if loop.reason else f"{loop.radius:.4f}"),
         Cell(first, mode, "wide" if loop.reason else "left"),
     ]

@@ -23,12 +23,11 @@ from octarm.commands.terminal import note
 from octarm.declared import short_name, word_of
 from octarm.disturbances.ledger import in_words
 from octarm.errors import ExitCode, OctarmError, printable
-from octarm.metrics.declared import declared_metrics
 from octarm.metrics.metric import unsettled
-from octarm.metrics.table import METRICS
+from octarm.metrics.table import METRICS, declared_metrics
 from octarm.recordings import viewer
-from octarm.recordings.live import LiveRecording
 from octarm.recordings.recording import run_recording
+from octarm.recordings.viewing import LiveRecording
 from octarm.runs import folder as runs
 from octarm.runs.experiment import Experiment, run_into
 from octarm.simulation.environment import whole_periods

@@ -26,7 +26,7 @@ from octarm.checks.validation import validate as plant
 from octarm.commands.checks import ValidateOptions
 from octarm.errors import ExitCode, printable
 from octarm.files import write_files, write_text
-from octarm.reports.convergence import pictures
+from octarm.reports.arm_figures import rod_figures
 from octarm.tolerances import CheckTable
 
 SWITCHING = ("smc", "super-twisting")  # laws with sgn(s)
@@ -117,6 +117,6 @@ def _draw(out: Path, result: Study) -> None:
         for title, tips, drawn in motions
     ]
     files: dict[Path, bytes] = {}
-    for picture in pictures(MODULES, errors, panels, rod_study.DURATION):
+    for picture in rod_figures(MODULES, errors, panels, rod_study.DURATION):
         files |= picture.files(out)
     write_files(files)

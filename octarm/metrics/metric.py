@@ -22,8 +22,7 @@ POSITION, FORCE = ("m", "rad"), ("N", "N m")  # units of what slides and bends h
 
 SLIDE_BAND = 1e-3  # [m]; an error within it counts as settled
 BEND_BAND = 0.02  # [rad]
-# [Hz]; twice the arm's highest mode (24.5 Hz) and far above its references.
-CORNER = 50.0
+CORNER = 50.0  # [Hz]; twice the arm's highest mode (24.5 Hz) and far above its references
 
 
 class Metric(NamedTuple):
@@ -34,7 +33,6 @@ class Metric(NamedTuple):
             for the `arm`.
         units: of the numbers of slides and of bends, or one for all; `1` for a share.
         text: its meaning, in one line.
-        better: which values are better.
         zero_best: whether the value nearest to zero is the best one.
         together: how the numbers of several inputs become one: root mean square, largest, or mean.
         waits_for: name of the metric that has a value whenever this one was to be expected. Where
@@ -70,18 +68,16 @@ class Settings:
 
     Attributes:
         control_period: time between two control instants [s].
-        steps: number of physics steps between two control instants.
+        steps: number of physics steps in it.
         input_range: lowest and highest tau, each broadcasts to (..., 2N) [N].
-        layer: half width phi of the boundary layer, broadcasts to (..., 2N) [m/s], [rad/s]; None
-            where there is none.
+        layer: half width of the boundary layer, broadcasts to (..., 2N) [m/s], [rad/s], or None.
         band: |q - q_d| within it counts as settled, broadcasts to (..., 2N) [m], [rad]; if None,
             `SLIDE_BAND` of slides and `BEND_BAND` of bends.
         corner: of the high-pass filter of `chattering` [Hz].
         settle: when the steady regime begins [s].
 
-    Raises:
-        OctarmError: if the input range does not hold 0, or another one of them is not finite and
-            positive (layer, settle: negative).
+    Raises OctarmError if the input range does not hold 0, or another one of them is not finite and
+    positive (layer, settle: negative).
     """
 
     control_period: float
@@ -93,9 +89,9 @@ class Settings:
     settle: float = SETTLED_AFTER
 
     def __post_init__(self) -> None:
-        for bound, sign in zip(self.input_range, (-1.0, 1.0), strict=True):
-            if not np.all(sign * np.asarray(bound, dtype=np.float64) >= 0.0):
-                raise OctarmError(f"input range is {self.input_range}; it must hold 0")
+        low, high = self.input_range
+        if not (np.all(np.asarray(low) <= 0.0) and np.all(np.asarray(high) >= 0.0)):
+            raise OctarmError(f"input range is {self.input_range}; it must hold 0")
         for name, value in vars(self).items():
             if name in ("input_range", "steps"):
                 continue
@@ -167,7 +163,7 @@ class Accumulator(abc.ABC):
 def asked(of: type[Accumulator], *names: str) -> type[Accumulator]:
     """An accumulator of what the controller asked for, made of one of what the arm received.
 
-    It gives the metrics of these names, or all if none is named; theirs begin with `asked_` then.
+    It gives the metrics of these names, or all if none is named, as `asked_` and their name.
     """
 
     class Asked(Accumulator):

@@ -80,12 +80,7 @@ class Size:
 
 
 class Extremes:
-    """Largest and smallest value so far.
-
-    Attributes:
-        largest: shape of a row; -inf before the first.
-        smallest: likewise; +inf before the first.
-    """
+    """Largest and smallest value so far, shape of a row; infinite before the first."""
 
     def __init__(self, like: np.ndarray) -> None:
         self.largest = np.full_like(like, -np.inf)

@@ -52,7 +52,7 @@ class Sliding(Accumulator):
         self._early, self._late, self._grown = (Count(start) for _ in range(3))
         self._size_before, self._outside_before = Before(), Before()
 
-    def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
+    def update(self, rows: Rows, steady: bool) -> None:
         t, s = rows["t"], rows["s"]
         size = np.abs(s)
         outside = size > self._phi
@@ -67,7 +67,7 @@ class Sliding(Accumulator):
         grown &= self._outside_before(outside)
         self._grown.update(grown)
 
-    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
+    def result(self) -> dict[str, np.ndarray]:
         early, late = self._early.result(), self._late.result()
         # Nothing is known about the end of the period that begins at the last instant.
         last = self._outside_before.last
@@ -101,5 +101,5 @@ class ReachingBound(Accumulator):
     def update(self, rows: Rows, steady: bool) -> None:
         """Takes nothing more: the promise at the start counts."""
 
-    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
+    def result(self) -> dict[str, np.ndarray]:
         return {"reaching_bound": self._bound}

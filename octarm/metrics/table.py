@@ -1,29 +1,34 @@
 """The table of metrics, and `Metrics`, which measures a run or a batch while it goes on.
 
 No trajectory is held. Results do not depend on how the run is cut into blocks, and are the same
-for an arm alone and as a row of a batch, bit for bit.
+for an arm alone and as a row of a batch, bit for bit. Metrics of a user are given as MODULE:NAME or
+FILE.py:NAME; see `octarm.declared`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from octarm.arm.actuation import Actuation
 from octarm.arrays import stacked
-from octarm.errors import OctarmError
+from octarm.declared import Code, Declared, lacking, word_of
+from octarm.errors import OctarmError, closest, printable, quoted
+from octarm.formats import Document
 from octarm.interfaces import WITHIN, Rows
-from octarm.metrics.chattering import Chattering
-from octarm.metrics.inputs import ForceUse, InputUse
+from octarm.metrics.forces import Chattering, ForceUse, InputUse
 from octarm.metrics.metric import SETTLED_AFTER as SETTLED_AFTER
 from octarm.metrics.metric import Accumulator, Metric, Settings, asked
 from octarm.metrics.sliding import ReachingBound, Sliding
 from octarm.metrics.tracking import Overshoot, Settling, TipError, TrackingError
+from octarm.units import ANY, Range
 
 _FIELDS = ("t", "q", "q_d", "tau", "force", "plant_tip")
 _FORCES = ("tau", "force", "asked_tau", "asked_force")
@@ -101,18 +106,15 @@ class Metrics:
         rows = {name: rows[name] for name in self._catalogue.fields if name in rows}
         if not self._accumulators:
             self._begin(rows)
-        steps = self._settings.steps
-        if steps == 1:
-            received = rows["received"][:, 0] if "received" in rows else rows["tau"]
-            self._take({**rows, "received": received}, self._accumulators)
-            return
-        by_step = [each for each in self._accumulators if not each.signals]
-        self._take(_within(rows, self._settings), by_step)
-        by_instant = [each for each in self._accumulators if each.signals]
-        self._take({**rows, "received": rows["received"][:, 0]}, by_instant)
+        received = rows["received"][:, 0] if "received" in rows else rows["tau"]
+        instants, by_instant = {**rows, "received": received}, self._accumulators
+        if self._settings.steps > 1:
+            by_step = [each for each in self._accumulators if not each.signals]
+            self._take(_within(rows, self._settings), by_step)
+            by_instant = [each for each in self._accumulators if each.signals]
+        self._take(instants, by_instant)
 
     def _begin(self, rows: Rows) -> None:
-        """Makes the accumulators, for arms like those of these rows."""
         steps = rows["received"].shape[1] if "received" in rows else 1
         self._settings = dataclasses.replace(self._settings, steps=steps)
         first = {name: array[0] for name, array in rows.items()}
@@ -152,12 +154,9 @@ class Metrics:
     def result(self, diverged: npt.ArrayLike = False) -> dict[str, np.ndarray]:
         """The metrics so far, each of shape (..., 2N), or (...) for those of the arm.
 
-        Args:
-            diverged: which arms diverged, broadcasts to the batch shape. Their metrics are NaN,
-                and so are those of arms whose q, Q or tau was not finite at any time.
-
-        Raises:
-            OctarmError: if there was no control instant.
+        Those of arms that diverged, which broadcasts to the batch shape, are NaN, and so are those
+        of arms whose q, Q or tau was not finite at any time. Raises OctarmError if there was no
+        control instant.
         """
         if not self._accumulators:
             raise OctarmError("there is nothing to measure: no control instant was taken")
@@ -178,21 +177,14 @@ def _within(rows: Rows, settings: Settings) -> Rows:
     """The physics steps of control instants as rows, under the names of the fields of instants."""
     steps = settings.steps
     number = np.rint(rows["t"] / settings.step)[:, None] + np.arange(steps)
-    tips = {"plant_tip": _flat(rows["plant_tip_steps"])} if "plant_tip" in rows else {}
+    within = {name: rows[f"{name}_steps"] for name in ("q", "q_d", "plant_tip") if name in rows}
+    within["received"] = rows["received"]
     return {
         "t": number.ravel() * settings.step,
-        "q": _flat(rows["q_steps"]),
-        "q_d": _flat(rows["q_d_steps"]),
-        "received": _flat(rows["received"]),
         "tau": _held(rows["tau"], steps),
         "force": _held(rows["force"], steps),
-        **tips,
+        **{name: x.reshape(-1, *x.shape[2:]) for name, x in within.items()},
     }
-
-
-def _flat(rows: np.ndarray) -> np.ndarray:
-    """Rows of shape (k, m, ...) one after another, shape (k m, ...)."""
-    return rows.reshape(-1, *rows.shape[2:])
 
 
 def _held(rows: np.ndarray, steps: int) -> np.ndarray:
@@ -211,13 +203,11 @@ def as_json(results: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 
 class Column(NamedTuple):
-    """A column of a table with a row for each arm.
+    """A column, such as `rms_error_theta1` or `tip_rms_error`, of a table with a row for each arm.
 
     Attributes:
-        name: of the column: `rms_error_theta1`, `effort_tau2`, `tip_rms_error`.
         of: the coordinate or input whose number it holds; empty for the arm.
         place: of that number along the last axis of the metric.
-        declared: the declaration of the metric.
     """
 
     name: str
@@ -253,3 +243,78 @@ def columns(
             unit = metric.unit_for(units[place] if metric.of == "coordinate" else "m")
             held.append(Column(f"{name}_{part}" if part else name, name, part, place, unit, metric))
     return held
+
+
+def _lacks(thing: Any) -> str:
+    """What a class of a user lacks of an accumulator; empty if nothing."""
+    if not (isinstance(thing, type) and issubclass(thing, Accumulator)):
+        return "is no Accumulator of octarm.metrics.metric"
+    if misses := lacking(
+        thing, __init__=["first", "settings"], update=["rows", "steady"], result=[]
+    ):
+        return misses
+    metrics: Any = getattr(thing, "metrics", None)
+    if not isinstance(metrics, Mapping) or not metrics:
+        return "declares no metrics, a table of Metric by name"
+    for name, metric in cast("Mapping[Any, Any]", metrics).items():
+        if not isinstance(metric, Metric) or not re.fullmatch(r"[a-z]\w*", str(name)):
+            return f"declares {quoted(name)}; it must be a Metric by a name of lower-case letters"
+        if name in METRICS:
+            return f"declares {name}, which is measured anyway"
+    return ""
+
+
+# Those of `METRICS` are always measured.
+ACCUMULATORS: Declared[type[Accumulator]] = Declared(
+    "metric",
+    {name: each for each in METRICS.accumulators for name in each.metrics},
+    _lacks,
+    lambda thing: {n: {**m._asdict(), "units": [*m.units]} for n, m in thing.metrics.items()},
+)
+
+
+def code_of(description: Mapping[str, Any]) -> dict[str, Code]:
+    """The code that a run needed and is not built in, by name, as `run.json` says it."""
+    code = {"code": description.get("code", {})}
+    return Document("run.json", code).read(dict[str, Code], "code")
+
+
+def measured(code: Mapping[str, Code]) -> Catalogue:
+    """All metrics of an experiment: those of `METRICS`, and those of its code."""
+    names = [name for name, each in code.items() if each.kind == "metric"]
+    return METRICS.extended(ACCUMULATORS[word_of(name, code)] for name in names)
+
+
+def declared_metrics(code: Mapping[str, Code]) -> dict[str, Metric]:
+    """The same by name, as results remember them; no code is imported.
+
+    Raises OctarmError if what they remember is no declaration of a metric.
+    """
+    known = dict(METRICS)
+    for each in code.values():
+        for name, content in each.declares.items() if each.kind == "metric" else ():
+            known_keys = {key: x for key, x in content.items() if key in Metric._fields}
+            metric = Document(each.path, known_keys).read(Metric)
+            known.setdefault(name, metric._replace(text=printable(metric.text, 200)))
+    return known
+
+
+def parse_bound(text: str) -> tuple[str, float]:
+    """A metric and what its absolute value may be at most, from METRIC:VALUE."""
+    metric, _, value = text.partition(":")
+    if not value:
+        raise OctarmError(f"bound is {quoted(text)}; it must read METRIC:VALUE")
+    declared = [m for name, m in METRICS.items() if f"{metric}_".startswith(f"{name}_")]
+    unit = " or ".join(declared[-1].units) if declared else ANY  # a user's own may have any
+    sizes = not set(unit.split(" or ")) - {"m", "rad"}  # of arms, and beyond 10 m no arm is
+    limit = Range(unit, plausible=10.0 if sizes else math.inf).parse(f"bound of {metric}", value)
+    if not 0.0 < limit < math.inf:
+        raise OctarmError(f"bound of {metric} is {limit:g}; it must be positive and finite")
+    return metric, limit
+
+
+def check_measures(names: Iterable[str]) -> None:
+    """Raises OctarmError for a column that no run of a built-in metric has."""
+    for name in names:
+        if not any(f"{name}_".startswith(f"{known}_") for known in METRICS):
+            raise OctarmError(f"there is no measure {quoted(name)}{closest(name, METRICS)}")

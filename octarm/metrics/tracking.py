@@ -36,13 +36,13 @@ class TrackingError(Accumulator):
         self._rows = 0
         self._sum, self._size = np.zeros_like(first["q"]), Size(first["q"])
 
-    def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
+    def update(self, rows: Rows, steady: bool) -> None:
         if steady:
             self._rows += len(rows["error"])
             add_rows(self._sum, rows["error"])
             self._size.update(rows["squared_error"])
 
-    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
+    def result(self) -> dict[str, np.ndarray]:
         return {
             "rms_error": self._size.root(),
             "peak_error": self._size.peak(),
@@ -76,26 +76,21 @@ class Settling(Accumulator):
         self._rows = 0
         self._last_outside = np.full_like(like, -1.0)  # number of a row
 
-    def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
+    def update(self, rows: Rows, steady: bool) -> None:
         squares = rows["squared_error"]
         outside = squares > self._limit
-        if np.count_nonzero(outside):
-            last = float(self._rows + len(squares) - 1)
-            if len(squares) == 1:
-                self._last_outside = np.where(outside[0], last, self._last_outside)
-            else:
-                ever, back = np.any(outside, axis=0), np.argmax(outside[::-1], axis=0)
-                self._last_outside = np.where(ever, last - back, self._last_outside)
         self._rows += len(squares)
+        if np.count_nonzero(outside):
+            ever, last = outside[0], self._rows - 1.0
+            if len(squares) > 1:
+                ever, last = np.any(outside, axis=0), last - np.argmax(outside[::-1], axis=0)
+            self._last_outside = np.where(ever, last, self._last_outside)
 
-    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
+    def result(self) -> dict[str, np.ndarray]:
         inside = self._rows - 1.0 - self._last_outside  # rows at the end of the run
         settled = inside * self._step >= DWELL * (1.0 - 1e-9)
         time = (self._last_outside + 1.0) * self._step
-        return {
-            "settling_time": np.where(settled, time, np.nan),
-            "settled": np.where(settled, 1.0, 0.0),
-        }
+        return {"settling_time": np.where(settled, time, np.nan), "settled": 1.0 * settled}
 
 
 class Overshoot(Accumulator):
@@ -130,12 +125,12 @@ class Overshoot(Accumulator):
         self._early, self._late = Extremes(start), Extremes(start)
         self._desired = Extremes(first["q_d"])
 
-    def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
+    def update(self, rows: Rows, steady: bool) -> None:
         (self._late if steady else self._early).update(rows["q"])
         if steady:
             self._desired.update(rows["q_d"])
 
-    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
+    def result(self) -> dict[str, np.ndarray]:
         top, bottom = self._desired.largest, self._desired.smallest
         centre, amplitude = 0.5 * (top + bottom), 0.5 * (top - bottom)
         moves = amplitude > 0.0
@@ -174,7 +169,7 @@ class TipError(Accumulator):
     def __init__(self, first: Rows, settings: Settings) -> None:
         self._size = Size(first["q"][..., 0])
 
-    def update(self, rows: Rows, steady: bool) -> None:  # noqa: D102
+    def update(self, rows: Rows, steady: bool) -> None:
         if steady:
             q_d = rows["q_d"]
             shared = q_d.size == q_d.shape[-1]  # then it is one point, computed with plain numbers
@@ -186,5 +181,5 @@ class TipError(Accumulator):
             dx, dy = x - x_d, y - y_d
             self._size.update(np.asarray(dx * dx + dy * dy))
 
-    def result(self) -> dict[str, np.ndarray]:  # noqa: D102
+    def result(self) -> dict[str, np.ndarray]:
         return {"tip_rms_error": self._size.root(), "tip_peak_error": self._size.peak()}

@@ -19,14 +19,12 @@ from octarm.recordings import heat_map
 from octarm.recordings.channels import Channel, has_energy, has_sliding
 from octarm.recordings.scene import Scene, input_colors
 from octarm.recordings.shapes import module_colors
-from octarm.recordings.titles import short_title_of
+from octarm.recordings.words import short_title_of
 
 _BOUND = [150, 156, 166]
-_BACKGROUND = [13, 15, 19]
 EVENTS = {"begins": [224, 138, 60], "ends": [255, 90, 95]}  # of a disturbance, of a run that failed
 # The lowest and the highest number of each plot, as it is recorded, by its first column.
 Extremes = Mapping[str, tuple[float, float]]
-_EACH = rr.components.AggregationPolicy.Off  # both ends of a line are at one instant
 _LEGEND = 8  # series at most that a legend can name
 _FAR = 2.0  # times the largest value; a bound beyond that is written, not drawn
 _ABOUT_ZERO = ("error", "s", "disturbance")  # channels whose plots have zero in the middle
@@ -35,13 +33,11 @@ _LANE = 0.045  # height of a lane of the state timeline [of the window]
 
 
 class Curves(NamedTuple):
-    """Lines of a plot that stand in one list of numbers, and how they look.
+    """Lines of a plot that stand in one list of numbers, their names for the legend, and colours.
 
     Attributes:
         entity: its path; the first part names the structure in it.
         path: of the list in the structure, such as `.q_bends[]`.
-        names: for the legend.
-        colors: red, green, blue, shape (lines, 3).
         width: [pixel].
     """
 
@@ -81,7 +77,6 @@ class Plots:
     """Plots of the channels of one run, which stand below the entity `root`, over its time.
 
     Attributes:
-        channels: what the run holds.
         axis: the time, with room for the legends at its end.
         end: of the run [s].
     """
@@ -125,12 +120,13 @@ class Plots:
             Curves(f"events/{kind}", path, [name], [EVENTS[kind]], 1.0)
             for kind, name in self._events.items()
         ]
+        each = rr.components.AggregationPolicy.Off  # both ends of a line are at one instant
         for some in [*curves, *marks]:
             style = rr.SeriesLines.from_fields(
                 names=list(some.names),
                 colors=np.asarray(some.colors).astype(np.uint8),
                 widths=[some.width] * len(some.names),
-                aggregation_policy=_EACH if some in marks else None,
+                aggregation_policy=each if some in marks else None,
             )
             source = VisualizerComponentMapping(
                 "Scalars:scalars",
@@ -153,11 +149,8 @@ class Plots:
 
     def bounded(self, title: str, name: str, part: str, legend: bool = False) -> Any:
         """A plot of a part of a channel with lines at its bound, which is written if far off."""
-        channel, curves, size = (
-            self.channels[name],
-            [self.curves(name, part)],
-            self._size(name, part),
-        )
+        channel, size = self.channels[name], self._size(name, part)
+        curves = [self.curves(name, part)]
         if (bound := channel.bound) is not None:
             lines = channel.lines(part)
             sizes = np.abs(lines)
@@ -179,23 +172,16 @@ class Plots:
         return max(map(abs, self._extremes.get(self.channels[name].column(part), (0.0,))))
 
     def views(self, name: str) -> list[Any]:
-        """A plot for each part of a channel, since their scales differ, that is not empty.
-
-        Lines mark the bound of the channel.
-        """
+        """A plot for each part of a channel that is not empty, with lines at its bound."""
         channel = self.channels.get(name)
         if channel is None or channel.kind == "rules":
             return []
         named = channel.kind in ("coordinates", "inputs") and name != "E"
         parts = [part for part in channel.parts if self._size(name, part)]
+        titles = [channel.label(part) + channel.recorded(part)[1] for part in parts]
         return [
-            self.bounded(
-                f"{', '.join(filter(None, [channel.title, part]))}{channel.recorded(part)[1]}",
-                name,
-                part,
-                legend=named and i == 0,
-            )
-            for i, part in enumerate(parts)
+            self.bounded(title, name, part, legend=named and part == parts[0])
+            for title, part in zip(titles, parts, strict=True)
         ]
 
     def tracking(self, part: str) -> list[Any]:
@@ -231,7 +217,7 @@ class Plots:
                 origin=f"heat/{name}",
                 contents=["$origin/**", "heat/now"],
                 name=f"change of {name}, a row a rule   orange: up, blue: down; largest at left",
-                background=_BACKGROUND,
+                background=[13, 15, 19],
                 visual_bounds=rrb.VisualBounds2D(
                     x_range=[-heat_map.LEFT, heat_map.WIDTH + 12],
                     y_range=[-10, heat_map.height(len(channel.names), coordinates) + 30],
@@ -302,8 +288,7 @@ def _tabs(plots: Plots, *, ledger: bool) -> dict[str, Any]:
     if heats:
         gain = plots.views("E")
         columns, shares = ([rrb.Vertical(*gain)], [2.2, 1.0]) if gain else ([], [1.0])
-        first = heats.pop(next(iter(heats)))
-        name = "adaptation"
+        first, name = heats.pop(next(iter(heats))), "adaptation"
         tabs[name] = rrb.Horizontal(first, *columns, column_shares=shares, name=name)
         drawn.add("E")
     tab("f^", channel="f_hat")
@@ -319,13 +304,12 @@ def _tabs(plots: Plots, *, ledger: bool) -> dict[str, Any]:
 
 
 class Layout(rrb.Blueprint):
-    """A layout with nothing around it but the time.
+    """A layout with nothing around it but the time; it opens at the first instant, or follows.
 
     It does not note when each of its parts was made, and is smaller by a tenth.
     """
 
     def __init__(self, layout: Any, *, listed: bool = False, following: bool = False) -> None:
-        """The layout of a container of views, which opens at the first instant or follows."""
         play_state = "following" if following else "paused"
         super().__init__(
             layout,

@@ -4,10 +4,8 @@ A channel is what is recorded and plotted together: an array of the loop or a si
 controller. The names of its numbers suit the columns of a table: `theta1`, `column_2_3`, or `s1_4`
 for the fourth rule of s1.
 
-q, q_d, tau and V are recorded in double precision at every control instant, and so is every signal
-that is not known here. What follows from them, s, and the parts that a force is the sum of, are
-recorded with single precision; the gain E, which adapts slowly, also with single precision and only
-60 times a second. Signals with a number for each fuzzy rule are recorded as a picture.
+Channels are recorded in double precision at every control instant, but for what follows from others
+and what adapts slowly, see `_MEANINGS`. Signals with a number for each fuzzy rule are a picture.
 
 Lengths, angles, moments and energies are recorded in thousandths, mm and mrad, which people read:
 the viewer plots numbers as they are.
@@ -30,15 +28,11 @@ from octarm.interfaces import WITHIN, Rows
 _LOOP = ("t", "q", "v", "q_d", "v_d", "tau", "force", "disturbance", *WITHIN)
 
 # Units that recordings have instead of those of the SI, and figures where numbers are small.
-THOUSANDTHS = {
-    "m": "mm", "m/s": "mm/s", "m s": "mm s", "rad": "mrad", "rad/s": "mrad/s", "rad s": "mrad s",
-    "N m": "mN m", "J": "mJ", "W": "mW",
-}  # fmt: skip
+_LARGE = ("m", "m/s", "m s", "rad", "rad/s", "rad s", "N m", "J", "W")
+THOUSANDTHS = {unit: f"m{unit}" for unit in _LARGE}
 
 
 class _Meaning(NamedTuple):
-    """What is known of a channel by its name."""
-
     units: Mapping[str, str] = {}  # by the unit of the coordinates; under "" for other channels
     title: str = ""
     single: bool = False  # whether single precision is enough
@@ -71,12 +65,15 @@ _MEANINGS = {
 }
 
 
+def _known(name: str) -> _Meaning:
+    return _MEANINGS.get(name, _Meaning())
+
+
 class Bound(NamedTuple):
-    """What bounds a channel.
+    """What bounds a channel, and what the bound is called.
 
     Attributes:
         values: one for each coordinate or input, shape (2N,).
-        word: what the bound is called.
         both_sides: whether minus the bound is a bound as well.
     """
 
@@ -98,11 +95,9 @@ class Channel(NamedTuple):
         field: name of the field of `Rows`; empty for the error q - q_d, which is computed.
         kind: one number for each coordinate, for each input, or for the arm; a list of numbers; or
             one number for each fuzzy rule of each coordinate.
-        names: one for each number.
         parts: where the numbers stand that are plotted together, by the name of the group; one
             part under "" unless the channel is of coordinates.
         units: unit of each part in brackets, after a space; empty when unknown.
-        bound: of the numbers, if one is known.
     """
 
     name: str
@@ -117,6 +112,10 @@ class Channel(NamedTuple):
     def title(self) -> str:
         """What it is, in words where there are some."""
         return _known(self.name).title or self.name
+
+    def label(self, part: str) -> str:
+        """The title of a part."""
+        return f"{self.title}, {part}" if part else self.title
 
     @property
     def entity(self) -> str:
@@ -158,26 +157,21 @@ def coordinates_of(description: Mapping[str, Any]) -> Coordinates:
     return planar_coordinates(len(description["parameters"]["mass"]))
 
 
-def disturbances_of(description: Mapping[str, Any]) -> dict[str, Drawn]:
-    """How the disturbances of `run.json` are drawn, by their names there; no code is imported."""
-    return {
-        entry["name"]: Drawn.model_validate(entry["drawn"])
-        if entry.get("drawn")
-        else Drawn.of(from_entry(entry))
+def disturbances_of(description: Mapping[str, Any]) -> list[Drawn]:
+    """How the disturbances of `run.json` are drawn; no code is imported."""
+    return [
+        Drawn.model_validate(entry["drawn"]) if entry.get("drawn") else Drawn.of(from_entry(entry))
         for entry in description.get("disturbances", [])
-    }
+    ]
 
 
 def channels_of(
     rows: Rows, description: Mapping[str, Any], layer: np.ndarray | None, *, disturbed: bool
 ) -> dict[str, Channel]:
-    """The channels of a run by name.
+    """The channels of a run by name, given some of its instants and what `run.json` has of it.
 
-    Args:
-        rows: some instants of the run.
-        description: of the run, as `run.json` has it.
-        layer: half width of the boundary layer, shape (2N,) [m/s], [rad/s]; None if there is none.
-        disturbed: whether the force of the disturbances is one of the channels.
+    The layer has shape (2N,) [m/s], [rad/s]; the force of disturbances is one of the channels if
+    the run is `disturbed`.
     """
     coordinates, bounds = coordinates_of(description), bounds_of(description, layer)
     count = len(coordinates.names)
@@ -234,26 +228,22 @@ def has_energy(channels: Mapping[str, Channel]) -> bool:
 def bounds_of(description: Mapping[str, Any], layer: np.ndarray | None) -> dict[str, Bound]:
     """What bounds the channels of a run, by the name of the channel, as far as it is known.
 
-    s is bounded by the boundary layer phi, and tau by what a disturbance limits the inputs to. Two
-    gains are known here by their names: `lambda_`, the slope of the sliding variable
-    s = e' + lambda e, by which the layer bounds the error, |e| <= phi / lambda, and `E_max`, onto
-    which the gain E is projected. This is the only place where recorded gains are interpreted.
-
-    The layer has shape (2N,) [m/s], [rad/s]; `description` is what `run.json` has of the run.
+    s is bounded by the boundary layer phi, shape (2N,) [m/s], [rad/s], and tau by what a
+    disturbance limits the inputs to. Two gains are known here, and nowhere else, by their names:
+    `lambda_`, the slope of the sliding variable s = e' + lambda e, by which the layer bounds the
+    error, |e| <= phi / lambda, and `E_max`, onto which the gain E is projected.
     """
     gains = description.get("controller", {}).get("gains", {})
     shape = (len(coordinates_of(description).names),)
     bounds: dict[str, Bound] = {}
-    phi, slope, largest = (
-        _positive(value, shape) for value in (layer, gains.get("lambda_"), gains.get("E_max"))
-    )
-    if phi is not None:
+    slope, largest = (_positive(gains.get(name), shape) for name in ("lambda_", "E_max"))
+    if (phi := _positive(layer, shape)) is not None:
         bounds["s"] = Bound(phi, "phi")
-    if phi is not None and slope is not None:
-        bounds["error"] = Bound(phi / slope, "phi / lambda")
+        if slope is not None:
+            bounds["error"] = Bound(phi / slope, "phi / lambda")
     if largest is not None:
         bounds["E"] = Bound(largest, "E_max", both_sides=False)
-    limits = [disturbance.bound for disturbance in disturbances_of(description).values()]
+    limits = [disturbance.bound for disturbance in disturbances_of(description)]
     known = [np.broadcast_to(limit, shape) for limit in limits if limit is not None]
     if known and np.all(np.isfinite(known)):
         bounds["tau"] = Bound(np.min(known, axis=0), "limit")
@@ -273,7 +263,7 @@ class Phases:
     def __init__(
         self, names: Sequence[str], layer: np.ndarray | None, limit: np.ndarray | None
     ) -> None:
-        """Starts before the first row, given phi, shape (2N,), and the inputs' limit, (2N,) [N]."""
+        """Phases for a layer phi and a limit of the inputs [N], each of shape (2N,)."""
         self._names, self._layer, self._limit = names, layer, limit
         self._start: np.ndarray | None = None  # sign of s
         self._reached = np.zeros(len(names), dtype=bool)
@@ -318,7 +308,3 @@ def _positive(value: Any, shape: tuple[int, ...]) -> np.ndarray | None:
     except (TypeError, ValueError):
         return None
     return array if np.all(np.isfinite(array)) and np.all(array > 0.0) else None
-
-
-def _known(name: str) -> _Meaning:
-    return _MEANINGS.get(name, _Meaning())

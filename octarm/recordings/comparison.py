@@ -1,25 +1,141 @@
-"""Runs in one recording, side by side and at the same time, and how their errors differ."""
+"""Runs beside each other: in what they differ, how their errors do, and all in one recording."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+import string
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from octarm.arm.parameters import PARAMETERS
 from octarm.errors import OctarmError
 from octarm.recordings.blueprints import Layout, Plots, reach
-from octarm.recordings.notes import markdown_table
 from octarm.recordings.recording import RunRecording
 from octarm.recordings.rrd import Path, rerun_errors, rrd_file, structures, times
-from octarm.recordings.what_differs import Compared
+from octarm.recordings.words import in_words, markdown_table, title_of, units_of
+from octarm.runs.description import USUAL
 from octarm.simulation.trajectory import Trajectory
+
+# What is not part of a run's task: two laws may differ in it and still be ranked.
+_OF_THE_LAW = ("controller", "gain ", "model's ", "version ", "timestep", "control_period", "code ")
+_SETTINGS = (
+    "duration", "timestep", "control_period", "actuation", "integrator", "engine", "seed",
+    "spawn_key", *USUAL,
+)  # fmt: skip
+_SECONDS = ("duration", "settle", "timestep", "control_period")  # those with this unit
 
 # The arrays of a run of one arm, and what `run.json` holds.
 Run = tuple[Trajectory, Mapping[str, Any]]
+
+
+class Contrast(NamedTuple):
+    """Something in which runs differ, with its unit if that is known, and in words for each run.
+
+    Runs that differ in something `of_the_task`, in what a controller has to do rather than in how
+    it does it, cannot be ranked by their errors.
+    """
+
+    name: str
+    values: Sequence[str]
+    of_the_task: bool
+
+
+class Compared:
+    """Runs beside each other, in words; `run.json` of each is given.
+
+    Attributes:
+        names: A, B and so on.
+        ranked: whether they had the same to do, so that one can be better than another.
+        verdict: one sentence on that.
+    """
+
+    def __init__(self, descriptions: Sequence[Mapping[str, Any]]) -> None:
+        self.names = labels(len(descriptions))
+        self.titles = [title_of(description) for description in descriptions]
+        self.differences = differences(descriptions)
+        self.ranked = not any(each.of_the_task for each in self.differences)
+        self.verdict = verdict(self.differences)
+
+
+def differences(descriptions: Sequence[Mapping[str, Any]]) -> list[Contrast]:
+    """In what runs differ, whose `run.json` is given; gains only where the controller is the same.
+
+    The seed belongs to the task where there are disturbances, which draw from it.
+    """
+    tables = [dict(_aspects(description)) for description in descriptions]
+    differing: list[Contrast] = []
+    for name in dict.fromkeys(name for table in tables for name in table):
+        values = [table.get(name) for table in tables]
+        law = name.startswith("gain ") and any(d.name == "controller" for d in differing)
+        if law or all(value == values[0] for value in values):
+            continue
+        texts = [in_words(value) for value in values]
+        if len(set(texts)) < len(set(map(repr, values))):  # digits that are not printed
+            texts = ["–" if value is None else str(value) for value in values]
+        task = not name.startswith(_OF_THE_LAW)
+        if name in ("seed", "spawn_key"):
+            task = any(each.get("disturbances") or "start" in each for each in descriptions)
+        differing.append(Contrast(name.replace("_", " ") + _unit(name), texts, task))
+    return differing
+
+
+def verdict(differing: Sequence[Contrast]) -> str:
+    """One sentence on whether runs with these differences can be ranked."""
+    task = [difference.name for difference in differing if difference.of_the_task]
+    if task:
+        return f"Not ranked: the runs differ in what they had to do ({', '.join(task)})."
+    names = ", ".join(difference.name for difference in differing) or "nothing that is recorded"
+    return f"The runs had the same to do; they differ in {names}."
+
+
+def labels(count: int) -> list[str]:
+    """Names for so many runs: A to Z, then AA, AB and so on."""
+    words = (map("".join, itertools.product(string.ascii_uppercase, repeat=n)) for n in (1, 2, 3))
+    return list(itertools.islice(itertools.chain.from_iterable(words), count))
+
+
+def _unit(name: str) -> str:
+    """The unit of a setting, or of a parameter of the arm or of its model, in brackets."""
+    whose, _, parameter = name.partition(" ")
+    known = whose in ("arm's", "model's") and parameter in PARAMETERS
+    unit = PARAMETERS[parameter].unit if known else "s" if name in _SECONDS else ""
+    return unit and f" [{unit}]"
+
+
+def _aspects(description: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """What a run was made of, by name."""
+    controller = description.get("controller", {})
+    yield "controller", controller.get("name")
+    if (status := description.get("status", "ok")) not in ("ok", "diverged"):
+        yield "end", status  # of a run that is there in part
+    code = description.get("code", {})
+    for entry in description.get("disturbances", []):
+        units = {name: f" [{unit}]" for name, unit in units_of(entry, code).items() if unit}
+        asked = {k + units.get(k, ""): x for k, x in entry["asked"].items() if x is not None}
+        yield f"disturbance {entry['name']}", asked
+    for key, value in description.get("reference", {}).items():
+        yield "reference" if key == "name" else f"reference's {key}", value
+    plant: Mapping[str, Any] = description.get("plant", {})
+    for key in ("modules", "layout", "sensing"):
+        yield f"plant's {key}", plant.get(key)
+    for key in _SETTINGS:
+        yield key, description.get(key, USUAL.get(key))
+    for name, value in controller.get("gains", {}).items():
+        yield f"gain {name.rstrip('_')}", value
+    for whose, table in (("model's", "nominal"), ("arm's", "parameters")):
+        for name, value in description.get(table, {}).items():
+            yield f"{whose} {name}", value
+    for name, each in description.get("code", {}).items():
+        kind = "" if each["kind"] in ("controller", "metric") else f"{each['kind']} "
+        parts = each["path"], f"SHA-256 {each['sha256'][:12]}", each.get("distribution")
+        yield f"{kind}code of {name}", ", ".join(filter(None, parts))
+    for name, value in description.get("versions", {}).items():
+        yield f"version of {name}", value
 
 
 @np.errstate(all="ignore")  # a diverged arm may hold anything
@@ -58,9 +174,8 @@ def check_comparable(runs: Sequence[Trajectory]) -> None:
 def difference(first: Trajectory, second: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """By how much the error of the first run is larger than that of the second.
 
-    Returns:
-        Instants of the first run up to the end of the shorter one, shape (T,) [s], and
-        |e| of the first minus |e| of the second, shape (T, 2N) [m], [rad].
+    These are instants of the first one up to the end of the shorter one, shape (T,) [s], and |e| of
+    the first minus |e| of the second, shape (T, 2N) [m], [rad].
     """
     shared = first.t <= second.t[-1]
     t = first.t[shared]
@@ -88,10 +203,10 @@ class _Layout(Compared):
 
     def page(self) -> str:
         """In what the runs differ, as Markdown."""
+        runs = "\n".join(map("- {}: {}".format, self.names, self.titles))
         rows = [[each.name, *each.values] for each in self.differences]
-        runs = map("- {}: {}".format, self.names, self.titles)
-        heading = f"# What differs\n\n{self.verdict}"
-        return "\n\n".join([heading, "\n".join(runs), markdown_table(["", *self.names], rows)])
+        table = markdown_table(["", *self.names], rows)
+        return f"# What differs\n\n{self.verdict}\n\n{runs}\n\n{table}"
 
     def blueprint(self) -> rrb.Blueprint:
         """The layout; all plots of a part have the same range."""
@@ -118,7 +233,6 @@ class _Layout(Compared):
         return Layout(rrb.Vertical(row, rrb.Tabs(*tabs, active_tab=1), row_shares=[0.75, 1]))
 
     def _of_errors(self, part: str) -> list[Any]:
-        """A plot for each run."""
         error = self.recordings[0].channels["error"]
         factor, unit = error.recorded(part)
         largest = factor * float(np.max([sizes[error.parts[part]] for sizes in self._errors]))

@@ -19,10 +19,9 @@ def height(rules: int, coordinates: int) -> int:
 
 
 class HeatMap:
-    """Collects at most `2 * WIDTH` instants of a run of any length."""
+    """Collects at most `2 * WIDTH` instants of a run of any length, for a channel of rules."""
 
     def __init__(self, channel: Channel, coordinates: int) -> None:
-        """An empty picture of a channel with as many rules for each coordinate."""
         self._channel, self._coordinates = channel, coordinates
         self._every, self._count = 1, 0
         self._t: list[float] = []
@@ -39,10 +38,9 @@ class HeatMap:
             self._t, self._rows = self._t[::2], self._rows[::2]
 
     def picture(self) -> np.ndarray:
-        """Red, green and blue, shape (height, WIDTH, 3) of uint8.
+        """The change since the first instant in colours, shape (height, WIDTH, 3) of uint8.
 
-        It is the change since the first instant: blue below zero, orange above; the brightest is
-        the largest change of the coordinate.
+        Blue is below zero, orange above; the brightest is the largest change of the coordinate.
         """
         changes, largest = self._changes()
         shade = (changes / np.maximum(largest[:, None, None], 1e-300))[..., None]
@@ -63,10 +61,8 @@ class HeatMap:
         marks = np.linspace(self._t[0], self._t[-1], 5)
         labels += [f"{round(t, 1 if marks[-1] > 2.0 else 3):g} s" for t in marks.tolist()]
         places += [(x, low + 12.0) for x in self._across(marks)]
-        points = rr.Points2D(
-            places, labels=labels, radii=0.01, colors=[200, 208, 218], show_labels=True
-        )
-        return {"picture": rr.Image(picture), "names": points}
+        look: Any = {"radii": 0.01, "colors": [200, 208, 218], "show_labels": True}
+        return {"picture": rr.Image(picture), "names": rr.Points2D(places, labels=labels, **look)}
 
     def cursor(self) -> tuple[np.ndarray, Any]:
         """Instants, shape (k,) [s], and at each the line across all heat maps that shows it."""

@@ -35,25 +35,24 @@ from octarm.recordings.channels import (
     has_sliding,
 )
 from octarm.recordings.heat_map import HeatMap
-from octarm.recordings.notes import notes_of
 from octarm.recordings.rrd import Path, rerun_errors, rrd_file, structures, times
 from octarm.recordings.scene import DRAWN, Scene
 from octarm.recordings.shapes import drawable
-from octarm.recordings.titles import events_of, title_of
+from octarm.recordings.words import events_of, notes_of, title_of
 from octarm.simulation.trajectory import BLOCK, Trajectory
 
 _FRAME_RATE = 60.0  # of the 3D scene [Hz]
 _FIRST_PICTURE = 2000  # rows, after which numbers of rules are drawn in a viewer that follows
 _PROPERTIES = ("seed", "duration", "timestep", "control_period", "status", "digest", "command")
 _TABLES = ("controller", "parameters", "nominal", "reference", "disturbances", "metrics")
-_COLORS = {  # of the phases and of how a run ends, as hexadecimal red, green, blue, opacity
-    "running": "3E5C76FF",
-    "reaching": "E0A030FF",
-    "sliding": "48A06AFF",
-    "free": "3E5C76FF",
-    "saturated": "E05A4EFF",
-    "diverged": "E03A3AFF",
-    "interrupted": "8A6FBFFF",
+_COLORS = {  # of the phases and of how a run ends: red, green, blue, opacity
+    "running": 0x3E5C76FF,
+    "reaching": 0xE0A030FF,
+    "sliding": 0x48A06AFF,
+    "free": 0x3E5C76FF,
+    "saturated": 0xE05A4EFF,
+    "diverged": 0xE03A3AFF,
+    "interrupted": 0x8A6FBFFF,
 }
 
 
@@ -62,10 +61,9 @@ def write_recording(
 ) -> None:
     """Writes a run of one arm as a rerun recording, whole or not at all, into a folder that exists.
 
-    The timeline is `t` [s]. Every signal of the controller is recorded and plotted, whatever its
-    name and width. Of what `run.json` holds, the description, `parameters` are needed. One of
-    several recordings, of which the viewer keeps the list open, has a name; else it has the title
-    of the run.
+    The timeline is `t` [s]. Every signal of the controller is recorded and plotted. Of what
+    `run.json` holds, the description, `parameters` are needed. One of several recordings, of which
+    the viewer keeps the list open, has a name; else it has the title of the run.
 
     Raises OctarmError if the trajectory has no rows, the parameters are not those of one such arm,
     or rerun does not take the data or is switched off by RERUN=off, OSError if the file cannot be
@@ -93,7 +91,6 @@ class RunRecording:
     """Logs a run to a stream: `add` rows in their order, then `finish`.
 
     Attributes:
-        scene: the arm.
         channels: what the run holds; empty before the first rows.
         events: what happened, in words, by the entities of `EVENTS` that the finished recording
             has.
@@ -112,26 +109,23 @@ class RunRecording:
     ) -> None:
         """Starts the recording of the run that is announced; the path is for error messages.
 
-        The disturbances' force is recorded if it is `disturbed`; if None, if any are listed. One of
-        several recordings has a name. With a root, an entity with a slash at its end, everything
-        stands below it, and there is neither a layout nor a name. A viewer that is `following` the
-        rows as they come needs a layout from the beginning, and is not waited for for long. Raises
-        OctarmError if the parameters are not those of one arm, or a disturbance is unknown.
+        The disturbances' force is recorded if it is `disturbed`; if None, if any are listed. With a
+        root, an entity with a slash at its end, everything stands below it, and there is neither a
+        layout nor a name. A viewer that is `following` the rows as they come needs a layout from
+        the beginning, and is not waited for for long. Raises OctarmError if the parameters are not
+        those of one arm, or a disturbance is unknown.
         """
         parameters = ArmParameters.from_dict(description["parameters"])
         if parameters.batch_shape:
             raise OctarmError("the parameters must be those of one arm")
         self._stream, self._path, self._name, self._root = stream, path, name, root
         self._description, self._following = description, following
+        self._patience = 5.0 if following else 3600.0  # [s]
         self._coordinates = coordinates_of(description)
         disturbances = disturbances_of(description)
         self._disturbed = bool(disturbances) if disturbed is None else disturbed
-        self.scene = Scene(
-            parameters,
-            list(disturbances.values()),
-            disturbed=self._disturbed,
-            finer=description.get("plant") is not None,
-        )
+        finer = description.get("plant") is not None
+        self.scene = Scene(parameters, disturbances, disturbed=self._disturbed, finer=finer)
         self.channels: dict[str, Channel] = {}
         self.events: dict[str, str] = {}
         self._extremes: dict[str, tuple[float, float]] = {}
@@ -146,9 +140,8 @@ class RunRecording:
     def add(self, rows: Rows, layer: np.ndarray | None = None) -> None:
         """Records further rows, which are on disk afterwards.
 
-        The half width phi of the boundary layer, shape (2N,) [m/s], [rad/s], that is given with the
-        first rows counts. Raises OctarmError if the rows are not those of an arm with these
-        parameters, or rerun does not take them.
+        The layer phi, shape (2N,) [m/s], [rad/s], that is given with the first rows counts. Raises
+        OctarmError if the rows are not those of such an arm, or rerun does not take them.
         """
         if rows["q"].shape[1:] != (len(self._coordinates.names),):
             raise OctarmError("the parameters must be those of an arm with the rows' modules")
@@ -176,11 +169,8 @@ class RunRecording:
             if self._following and self._count >= self._next_picture:
                 self._next_picture = 4 * self._count
                 self._draw_rules()
-            self._flush()
-
-    def _flush(self) -> None:
-        """Bounds the memory that waits to be written or sent, and raises errors."""
-        self._stream.flush(timeout_sec=5.0 if self._following else 3600.0)
+            # It bounds the memory that waits to be written or sent, and raises errors.
+            self._stream.flush(timeout_sec=self._patience)
 
     def add_all(self, run: Trajectory) -> None:
         """Records a whole run block by block; raises what `add` does."""
@@ -203,7 +193,7 @@ class RunRecording:
             duration = self._end if short else self._planned
             self._lay_out({**description, "duration": duration}, self._extremes)
             if self._following:
-                self._flush()
+                self._stream.flush(timeout_sec=self._patience)
 
     def plots(self, end: float, extremes: Extremes | None = None) -> Plots:
         """Plots of the run from 0 to `end` [s], see `Plots`."""
@@ -232,11 +222,8 @@ class RunRecording:
         if not self._root:
             lanes = sum(not lane.startswith("each/") for lane in self._lanes)
             plots = self.plots(float(description["duration"]), extremes)
-            layout = blueprint(
-                self.scene, plots, description, lanes,
-                listed=bool(self._name), following=self._following,
-            )  # fmt: skip
-            self._stream.send_blueprint(layout)
+            kind = {"listed": bool(self._name), "following": self._following}
+            self._stream.send_blueprint(blueprint(self.scene, plots, description, lanes, **kind))
 
     def _log_signals(self, rows: Rows, frames: np.ndarray) -> None:
         """Everything with a row at an instant; slow numbers only at the frames."""
@@ -265,9 +252,9 @@ class RunRecording:
 
     def _log_events(self, status: str) -> None:
         """A line across each plot at each event: from its lowest number to its highest one."""
-        begun = [(at, x) for at, _, x in events_of(self._description) if x and at > self._start]
+        coming = [(at, text) for at, _, text in events_of(self._description) if text]
         marks = {
-            "begins": [(at, text) for at, text in begun if at <= self._end],
+            "begins": [(at, text) for at, text in coming if self._start < at <= self._end],
             "ends": [] if status == "ok" else [(self._end, status)],
         }
         for kind, events in marks.items():
@@ -277,9 +264,9 @@ class RunRecording:
                 at, rows = np.repeat([at for at, _ in events], 3), dict[str, np.ndarray]()
                 for plot, ends in self._extremes.items():
                     line = np.tile([*ends, np.nan], len(events))  # it ends at what is no number
-                    rows |= {plot: line}
+                    rows[plot] = line
                     if plot.startswith("q_"):
-                        rows |= {plot.replace("q_", "q_d_"): line}
+                        rows[plot.replace("q_", "q_d_")] = line
                 self._send(f"events/{kind}", at, structures(rows, "events"))
 
     def _energy_rate(self, rows: Rows) -> dict[str, np.ndarray]:
@@ -300,17 +287,16 @@ class RunRecording:
         for name, heat_map in self._heat_maps.items():
             for part, look in heat_map.looks().items():
                 self._log(f"heat/{name}/{part}", look)
-        for heat_map in list(self._heat_maps.values())[:1]:
-            self._send("heat/now", *heat_map.cursor())
+        if self._heat_maps:
+            self._send("heat/now", *next(iter(self._heat_maps.values())).cursor())
 
     def _log_state(self, lane: str, changes: Sequence[tuple[float, str]]) -> None:
         """Changes of a lane of the state timeline at times [s]."""
         entity = f"states/{lane}"
         if lane not in self._lanes:
             self._lanes.add(lane)
-            names, colors = list(_COLORS), [int(color, 16) for color in _COLORS.values()]
-            look = rr.StateConfiguration(values=names, labels=names, colors=colors)
-            self._log(entity, look)
+            names, colors = list(_COLORS), list(_COLORS.values())
+            self._log(entity, rr.StateConfiguration(values=names, labels=names, colors=colors))
         t, states = zip(*changes, strict=True)
         self._send(entity, np.array(t), rr.StateChange.columns(state=list(states)))
 
@@ -326,9 +312,8 @@ class RunRecording:
         if not self._root:
             self._stream.send_recording_name(self._name or title_of(description))
             known = {name: description[name] for name in _PROPERTIES if name in description}
-            for name in _TABLES:
-                if name in description:
-                    known[name] = json.dumps(description[name], default=str)
+            tables = {name: description[name] for name in _TABLES if name in description}
+            known |= {name: json.dumps(table, default=str) for name, table in tables.items()}
             if known:
                 self._stream.send_property("run", rr.AnyValues(**known))
         for entity, text in notes_of(description).items():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pathlib
+import re
 from collections.abc import Generator, Iterator, Mapping
 from typing import Any
 
@@ -16,6 +17,8 @@ from octarm.errors import OctarmError
 from octarm.files import piped, whole_file
 
 Path = str | os.PathLike[str]
+
+_VERSIONS = re.compile(r"## Versions\n.*?(?=\n## |\Z)", re.DOTALL)  # on the page `notes`
 
 
 @contextlib.contextmanager
@@ -64,14 +67,47 @@ def times(t: np.ndarray) -> list[rr.TimeColumn]:
 
 
 def structures(columns: Mapping[str, np.ndarray], name: str) -> Any:
-    """Rows as one structure of lists: one set of times makes the file half as large.
+    """Rows as one structure `octarm:name`: one set of times makes the file half as large.
 
-    Args:
-        columns: by name, shape (k,) for numbers, shape (k, width) for lists.
-        name: of the structure, after `octarm:`.
+    Columns have the shape (k,) if they are numbers, and (k, width) if they are lists.
     """
-    table = pa.StructArray.from_arrays([_lists(x) for x in columns.values()], names=list(columns))
+    lists: list[Any] = []
+    for values in columns.values():
+        # Arrow takes the memory as it is; arrays in a file may begin at any byte of it.
+        flat = pa.array(np.require(values, requirements=["C", "ALIGNED"]).ravel())
+        one = values.ndim == 1
+        lists.append(flat if one else pa.FixedSizeListArray.from_arrays(flat, values.shape[1]))
+    table = pa.StructArray.from_arrays(lists, names=list(columns))
     return rr.DynamicArchetype.columns("octarm", components={name: table})
+
+
+def contents(path: Path) -> dict[str, pa.Array]:
+    """What a recording holds: values by entity and component, the times `t` among them.
+
+    Rows come in the order in which they were recorded; of static values these are the last ones.
+    Left out are the numbers that rerun gives to its pieces, the layout of the viewer, and the table
+    of versions in the notes. Raises OctarmError if the file is not a recording.
+    """
+    parts: dict[str, list[pa.Array]] = {}
+    try:
+        for chunk in rr.chunk.RrdReader(str(path)).stream():
+            batch = chunk.to_record_batch()
+            for field, column in zip(batch.schema, batch.columns, strict=True):
+                metadata: dict[bytes, bytes] = field.metadata or {}
+                if metadata.get(b"rerun:kind") == b"control":
+                    continue
+                key = f"{chunk.entity_path} {field.name}"
+                if key == "/notes TextDocument:text":
+                    texts = [[_VERSIONS.sub("", t) for t in row] for row in column.to_pylist()]
+                    column = pa.array(texts, column.type)
+                if chunk.is_static:  # one chunk or several, as time allowed; the last row counts
+                    parts[key] = [column[-1:]]
+                else:
+                    parts.setdefault(key, []).append(column)
+        return {key: pa.concat_arrays(columns) for key, columns in parts.items()}
+    except Exception as error:  # those of rerun and Arrow are of many kinds
+        reason = " ".join(str(error).split())
+        raise OctarmError(f"{path} is not a recording ({reason})") from None
 
 
 def last_instant(path: Path) -> float:
@@ -113,12 +149,6 @@ def _temporal(path: Path) -> Iterator[tuple[str, pa.RecordBatch, np.ndarray]]:
                 yield chunk.entity_path, batch, batch.column("t").cast(pa.int64()).to_numpy()
     except Exception as error:  # rerun's errors are of many kinds
         raise OctarmError(f"{path} cannot be read: {_first_line(error)}") from None
-
-
-def _lists(values: np.ndarray) -> Any:
-    # Arrow takes the memory as it is; arrays in a file may begin at any byte of it.
-    flat = pa.array(np.require(values, requirements=["C", "ALIGNED"]).ravel())
-    return flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
 
 
 def _first_line(error: Exception) -> str:

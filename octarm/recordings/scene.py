@@ -46,21 +46,16 @@ def input_colors(count: int) -> np.ndarray:
 
 
 class Scene:
-    """The entities of the scene of one run: `looks` once, `frames` for each block of rows."""
+    """The entities of the scene of one run: `looks` once, `frames` for each block of rows.
+
+    The force of disturbances is drawn if the run is `disturbed`. With a `finer` plant, of more
+    modules, its true curve is drawn through the arm that its groups make one believe in, and the
+    trail is that of its tip.
+    """
 
     def __init__(
-        self,
-        parameters: ArmParameters,
-        disturbances: Sequence[Drawn],
-        *,
-        disturbed: bool,
-        finer: bool = False,
+        self, parameters: ArmParameters, disturbances: Sequence[Drawn], disturbed: bool, finer: bool
     ) -> None:
-        """The scene of one arm; the force of disturbances is drawn if it is `disturbed`.
-
-        With a `finer` plant, of more modules, its true curve is drawn through the arm that its
-        groups make one believe in, and the trail is that of its tip.
-        """
         self._modules, self._width = parameters.modules, float(np.median(parameters.width))
         self._length = float(np.sum(parameters.rest_length))
         self._weight = float(np.sum(parameters.mass) * parameters.gravity)
@@ -69,16 +64,15 @@ class Scene:
         self._payloads = [d.load for d in disturbances if d.load is not None]
         self._disturbed, self._finer = disturbed, finer
         self._last: tuple[np.ndarray, np.ndarray] | None = None  # tip and desired tip
-        reach = 1.12 * self._length + self._width
+        reach, half = 1.12 * self._length + self._width, 0.5 * self._width
         # What the camera sees of x and z at least: lowest and highest [m].
-        self._seen = np.array(
-            [[-0.42 * reach, 0.5 * self._width - reach], [0.42 * reach, 0.5 * self._width]]
-        )
+        self._seen = np.array([[-0.42 * reach, half - reach], [0.42 * reach, half]])
 
     def looks(self) -> dict[str, Any]:
         """What of the scene stays the same, by entity."""
         n, w = self._modules, self._width
         solid: dict[str, Any] = {"fill_mode": "solid"}
+        beside = [-1.6 * w, 0.0, 0.1 * w]
         down = self._arrow * np.array([math.sin(self._tilt), 0.0, -math.cos(self._tilt)])
         lines, cylinders = rr.LineStrips3D.from_fields, rr.Cylinders3D.from_fields
         ghosts = np.full(n * shapes.RIBS, _GHOST, dtype=np.uint32)
@@ -95,11 +89,7 @@ class Scene:
             "world/desired_path": lines(colors=_PATH, radii=0.012 * w),
             "world/skeleton": lines(colors=0xFFFFFFFF, radii=0.02 * w),
             "world/gravity": rr.Arrows3D(
-                vectors=[down],
-                origins=[[-1.6 * w, 0.0, 0.1 * w]],
-                colors=_GRAVITY,
-                radii=0.03 * w,
-                labels=["g"],
+                vectors=[down], origins=[beside], colors=_GRAVITY, radii=0.03 * w, labels=["g"]
             ),
         }
         if self._payloads:
@@ -123,18 +113,14 @@ class Scene:
         n, pieces = self._modules, shapes.COLUMN_PIECES
         bent = np.minimum(np.abs(q[:, n:]) / 0.4, 1.0)[..., None]  # which a module is brighter by
         tube_colors = module_colors(n) * (0.6 + 0.4 * bent) + 15.0 * (1.0 - bent)
+        tube_colors = _bytes(np.repeat(tube_colors, shapes.TUBE_PIECES, axis=1))
         colors, radii = shapes.column_looks(rows["tau"], self._weight)
-        columns = {
-            "radii": np.repeat(_rounded(w * radii, _FINE), pieces, axis=1),
-            "colors": _bytes(np.repeat(colors, pieces, axis=1)),
-        }
+        colors = _bytes(np.repeat(colors, pieces, axis=1))
+        radii = np.repeat(_rounded(w * radii, _FINE), pieces, axis=1)
         frames = {
-            "world/tube": _cylinders(
-                shapes.backbone(q, shapes.TUBE_PIECES),
-                colors=_bytes(np.repeat(tube_colors, shapes.TUBE_PIECES, axis=1)),
-            ),
+            "world/tube": _cylinders(shapes.backbone(q, shapes.TUBE_PIECES), colors=tube_colors),
             "world/plates": _poses(shapes.plates(q)),
-            "world/columns": _cylinders(shapes.columns(q, w), **columns),
+            "world/columns": _cylinders(shapes.columns(q, w), radii=radii, colors=colors),
             "world/desired": _cylinders(shapes.backbone(q_d, shapes.RIBS)),
             "world/trail": _strips(_steps(last[0], tip)),
             "world/desired_path": _strips(_steps(last[1], desired_tip)),
@@ -161,11 +147,10 @@ class Scene:
 
     def _see(self, points: np.ndarray, most: np.ndarray) -> None:
         """Widens what the camera sees to most points, shape (k, points, 3), up to an end."""
-        low, high = (f(points[..., ::2], axis=1) for f in (np.min, np.max))
-        ends = np.stack([np.percentile(low, 1.0, axis=0), np.percentile(high, 99.0, axis=0)])
-        ends = np.clip(ends, self._length * most[0], self._length * most[1])
-        self._seen[0] = np.minimum(self._seen[0], ends[0])
-        self._seen[1] = np.maximum(self._seen[1], ends[1])
+        low = np.percentile(points[..., ::2].min(axis=1), 1.0, axis=0)
+        high = np.percentile(points[..., ::2].max(axis=1), 99.0, axis=0)
+        low, high = np.clip([low, high], self._length * most[0], self._length * most[1])
+        self._seen = np.stack([np.minimum(self._seen[0], low), np.maximum(self._seen[1], high)])
 
     def view(self, name: str, root: str = "") -> rrb.Spatial3DView:
         """A camera in front of the arm, a little to the side, that sees all of what was drawn."""
@@ -175,12 +160,9 @@ class Scene:
         size = float(np.max((self._seen[1] - self._seen[0]) / [0.84, 1.0]))
         position = middle + 1.05 * size * np.array([0.33, -0.94, -0.03])
         cursor = rr.TimeRangeBoundary.cursor_relative
-
-        def around(before: float, after: float) -> rrb.VisibleTimeRanges:
-            return rrb.VisibleTimeRanges(
-                timeline="t", start=cursor(seconds=-before), end=cursor(seconds=after)
-            )
-
+        before, now, after = (cursor(seconds=x) for x in (-_TRAIL_LENGTH, 0.0, _TRAIL_LENGTH))
+        past = rrb.VisibleTimeRanges(timeline="t", start=before, end=now)
+        around = rrb.VisibleTimeRanges(timeline="t", start=before, end=after)
         return rrb.Spatial3DView(
             origin=origin,
             name=name,
@@ -188,8 +170,8 @@ class Scene:
             line_grid=False,
             background=[13, 15, 19],
             overrides={
-                f"{origin}/trail": around(_TRAIL_LENGTH, 0.0),
-                f"{origin}/desired_path": around(_TRAIL_LENGTH, _TRAIL_LENGTH),
+                f"{origin}/trail": past,
+                f"{origin}/desired_path": around,
                 f"{origin}/skeleton": rrb.EntityBehavior(visible=False),  # shown on request
             },
         )

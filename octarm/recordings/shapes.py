@@ -121,16 +121,14 @@ def force_arrows(q: np.ndarray, force: np.ndarray, rim: float) -> tuple[np.ndarr
     """A generalised force, shape (..., 2N) [N], [N m], as forces on the plates.
 
     A force on s_i pulls plate i along its module; a moment on theta_i is a couple at the rim of
-    plate i, two opposite forces that far from its middle [m].
-
-    Returns:
-        Where the forces act, shape (..., 3N, 3) [m], and the forces, shape (..., 3N, 3) [N].
+    plate i, two opposite forces that far from its middle [m]. Where the forces act [m], and the
+    forces [N], each have the shape (..., 3N, 3).
     """
     n = q.shape[-1] // 2
-    end = positions(q)
-    phi = np.cumsum(q[..., n:], axis=-1)
-    along = np.stack([np.cos(phi), np.sin(phi)], axis=-1)
-    slide = np.stack([np.cos(phi - q[..., n:]), np.sin(phi - q[..., n:])], axis=-1)
+    end, phi = positions(q), np.cumsum(q[..., n:], axis=-1)
+    along, slide = (
+        np.stack([np.cos(angle), np.sin(angle)], axis=-1) for angle in (phi, phi - q[..., n:])
+    )
     across = rim * np.stack([-along[..., 1], along[..., 0]], axis=-1)
     couple = along * (0.5 / rim * force[..., n:, None])
     origins = np.concatenate([end, end + across, end - across], axis=-2)

@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from octarm.arm.parameters import ArmParameters
 from octarm.recordings import shapes
 from octarm.recordings.channels import disturbances_of
-from octarm.recordings.titles import events_of, title_of, wrapped
+from octarm.recordings.words import events_of, title_of, wrapped
 from octarm.simulation.trajectory import Trajectory
 
 _XML = """
@@ -47,16 +47,15 @@ class Stage:
     """The arm of one run, its desired arm as a ghost, and what acts on it.
 
     Attributes:
-        camera: MuJoCo's, which sees all of what is drawn.
+        camera: MuJoCo's, which sees all of what is drawn in these rows.
     """
 
     def __init__(self, run: Trajectory, rows: np.ndarray, description: Mapping[str, Any]) -> None:
-        """The stage of a run of one arm, of which these rows will be drawn."""
         p = ArmParameters.from_dict(description["parameters"])
         self._run, self._width, self._modules = run, float(np.median(p.width)), p.modules
         self._length = float(np.sum(p.rest_length))
         self._weight = float(np.sum(p.mass) * p.gravity)
-        loads = (each.load for each in disturbances_of(description).values())
+        loads = (each.load for each in disturbances_of(description))
         self._payloads = [load for load in loads if load is not None]
         self._plant = run.signals.get("plant_q") if description.get("plant") else None
         offset = 0.0 if self._plant is None else 1.1 * self._length
@@ -135,8 +134,8 @@ class Stage:
         """A cylinder a piece; radii and colours are those of each piece, or one for all."""
         radii = np.broadcast_to(radii, pieces.lengths.shape)
         colors = np.broadcast_to(colors, (len(radii), np.shape(colors)[-1]))
-        for *piece, radius, color in zip(*pieces, radii, colors, strict=True):
-            center, angle, length = piece
+        parts = zip(*pieces, radii, colors, strict=True)
+        for center, angle, length, radius, color in parts:
             if length > 1e-9:
                 cos, sin = np.cos(angle), np.sin(angle)
                 turn = [cos, 0.0, sin, 0.0, 1.0, 0.0, -sin, 0.0, cos]
@@ -158,12 +157,11 @@ class Stage:
 
 
 class Captions:
-    """The words of a film: what is run above, what acts and the time below."""
+    """The words of a film of this size [pixel]: what is run above, what acts and the time below."""
 
     def __init__(
         self, run: Trajectory, description: Mapping[str, Any], size: tuple[int, int]
     ) -> None:
-        """The words of a run, for pictures of this width and height [pixel]."""
         self._run, self._size = run, size
         self._letter = max(8, round(size[1] / 34))
         fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"

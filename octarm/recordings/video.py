@@ -22,7 +22,6 @@ Path = str | os.PathLike[str]
 _NEEDED = (
     "drawing needs an OpenGL library: on Debian it is one of the packages libegl1 and libosmesa6"
 )
-
 _MOST_PICTURES = 1_000_000
 _SOLIDS = 4000  # at most in a picture
 
@@ -54,9 +53,8 @@ def write_video(
     """Writes the film of a run, whole or not at all; the desired arm appears as a ghost.
 
     A plant of more modules than what is measured of it stands beside the arm that the controller
-    believes in.
-
-    `choose_renderer` must have been called before MuJoCo was imported, unless MUJOCO_GL is set.
+    believes in. `choose_renderer` must have been called before MuJoCo was imported, unless
+    MUJOCO_GL is set.
 
     Of what `run.json` holds, the description, only `parameters` are needed; the rest is written in
     the film. It has a width and height [pixel], even, and so many pictures a second [Hz], and runs

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
 PATIENCE = 60.0  # [s] for which the viewer may do nothing
-_NOWHERE = "http://127.0.0.1:9"
 _PASSED_ON = ("Content-Type", "Content-Encoding", "Cache-Control", "ETag")
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 _TARGET = re.compile(r"/[!-~]*")  # of a request: a path in characters that HTTP allows
@@ -83,7 +82,6 @@ def open_for_run(address: str = "") -> Generator[str]:
 
 
 def _await(viewer: _Viewer, port: int) -> None:
-    """Waits until a viewer listens at a port."""
     while True:
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
             return
@@ -147,15 +145,12 @@ def screenshot(
 
 
 class _Viewer:
-    """A running viewer, and the address that it serves recordings at."""
+    """A running viewer, and the port and the address that it serves recordings at."""
 
-    def __init__(self, process: subprocess.Popen[bytes], url: str, errors: IO[bytes]) -> None:
-        self.process, self.url, self._errors = process, url, errors
+    def __init__(self, process: subprocess.Popen[bytes], port: int, errors: IO[bytes]) -> None:
+        self.process, self.port, self._errors = process, port, errors
+        self.url = f"rerun+http://127.0.0.1:{port}/proxy"
         self._worked, self._since, self._late = -1.0, clock.monotonic(), ""
-
-    @property
-    def port(self) -> int:
-        return urllib.parse.urlsplit(self.url.removeprefix("rerun+")).port or 0
 
     def pause(self, patience: float) -> None:
         """Waits a moment for the viewer to get on, if it has not ended and patience [s] lasts.
@@ -230,7 +225,7 @@ def _running(arguments: list[str]) -> Generator[_Viewer]:
             command, stdin=subprocess.DEVNULL, stdout=errors, stderr=errors, env=_environment()
         )
         try:
-            yield _Viewer(process, f"rerun+http://127.0.0.1:{port}/proxy", errors)
+            yield _Viewer(process, port, errors)
         finally:
             process.kill()  # it has nothing to save; does nothing to one that has ended
             process.wait()
@@ -239,7 +234,7 @@ def _running(arguments: list[str]) -> Generator[_Viewer]:
 def _environment() -> dict[str, str]:
     """The environment of the viewer, without a way to the network."""
     kept = {k: v for k, v in os.environ.items() if not k.lower().endswith("_proxy")}
-    proxies = dict.fromkeys(("ALL_PROXY", "HTTP_PROXY", "HTTPS_PROXY"), _NOWHERE)
+    proxies = dict.fromkeys(("ALL_PROXY", "HTTP_PROXY", "HTTPS_PROXY"), "http://127.0.0.1:9")
     local = {"NO_PROXY": "127.0.0.1,localhost"}
     # Lesser messages would pop up over the plots; RERUN_APP_ONLY spares the welcome text.
     return {**kept, **proxies, **local, "RUST_LOG": "error", "RERUN_APP_ONLY": "true"}
@@ -286,17 +281,16 @@ def _guarded_page(page_port: int, data_port: int) -> Generator[int]:
             if hosts[0].lower() not in (f"127.0.0.1:{port}", f"localhost:{port}"):
                 self.send_error(http.HTTPStatus.FORBIDDEN)  # another site leads the browser here
                 return
+            encodings = self.headers.get("Accept-Encoding", "identity")
             source = http.client.HTTPConnection("127.0.0.1", page_port)
             try:
-                encodings = self.headers.get("Accept-Encoding", "identity")
-                source.request("GET", self.path, headers={"Accept-Encoding": encodings})
-                answer = source.getresponse()
-                body = answer.read()
+                with contextlib.closing(source):
+                    source.request("GET", self.path, headers={"Accept-Encoding": encodings})
+                    answer = source.getresponse()
+                    body = answer.read()
             except (http.client.HTTPException, OSError, ValueError):
                 self.send_error(http.HTTPStatus.BAD_GATEWAY)
                 return
-            finally:
-                source.close()
             self.send_response(answer.status)
             for name in _PASSED_ON:
                 if (value := answer.getheader(name)) is not None:

@@ -45,7 +45,8 @@ def scales_of(episodes: Episodes) -> list[Scale]:
         factor, unit = 1.0, "" if measure.unit == "1" else measure.unit
         if measure.unit in ("m", "rad", "N", "N m") and np.median(sizes) < 0.1:
             factor, unit = 1e3, f"m{unit}"
-        scales.append(Scale(factor, unit, measure.label + (f" [{unit}]" if unit else "")))
+        words = measure.metric.replace("_", " ") + (f", {measure.of}" if measure.of else "")
+        scales.append(Scale(factor, unit, words + (f" [{unit}]" if unit else "")))
     return scales
 
 
@@ -85,7 +86,6 @@ def pictures(comparisons: Comparisons) -> Iterator[Picture]:
 
 
 def _degradation(comparisons: Comparisons, factor: Factor) -> Figure:
-    """A panel for each measure, a line for each controller."""
     episodes = comparisons.episodes
     measures, names = episodes.measures, episodes.controllers
     figure, panels = figures.panels_of(len(measures), 2.15)
@@ -93,7 +93,7 @@ def _degradation(comparisons: Comparisons, factor: Factor) -> Figure:
         measure, ax = measures[j], panels[j]
         for c, name in enumerate(names):
             medians = [g.medians for g in comparisons.of(factor) if g.controller == name]
-            triples = np.array([[m.value[j], m.low[j], m.high[j]] for m in medians]).T
+            triples = np.array([[end[j] for end in median] for median in medians]).T
             shift = 0.0 if factor.scaled else _shift(c, len(names))
             _curve(ax, factor, name, triples * scale.factor, shift)
         _name_axis(ax, factor, last=j >= len(measures) - figures.row_length(panels))
@@ -127,11 +127,8 @@ def _curve(ax: Axes, factor: Factor, name: str, triples: np.ndarray, shift: floa
     value, low, high = np.where(np.isfinite(triples), triples, np.nan)
     reach = np.isinf(triples[2]) & np.isfinite(value)
     color, marker = look_of(name)
-    x = factor.places + shift
-    ax.plot(
-        x, value, color=color, marker=marker, label=name,
-        linestyle="-" if factor.scaled else "none", markeredgewidth=0.0,
-    )  # fmt: skip
+    x, line = factor.places + shift, "-" if factor.scaled else "none"
+    ax.plot(x, value, color=color, marker=marker, label=name, linestyle=line, markeredgewidth=0.0)
     if factor.scaled:
         ax.fill_between(x, low, high, color=color, alpha=0.18, linewidth=0.0)
     else:
@@ -141,7 +138,6 @@ def _curve(ax: Axes, factor: Factor, name: str, triples: np.ndarray, shift: floa
 
 
 def _boxes(comparisons: Comparisons) -> Figure:
-    """A panel for each measure, a box for each controller."""
     episodes = comparisons.episodes
     n = len(episodes.controllers)
     labels: list[str] = []
@@ -190,8 +186,7 @@ def _box(ax: Axes, c: int, color: str, column: np.ndarray, ends: tuple[float, fl
     ax.plot([low, high], [c, c], color=color, linewidth=1.2, solid_capstyle="butt")
     fill = {"color": (*to_rgb(color), 0.25), "edgecolor": color, "linewidth": 1.2}
     ax.barh(c, q3 - q1, left=q1, height=0.56, **fill)
-    middles = [c - 0.28, c + 0.28]
-    ax.plot([middle, middle], middles, color=color, linewidth=2.4, clip_on=False)
+    ax.plot([middle] * 2, [c - 0.28, c + 0.28], color=color, linewidth=2.4, clip_on=False)
     inside = [x for x in (column[0], column[-1]) if ends[0] < x < ends[1]]
     ax.plot(inside, [c] * len(inside), ".", color=color, markersize=3.5)
 
@@ -206,12 +201,14 @@ def _map(comparisons: Comparisons, cells: Cells) -> Figure:
         len(names), max(1.5, 0.34 * rows + 0.75), sharey=True, sharex=True
     )
     turned = 30.0 if max(map(len, second.labels)) > 10 else 0.0
-    norm = _norm(values)
-    image = None
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    wide = low > 0.0 and high > figures.LOGARITHMIC * low
+    norm = LogNorm(low, high) if wide else Normalize(low, high if high > low else low + 1.0)
     for ax, name, medians in zip(panels, names, values, strict=True):
         ax.set_facecolor(figures.LINE)
         look = {"cmap": "cividis", "edgecolors": figures.GROUND, "linewidth": 1.0}
-        image = ax.pcolormesh(np.ma.masked_invalid(medians), norm=norm, **look)
+        ax.pcolormesh(np.ma.masked_invalid(medians), norm=norm, **look)
         for (i, k), value in np.ndenumerate(medians):
             if rows * columns <= 64 and not np.isnan(value):
                 text = "∞" if np.isinf(value) else f"{value:.3g}"
@@ -229,24 +226,16 @@ def _map(comparisons: Comparisons, cells: Cells) -> Figure:
     for ax in panels[-figures.row_length(panels) :]:
         ax.tick_params(labelbottom=True)
     figures.name_axes(panels, second.title, first.title)
-    if image is not None:
-        bar = figure.colorbar(image, ax=panels, label=scale.title, pad=0.01, aspect=18)
-        if isinstance(norm, LogNorm):
-            figures.logarithmic_ticks(bar.ax.yaxis, norm.vmin or 1.0, norm.vmax or 1.0)
-        bar.outline.set_visible(False)
+    bar = figure.colorbar(
+        panels[-1].collections[0], ax=panels, label=scale.title, pad=0.01, aspect=18
+    )
+    if wide:
+        figures.logarithmic_ticks(bar.ax.yaxis, low, high)
+    bar.outline.set_visible(False)
     return figure
 
 
-def _norm(values: np.ndarray) -> Normalize:
-    known = values[np.isfinite(values)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-    if low > 0.0 and high > figures.LOGARITHMIC * low:
-        return LogNorm(low, high)
-    return Normalize(low, high if high > low else low + 1.0)
-
-
 def _failures(comparisons: Comparisons) -> Figure:
-    """A panel for each factor, or one for the whole sweep."""
     factors, names = comparisons.episodes.factors, comparisons.episodes.controllers
     figure, panels = figures.panels_of(max(1, len(factors)), 2.3, sharey=True)
     for factor, ax in zip(factors or (None,), panels, strict=True):

@@ -6,27 +6,19 @@ import csv
 import io
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from octarm.errors import OctarmError, closest, quoted
+from octarm.reports import statistics
 from octarm.reports.factors import Factor
 from octarm.reports.frame import Episodes, Measure
-from octarm.reports.statistics import (
-    FEWEST,
-    Interval,
-    Paired,
-    adjusted,
-    medians,
-    middle,
-    paired,
-    seeds_with_values,
-    share,
-)
+from octarm.reports.statistics import FEWEST, Interval, Paired
 
 TABLES = ("medians.csv", "failures.csv", "differences.csv", "cells.csv")
+_Row = dict[str, Any]  # of a table, by column
 
 
 class PairedDifference(NamedTuple):
@@ -34,7 +26,6 @@ class PairedDifference(NamedTuple):
 
     Attributes:
         measured: with arrays of shape (M,); the difference is that of sizes where zero is best.
-        pairs: their number.
         alone: pairs of which only this controller's episode diverged.
         other: those of which only the baseline's did.
         both: those of which both did.
@@ -57,7 +48,6 @@ class Group(NamedTuple):
 
     Attributes:
         factor: None for the whole sweep.
-        level: number of the factor's level.
         episodes: number of finished ones.
         failed: number of those that diverged, and `failures` their share.
         medians: of the measures, arrays of shape (M,).
@@ -83,11 +73,9 @@ class Group(NamedTuple):
 
 
 class Cells(NamedTuple):
-    """Medians over a grid of two factors.
+    """Medians over a grid of two factors, of K1 and K2 levels.
 
     Attributes:
-        first: the factor of K1 levels.
-        second: the factor of K2 levels.
         medians: of C controllers and M measures, shape (C, M, K1, K2); NaN where there is no
             episode.
     """
@@ -98,10 +86,9 @@ class Cells(NamedTuple):
 
 
 class Comparisons(NamedTuple):
-    """All the numbers of some episodes.
+    """All the numbers of some episodes; the baseline is empty when there is only one controller.
 
-    The groups are the whole sweep first, then factor by factor, level by level. The baseline is the
-    name of a controller, empty when there is only one.
+    The groups are the whole sweep first, then factor by factor, level by level.
     """
 
     episodes: Episodes
@@ -136,15 +123,14 @@ def compare(episodes: Episodes, baseline: str | None = None) -> Comparisons:
         if partner is not None and name != selected:
             difference = _difference(episodes, rows, partner[rows])
         fell, values, seeds = episodes.diverged[rows], episodes.values[rows], episodes.seed[rows]
-        group = Group(
-            factor, level, name, len(rows), int(np.sum(fell)), share(fell, seeds),
-            medians(values, seeds), seeds_with_values(values, seeds), difference,
-        )  # fmt: skip
-        groups.append(group)
-    chances = iter(adjusted([g.difference.chance for g in groups if g.difference is not None]))
-    for k, (*_, d) in enumerate(groups):
-        if d is not None:
-            groups[k] = groups[k]._replace(difference=d._replace(chance=next(chances)))
+        medians = statistics.medians(values, seeds)
+        share, known = statistics.share(fell, seeds), statistics.seeds_with_values(values, seeds)
+        count, failed = len(rows), int(np.sum(fell))
+        groups.append(Group(factor, level, name, count, failed, share, medians, known, difference))
+    compared = [(k, d) for k, group in enumerate(groups) if (d := group.difference) is not None]
+    chances = statistics.adjusted([d.chance for _, d in compared])
+    for (k, d), chance in zip(compared, chances, strict=True):
+        groups[k] = groups[k]._replace(difference=d._replace(chance=chance))
     pairs = itertools.combinations(factors, 2)
     pairs = ((b, a) if b.drawn and not a.drawn else (a, b) for a, b in pairs)  # long labels first
     cells = tuple(_cells(episodes, first, second) for first, second in pairs)
@@ -156,8 +142,8 @@ def _difference(episodes: Episodes, rows: np.ndarray, partner: np.ndarray) -> Pa
     zero_best = [measure.declared.zero_best for measure in episodes.measures]
     compared = np.where(zero_best, np.abs(episodes.values), episodes.values)
     fell, partner_fell = episodes.diverged[mine], episodes.diverged[other]
-    signs = np.array([measure.sign for measure in episodes.measures])
-    measured = paired(compared[mine], compared[other], episodes.seed[mine], signs)
+    signs = np.array([measure.declared.sign for measure in episodes.measures])
+    measured = statistics.paired(compared[mine], compared[other], episodes.seed[mine], signs)
     return PairedDifference(
         measured=measured,
         pairs=len(mine),
@@ -181,99 +167,77 @@ def partners(episodes: Episodes, controller: str) -> np.ndarray:
 
 
 def _cells(episodes: Episodes, first: Factor, second: Factor) -> Cells:
-    """Medians over the cells of two factors."""
     names, count = episodes.controllers, len(episodes.measures)
     middles = np.full((len(names), count, len(first.labels), len(second.labels)), np.nan)
     for c, i, k in np.ndindex(middles.shape[:1] + middles.shape[2:]):
         here = (episodes.controller == c) & (first.code == i) & (second.code == k)
         for m, values in enumerate(np.sort(episodes.values[here], axis=0).T):
             if known := int(np.sum(~np.isnan(values))):  # NaN last
-                middles[c, m, i, k] = middle(values[:known])
+                middles[c, m, i, k] = statistics.middle(values[:known])
     return Cells(first, second, middles)
 
 
 def tables(comparisons: Comparisons) -> dict[str, str]:
     """The CSV files by name, in SI units; those without a row are left out."""
-    rows = (_medians, _failures, _differences, _cell_medians)
-    files = {name: _csv(make(comparisons)) for name, make in zip(TABLES, rows, strict=True)}
-    return {name: text for name, text in files.items() if text}
-
-
-def _where(group: Group) -> dict[str, Any]:
-    factor = group.factor
-    axis, value = ("all", "") if factor is None else (factor.name, factor.levels[group.level])
-    return {"axis": axis, "value": value, "controller": group.controller}
-
-
-def _medians(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
+    medians, failures, differences = list[_Row](), list[_Row](), list[_Row]()
     for group in comparisons.groups:
-        counts = {"episodes": group.episodes, "diverged": group.failed}
+        factor = group.factor
+        axis, value = ("all", "") if factor is None else (factor.name, factor.levels[group.level])
+        where: _Row = {"axis": axis, "value": value, "controller": group.controller}
+        counts: _Row = {"episodes": group.episodes, "diverged": group.failed}
+        shares = dict(zip(("share", "low", "high"), group.failures, strict=True))
+        failures.append(where | counts | shares)
         for j, measure in enumerate(comparisons.episodes.measures):
-            median, low, high = (x[j] for x in group.medians)
-            ends = _ends(low, group.seeds[j])
-            numbers = {"median": median, "low": low, "high": high, "ends": ends}
-            yield _where(group) | _name(measure) | counts | numbers
+            median = _interval(group.medians, group.seeds, j, "median")
+            medians.append(where | _name(measure) | counts | median)
+            if (d := group.difference) is not None:
+                pairs, won, lost = (x[j] for x in d.measured[:3])
+                if not measure.declared.sign:  # there is nothing to win
+                    won = lost = ""
+                differences.append(
+                    where
+                    | {"baseline": comparisons.baseline}
+                    | _name(measure)
+                    | {"pairs": d.pairs, "compared": pairs, "won": won, "lost": lost}
+                    | _interval(d.measured.difference, d.measured.seeds, j, "median_difference")
+                    | {"p": d.measured.chance[j], "adjusted_p": d.chance[j]}
+                    | {"only_this_diverged": d.alone, "only_baseline_diverged": d.other}
+                    | {"both_diverged": d.both, "unpaired": d.unpaired}
+                )
+    rows = (medians, failures, differences, _cell_medians(comparisons))
+    return {name: _csv(some) for name, some in zip(TABLES, rows, strict=True) if some}
 
 
-def _failures(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
-    for group in comparisons.groups:
-        counts = {"episodes": group.episodes, "diverged": group.failed}
-        numbers = dict(zip(("share", "low", "high"), group.failures, strict=True))
-        yield _where(group) | counts | numbers
+def _interval(found: Interval, seeds: np.ndarray, j: int, name: str) -> _Row:
+    """The columns of a median of so many seeds; `ends` says what `low` and `high` are, if any."""
+    median, low, high = (x[j] for x in found)
+    ends = "" if math.isnan(low) else "range" if seeds[j] < FEWEST else "95 % interval"
+    return {name: median, "low": low, "high": high, "ends": ends}
 
 
-def _differences(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
-    for group in comparisons.groups:
-        if (d := group.difference) is None:
-            continue
-        for j, measure in enumerate(comparisons.episodes.measures):
-            pairs, won, lost = (x[j] for x in d.measured[:3])
-            median, low, high = (x[j] for x in d.measured.difference)
-            ends = _ends(low, d.measured.seeds[j])
-            if not measure.sign:  # there is nothing to win
-                won = lost = ""
-            yield _where(group) | {"baseline": comparisons.baseline} | _name(measure) | {
-                "pairs": d.pairs, "compared": pairs, "won": won, "lost": lost,
-                "median_difference": median, "low": low, "high": high,
-                "ends": ends, "p": d.measured.chance[j], "adjusted_p": d.chance[j],
-                "only_this_diverged": d.alone, "only_baseline_diverged": d.other,
-                "both_diverged": d.both, "unpaired": d.unpaired,
-            }  # fmt: skip
-
-
-def _ends(low: float, seeds: int) -> str:
-    """What `low` and `high` are the ends of; nothing where there are none."""
-    return "" if math.isnan(low) else "range" if seeds < FEWEST else "95 % interval"
-
-
-def _cell_medians(comparisons: Comparisons) -> Iterator[dict[str, Any]]:
+def _cell_medians(comparisons: Comparisons) -> list[_Row]:
     names, measures = comparisons.episodes.controllers, comparisons.episodes.measures
+    rows: list[_Row] = []
     for first, second, values in comparisons.cells:
         for place, value in np.ndenumerate(values):
             c, m, i, k = map(int, place)
-            yield {
-                "axis_1": first.name, "value_1": first.levels[i],
-                "axis_2": second.name, "value_2": second.levels[k], "controller": names[c],
-            } | _name(measures[m]) | {"median": value}  # fmt: skip
+            one: _Row = {"axis_1": first.name, "value_1": first.levels[i]}
+            other: _Row = {"axis_2": second.name, "value_2": second.levels[k]}
+            median = {"controller": names[c]} | _name(measures[m]) | {"median": value}
+            rows.append(one | other | median)
+    return rows
 
 
-def _name(measure: Measure) -> dict[str, str]:
+def _name(measure: Measure) -> _Row:
     return {"metric": measure.name, "unit": measure.unit}
 
 
-def _csv(rows: Iterable[dict[str, Any]]) -> str:
-    """A table with a header, floats with nine digits, NaN empty; no text without a row."""
-    lines = [{name: _plain(value) for name, value in row.items()} for row in rows]
-    if not lines:
-        return ""
+def _csv(rows: Sequence[_Row]) -> str:
+    """A table with a header, floats with nine digits, NaN empty."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(lines[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(lines)
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(rows[0])
+    for row in rows:
+        known = ("" if isinstance(x, float) and math.isnan(x) else x for x in row.values())
+        writer.writerow(f"{x:.9g}" if isinstance(x, float) else x for x in known)
     return text.getvalue()
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, float):
-        return "" if math.isnan(value) else f"{value:.9g}"
-    return value

@@ -18,11 +18,7 @@ _FEW = 8  # seeds, below which intervals are rough
 
 
 class Remark(NamedTuple):
-    """Something that a reader should know: a sentence.
-
-    Attributes:
-        warning: whether a number is not to be believed without looking into it.
-    """
+    """A sentence that a reader should know; a warning that a number may be wrong."""
 
     warning: bool
     text: str
@@ -56,28 +52,25 @@ def _unfinished(episodes: Episodes) -> Iterator[Remark]:
 def _versions(episodes: Episodes) -> Iterator[Remark]:
     starts = [start["versions"] for start in episodes.manifest["starts"]]
     for name in dict.fromkeys(key for versions in starts for key in versions):
-        different = list(dict.fromkeys(str(versions.get(name)) for versions in starts))
+        different = dict.fromkeys(str(versions.get(name)) for versions in starts)
         if len(different) > 1:
             both = " and ".join(different)
             yield Remark(True, f"Parts of the sweep ran with different {name}: {both}.")
 
 
 def _engines(episodes: Episodes) -> Iterator[Remark]:
-    """How far the engines are apart, if some episodes were run on both."""
     difference = episodes.engine_difference
     if difference.size:
         yield Remark(bool(np.any(difference > LIMIT)), sentence(difference, len(episodes.seed)))
 
 
 def _same_states(episodes: Episodes) -> Iterator[Remark]:
-    """Controllers that cannot be told apart."""
     for j, second in enumerate(episodes.controllers):
         partner = partners(episodes, second)
         for first in episodes.controllers[:j]:
             rows = episodes.of_controller(first)
             rows = rows[partner[rows] >= 0]
-            same = int(np.sum(episodes.digest[rows] == episodes.digest[partner[rows]]))
-            if same:
+            if same := int(np.sum(episodes.digest[rows] == episodes.digest[partner[rows]])):
                 yield Remark(
                     True,
                     f"{first} and {second} moved the arm in the same way to the last digit in "
@@ -140,7 +133,6 @@ def _is_idle(episodes: Episodes, factor: Factor, rows: np.ndarray) -> bool:
 
 
 def _seeds(episodes: Episodes) -> Iterator[Remark]:
-    """Seeds that are few, or all the same."""
     count, planned = len(np.unique(episodes.seed)), episodes.spec.episodes
     if count < _FEW:
         seeds = "one seed" if count == 1 else f"{count} seeds"
@@ -158,8 +150,7 @@ def _seeds(episodes: Episodes) -> Iterator[Remark]:
     starts = np.flatnonzero(np.diff(cell, prepend=-1))
     sizes = np.diff(np.append(starts, len(cell)))
     same = np.maximum.reduceat(digest, starts) == np.minimum.reduceat(digest, starts)
-    repeated = int(np.sum(same & (sizes > 1)))
-    if repeated:
+    if repeated := int(np.sum(same & (sizes > 1))):
         yield Remark(
             False,
             f"Nothing random acts in {repeated} of {len(starts)} cells (a controller at one place "

@@ -21,7 +21,6 @@ class Factor:
     """What differs between episodes, apart from the controller and the seed: an axis of the grid.
 
     Attributes:
-        name: of its column.
         unit: of its labels and places, % of a share; empty for words.
         levels: in words, as the table of the sweep has them; ranges when its values were drawn.
         labels: the same in its unit.

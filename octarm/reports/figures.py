@@ -36,14 +36,7 @@ _STYLE = Path(__file__).with_suffix(".mplstyle")
 
 
 class Picture(NamedTuple):
-    """A figure in both formats.
-
-    Attributes:
-        name: of the file, without its ending.
-        caption: says what the figure shows.
-        svg: text.
-        png: bytes.
-    """
+    """A figure in both formats, with a caption, and the name of its files without ending."""
 
     name: str
     caption: str
@@ -57,8 +50,8 @@ class Picture(NamedTuple):
 
     def files(self, folder: Path) -> dict[Path, bytes]:
         """What to write into a folder: the figure in both formats."""
-        ending = {".svg": self.svg.encode(), ".png": self.png}
-        return {folder / f"{self.name}{end}": content for end, content in ending.items()}
+        place = folder / self.name
+        return {Path(f"{place}.svg"): self.svg.encode(), Path(f"{place}.png"): self.png}
 
 
 @contextlib.contextmanager
@@ -164,7 +157,5 @@ def add_legend(figure: Figure, ax: Axes) -> None:
     room = int(figure.get_figwidth() / (0.7 + LETTER * max(map(len, labels))))
     columns = min(max(1, room), len(labels), 5)
     figure.set_figheight(figure.get_figheight() + 0.2 * -(-len(labels) // columns))
-    figure.legend(
-        handles, labels, loc="outside upper left", ncols=columns, handlelength=1.8,
-        columnspacing=1.6, borderaxespad=0.1,
-    )  # fmt: skip
+    figure.legend(handles, labels, loc="outside upper left", ncols=columns, handlelength=1.8,
+                  columnspacing=1.6, borderaxespad=0.1)  # fmt: skip

@@ -16,8 +16,8 @@ from octarm.arm.lagrange import equilibrium
 from octarm.arrays import coordinate_names
 from octarm.declared import Code
 from octarm.errors import OctarmError, closest, printable, quoted
-from octarm.metrics.declared import declared_metrics
 from octarm.metrics.metric import Metric, unsettled
+from octarm.metrics.table import declared_metrics
 from octarm.references import is_built_in, named_reference
 from octarm.reports.factors import LONGEST, Factor, factors_of, places
 from octarm.sweeps import engine_check
@@ -34,10 +34,8 @@ _TOGETHER = {"rms": ", over all inputs", "max": ", of any input", "mean": ", mea
 class Measure(NamedTuple):
     """A number of each episode: a column of a metric, or the inputs' columns brought together.
 
-    Attributes:
-        name: its column, or the name of the metric if there are several.
-        of: the coordinate or input; empty for the arm and for all inputs.
-        declared: the declaration of the metric.
+    Its name is that of its column, or of the metric if there are several. It is of a coordinate or
+    an input; of nothing for the arm and for all inputs.
     """
 
     name: str
@@ -48,21 +46,16 @@ class Measure(NamedTuple):
     declared: Metric
 
     @property
-    def sign(self) -> int:
-        """That of the metric."""
-        return self.declared.sign
+    def awaited(self) -> list[str]:
+        """Names of the columns that have a value whenever the measure was to be expected."""
+        awaited = self.declared.waits_for
+        return [column.replace(self.metric, awaited, 1) for column in self.columns if awaited]
 
     @property
     def text(self) -> str:
         """Its meaning, in one line."""
         several = len(self.columns) > 1
         return self.declared.text + (_TOGETHER[self.declared.together] if several else "")
-
-    @property
-    def label(self) -> str:
-        """Its name in words: `rms error, theta1`."""
-        words = self.metric.replace("_", " ")
-        return f"{words}, {self.of}" if self.of else words
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,9 +66,6 @@ class Episodes:
     time that never came: dropping them would favour the controller that loses the hard episodes.
 
     Attributes:
-        spec: of the sweep.
-        manifest: likewise.
-        controllers: in the order of the spec.
         factors: those that take more than one value.
         measures: those that were asked for and have a value.
         absent: names of those that were asked for and have none.
@@ -121,7 +111,7 @@ class Episodes:
         return f"{finished}episode{' that did not diverge' if self.diverged.any() else ''}"
 
     def cell(self, but: Factor | None = None) -> np.ndarray:
-        """A number for each place of the grid, whatever the level of a factor, shape (n,).
+        """A number for each place of the grid, whatever the level of `but`, shape (n,).
 
         What was drawn goes with the seed.
         """
@@ -154,9 +144,9 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
     asked = [measure for measures in wanted.values() for measure in measures]
     errors = [column for column in columns if column.metric == "rms_error"]
     needed = ["controller", "seed", "status", "digest", *(x.name for x in (*axes, *errors))]
-    needed += [name for name in (engine_check.COLUMN,) if name in schema.names]
-    for measure in asked:
-        needed += [*measure.columns, *(name for name in _awaited(measure) if name in schema.names)]
+    needed += [name for measure in asked for name in measure.columns]
+    optional = [engine_check.COLUMN, *(name for measure in asked for name in measure.awaited)]
+    needed += [name for name in optional if name in schema.names]
     table = read_sweep(folder, [*dict.fromkeys(needed)])
     held = {name: table[name].to_numpy() for name in table.column_names}
     controller = places(held["controller"], spec.controllers)
@@ -169,16 +159,15 @@ def read_episodes(folder: Path, metrics: Sequence[str] = ()) -> Episodes:
             values[measure] = column
         else:
             absent.append(measure.name)
+    if not values and diverged.all():
+        raise OctarmError(
+            f"all finished episodes of {folder} diverged; there is nothing to report of them"
+        )
     if not values:
-        if diverged.all():
-            raise OctarmError(
-                f"all finished episodes of {folder} diverged; there is nothing to report of them"
-            )
         why = "its controllers do not have it, or all episodes diverged of those that have it"
         why = unsettled(spec.duration, spec.settle, "settle =") or why
-        raise OctarmError(
-            f"{folder} has no value of {', '.join(absent)} in any finished episode; {why}"
-        )
+        lacks = f"has no value of {', '.join(absent)} in any finished episode"
+        raise OctarmError(f"{folder} {lacks}; {why}")
     lost, poor, exact = _suspects(held, errors, spec)
     apart = held.get(engine_check.COLUMN, np.empty(0))
     return Episodes(
@@ -231,27 +220,20 @@ def _measures(
     if known[name].of == "input":
         names = tuple(column.name for column in of_metric)
         return [Measure(name, name, "", names, of_metric[0].unit, known[name])]
-    if known[name].of == "coordinate":
-        moving = _moved(spec, [column.of for column in of_metric])
-        return [column for column, moves in zip(of_metric, moving, strict=True) if moves]
+    if known[name].of == "coordinate" and all(map(is_built_in, spec.references)):
+        errors = _hanging_errors(spec, [column.of for column in of_metric], 0.0, 10.0)
+        moving = np.any([error > _STILL for error in errors.values()], axis=0)
+        if np.any(moving):  # else all of them rest
+            return [column for column, moves in zip(of_metric, moving, strict=True) if moves]
     return of_metric
-
-
-def _moved(spec: SweepSpec, names: Sequence[str]) -> np.ndarray:
-    """Which coordinates of these names move from rest, shape (k,); all if that is not known."""
-    known = all(map(is_built_in, spec.references))
-    errors = _hanging_errors(spec, names, 0.0, 10.0) if known else {}
-    moving = np.any([error > _STILL for error in errors.values()], axis=0)
-    return np.broadcast_to(moving if np.any(moving) else ~moving, (len(names),))
 
 
 def _hanging_errors(
     spec: SweepSpec, names: Sequence[str], begin: float, end: float
 ) -> dict[tuple[str, str], np.ndarray]:
-    """The rms errors of arms that hang still between two instants [s], of these coordinates.
+    """The rms errors, shape (k,), of arms that hang still between two instants, of coordinates.
 
-    They are given by the names of each built-in reference and arm, shape (k,) [m], [rad]; 0 for a
-    coordinate that the arm does not have.
+    They are by the names of each built-in reference and arm; 0 for a coordinate the arm lacks.
     """
     errors: dict[tuple[str, str], np.ndarray] = {}
     for reference, arm in itertools.product(spec.references, spec.arms or [""]):
@@ -267,12 +249,6 @@ def _hanging_errors(
     return errors
 
 
-def _awaited(measure: Measure) -> list[str]:
-    """Names of the columns that have a value whenever the measure was to be expected."""
-    awaited = measure.declared.waits_for
-    return [column.replace(measure.metric, awaited, 1) for column in measure.columns if awaited]
-
-
 def _values(
     held: Mapping[str, np.ndarray], measure: Measure, controller: np.ndarray, diverged: np.ndarray
 ) -> np.ndarray:
@@ -285,15 +261,15 @@ def _values(
         values = np.sqrt(np.mean(np.square(columns), axis=0))
     else:
         values = (np.max if together == "max" else np.mean)(columns, axis=0)
-    if not measure.sign:
+    if not measure.declared.sign:
         return values
-    for name in _awaited(measure):
+    for name in measure.awaited:
         if name in held:
             values = np.where(~np.isnan(held[name]) & np.isnan(values), math.inf, values)
     for i in range(controller.max() + 1):  # what a controller does not have cannot be lost
         mine = controller == i
         if np.all(diverged[mine]) or not np.all(np.isnan(values[mine])):
-            values = np.where(mine & diverged, measure.sign * math.inf, values)
+            values = np.where(mine & diverged, measure.declared.sign * math.inf, values)
     return values
 
 
@@ -311,7 +287,8 @@ def _suspects(
         if arm:
             here &= held[ARM] == arm
         for column, limit in zip(errors, hanging, strict=True):
-            lost |= here & (limit > _STILL) & (held[column.name] >= limit)
-            poor |= here & (limit > _STILL) & (held[column.name] > _POOR * limit)
-            exact |= here & (limit > _STILL) & (held[column.name] == 0.0)
+            if limit > _STILL:
+                lost |= here & (held[column.name] >= limit)
+                poor |= here & (held[column.name] > _POOR * limit)
+                exact |= here & (held[column.name] == 0.0)
     return lost, poor, exact

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from octarm.html import Cell, Table, templates
-from octarm.metrics.declared import code_of, declared_metrics
 from octarm.metrics.metric import Metric
+from octarm.metrics.table import code_of, declared_metrics
 from octarm.palette import OTHERS, look_of
 from octarm.recordings.channels import coordinates_of
-from octarm.recordings.comparison import difference
-from octarm.recordings.titles import events_of
-from octarm.recordings.what_differs import Compared
+from octarm.recordings.comparison import Compared, difference
+from octarm.recordings.words import events_of
 from octarm.reports import figures
 from octarm.reports.figures import Picture
 from octarm.reports.frame import DEFAULT
-from octarm.reports.page import number
+from octarm.reports.report import number
 from octarm.reports.run_figures import thinned
 from octarm.runs.folder import Run
 
@@ -31,14 +30,13 @@ _Curve = tuple[int, np.ndarray, np.ndarray]
 
 
 class RunComparison(Compared):
-    """Runs of arms with as many modules each, next to each other.
+    """Two or more runs of arms with as many modules each, next to each other.
 
     Attributes:
         colors: of the runs: those of their controllers, if these tell them apart.
     """
 
     def __init__(self, runs: Sequence[Run]) -> None:
-        """Compares these runs, two or more."""
         self._runs = runs
         self._descriptions = [description for _, description in runs]
         super().__init__(self._descriptions)
@@ -66,17 +64,15 @@ class RunComparison(Compared):
         )
 
     def _differing(self, folders: Sequence[str]) -> Table:
-        """A row for each difference, below the titles of the runs."""
         runs = zip(self.names, self.titles, self.colors, strict=True)
         head = [Cell(name, [title], "left", color) for name, title, color in runs]
-        rows = [[Cell("folder", kind="left"), *(Cell(name, kind="wide") for name in folders)]]
-        for each in self.differences:
-            kind = "left task" if each.of_the_task else "left"
-            rows.append([Cell(each.name, kind=kind), *(Cell(x, kind="wide") for x in each.values)])
+        rows: list[list[Cell]] = []
+        for name, values, of_the_task in [("folder", folders, False), *self.differences]:
+            kind = "left task" if of_the_task else "left"
+            rows.append([Cell(name, kind=kind), *(Cell(x, kind="wide") for x in values)])
         return Table([Cell("", kind="left"), *head], rows)
 
     def _numbers(self) -> Iterator[tuple[str, list[list[Cell]]]]:
-        """The rows of each metric that a run has."""
         known: dict[str, Metric] = {}
         for description in self._descriptions:
             known |= declared_metrics(code_of(description))
@@ -90,20 +86,18 @@ class RunComparison(Compared):
         Of a metric with several numbers, such as one a coordinate, in how many of them.
         """
         for name, rows in self._numbers() if self.ranked else ():
-            best = [[x for x, cell in zip(self.names, row[2:], strict=True) if cell.kind == "best"]
-                    for row in rows]  # fmt: skip
-            told = [names for names in best if 0 < len(names) < len(self.names)]
-            counts = {x: sum(x in names for names in told) for x in self.names}
+            best = [[cell.kind == "best" for cell in row[2:]] for row in rows]
+            told = [row for row in best if any(row) and not all(row)]
+            counts = zip(self.names, map(sum, zip(*told, strict=True)), strict=False)
             words = [
-                f"{x} is best" + (f" in {n} of {len(rows)}" if len(rows) > 1 else "")
-                for x, n in counts.items()
-                if n
+                f"{run} is best" + (f" in {count} of {len(rows)}" if len(rows) > 1 else "")
+                for run, count in counts
+                if count
             ]
-            if words or any(best):
+            if words or any(map(any, best)):
                 yield f"{name.replace('_', ' ')}: {', '.join(words) or 'alike'}"
 
     def _rows(self, name: str, metric: Metric) -> Iterator[list[Cell]]:
-        """A row for each coordinate or input, or one for the arm."""
         of, groups = [""], {"": slice(None)}
         if metric.of == "coordinate":
             of, groups = self._coordinates.names, self._coordinates.groups
@@ -150,9 +144,8 @@ class RunComparison(Compared):
             ends: list[float] = []
             for i, t, values in curves:
                 y = factor * np.where(np.abs(values[:, j]) < _LARGEST, values[:, j], np.nan)
-                label = f"{self.names[i]}: {self.titles[i]}"
-                color = self.colors[i]
-                ax.plot(*thinned(t, y, _POINTS), color=color, linewidth=0.9, label=label)
+                look = {"color": self.colors[i], "label": f"{self.names[i]}: {self.titles[i]}"}
+                ax.plot(*thinned(t, y, _POINTS), linewidth=0.9, **look)
                 ends += [float(y.min()), float(y.max())] if i in fine else []
             ax.set_title(f"{part} {what}".strip() + f" [{unit}]")
             for at in self._begins:
@@ -169,8 +162,7 @@ class RunComparison(Compared):
         return figures.save_figure(name, caption, figure)
 
 
-def _column(value: Any, count: int) -> list[float]:
-    """The numbers of a metric; NaN where there is none."""
-    numbers = cast("list[Any]", value if isinstance(value, list) else [value])
-    numbers = [math.nan if x is None else float(x) for x in numbers]
-    return numbers if len(numbers) == count else [math.nan] * count
+def _column(value: Any, count: int) -> np.ndarray:
+    """The numbers of a metric, shape (count,); NaN where there is none."""
+    numbers = np.array(value, dtype=float).ravel()  # None becomes NaN
+    return numbers if len(numbers) == count else np.full(count, math.nan)

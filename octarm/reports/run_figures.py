@@ -17,18 +17,9 @@ from matplotlib.ticker import MaxNLocator
 from octarm.files import write_files
 from octarm.palette import MODULES
 from octarm.recordings.channels import THOUSANDTHS, Channel, channels_of, has_energy
-from octarm.recordings.titles import events_of, title_of, wrapped
-from octarm.reports.figures import (
-    FAILED,
-    GRAY,
-    GROUND,
-    INK,
-    Axes,
-    Figure,
-    figure_style,
-    logarithmic_ticks,
-    save_figure,
-)
+from octarm.recordings.words import events_of, title_of, wrapped
+from octarm.reports import figures
+from octarm.reports.figures import FAILED, GRAY, GROUND, INK, Axes, Figure
 from octarm.simulation.trajectory import Trajectory
 
 _MOST = 4000  # points a curve; of more only the extremes of each stretch are drawn
@@ -55,11 +46,10 @@ def write_figures(
     raises OSError if one cannot be written.
     """
     drawn: dict[Path, bytes] = {}
-    with figure_style():
+    with figures.figure_style():
         warnings.simplefilter("ignore")  # a number without end is drawn as none
         for name, figure in _Drawing(run, description).figures():
-            picture = save_figure(name, "", figure)
-            drawn |= picture.files(Path(folder))
+            drawn |= figures.save_figure(name, "", figure).files(Path(folder))
     write_files(drawn)
     return list(drawn)
 
@@ -77,8 +67,6 @@ class _Panel(NamedTuple):
 
 
 class _Drawing:
-    """Draws the figures of one run."""
-
     def __init__(self, run: Trajectory, description: Mapping[str, Any]) -> None:
         self._rows, self._t = dict(run.arrays()), run.t
         self._title = wrapped(title_of(description), _LETTERS)
@@ -89,7 +77,6 @@ class _Drawing:
         self._channels = channels_of(self._rows, description, run.layer, disturbed=disturbed)
 
     def figures(self) -> Iterator[tuple[str, Figure]]:
-        """The figures by name."""
         rules = [channel for channel in self._channels.values() if channel.kind == "rules"]
         yield "tracking", self._figure(self._panels("q", desired=True))
         yield "error", self._figure(self._panels("error"))
@@ -106,24 +93,19 @@ class _Drawing:
             yield "disturbance", self._figure(self._panels("disturbance"))
 
     def _panels(self, name: str, desired: bool = False) -> Iterator[_Panel]:
-        """A panel for each part of a channel, if there is such a channel."""
         if (channel := self._channels.get(name)) is not None:
             for part, where in channel.parts.items():
-                label = ", ".join(filter(None, [channel.title, part]))
                 looks = zip(channel.names[where], itertools.cycle(MODULES), strict=False)
                 styles = [{"color": color, "label": _symbol(name)} for name, color in looks]
                 unit = channel.units[part].strip(" []")
-                yield _Panel(channel, where, label, unit, styles, desired)
+                yield _Panel(channel, where, channel.label(part), unit, styles, desired)
 
     def _inputs(self) -> Iterator[_Panel]:
-        """A panel for each module, with both of its columns."""
         channel = self._channels["tau"]
         modules = zip(range(len(channel.names) // 2), itertools.cycle(MODULES), strict=False)
         for i, color in modules:
-            styles = [
-                {"color": color, "label": f"column {a}", "linestyle": line}
-                for a, line in ((1, "-"), (2, "--"))
-            ]
+            first = {"color": color, "label": "column 1", "linestyle": "-"}
+            styles = [first, {**first, "label": "column 2", "linestyle": "--"}]
             yield _Panel(channel, slice(2 * i, 2 * i + 2), f"τ, module {i + 1}", "N", styles)
 
     def _figure(self, panels: Iterable[_Panel | Channel], height: float = 1.9) -> Figure:
@@ -147,7 +129,6 @@ class _Drawing:
         return figure
 
     def _draw_events(self, ax: Axes, *, named: bool) -> None:
-        """A line where a disturbance begins and where the run failed."""
         for at, text in self._events:
             color = FAILED if at >= self._t[-1] else INK
             ax.axvline(at, color=color, linewidth=1.0, linestyle=(0, (4, 2)), clip_on=False)
@@ -163,11 +144,14 @@ class _Drawing:
         values = _drawable(panel.channel.values(self._rows)[:, panel.part])
         desired = _drawable(self._rows["q_d"][:, panel.part]) if panel.desired else values
         largest = float(np.max(np.abs(np.nan_to_num(np.stack([values, desired])))))
-        scale, unit = _scale(panel.unit, largest)
+        scale, unit = 1.0, panel.unit
+        if unit in THOUSANDTHS and (largest < 0.1 or unit == "m") and largest > 0.0:
+            scale, unit = 1e3, THOUSANDTHS[unit]  # lengths are in mm however large
         if panel.logarithmic:
             values = np.maximum(values, 1e-12 * max(largest, 1e-12))
             ax.set_yscale("log")
-            logarithmic_ticks(ax.yaxis, *(float(f(values)) * scale for f in (np.nanmin, np.nanmax)))
+            ends = float(np.nanmin(values)) * scale, float(np.nanmax(values)) * scale
+            figures.logarithmic_ticks(ax.yaxis, *ends)
         else:
             ax.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=3))
         for style, y, y_d in zip(panel.styles, values.T, desired.T, strict=True):
@@ -179,9 +163,8 @@ class _Drawing:
             ax.plot([], [], color=GRAY, linewidth=3.0, alpha=0.5, label="desired")
         self._draw_bound(ax, panel, largest, scale, unit)
         if "label" in panel.styles[0]:
-            ax.legend(
-                loc="upper left", bbox_to_anchor=(1.0, 1.02), handlelength=1.4, borderaxespad=0.2
-            )
+            ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), handlelength=1.4,
+                      borderaxespad=0.2)  # fmt: skip
         kind = " (log)" if panel.logarithmic else ""
         ax.set_ylabel(f"{panel.label}{f' [{unit}]' if unit else ''}{kind}")
 
@@ -214,10 +197,8 @@ class _Drawing:
         shade = (changes / np.maximum(largest, 1e-300)).reshape(-1, len(few))
         rules = len(shade) // coordinates
         extent = (float(self._t[0]), float(self._t[-1]), len(shade) - 0.5, -0.5)
-        image = ax.imshow(
-            shade, aspect="auto", cmap="RdBu_r", vmin=-1, vmax=1, extent=extent, rasterized=True,
-            interpolation="nearest",
-        )  # fmt: skip
+        image = ax.imshow(shade, aspect="auto", cmap="RdBu_r", vmin=-1, vmax=1, extent=extent,
+                          rasterized=True, interpolation="nearest")  # fmt: skip
         names = [_symbol(name.rsplit("_", 1)[0]) for name in channel.names[::rules]]
         ax.set_yticks(rules * np.arange(coordinates) + 0.5 * (rules - 1), names)
         for j in range(1, coordinates):
@@ -225,12 +206,6 @@ class _Drawing:
         ax.grid(False)
         ax.set_ylabel(f"change of {_symbol(channel.name)}")
         figure.colorbar(image, ax=ax, label="share of largest", pad=0.01)
-
-
-def _scale(unit: str, largest: float) -> tuple[float, str]:
-    """What values are multiplied by, and their unit then; lengths are in mm however large."""
-    small = unit in THOUSANDTHS and (largest < 0.1 or unit == "m") and largest > 0.0
-    return (1e3, THOUSANDTHS[unit]) if small else (1.0, unit)
 
 
 def _drawable(values: np.ndarray) -> np.ndarray:

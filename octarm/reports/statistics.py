@@ -1,8 +1,7 @@
 """Medians, shares and paired differences, each with its interval; all of it repeatable.
 
-What is drawn at random in a sweep is its seeds. Episodes of one seed in several cells of the grid
-share their random numbers, so that a seed, not an episode, is one observation: the grid is taken as
-it is.
+What is drawn at random in a sweep is its seeds. Episodes of one seed share their random numbers, so
+that a seed, not an episode, is one observation: the grid is taken as it is.
 
 The interval of a median is that of a sign test over seeds. A seed's balance is the number of its
 values below a limit, less half of all its values. If the limit is the true median, a balance is as
@@ -41,10 +40,7 @@ class Interval(NamedTuple):
     Of a median of fewer than `FEWEST` seeds it is no interval, but the range from the smallest to
     the largest value of a seed.
 
-    Attributes:
-        value: the estimate.
-        low: lower end of the interval; NaN if there is none, as with a single seed.
-        high: upper end.
+    Its ends are NaN if there is none, as with a single seed.
     """
 
     value: Any
@@ -74,8 +70,8 @@ def share(true: npt.ArrayLike, seeds: npt.ArrayLike) -> Interval:
     the variance of the share, with Student's t for that of few seeds (Korn and Graubard, 1998), but
     no more than there are rows, and no less than there are seeds. The variance is the one between
     seeds, and to one part in m + 1 the largest that there can be, that of seeds whose rows are all
-    alike: m is the number of seeds with a true row, or with a false one if they are fewer. So it is
-    the latter alone where nothing was seen of a variance. Rows and their seeds have shape (n,).
+    alike: m is the number of seeds with a true row, or with a false one if they are fewer. Rows and
+    their seeds have shape (n,).
     """
     rows = np.asarray(true, dtype=np.float64)
     owner = np.unique(np.asarray(seeds), return_inverse=True)[1]
@@ -99,11 +95,9 @@ def medians(values: npt.ArrayLike, seeds: npt.ArrayLike) -> Interval:
     """Medians of columns, with the intervals of a sign test over seeds.
 
     There is a row an episode, shape (n, M), NaN where there is no value, with its seeds, shape
-    (n,). A value may be infinite: it counts as larger, or smaller, than all others.
-
-    Returns:
-        Three arrays of shape (M,); NaN where a column has no value, and for intervals where fewer
-        than two seeds have one. See `seeds_with_values` for which of them are ranges.
+    (n,). A value may be infinite: it counts as larger, or smaller, than all others. The three
+    arrays have the shape (M,); NaN where a column has no value, and for intervals where fewer than
+    two seeds have one. See `seeds_with_values` for which of them are ranges.
     """
     rows, owner = np.asarray(values, dtype=np.float64), np.asarray(seeds)
     found = [_median(rows[:, j], owner) for j in range(rows.shape[1])]
@@ -146,13 +140,13 @@ def paired(
     The sign is 1 where less is better, -1 where more is, 0 where neither, shape (M,).
     """
     one, other = (np.asarray(x, dtype=np.float64) for x in (own, partner))
-    sign = np.asarray(sign)
     with np.errstate(invalid="ignore"):  # infinity less infinity
         difference = one - other
+    worse = np.asarray(sign) * np.sign(difference)
     return Paired(
         pairs=np.sum(~np.isnan(one) & ~np.isnan(other), axis=0),
-        won=np.sum(sign * np.sign(difference) < 0, axis=0),
-        lost=np.sum(sign * np.sign(difference) > 0, axis=0),
+        won=np.sum(worse < 0, axis=0),
+        lost=np.sum(worse > 0, axis=0),
         difference=medians(difference, seeds),
         seeds=seeds_with_values(difference, seeds),
         chance=np.array([_chance(column, seeds) for column in difference.T]),
@@ -186,7 +180,7 @@ def _median(column: np.ndarray, seeds: np.ndarray) -> tuple[float, float, float]
     value = middle(values)
     if len(owners) < 2:
         return value, math.nan, math.nan
-    if 0.5 ** len(owners) > _TAIL:
+    if len(owners) < FEWEST:
         each = [middle(values[owner == k]) for k in range(len(owners))]
         return value, min(each), max(each)
     low, high = _place(owner), n - 1 - _place(owner[::-1])
@@ -214,11 +208,8 @@ def _place(owner: np.ndarray) -> int:
 def _below(balance: np.ndarray) -> bool:
     """Whether signs flipped by chance seldom give at most the sum of balances."""
     total, square = float(np.sum(balance)), float(np.sum(balance * balance))
-    if total >= 0.0:
-        return False
-    if total * total > -2.0 * math.log(_TAIL) * square:  # by Hoeffding's bound
-        return True
-    return _shares(balance)[0] <= _TAIL
+    certain = total * total > -2.0 * math.log(_TAIL) * square  # by Hoeffding's bound
+    return total < 0.0 and (certain or _shares(balance)[0] <= _TAIL)
 
 
 def _shares(balance: np.ndarray) -> tuple[float, float]:

@@ -23,10 +23,9 @@ from octarm.errors import OctarmError, closest, quoted
 from octarm.formats import Document
 from octarm.interfaces import Controller, ControllerFactory, Rows
 from octarm.interrupts import ignored_interrupts
-from octarm.metrics.declared import code_of
-from octarm.metrics.declared import measured as measured_by
 from octarm.metrics.metric import SETTLED_AFTER
-from octarm.metrics.table import Catalogue, Metrics, as_json
+from octarm.metrics.table import Catalogue, Metrics, as_json, code_of
+from octarm.metrics.table import measured as measured_by
 from octarm.references import REFERENCES, recorded_word
 from octarm.runs import folder as runs
 from octarm.runs.description import REPEATED, USUAL, Description, unusual

@@ -19,9 +19,8 @@ from octarm.disturbances.spelling import DISTURBANCES
 from octarm.fields import field_keys, field_kinds
 from octarm.formats import to_toml
 from octarm.interfaces import Controller, ControllerFactory
-from octarm.metrics.declared import declared_metrics, measured
 from octarm.metrics.metric import SETTLED_AFTER, Metric
-from octarm.metrics.table import Catalogue
+from octarm.metrics.table import Catalogue, declared_metrics, measured
 from octarm.runs.description import USUAL, unusual
 from octarm.runs.folder import gains_of
 from octarm.simulation.engines import MUJOCO

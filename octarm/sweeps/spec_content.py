@@ -59,8 +59,8 @@ from octarm.declared import Code, Declared, absolute, named
 from octarm.disturbances.spelling import DISTURBANCES
 from octarm.errors import OctarmError
 from octarm.formats import Array, Document, Model, one_of, spelt
-from octarm.metrics.declared import ACCUMULATORS
 from octarm.metrics.metric import SETTLED_AFTER
+from octarm.metrics.table import ACCUMULATORS
 from octarm.references import REFERENCES, parameters_of
 from octarm.simulation.engines import ENGINES, MUJOCO
 from octarm.simulation.start import REST, SHARE, STARTS

@@ -9,7 +9,7 @@ Why it is what it is:
 - e counts all coordinates, those that shall rest too. A is the mean amplitude of the references
   `sine-slides` and `sine`: a percent of a slide's motion is worth a percent of a bend's.
 - c keeps a controller from buying accuracy with chattering that no actuator would bear. It is what
-  `octarm.metrics.chattering` measures above 50 Hz, twice the arm's highest mode, of the forces of
+  `octarm.metrics.forces` measures above 50 Hz, twice the arm's highest mode, of the forces of
   the columns, which all have one unit, in shares of the arm's weight. With w = 0.1 a rattle of a
   tenth of the weight on every column costs as much as an error of one percent of the motion.
 - An arm that leaves its limits costs 10 to 20, the more the earlier, and no other one more than 10.
@@ -44,7 +44,7 @@ from octarm.disturbances.episode import Disturbance
 from octarm.disturbances.spelling import to_dict
 from octarm.errors import OctarmError
 from octarm.interfaces import ControllerFactory, Instant, Motion, Reference
-from octarm.metrics.chattering import Chattering
+from octarm.metrics.forces import Chattering
 from octarm.metrics.metric import Settings
 from octarm.metrics.tracking import TrackingError
 from octarm.references import named_reference

@@ -1,4 +1,4 @@
-"""The rerun viewer in a cell of a notebook, without the network."""
+"""A run in a rerun viewer: while it goes on, or in a cell of a notebook, without the network."""
 
 from __future__ import annotations
 
@@ -6,17 +6,55 @@ import contextlib
 import io
 import os
 import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import rerun as rr
 
 from octarm.arm.mjcf import nominal_parameters
 from octarm.arm.parameters import ArmParameters
 from octarm.errors import FileError, OctarmError
-from octarm.recordings.recording import write_recording
+from octarm.interfaces import Rows
+from octarm.recordings.recording import RunRecording, write_recording
 from octarm.runs.folder import RECORDING
 from octarm.simulation.trajectory import Trajectory
 
 _ASSET = "RERUN_NOTEBOOK_ASSET"  # says where rerun's widget gets its viewer from
+
+
+class LiveRecording:
+    """Sends a run to a viewer; one that goes away, or does not answer, is sent nothing more.
+
+    It is what `octarm.runs.experiment.run_into` takes as `live`.
+    """
+
+    def __init__(
+        self, url: str, description: Mapping[str, Any], say: Callable[[str], object]
+    ) -> None:
+        """Connects to a viewer, `rerun+http://HOST:PORT/proxy`; `say` is called if it goes away."""
+        self._say = say
+        stream = rr.RecordingStream("octarm", send_properties=False)
+        stream.connect_grpc(url)
+        recording = RunRecording(stream, url, description, following=True)
+        self._recording: RunRecording | None = recording
+
+    def add(self, rows: Rows, layer: np.ndarray | None) -> None:
+        """Sends further rows, and the half width of the boundary layer, shape (2N,)."""
+        self._send(RunRecording.add, rows, layer)
+
+    def finish(self, description: Mapping[str, Any]) -> None:
+        """Sends what is known when the run is over."""
+        self._send(RunRecording.finish, description)
+
+    def _send(self, send: Callable[..., object], *what: Any) -> None:
+        try:
+            if self._recording is not None:
+                send(self._recording, *what)
+        except OctarmError:
+            self._recording = None
+            self._say("the viewer has gone away; the run goes on without it")
 
 
 def show(run: Any, arm: ArmParameters | None = None, *, height: int = 620) -> Any:
@@ -29,8 +67,7 @@ def show(run: Any, arm: ArmParameters | None = None, *, height: int = 620) -> An
     installed, or there is no such recording.
     """
     content = _content(run, arm)
-    if _ASSET not in os.environ:
-        os.environ[_ASSET] = "inline"
+    os.environ.setdefault(_ASSET, "inline")
     try:
         with contextlib.redirect_stdout(io.StringIO()):  # it says that it loads what it is told
             import rerun_notebook
