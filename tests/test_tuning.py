@@ -314,7 +314,8 @@ def test_a_new_controller_is_tuned_by_the_knobs_of_its_gains():
 
     @dataclasses.dataclass(frozen=True)
     class Untunable(Law):
-        pass
+        def __call__(self, state: Any, measurement: Measurement, reference: Reference) -> Any:
+            raise NotImplementedError
 
     with pytest.raises(ValueError, match="Untunable has no gain that can be tuned"):
         Space(Untunable(nominal=LagrangeModel(P)), N)  # pyright: ignore[reportArgumentType]

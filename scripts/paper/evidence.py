@@ -212,8 +212,10 @@ def gather(
     requests = list(runs.requests(variants, effort))
     return Evidence(
         variants=variants, effort=effort, cells=cells, costs=costs,
-        series={x.name: Series(**kept(x.name)) for x in requests if not x.lyapunov},
-        outcomes=[one for x in requests if x.lyapunov for one in outcomes(x, kept(x.name))],
+        series={x.name: Series(**kept(x.name)) for x in requests if x.keep == runs.kept},
+        outcomes=[
+            one for x in requests if x.keep == runs.counts for one in outcomes(x, kept(x.name))
+        ],
         periods={label: kept(f"periods-{label}") for label in effort.plant_labels},
     )  # fmt: skip
 

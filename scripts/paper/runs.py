@@ -18,7 +18,7 @@ control instant than at the one before.
 
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -44,9 +44,7 @@ STRIDE = round(EVERY * RATE)  # the same in control instants
 LONG = {PROPOSED: "long-guarded", UNGUARDED: "long-unguarded"}
 FEWER = 16  # seeds of hand-set gains, which the figures over time do not show
 ARMS = 1024  # side by side, when a step of a controller is timed
-# What is recorded: fields of the record, `lost`, whether an arm has left its limits, and the
-# desired acceleration, `wanted_a`.
-OVER_TIME = ("q", "q_d", "lost", "E")
+OVER_TIME = ("q", "q_d", "lost", "E")  # fields
 LYAPUNOV = ("q", "v", "v_d", "wanted_a", "s", "E", "theta", "alpha", "sigma", "lost")
 Arrays = dict[str, np.ndarray]
 
@@ -58,7 +56,11 @@ class Request(NamedTuple):
     variant: Variant  # what controls the arms
     reference: str  # name of their desired motion
     duration: float  # [s]
-    lyapunov: bool = False  # whether `counts` is kept of the rows, else `kept`
+    # What is recorded: fields of the record, `lost`, whether an arm has left its limits, and
+    # `wanted_a`, the desired acceleration.
+    fields: tuple[str, ...]
+    # It makes the arrays that are kept from the recorded rows.
+    keep: Callable[["Request", Rows], Mapping[str, np.ndarray]]
     mismatches: tuple[float, ...] = MODELS  # model errors [1]
     seeds: int = 0  # number of seeds of the noise; they are those of the sweeps
     quiet: bool = True  # whether there are arms without noise
@@ -85,9 +87,8 @@ class Request(NamedTuple):
             engine=self.engine, **noisy_arms(self.noise, seeds),
         )  # fmt: skip
         blocks: list[Rows] = []
-        fields = LYAPUNOV if self.lyapunov else OVER_TIME
         whole = 1 + round(self.duration * self.rate) // self.stride
-        recorder = Recorder(blocks.append, rows=whole, fields=fields, stride=self.stride)
+        recorder = Recorder(blocks.append, rows=whole, fields=self.fields, stride=self.stride)
 
         def observe(instant: Instant) -> None:
             lost = ~environment.physics.intact()
@@ -99,8 +100,8 @@ class Request(NamedTuple):
         simulate(environment, controller, self.duration, observe)
         recorder.flush()
         with np.errstate(all="ignore"):  # a diverged arm may hold anything
-            arrays = counts(self, blocks[0]) if self.lyapunov else kept(self, blocks[0])
-        return {**arrays, "diverged_at": environment.physics.diverged_at()}
+            kept = self.keep(self, blocks[0])
+        return {**kept, "diverged_at": environment.physics.diverged_at()}
 
 
 def noisy_arms(noise: npt.ArrayLike, seeds: Sequence[int]) -> dict[str, Any]:
@@ -116,17 +117,17 @@ def requests(variants: Mapping[str, Variant], effort: Effort) -> Iterator[Reques
     for label, reference in product(effort.labels, effort.readings):
         seeds = effort.seeds if label in CONTROLLERS else min(effort.seeds, FEWER)
         place = variants[label], reference, effort.duration
-        yield Request(name_of(label, reference), *place, seeds=seeds)
+        yield Request(name_of(label, reference), *place, OVER_TIME, kept, seeds=seeds)
     for label, name in LONG.items() if effort.long else ():
         yield Request(
-            name, variants[label], BENDS, effort.long, mismatches=(WRONG,),
+            name, variants[label], BENDS, effort.long, OVER_TIME, kept, mismatches=(WRONG,),
             seeds=effort.seeds, quiet=False, stride=STRIDE, engine=effort.engine,
         )  # fmt: skip
     for label, reference, rate in product(effort.lyapunov, effort.readings, effort.rates):
         if reference == BENDS or rate == RATE:
             name = f"lyapunov-{name_of(label, reference)}-{rate:g}-Hz"
             place = variants[label], reference, effort.duration
-            yield Request(name, *place, lyapunov=True, rate=rate)
+            yield Request(name, *place, LYAPUNOV, counts, rate=rate)
 
 
 def name_of(label: str, reference: str) -> str:
