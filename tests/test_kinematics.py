@@ -16,6 +16,7 @@ from octarm.arm.kinematics import (
 from octarm.arm.lagrange import potential_force
 from octarm.arm.mjcf import build_model, nominal_parameters, paper_order, world_position
 from octarm.arm.parameters import ArmParameters
+from octarm.arm.recursion import plate_rows
 
 P = nominal_parameters()
 H = 1e-30  # f(x + i h d) = f(x) + i h (derivative of f along d) + O(h^2)
@@ -54,14 +55,14 @@ def test_axes_are_the_same_as_an_array_and_entry_by_entry(modules: int):
 
 def test_axes_that_are_kept_follow_coordinates_that_change_in_place():
     q = np.full((4, 6), 0.3)
-    before = plate_entries(q)
-    assert plate_entries(q.copy()) is before
+    before = plate_rows(q)
+    assert plate_rows(q.copy()) is before
     q[:, 3] = 0.5
-    cos, sin = plate_entries(q)[1]
-    np.testing.assert_array_equal(cos, np.cos(0.5))
-    np.testing.assert_array_equal(sin, np.sin(0.5))
+    cos, sin = plate_rows(q)
+    np.testing.assert_array_equal(cos[:, 1], np.cos(0.5))
+    np.testing.assert_array_equal(sin[:, 1], np.sin(0.5))
     with pytest.raises(ValueError, match="read-only"):
-        np.asarray(before[1][0])[0] = 1.0
+        before[0][0, 1] = 1.0
 
 
 @MODULES

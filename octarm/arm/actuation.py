@@ -12,13 +12,12 @@ from __future__ import annotations
 import abc
 import dataclasses
 import functools
-from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 
-from octarm.arm.kinematics import plate_entries
-from octarm.arrays import Entry, join, split
+from octarm.arm.recursion import Constants, OutRow, Recursion, Row
+from octarm.arrays import Entry
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,21 +31,20 @@ class Actuation(abc.ABC):
     name: ClassVar[str]
     width: np.ndarray
 
-    @functools.cached_property
-    def _widths(self) -> Sequence[Entry]:
-        return split(self.width)
+    _force: ClassVar[Recursion]
+    _inputs: ClassVar[Recursion]
 
     @functools.cached_property
-    def _levers(self) -> Sequence[Entry]:
-        return split(0.5 * self.width)
+    def _constants(self) -> Constants:
+        return Constants(self.width)
 
-    @abc.abstractmethod
     def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Q = F(q) tau, with q of shape (..., 2N) [m], [rad]."""
+        return self._force(self._constants, q, tau)
 
-    @abc.abstractmethod
     def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
         """tau = F(q)^-1 Q, with q of shape (..., 2N) [m], [rad]."""
+        return self._inputs(self._constants, q, force)
 
     @abc.abstractmethod
     def ctrl(self, tau: np.ndarray) -> np.ndarray:
@@ -56,8 +54,55 @@ class Actuation(abc.ABC):
         modules from the second on the ground, which bears those of the first one anyway.
         """
 
-    def _joined(self, entries: Sequence[Entry], like: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return join(entries, like, other.shape, (*self.width.shape[:-1], len(entries)))
+
+def carried_moment(
+    moment: Entry, length: Entry, cos: Entry, sin: Entry, fx: Entry, fy: Entry
+) -> Entry:
+    """The moment [N m] at the beginning of a module, of a moment and a force at its end.
+
+    Entries of shape (...): moment [N m], length [m], the module's axis (cos, sin), force [N].
+    """
+    return moment + length * (cos * fy - sin * fx)
+
+
+def _internal_force(q: Row, cos: Row, sin: Row, tau: Row, width: Row, force: OutRow) -> None:
+    n = len(width)
+    for i in range(n):
+        left, right = tau[2 * i], tau[2 * i + 1]
+        force[i], force[n + i] = left + right, 0.5 * width[i] * (left - right)
+
+
+def _internal_inputs(q: Row, cos: Row, sin: Row, force: Row, width: Row, tau: OutRow) -> None:
+    n = len(width)
+    for i in range(n):
+        half, turn = 0.5 * force[i], force[n + i] / width[i]
+        tau[2 * i], tau[2 * i + 1] = half + turn, half - turn
+
+
+def _grounded_force(q: Row, cos: Row, sin: Row, tau: Row, width: Row, force: OutRow) -> None:
+    n = len(width)
+    fx = fy = moment = 0.0  # that module i carries
+    for i in range(n - 1, -1, -1):
+        if i + 1 < n:
+            moment = carried_moment(moment, q[i + 1], cos[i + 1], sin[i + 1], fx, fy)
+        left, right = tau[2 * i], tau[2 * i + 1]
+        push = left + right
+        fx, fy = fx + push * cos[i], fy + push * sin[i]
+        moment = moment + 0.5 * width[i] * (left - right)
+        force[i], force[n + i] = cos[i] * fx + sin[i] * fy, moment
+
+
+def _grounded_inputs(q: Row, cos: Row, sin: Row, force: Row, width: Row, tau: OutRow) -> None:
+    n = len(width)
+    fx = fy = along = carried = 0.0  # force and moment of the modules below
+    for i in range(n - 1, -1, -1):
+        push = force[i] - along
+        half, turn = 0.5 * push, (force[n + i] - carried) / width[i]
+        tau[2 * i], tau[2 * i + 1] = half + turn, half - turn
+        if i > 0:
+            fx, fy = fx + push * cos[i], fy + push * sin[i]
+            along = cos[i - 1] * fx + sin[i - 1] * fy
+            carried = carried_moment(force[n + i], q[i], cos[i], sin[i], fx, fy)
 
 
 class InternalActuation(Actuation):
@@ -67,20 +112,8 @@ class InternalActuation(Actuation):
     """
 
     name: ClassVar[str] = "internal"
-
-    def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        inputs, half = split(tau), self._levers
-        lefts, rights = inputs[0::2], inputs[1::2]
-        out = [left + right for left, right in zip(lefts, rights, strict=True)]
-        out += [x * (left - right) for x, left, right in zip(half, lefts, rights, strict=True)]
-        return self._joined(out, tau, q)
-
-    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
-        n, wanted, out = force.shape[-1] // 2, split(force), list[Entry]()
-        for push, couple, width in zip(wanted[:n], wanted[n:], self._widths, strict=True):
-            half, turn = 0.5 * push, couple / width
-            out += [half + turn, half - turn]
-        return self._joined(out, force, q)
+    _force = Recursion("mnnmn->m", _internal_force)
+    _inputs = Recursion("mnnmn->m", _internal_inputs)
 
     def ctrl(self, tau: np.ndarray) -> np.ndarray:
         return np.concatenate([tau, np.zeros_like(tau[..., 2:])], axis=-1)
@@ -94,54 +127,11 @@ class GroundedActuation(Actuation):
     """
 
     name: ClassVar[str] = "f-coeff"
-
-    def force(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        n = q.shape[-1] // 2
-        s, axes = split(q), plate_entries(q)
-        inputs, half = split(tau), self._levers
-        out: list[Entry] = [0.0] * (2 * n)
-        fx = fy = moment = 0.0  # that module i carries
-        for i in reversed(range(n)):
-            if i + 1 < n:
-                moment = carried_moment(moment, s[i + 1], axes[i + 1], fx, fy)
-            cos, sin = axes[i]
-            left, right = inputs[2 * i], inputs[2 * i + 1]
-            push = left + right
-            fx, fy = fx + push * cos, fy + push * sin
-            moment = moment + half[i] * (left - right)
-            out[i], out[n + i] = cos * fx + sin * fy, moment
-        return self._joined(out, q, tau)
-
-    def inputs(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
-        n: int = q.shape[-1] // 2
-        s, axes = split(q), plate_entries(q)
-        wanted, width = split(force), self._widths
-        out: list[Entry] = [0.0] * (2 * n)
-        fx = fy = along = carried = 0.0  # force and moment of the modules below
-        for i in reversed(range(n)):
-            push = wanted[i] - along
-            half, turn = 0.5 * push, (wanted[n + i] - carried) / width[i]
-            out[2 * i], out[2 * i + 1] = half + turn, half - turn
-            if i > 0:
-                (cos, sin), (cos_above, sin_above) = axes[i], axes[i - 1]
-                fx, fy = fx + push * cos, fy + push * sin
-                along = cos_above * fx + sin_above * fy
-                carried = carried_moment(wanted[n + i], s[i], axes[i], fx, fy)
-        return self._joined(out, q, force)
+    _force = Recursion("mnnmn->m", _grounded_force)
+    _inputs = Recursion("mnnmn->m", _grounded_inputs)
 
     def ctrl(self, tau: np.ndarray) -> np.ndarray:
         return np.concatenate([tau, tau[..., 2:]], axis=-1)
-
-
-def carried_moment(
-    moment: Entry, length: Entry, axis: tuple[Entry, Entry], fx: Entry, fy: Entry
-) -> Entry:
-    """The moment [N m] at the beginning of a module, of a moment and a force at its end.
-
-    Entries of shape (...): moment [N m], length [m], the module's axis (cos, sin), force [N].
-    """
-    cos, sin = axis
-    return moment + length * (cos * fy - sin * fx)
 
 
 ACTUATIONS: dict[str, type[Actuation]] = {

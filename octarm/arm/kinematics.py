@@ -14,13 +14,11 @@ y across it.
 
 from __future__ import annotations
 
-import functools
-import itertools
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
+from octarm.arm.recursion import plate_rows
 from octarm.arrays import Entry, added_up, cos_sin, entry, join, split
 
 _FEW = 8  # modules; of one arm with more, arrays are faster than numbers
@@ -110,32 +108,8 @@ def plate_axes(q: np.ndarray) -> np.ndarray:
 
 
 def plate_entries(q: np.ndarray) -> Sequence[tuple[Entry, Entry]]:
-    """The same as N pairs (cos, sin) of read-only entries of shape (...) [1]; see `split`."""
-    bends = q[..., q.shape[-1] // 2 : -1]
-    if q.ndim == 1:
-        return _axes_after(bends.tolist())
-    return _kept_axes(bends.T.tobytes(), bends.dtype, bends.T.shape)
-
-
-@functools.lru_cache(maxsize=4)  # a control period asks for the same ones several times
-def _kept_axes(
-    bends: bytes, kind: np.dtype[Any], shape: tuple[int, ...]
-) -> Sequence[tuple[Entry, Entry]]:
-    """The axes of a batch, whose bends are an array (N - 1, ...) of this shape in C order."""
-    axes = _axes_after(split(np.frombuffer(bends, kind).reshape(shape).T))
-    for x in itertools.chain(*axes[1:]):
-        np.asarray(x).setflags(write=False)
-    return axes
-
-
-def _axes_after(bends: Sequence[Entry]) -> Sequence[tuple[Entry, Entry]]:
-    """The axis of the base, and those after one bend, two, and so on."""
-    angle: Entry = 0.0
-    axes: list[tuple[Entry, Entry]] = [(1.0, 0.0)]
-    for theta in bends:
-        angle = angle + theta
-        axes.append(cos_sin(angle))
-    return axes
+    """The same as N pairs (cos, sin) of entries of shape (...) [1]; see `split`."""
+    return list(zip(*map(split, plate_rows(q)), strict=True))
 
 
 def tip_position(q: np.ndarray, tip_length: Entry = 0.0) -> np.ndarray:

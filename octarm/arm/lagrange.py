@@ -26,10 +26,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from octarm.arm.kinematics import jacobian, jacobian_rate, plate_axes, plate_entries
+from octarm.arm.kinematics import jacobian, jacobian_rate, plate_axes
 from octarm.arm.kinematics import positions as positions
 from octarm.arm.parameters import ArmParameters
-from octarm.arrays import Entry, join, split
+from octarm.arm.recursion import OutRow, Recursion, Row
+from octarm.arrays import Entry, split
 from octarm.errors import OctarmError
 
 NO_EQUILIBRIUM = "no static equilibrium was found: stiffness is too low for this weight"
@@ -46,55 +47,53 @@ def inverse_dynamics(
     All have shape (..., 2N), the force in [N], [N m]; v_r is v when not given.
     """
     v_r = v if v_r is None else v_r
-    n = _modules(p, q=q, v=v, a=a, v_r=v_r)
+    _modules(p, q=q, v=v, a=a, v_r=v_r)
+    return _DYNAMICS(p.rows, q, v, a, v_r)
 
-    x = split(q)  # one entry a coordinate: a number for one arm, an array for a batch
-    pushes, couples = _column_forces(p, x, split(v_r))
-    axes = plate_entries(q)
-    forces = inertial_forces(p, axes, x, split(v), split(a), split(v_r))
 
-    # Inwards: force and moment that each module carries, projected on its own axes.
-    fx = fy = moment = 0.0
-    for i in reversed(range(n)):
-        cos, sin = axes[i]
-        fx, fy, moment = fx + forces[i][0], fy + forces[i][1], moment + forces[i][2]
-        couples[i] = moment + couples[i]
+def _dynamics(
+    q: Row, cos: Row, sin: Row, v: Row, a: Row, v_r: Row,
+    mass: Row, inertia: Row, gravity: Row, half: Row, rest_length: Row, rest_angle: Row,
+    k1: Row, k2: Row, c1: Row, c2: Row, k_s: Row, k_t: Row, c_s: Row, c_t: Row,
+    force: OutRow, fx: OutRow, fy: OutRow, couple: OutRow,
+) -> None:  # fmt: skip
+    """Outwards what accelerates the modules, inwards force and moment that each of them carries."""
+    n = len(mass)
+    column_forces(q, v_r, half, rest_length, rest_angle, k1, k2, c1, c2, k_s, k_t, c_s, c_t, force)
+    inertial_forces(q, cos, sin, v, a, v_r, mass, inertia, gravity, fx, fy, couple)
+    x = y = moment = 0.0
+    for i in range(n - 1, -1, -1):
+        x, y, moment = x + fx[i], y + fy[i], moment + couple[i]
+        force[n + i] = moment + force[n + i]
         if i == 0:  # it stands on the ground, along x
-            pushes[i] = fx + pushes[i]
-            break
-        pushes[i] = fx * cos + fy * sin + pushes[i]
-        moment = moment + x[i] * (fy * cos - fx * sin)
-    return join(pushes + couples, q, v.shape, a.shape, v_r.shape, (*p.batch_shape, 2 * n))
+            force[0] = x + force[0]
+        else:
+            force[i] = x * cos[i] + y * sin[i] + force[i]
+            moment = moment + q[i] * (y * cos[i] - x * sin[i])
 
 
 def inertial_forces(
-    p: ArmParameters,
-    axes: Sequence[tuple[Entry, Entry]],
-    x: Sequence[Entry],
-    v: Sequence[Entry],
-    a: Sequence[Entry],
-    v_r: Sequence[Entry],
-) -> list[tuple[Entry, Entry, Entry]]:
+    q: Row, cos: Row, sin: Row, v: Row, a: Row, v_r: Row, mass: Row, inertia: Row, gravity: Row,
+    fx: OutRow, fy: OutRow, couple: OutRow,
+) -> None:  # fmt: skip
     """What accelerates the masses and inertias against gravity, from the base outwards.
 
-    Arguments are the axes of the plates that the modules stand on, see `plate_entries`, and those
-    of `inverse_dynamics` as 2N entries of shape (...). For each module it gives force along x,
-    force along y and couple on its end [N], [N], [N m].
+    Rows are those of `inverse_dynamics`, of `plate_rows` and of `ArmParameters.rows`, with entries
+    of shape (...). For each module it writes force along x, force along y and couple on its end
+    [N], [N], [N m].
     """
-    n, mass, inertia = p.modules, p.entries.mass, p.entries.inertia
+    n = len(mass)
     # The first module stands on the ground, which accelerates against gravity and does not turn.
     w, w_r, alpha = v[n], v_r[n], a[n]
-    ax, ay = a[0] - p.entries.gravity, 0.0
-    forces: list[tuple[Entry, Entry, Entry]] = [(mass[0] * ax, ay, inertia[0] * alpha)]
+    ax, ay = a[0] - gravity[0], 0.0
+    fx[0], fy[0], couple[0] = mass[0] * ax, ay, inertia[0] * alpha
     for i in range(1, n):
-        cos, sin = axes[i]
-        along = a[i] - x[i] * (w * w_r)
-        across = x[i] * alpha + (v[i] * w_r + v_r[i] * w)
-        ax = ax + (along * cos - across * sin)
-        ay = ay + (along * sin + across * cos)
+        along = a[i] - q[i] * (w * w_r)
+        across = q[i] * alpha + (v[i] * w_r + v_r[i] * w)
+        ax = ax + (along * cos[i] - across * sin[i])
+        ay = ay + (along * sin[i] + across * cos[i])
         w, w_r, alpha = w + v[n + i], w_r + v_r[n + i], alpha + a[n + i]
-        forces.append((mass[i] * ax, mass[i] * ay, inertia[i] * alpha))
-    return forces
+        fx[i], fy[i], couple[i] = mass[i] * ax, mass[i] * ay, inertia[i] * alpha
 
 
 def mass_matrix(p: ArmParameters, q: np.ndarray) -> np.ndarray:
@@ -139,8 +138,10 @@ def potential_force(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     _modules(p, q=q)
     gravity = np.asarray(p.gravity)[..., None]
     out = -gravity * np.einsum("...b,...bi->...i", p.mass, jacobian(q)[..., 0, :])
-    pushes, couples = _column_forces(p, split(q), split(np.zeros_like(q)))
-    return out + np.stack(pushes + couples, axis=-1)
+    forces: list[Entry] = [0.0] * p.coordinates
+    still = np.zeros_like(q)
+    column_forces(split(q), split(still), *map(split, p.rows.arrays[3:]), force=forces)
+    return out + np.stack(forces, axis=-1)
 
 
 def force_coefficients(p: ArmParameters, q: np.ndarray) -> np.ndarray:
@@ -189,19 +190,22 @@ def energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, 
 
 def kinetic_energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """1/2 v^T D(q) v, shape (...) [J], in O(N) by recursion along the arm."""
-    n = _modules(p, q=q, v=v)
-    x, rate, axes = split(q), split(v), plate_entries(q)
-    mass, inertia = p.entries.mass, p.entries.inertia
-    w, vx, vy = rate[n], rate[0], 0.0
-    twice = mass[0] * (vx * vx) + inertia[0] * (w * w)
-    for i in range(1, n):
-        cos, sin = axes[i]
-        across = x[i] * w
-        vx = vx + (rate[i] * cos - across * sin)
-        vy = vy + (rate[i] * sin + across * cos)
-        w = w + rate[n + i]
-        twice = twice + (mass[i] * (vx * vx + vy * vy) + inertia[i] * (w * w))
+    _modules(p, q=q, v=v)
+    twice = _KINETIC(p.inertias, q, v)[..., -1]
     return np.asarray(0.5 * twice)
+
+
+def _kinetic(q: Row, cos: Row, sin: Row, v: Row, mass: Row, inertia: Row, twice: OutRow) -> None:
+    """Twice the energy of the modules up to each of them."""
+    n = len(mass)
+    w, vx, vy = v[n], v[0], 0.0
+    twice[0] = mass[0] * (vx * vx) + inertia[0] * (w * w)
+    for i in range(1, n):
+        across = q[i] * w
+        vx = vx + (v[i] * cos[i] - across * sin[i])
+        vy = vy + (v[i] * sin[i] + across * cos[i])
+        w = w + v[n + i]
+        twice[i] = twice[i - 1] + (mass[i] * (vx * vx + vy * vy) + inertia[i] * (w * w))
 
 
 def equilibrium(p: ArmParameters) -> np.ndarray:
@@ -270,33 +274,21 @@ def _modules(p: ArmParameters, **arrays: np.ndarray) -> int:
     return n
 
 
-def _column_forces(
-    p: ArmParameters, q: Sequence[Entry], v: Sequence[Entry]
-) -> tuple[list[Entry], list[Entry]]:
-    """Forces on s_i and couples on theta_i of the springs and dampers, from unstacked q and v."""
-    n, half, rest = p.modules, p.entries.half_width, p.entries.rest_length
-    (k1, k2), (c1, c2) = p.entries.stiffness, p.entries.damping
-    turns = q[n:] if p.entries.plain else turned(p, q)
-    pushes: list[Entry] = []
-    couples: list[Entry] = []
+def column_forces(
+    q: Row, v: Row, half: Row, rest_length: Row, rest_angle: Row,
+    k1: Row, k2: Row, c1: Row, c2: Row, k_s: Row, k_t: Row, c_s: Row, c_t: Row, force: OutRow,
+) -> None:  # fmt: skip
+    """Forces on s_i and couples on theta_i of springs and dampers, 2N entries [N], [N m]."""
+    n = len(half)
     for i in range(n):
-        stretch, bend = q[i] - rest[i], half[i] * turns[i]
-        rate, bend_rate = v[i], half[i] * v[n + i]
-        first = k1[i] * (stretch + bend) + c1[i] * (rate + bend_rate)
-        second = k2[i] * (stretch - bend) + c2[i] * (rate - bend_rate)
-        pushes.append(first + second)
-        couples.append(half[i] * (first - second))
-    if not p.entries.plain:
-        (k_s, k_t), (c_s, c_t) = p.entries.backbone_stiffness, p.entries.backbone_damping
-        for i in range(n):
-            pushes[i] = pushes[i] + (k_s[i] * (q[i] - rest[i]) + c_s[i] * v[i])
-            couples[i] = couples[i] + (k_t[i] * turns[i] + c_t[i] * v[n + i])
-    return pushes, couples
-
-
-def turned(p: ArmParameters, q: Sequence[Entry]) -> Sequence[Entry]:
-    """By how much modules are bent more than without force, from 2N entries, N entries [rad]."""
-    return [x - rest for x, rest in zip(q[p.modules :], p.entries.rest_angle, strict=True)]
+        stretch, turn = q[i] - rest_length[i], q[n + i] - rest_angle[i]
+        bend, bend_rate = half[i] * turn, half[i] * v[n + i]
+        first = k1[i] * (stretch + bend) + c1[i] * (v[i] + bend_rate)
+        second = k2[i] * (stretch - bend) + c2[i] * (v[i] - bend_rate)
+        force[i], force[n + i] = first + second, half[i] * (first - second)
+        if len(k_s) > 0:
+            force[i] = force[i] + (k_s[i] * stretch + c_s[i] * v[i])
+            force[n + i] = force[n + i] + (k_t[i] * turn + c_t[i] * v[n + i])
 
 
 def _column_matrix(p: ArmParameters, coefficient: np.ndarray, backbone: np.ndarray) -> np.ndarray:
@@ -310,3 +302,7 @@ def _column_matrix(p: ArmParameters, coefficient: np.ndarray, backbone: np.ndarr
     out[..., i, n + i] = out[..., n + i, i] = half * (first - second)
     out[..., n + i, n + i] = half * half * (first + second) + backbone[..., 1, :]
     return out
+
+
+_DYNAMICS = Recursion("mnnmmmnngnnnnnnnbbbb->mnnn", _dynamics)
+_KINETIC = Recursion("mnnmnn->n", _kinetic)

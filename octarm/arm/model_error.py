@@ -22,9 +22,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from octarm.arm.kinematics import plate_entries
-from octarm.arm.lagrange import inertial_forces, turned
+from octarm.arm.lagrange import inertial_forces
 from octarm.arm.parameters import ArmParameters
+from octarm.arm.recursion import Row, plate_rows
 from octarm.arrays import Entry, entry, join, split
 
 # For each coordinate: sum_p F_ip and sum_p |F_ip| over some of the parameters.
@@ -47,10 +47,14 @@ def largest_error(
     n, entries = nominal.modules, nominal.entries
     x, rates = split(q), split(v_r)
     stretches = [x[i] - rest for i, rest in enumerate(entries.rest_length)]
-    turns = x[n:] if entries.plain else turned(nominal, x)
-    axes = plate_entries(q)
-    forces = inertial_forces(nominal, axes, x, split(v), split(a_r), rates)
-    inertial = _inertial_terms(x, axes, forces)
+    turns = [x[n + i] - rest for i, rest in enumerate(entries.rest_angle)]
+    cos, sin = map(split, plate_rows(q))
+    fx, fy, couple = (list[Entry]([0.0]) * n for _ in range(3))
+    constants = map(split, nominal.rows.arrays[:3])
+    inertial_forces(
+        x, cos, sin, split(v), split(a_r), rates, *constants, fx=fx, fy=fy, couple=couple
+    )
+    inertial = _inertial_terms(x, cos, sin, fx, fy, couple)
     damping = _column_terms(entries.half_width, entries.damping, rates[:n], rates[n:])
     elastic = _column_terms(entries.half_width, entries.stiffness, stretches, turns)
     if not entries.plain:
@@ -73,25 +77,20 @@ def _interval(u: Entry) -> tuple[Entry, Entry]:
     return u * u / rest, u / rest
 
 
-def _inertial_terms(
-    x: Sequence[Entry],
-    axes: Sequence[tuple[Entry, Entry]],
-    forces: Sequence[tuple[Entry, Entry, Entry]],
-) -> _Terms:
+def _inertial_terms(x: Row, cos: Row, sin: Row, fx: Row, fy: Row, couple: Row) -> _Terms:
     """What each mass, gravity included, and each inertia contributes to the modules before it."""
-    n = len(axes)
+    n = len(cos)
     sums: list[Entry] = [0.0] * (2 * n)
     sizes: list[Entry] = [0.0] * (2 * n)
-    for b, (fx, fy, couple) in enumerate(forces):
-        moment, couple_size = 0.0, abs(couple)
-        for j in reversed(range(b + 1)):
-            cos, sin = axes[j]
-            push = fx * cos + fy * sin
+    for b in range(n):
+        moment, couple_size = 0.0, abs(couple[b])
+        for j in range(b, -1, -1):
+            push = fx[b] * cos[j] + fy[b] * sin[j]
             sums[j] = sums[j] + push
             sizes[j] = sizes[j] + abs(push)
-            sums[n + j] = sums[n + j] + (moment + couple)
+            sums[n + j] = sums[n + j] + (moment + couple[b])
             sizes[n + j] = sizes[n + j] + (abs(moment) + couple_size)
-            moment = moment + x[j] * (fy * cos - fx * sin)
+            moment = moment + x[j] * (fy[b] * cos[j] - fx[b] * sin[j])
     return sums, sizes
 
 

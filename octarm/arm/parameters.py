@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from octarm.arm.recursion import Constants
 from octarm.arrays import Entry, entry, plain, read_only, split
 from octarm.errors import OctarmError, closest, quoted
 from octarm.units import MISMATCH, Range
@@ -188,6 +189,26 @@ class ArmParameters:
         parts: dict[str, Any] = {name: by_axes[_AXES[name]](x) for name, x in fields}
         plain = not any(np.any(getattr(self, name)) for name in _MOSTLY_ZERO)
         return Entries(half_width=split(0.5 * self.widths), plain=plain, **parts)
+
+    @functools.cached_property
+    def inertias(self) -> Constants:
+        """Masses and inertias of the modules, for recursions."""
+        return Constants(self.mass, self.inertia)
+
+    @functools.cached_property
+    def rows(self) -> Constants:
+        """What the equations of motion depend on, for recursions.
+
+        Masses, inertias, gravity (one entry), half widths, rest lengths and angles, and stiffness
+        and damping, of columns 1 and 2 and of the backbone along it and in bending. Without any of
+        the last four, and with angles 0, those rows are empty.
+        """
+        springs = (self.stiffness, self.damping, self.backbone_stiffness, self.backbone_damping)
+        pairs = [x[..., i, :] for x in springs for i in (0, 1)]
+        if self.entries.plain:
+            pairs[4:] = [x[..., :0] for x in pairs[4:]]
+        single = (self.mass, self.inertia, self.gravity[..., None], 0.5 * self.widths)
+        return Constants(*single, self.rest_length, self.rest_angle, *pairs)
 
     @functools.cached_property
     def widths(self) -> np.ndarray:

@@ -100,5 +100,5 @@ def _inputs(p: ArmParameters, q: np.ndarray, needed: np.ndarray) -> tuple[np.nda
         tau[..., left], tau[..., right] = common + couple, common - couple
         cos, sin = axes[i]
         fx, fy = fx + 2.0 * common * cos, fy + 2.0 * common * sin
-        carried = carried_moment(wanted[n + i], s[i], axes[i], fx, fy)
+        carried = carried_moment(wanted[n + i], s[i], cos, sin, fx, fy)
     return tau, within
