@@ -22,7 +22,7 @@ parameters. An array whose last axis is not 2N long raises OctarmError.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
