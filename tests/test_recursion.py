@@ -2,15 +2,16 @@
 # pyright: reportAttributeAccessIssue=false
 
 import sys
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 
 from octarm.arm.actuation import ACTUATIONS
-from octarm.arm.lagrange import inverse_dynamics, kinetic_energy
+from octarm.arm.lagrange import inverse_dynamics, kinetic_energy, potential_hessian
 from octarm.arm.parameters import ArmParameters
+from octarm.arm.recursion import kept
 from octarm.arm.rod import Rod, arm_from_rod
 
 numba = pytest.importorskip("numba")
@@ -57,11 +58,29 @@ def test_all_ways_give_the_same_bits(
     for way in (plain, [np.stack(rows) for rows in zip(*alone, strict=True)]):
         for one, other in zip(compiled, way, strict=True):
             np.testing.assert_array_equal(one, other)
+            known = ~np.isnan(one)
+            np.testing.assert_array_equal(np.signbit(one[known]), np.signbit(other[known]))
 
 
 def test_other_kinds_of_numbers_are_not_compiled():
-    """A complex step, as the tests of the model take, keeps its imaginary part."""
+    """A complex step gives the slope of one arm and of a batch, which at rest is the stiffness."""
     p, h = arm("3"), 1e-30
-    q = np.full((2, 6), 0.1) + 1j * h
-    slope = inverse_dynamics(p, q, 0.0 * q, 0.0 * q).imag / h
-    assert np.all(np.abs(slope[:, 3:]) > 0.0)
+    q = np.linspace(0.05, 0.3, 6) + 1j * h
+    still = 0.0 * q
+    one = inverse_dynamics(p, q, still, still).imag / h
+    np.testing.assert_allclose(one, potential_hessian(p, q.real) @ np.ones(6))
+    both = inverse_dynamics(p, np.stack([q, q]), still, still).imag / h
+    np.testing.assert_array_equal(both, [one, one])
+    for actuation in (made(p.widths) for made in ACTUATIONS.values()):
+        ends = [actuation.force(q.real + sign * 1e-6, np.arange(6.0)) for sign in (1.0, -1.0)]
+        slope = actuation.force(q, np.arange(6.0)).imag / h
+        np.testing.assert_allclose(slope, (ends[0] - ends[1]) / 2e-6, atol=1e-8)
+
+
+def test_without_a_place_for_it_compiled_code_is_not_kept():
+    def compiler(*, cache: bool = False) -> Callable[[Any], Any]:
+        if cache:
+            raise RuntimeError("no locator available")
+        return lambda function: (function, "compiled")
+
+    assert kept(compiler, abs) == (abs, "compiled")

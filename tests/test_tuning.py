@@ -306,6 +306,9 @@ def test_a_new_controller_is_tuned_by_the_knobs_of_its_gains():
         colour: Annotated[Gain, GainField("to look at", "1")]
         safe: Annotated[bool, Switch("for those who fear", "1")] = True
 
+        def __call__(self, state: Any, measurement: Measurement, reference: Reference) -> Any:
+            raise NotImplementedError
+
     space = Space(New(nominal=LagrangeModel(P), stiffness=2.0, colour=1.0), N)  # pyright: ignore
     assert [u.name for u in space.unknowns] == ["how stiff of slides", "how stiff of bends"]
     assert space.fixed() == {"colour": 1.0}

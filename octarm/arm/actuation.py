@@ -65,14 +65,14 @@ def carried_moment(
     return moment + length * (cos * fy - sin * fx)
 
 
-def _internal_force(q: Row, cos: Row, sin: Row, tau: Row, width: Row, force: OutRow) -> None:
+def _internal_force(q: Row, tau: Row, width: Row, force: OutRow) -> None:
     n = len(width)
     for i in range(n):
         left, right = tau[2 * i], tau[2 * i + 1]
         force[i], force[n + i] = left + right, 0.5 * width[i] * (left - right)
 
 
-def _internal_inputs(q: Row, cos: Row, sin: Row, force: Row, width: Row, tau: OutRow) -> None:
+def _internal_inputs(q: Row, force: Row, width: Row, tau: OutRow) -> None:
     n = len(width)
     for i in range(n):
         half, turn = 0.5 * force[i], force[n + i] / width[i]
@@ -112,8 +112,8 @@ class InternalActuation(Actuation):
     """
 
     name: ClassVar[str] = "internal"
-    _force = Recursion("mnnmn->m", _internal_force)
-    _inputs = Recursion("mnnmn->m", _internal_inputs)
+    _force = Recursion(_internal_force)
+    _inputs = Recursion(_internal_inputs)
 
     def ctrl(self, tau: np.ndarray) -> np.ndarray:
         return np.concatenate([tau, np.zeros_like(tau[..., 2:])], axis=-1)
@@ -127,8 +127,8 @@ class GroundedActuation(Actuation):
     """
 
     name: ClassVar[str] = "f-coeff"
-    _force = Recursion("mnnmn->m", _grounded_force)
-    _inputs = Recursion("mnnmn->m", _grounded_inputs)
+    _force = Recursion(_grounded_force)
+    _inputs = Recursion(_grounded_inputs)
 
     def ctrl(self, tau: np.ndarray) -> np.ndarray:
         return np.concatenate([tau, tau[..., 2:]], axis=-1)

@@ -47,7 +47,7 @@ def inverse_dynamics(
     All have shape (..., 2N), the force in [N], [N m]; v_r is v when not given.
     """
     v_r = v if v_r is None else v_r
-    _modules(p, q=q, v=v, a=a, v_r=v_r)
+    _modules(p, "q v a v_r", q, v, a, v_r)
     return _DYNAMICS(p.rows, q, v, a, v_r)
 
 
@@ -98,7 +98,7 @@ def inertial_forces(
 
 def mass_matrix(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     """Inertia matrix D(q), eq (3), symmetric positive definite, shape (..., 2N, 2N)."""
-    n = _modules(p, q=q)
+    n = _modules(p, "q", q)
     J = jacobian(q)
     rotation = np.tril(np.ones((n, n)))  # d phi_b / d theta_k
     out = np.einsum("...b,...bxi,...bxj->...ij", p.mass, J, J)
@@ -113,7 +113,7 @@ def coriolis_matrix(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarra
     sum m_b dp_b/dq_i . d2p_b/dq_j dq_k, hence C = sum m_b J_b^T J_b'; x^T (D' - 2C) x = 0 for
     every x. Units: force per velocity, [N s/m] to [N m s].
     """
-    _modules(p, q=q, v=v)
+    _modules(p, "q v", q, v)
     return np.einsum("...b,...bxi,...bxj->...ij", p.mass, jacobian(q), jacobian_rate(q, v))
 
 
@@ -135,12 +135,12 @@ def stiffness_matrix(p: ArmParameters) -> np.ndarray:
 
 def potential_force(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     """G(q), eq (5): what holds the arm against gravity and springs, shape (..., 2N) [N], [N m]."""
-    _modules(p, q=q)
+    _modules(p, "q", q)
     gravity = np.asarray(p.gravity)[..., None]
     out = -gravity * np.einsum("...b,...bi->...i", p.mass, jacobian(q)[..., 0, :])
     forces: list[Entry] = [0.0] * p.coordinates
     still = np.zeros_like(q)
-    column_forces(split(q), split(still), *map(split, p.rows.arrays[3:]), force=forces)
+    column_forces(split(q), split(still), *map(split, p.elastic.arrays), force=forces)
     return out + np.stack(forces, axis=-1)
 
 
@@ -150,7 +150,7 @@ def force_coefficients(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     Column (a, i): a unit force on the end of module i along u(phi_{i-1}) and a couple +-l/2 on its
     plate, both reacting on the ground.
     """
-    n = _modules(p, q=q)
+    n = _modules(p, "q", q)
     pushes = np.einsum("...bxi,...bx->...ib", jacobian(q), plate_axes(q))
     batch = np.broadcast_shapes(q.shape[:-1], p.batch_shape)
     out = np.array(np.broadcast_to(np.repeat(pushes, 2, axis=-1), (*batch, 2 * n, 2 * n)))
@@ -165,14 +165,14 @@ def forward_dynamics(
     p: ArmParameters, q: np.ndarray, v: np.ndarray, force: np.ndarray
 ) -> np.ndarray:
     """Generalised accelerations under a generalised force, shape (..., 2N) [m/s^2], [rad/s^2]."""
-    _modules(p, q=q, v=v, force=force)
+    _modules(p, "q v force", q, v, force)
     rest = inverse_dynamics(p, q, v, np.zeros_like(q))
     return np.linalg.solve(mass_matrix(p, q), (force - rest)[..., None])[..., 0]
 
 
 def energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Kinetic and potential energy, each of shape (...) [J]; no weight potential at the base."""
-    n = _modules(p, q=q, v=v)
+    n = _modules(p, "q v", q, v)
     velocity = np.einsum("...bxi,...i->...bx", jacobian(q), v)
     rate = np.cumsum(v[..., n:], axis=-1)
     kinetic = 0.5 * np.sum(
@@ -190,22 +190,23 @@ def energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, 
 
 def kinetic_energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """1/2 v^T D(q) v, shape (...) [J], in O(N) by recursion along the arm."""
-    _modules(p, q=q, v=v)
-    twice = _KINETIC(p.inertias, q, v)[..., -1]
-    return np.asarray(0.5 * twice)
+    _modules(p, "q v", q, v)
+    return _KINETIC(p.inertial, q, v)[..., 0]
 
 
-def _kinetic(q: Row, cos: Row, sin: Row, v: Row, mass: Row, inertia: Row, twice: OutRow) -> None:
-    """Twice the energy of the modules up to each of them."""
+def _kinetic(
+    q: Row, cos: Row, sin: Row, v: Row, mass: Row, inertia: Row, gravity: Row, energy: OutRow
+) -> None:
     n = len(mass)
     w, vx, vy = v[n], v[0], 0.0
-    twice[0] = mass[0] * (vx * vx) + inertia[0] * (w * w)
+    twice = mass[0] * (vx * vx) + inertia[0] * (w * w)
     for i in range(1, n):
         across = q[i] * w
         vx = vx + (v[i] * cos[i] - across * sin[i])
         vy = vy + (v[i] * sin[i] + across * cos[i])
         w = w + v[n + i]
-        twice[i] = twice[i - 1] + (mass[i] * (vx * vx + vy * vy) + inertia[i] * (w * w))
+        twice = twice + (mass[i] * (vx * vx + vy * vy) + inertia[i] * (w * w))
+    energy[0] = 0.5 * twice
 
 
 def equilibrium(p: ArmParameters) -> np.ndarray:
@@ -243,7 +244,7 @@ def potential_hessian(p: ArmParameters, q: np.ndarray) -> np.ndarray:
     Gravity has the potential -g sum_i M_i s_i cos phi_{i-1}, M_i being the mass from module i on,
     of which only phi_{i-1} = theta_1 + .. + theta_{i-1} and s_i are variable.
     """
-    n = _modules(p, q=q)
+    n = _modules(p, "q", q)
     batch = np.broadcast_shapes(q.shape[:-1], p.batch_shape)
     out = np.array(np.broadcast_to(stiffness_matrix(p), (*batch, 2 * n, 2 * n)))
     axes = plate_axes(q)
@@ -263,10 +264,11 @@ def _from_the_tip(x: np.ndarray) -> np.ndarray:
     return np.cumsum(x[..., ::-1], axis=-1)[..., ::-1]
 
 
-def _modules(p: ArmParameters, **arrays: np.ndarray) -> int:
+def _modules(p: ArmParameters, names: str, *arrays: np.ndarray) -> int:
     n = p.modules
-    for name, array in arrays.items():
+    for array in arrays:
         if array.shape[-1:] != (2 * n,):
+            name = names.split()[[array is other for other in arrays].index(True)]
             raise OctarmError(
                 f"{name} has shape {array.shape}; its last axis must hold "
                 f"{2 * n} coordinates for {n} modules"
@@ -304,5 +306,4 @@ def _column_matrix(p: ArmParameters, coefficient: np.ndarray, backbone: np.ndarr
     return out
 
 
-_DYNAMICS = Recursion("mnnmmmnngnnnnnnnbbbb->mnnn", _dynamics)
-_KINETIC = Recursion("mnnmnn->n", _kinetic)
+_DYNAMICS, _KINETIC = Recursion(_dynamics), Recursion(_kinetic)

@@ -50,7 +50,7 @@ def largest_error(
     turns = [x[n + i] - rest for i, rest in enumerate(entries.rest_angle)]
     cos, sin = map(split, plate_rows(q))
     fx, fy, couple = (list[Entry]([0.0]) * n for _ in range(3))
-    constants = map(split, nominal.rows.arrays[:3])
+    constants = map(split, nominal.inertial.arrays)
     inertial_forces(
         x, cos, sin, split(v), split(a_r), rates, *constants, fx=fx, fy=fy, couple=couple
     )

@@ -191,24 +191,27 @@ class ArmParameters:
         return Entries(half_width=split(0.5 * self.widths), plain=plain, **parts)
 
     @functools.cached_property
-    def inertias(self) -> Constants:
-        """Masses and inertias of the modules, for recursions."""
-        return Constants(self.mass, self.inertia)
+    def inertial(self) -> Constants:
+        """Masses, inertias, and gravity, one entry, for recursions."""
+        return Constants(self.mass, self.inertia, self.gravity[..., None])
 
     @functools.cached_property
-    def rows(self) -> Constants:
-        """What the equations of motion depend on, for recursions.
+    def elastic(self) -> Constants:
+        """Half widths, rest lengths and angles, stiffness and damping, for recursions.
 
-        Masses, inertias, gravity (one entry), half widths, rest lengths and angles, and stiffness
-        and damping, of columns 1 and 2 and of the backbone along it and in bending. Without any of
-        the last four, and with angles 0, those rows are empty.
+        These two of columns 1 and 2, then of the backbone along it and in bending: rows that are
+        empty where modules have nothing but their columns.
         """
         springs = (self.stiffness, self.damping, self.backbone_stiffness, self.backbone_damping)
         pairs = [x[..., i, :] for x in springs for i in (0, 1)]
         if self.entries.plain:
             pairs[4:] = [x[..., :0] for x in pairs[4:]]
-        single = (self.mass, self.inertia, self.gravity[..., None], 0.5 * self.widths)
-        return Constants(*single, self.rest_length, self.rest_angle, *pairs)
+        return Constants(0.5 * self.widths, self.rest_length, self.rest_angle, *pairs)
+
+    @functools.cached_property
+    def rows(self) -> Constants:
+        """All that the equations of motion depend on, for recursions."""
+        return Constants(*self.inertial.arrays, *self.elastic.arrays)
 
     @functools.cached_property
     def widths(self) -> np.ndarray:

@@ -10,6 +10,7 @@ Cosines and sines are computed before, by NumPy, since libraries round them diff
 from __future__ import annotations
 
 import functools
+import importlib
 import sys
 import types
 from collections.abc import Callable, Sequence
@@ -17,10 +18,17 @@ from typing import Any
 
 import numpy as np
 
-from octarm.arrays import Entry, split
+from octarm.arrays import Entry, cos_sin, split
 
 Row = Sequence[Entry]
 OutRow = Any  # a list of entries, or an array in compiled code
+
+# How many entries a row has, by its name: m is 2N, g is 1, b is N or 0. Others have N.
+_LENGTHS: dict[str, str] = {
+    **dict.fromkeys(["q", "v", "a", "v_r", "tau", "force"], "m"),
+    **dict.fromkeys(["k_s", "k_t", "c_s", "c_t"], "b"),
+    **dict.fromkeys(["gravity", "energy"], "g"),
+}
 
 
 class Constants:
@@ -36,27 +44,31 @@ class Constants:
 class Recursion:
     """A function of rows as one of arrays of shape (..., k), whose batch axes broadcast."""
 
-    def __init__(self, layout: str, function: Callable[..., None]) -> None:
-        """A recursion with a layout such as "mnnmn->mn", a letter for the length of each row.
+    def __init__(self, function: Callable[..., None]) -> None:
+        """A recursion by a function of positional rows, whose names say their lengths.
 
-        The function gets the rows of q, of the cosines and sines of the plates that the modules
-        stand on, of other inputs and of constants; then those of the result, and of what it needs
-        to work with. It must be of the kind that numba compiles, and so must other functions of its
-        module that it calls.
+        They are q; the cosines and sines of the plates that the modules stand on, if it asks for
+        `cos` and `sin`; other inputs; constants; then the results, annotated as `OutRow`: the
+        first one is returned, the others are to work with. The function must be of the kind that
+        numba compiles, and so must other functions of its module that it calls.
         """
-        self._inputs, self._outputs = layout.split("->")
+        code = function.__code__
+        names = code.co_varnames[: code.co_argcount]
+        letters = "".join(_LENGTHS.get(name, "n") for name in names)
+        count = [function.__annotations__[name] for name in names].count("OutRow")
+        self._function, self._bent = function, "cos" in names
+        self._inputs, self._outputs = letters[:-count], letters[-count:]
         self._like = [self._inputs.index(letter) for letter in self._outputs]
-        self._function = function
 
     def __call__(self, constants: Constants, q: np.ndarray, *others: np.ndarray) -> np.ndarray:
-        """The result, shape (..., k), in the memory order of q."""
-        if constants.numbers is not None and {x.ndim for x in (q, *others)} == {1}:
-            x = q.tolist()
-            inputs = [x, *_plates(x), *[x.tolist() for x in others], *constants.numbers]
-            numbers = [[0.0] * len(inputs[i]) for i in self._like]
-            self._function(*inputs, *numbers)
-            return np.array(numbers[0])
-        arrays = (q, *plate_rows(q), *others, *constants.arrays)
+        """The first result, shape (..., k), in the memory order of q."""
+        if q.ndim == 1 and constants.numbers is not None:
+            for x in others:
+                if x.ndim > 1:
+                    break
+            else:
+                return self._of_one(constants.numbers, q, others)
+        arrays = (q, *(plate_rows(q) if self._bent else ()), *others, *constants.arrays)
         batch = np.broadcast_shapes(*{x.shape[:-1] for x in arrays})
         kind = np.result_type(*{x.dtype for x in arrays})
         results = [
@@ -71,10 +83,19 @@ class Recursion:
                 results[0][..., i] = entry
         return results[0]
 
+    def _of_one(
+        self, constants: list[list[float]], q: np.ndarray, others: Sequence[np.ndarray]
+    ) -> np.ndarray:
+        x = q.tolist()
+        inputs = [x, *(_plates(x) if self._bent else ()), *[y.tolist() for y in others], *constants]
+        results = [[0.0] * len(inputs[i]) for i in self._like]
+        self._function(*inputs, *results)
+        return np.array(results[0])
+
     @functools.cached_property
     def _compiled(self) -> Callable[..., Any]:
         """The same as a function of NumPy's kind that goes over the arms itself."""
-        numba: Any = sys.modules["numba"]
+        numba: Any = importlib.import_module("numba")
         code, names = self._function.__code__, self._function.__globals__
         called = {
             name: numba.njit(names[name])
@@ -87,17 +108,22 @@ class Recursion:
             ",".join(f"({x})" for x in rows) for rows in (self._inputs, self._outputs)
         )
         signature = f"void({', '.join(['f8[:]'] * len(self._inputs + self._outputs))})"
-        compiled = functools.partial(numba.guvectorize, [signature], f"{inputs}->{outputs}")
-        try:
-            return compiled(cache=True)(function).ufunc
-        except RuntimeError:  # neither this folder nor a home can be written
-            return compiled()(function).ufunc
+        compiler = functools.partial(numba.guvectorize, [signature], f"{inputs}->{outputs}")
+        return kept(compiler, function).ufunc
+
+
+def kept(compiler: Callable[..., Any], function: Callable[..., Any]) -> Any:
+    """A function as one of numba's compilers has it, kept on disk where that can be written."""
+    try:
+        return compiler(cache=True)(function)
+    except RuntimeError:  # neither this folder nor a home can be written
+        return compiler()(function)
 
 
 def plate_rows(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cosines and sines of the plates that the modules stand on, each of shape (..., N) [1].
 
-    They are read-only.
+    Those of a batch are read-only.
     """
     if q.ndim == 1:
         cos, sin = _plates(q.tolist())
@@ -106,13 +132,16 @@ def plate_rows(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return _kept_rows(bends.tobytes(), bends.dtype, bends.shape)
 
 
-def _plates(q: list[float]) -> tuple[list[float], list[float]]:
+def _plates(q: list[float]) -> tuple[list[Entry], list[Entry]]:
     """The same for one arm."""
-    cos, sin, angle = [1.0], [0.0], 0.0
+    cos: list[Entry] = [1.0]
+    sin: list[Entry] = [0.0]
+    angle = 0.0
     for theta in q[len(q) // 2 : -1]:
         angle = angle + theta
-        cos.append(float(np.cos(angle)))
-        sin.append(float(np.sin(angle)))
+        c, s = cos_sin(angle)
+        cos.append(c)
+        sin.append(s)
     return cos, sin
 
 

@@ -25,12 +25,13 @@ may count from the end. Record 0 is the base, record N + 1 stands for what is be
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numba
 import numpy as np
+
+from octarm.arm.recursion import kept
 
 LANES = 16
 
@@ -61,12 +62,7 @@ _C2, _C4, _C6, _C8, _C10, _C12, _C14, _C16 = (
 )
 
 
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compiled at the first call; kept on disk where there is a place that can be written."""
-    try:
-        return numba.njit(cache=True, nogil=True)(function)
-    except RuntimeError:  # neither this folder nor a home can be written
-        return numba.njit(nogil=True)(function)
+_compiled = functools.partial(kept, functools.partial(numba.njit, nogil=True))
 
 
 def work_space(modules: int) -> np.ndarray:
