@@ -44,9 +44,9 @@ from controllers.recommended import (
     LAYER_WIDTH,
     LINEAR_GAIN,
     WIDTH,
+    HandSet,
     boundary_width,
     by_hand,
-    hand_set,
 )
 from controllers.sliding_mode import SlidingLaw, Surface, saturation
 from octarm.errors import OctarmError
@@ -85,12 +85,12 @@ class FuzzyState(NamedTuple):
     E: np.ndarray
 
 
-force_scale = hand_set("N, N m", 1.0, 0.1)  # F, about what theta may have to be: its unit
+force_scale = HandSet("N, N m", 1.0, 0.1)  # F, about what theta may have to be: its unit
 # theta_max is what sampling allows. With all theta at their bounds and the premises as they start,
 # the slope of f^ at s = 0 is 3.24 theta_max / scale. With a control period dt, the product
 # dt [D^-1]_jj (K_v + E_max / phi + 3.24 theta_max / scale) should stay below about 0.6.
-consequent_bound = hand_set("N, N m", 1.0, 1.0, 1.0, 0.6, 0.25, 0.04)
-compensation_bound = hand_set("N, N m", 0.6, 0.6, 0.6, 0.3, 0.15, 0.02)  # E_max
+consequent_bound = HandSet("N, N m", 1.0, 1.0, 1.0, 0.6, 0.25, 0.04)
+compensation_bound = HandSet("N, N m", 0.6, 0.6, 0.6, 0.3, 0.15, 0.02)  # E_max
 
 
 def rate(times: float, nominal: NominalModel) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from controllers.law import Gain, GainField, Law
-from controllers.recommended import decay_rate, hand_set, layer_slope
+from controllers.recommended import HandSet, decay_rate, layer_slope
 from octarm.interfaces import Command, Knob, Measurement, Reference
 
 
@@ -65,10 +65,10 @@ class ComputedTorque(Law):
     # springs: the arm then needs K_p above 0.15 / 1.3 of its highest mode's (154 rad/s)^2.
     K_p: Annotated[
         Gain,
-        GainField("position gain", "1/s^2", hand_set("1/s^2", 6400.0), Knob("K_p", apart=True)),
+        GainField("position gain", "1/s^2", HandSet("1/s^2", 6400.0), Knob("K_p", apart=True)),
     ]
     K_d: Annotated[
-        Gain, GainField("velocity gain", "1/s", hand_set("1/s", 160.0), Knob("K_d", apart=True))
+        Gain, GainField("velocity gain", "1/s", HandSet("1/s", 160.0), Knob("K_d", apart=True))
     ]
 
     def __call__(

@@ -11,7 +11,7 @@ import numpy as np
 from controllers.fuzzy.inference import Sugeno, Variable
 from controllers.fuzzy.rule_base import RuleBase
 from controllers.law import Gain, GainField, Law
-from controllers.recommended import LAYER_WIDTH, LINEAR_GAIN, SWITCHING_GAIN, by_hand, hand_set
+from controllers.recommended import LAYER_WIDTH, LINEAR_GAIN, SWITCHING_GAIN, HandSet, by_hand
 from controllers.sliding_mode import SlidingLaw
 from octarm.interfaces import Command, Knob, Measurement, NominalModel, Reference
 
@@ -46,8 +46,8 @@ SWITCHING = Sugeno(
 # It gives each coordinate alone, the others being free, a bandwidth of about 300 rad/s. Twice the
 # highest mode of the springs, it leaves an error of a few per cent of the motion; a sampling rate
 # of 2 kHz would bear more.
-force_scale = hand_set("N, N m", 80.0, 40.0, 30.0, 12.0, 2.5, 0.9)
-error_scale = hand_set("m, rad", 0.003, 0.03)
+force_scale = HandSet("N, N m", 80.0, 40.0, 30.0, 12.0, 2.5, 0.9)
+error_scale = HandSet("m, rad", 0.003, 0.03)
 
 
 def rate_scale(nominal: NominalModel) -> np.ndarray:

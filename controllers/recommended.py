@@ -7,8 +7,6 @@ of that arm, `SET_FOR`: another arm has the same numbers in its own scales.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from controllers.law import GainField
@@ -38,12 +36,16 @@ def by_hand(nominal: NominalModel, units: str, first: float, *others: float) -> 
     return along(numbers, nominal.modules, nominal.coordinates) * unit(units, nominal)
 
 
-def hand_set(units: str, *values: float) -> Callable[[NominalModel], np.ndarray]:
-    """What `by_hand` makes of these units and values for a nominal model, broadcasts to (..., 2N).
+class HandSet:
+    """Values set by hand, see `by_hand`, as what a `GainField` recommends."""
 
-    It is what a `GainField` recommends.
-    """
-    return lambda nominal: by_hand(nominal, units, *values)
+    def __init__(self, units: str, *values: float) -> None:
+        """Values in units of a `GainField`."""
+        self._units, self._values = units, values
+
+    def __call__(self, nominal: NominalModel) -> np.ndarray:
+        """What they are for a nominal model, broadcasts to (..., 2N), in their units."""
+        return by_hand(nominal, self._units, *self._values)
 
 
 def by_unit(nominal: NominalModel, m: float, rad: float) -> np.ndarray:
@@ -57,12 +59,12 @@ def apparent_mass(nominal: NominalModel) -> np.ndarray:
 
 
 # Of a nominal model, broadcast to (..., 2N), in the units that are named.
-boundary_width = hand_set("m/s, rad/s", 0.05, 0.8)  # phi
-decay_rate = hand_set("1/s", 15.0)  # lambda: about the nominal arm's lowest mode
+boundary_width = HandSet("m/s, rad/s", 0.05, 0.8)  # phi
+decay_rate = HandSet("1/s", 15.0)  # lambda: about the nominal arm's lowest mode
 # K is above the largest model error of the nominal arm along the default sine when the nominal
 # model is at -30 % or +30 %: (1.15, 0.71, 0.33) N and (0.28, 0.15, 0.001) N m.
-switching_gain = hand_set("N, N m", 1.6, 1.0, 0.8, 0.4, 0.25, 0.03)
-linear_gain = hand_set("N s/m, N m s/rad", 10.0, 10.0, 10.0, 0.15, 0.05, 0.01)  # K_v
+switching_gain = HandSet("N, N m", 1.6, 1.0, 0.8, 0.4, 0.25, 0.03)
+linear_gain = HandSet("N s/m, N m s/rad", 10.0, 10.0, 10.0, 0.15, 0.05, 0.01)  # K_v
 
 
 def layer_slope(nominal: NominalModel) -> np.ndarray:

@@ -89,7 +89,12 @@ class _Stream:
         self._streams = list(streams)
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # also while it is being made or copied
+            raise AttributeError(name)
         return getattr(self._streams[0], name)
+
+    def flush(self) -> None:
+        """Nothing: what is written is flushed."""
 
     def write(self, text: str) -> int:
         """Writes to the first stream that takes it; never fails."""

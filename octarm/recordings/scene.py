@@ -54,7 +54,12 @@ class Scene:
     """
 
     def __init__(
-        self, parameters: ArmParameters, disturbances: Sequence[Drawn], disturbed: bool, finer: bool
+        self,
+        parameters: ArmParameters,
+        disturbances: Sequence[Drawn],
+        *,
+        disturbed: bool,
+        finer: bool,
     ) -> None:
         self._modules, self._width = parameters.modules, float(np.median(parameters.width))
         self._length = float(np.sum(parameters.rest_length))

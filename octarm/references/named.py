@@ -32,8 +32,8 @@ Sizes = Mapping[str, float | np.ndarray]
 
 # Amplitudes, lengths and frequencies are declared for arms like the nominal one: modules of 120 mm
 # that can be held at twice these sizes, and whose lowest mode is no slower.
-_BEND = 1.0  # [rad]
-_SLIDE, _STRAIN = 0.06, 0.5  # [m], of a rest length [1]
+_NOMINAL_BEND = 1.0  # [rad]
+_NOMINAL_SLIDE, _STRAIN = 0.06, 0.5  # [m], of a rest length [1]
 _LOWEST = 2.4  # [Hz]
 
 
@@ -60,7 +60,7 @@ class Hanging(NamedTuple):
         Half of the bend at which all modules can be held alike, and 1 rad at most.
         """
         held = self._each(lambda arm: np.min(np.abs(reach(arm).alike)))
-        return np.minimum(1.0, held / (2.0 * _BEND))
+        return np.minimum(1.0, held / (2.0 * _NOMINAL_BEND))
 
     def slide(self) -> np.ndarray:
         """The size of each slide, relative to the nominal arm's, shape () or (..., N) [1].
@@ -70,7 +70,7 @@ class Hanging(NamedTuple):
         if self.arm is None:
             return np.ones(())
         strain = np.minimum(_STRAIN, 0.5 * self._each(_held_strain))
-        return self.arm.rest_length * strain / _SLIDE
+        return self.arm.rest_length * strain / _NOMINAL_SLIDE
 
     def pace(self) -> np.ndarray:
         """The size of frequencies near the lowest mode, shape () or (..., 1) [1]; 1 at most."""

@@ -29,7 +29,7 @@ COLUMNS = ("episode", "controller", "status", "diverged_at", METRIC)
 
 
 class FinishedSweep:
-    """A sweep folder, whose episodes can be run again one by one.
+    """A sweep folder as it was when it was read, whose episodes can be run again one by one.
 
     Attributes:
         gains: of each controller for the first arm when the sweep was begun.

@@ -19,11 +19,11 @@ from octarm.references import recorded_word
 from octarm.runs.digest import CHECKPOINTS, StateDigest
 from octarm.runs.experiment import metrics_of
 from octarm.runs.versions import host, versions
+from octarm.simulation import rollout
 from octarm.simulation.engines import LAGRANGE, MUJOCO
 from octarm.simulation.environment import AnyPhysics, whole_periods
 from octarm.simulation.physics import BatchPhysics
 from octarm.simulation.recorder import Recorder
-from octarm.simulation.rollout import Observer as Observe
 from octarm.simulation.rollout import simulate
 from octarm.sweeps.engine_check import COLUMN, TipPaths, checked_episodes
 from octarm.sweeps.plan import EpisodeArms, Plan
@@ -31,7 +31,7 @@ from octarm.sweeps.spec import ARM, LAYOUT, PLANT_MODULES, SENSING, SweepSpec
 
 
 def run_shard(
-    spec: SweepSpec, shard: int, factory: ControllerFactory, *observers: Observe
+    spec: SweepSpec, shard: int, factory: ControllerFactory, *observers: rollout.Observer
 ) -> pa.Table:
     """The rows of a shard; they depend on nothing else.
 
@@ -59,7 +59,7 @@ def _checked_rows(
     arms: EpisodeArms,
     again: np.ndarray,
     factory: ControllerFactory,
-    *observers: Observe,
+    *observers: rollout.Observer,
 ) -> pa.Table:
     """The rows of arms, some of which, shape (k,), are run on MuJoCo as well.
 
@@ -87,7 +87,7 @@ def run_arms(
     plan: Plan,
     arms: EpisodeArms,
     factory: ControllerFactory,
-    *observers: Observe,
+    *observers: rollout.Observer,
     duration: float | None = None,
     twins: BatchPhysics | None = None,
 ) -> pa.Table:
@@ -211,7 +211,7 @@ def measure(
     environment: control.Environment,
     controller: Controller,
     duration: float,
-    *observers: Observe,
+    *observers: rollout.Observer,
     catalogue: Catalogue = METRICS,
     settle: float = SETTLED_AFTER,
 ) -> Outcome:

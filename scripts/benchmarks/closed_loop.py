@@ -29,10 +29,11 @@ from controllers import make_controller
 from octarm.arm.mjcf import build_slim_model
 from octarm.interfaces import Instant, Measurement, Reference
 from octarm.metrics.table import SETTLED_AFTER, Metrics
+from octarm.simulation import rollout
 from octarm.simulation.engines import MUJOCO
 from octarm.simulation.rollout import ArmRecorder
 from octarm.sweeps.plan import Plan
-from octarm.sweeps.shards import Observe, Observer, begin, run_arms
+from octarm.sweeps.shards import Observer, begin, run_arms
 from octarm.sweeps.spec_file import parse_spec
 from octarm.sweeps.workers import WorkerProcesses
 
@@ -165,7 +166,7 @@ def measured_loop(name: str, environment: control.Environment) -> tuple[Callable
     return _alone(name, observe)
 
 
-def _alone(name: str, observe: Observe) -> tuple[Callable[[], object], int]:
+def _alone(name: str, observe: rollout.Observer) -> tuple[Callable[[], object], int]:
     """Steps of one arm's environment, episode after episode."""
     environment = octarm.load()
     controller = make_controller(name, octarm.nominal_parameters())
