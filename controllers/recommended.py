@@ -7,6 +7,8 @@ of that arm, `SET_FOR`: another arm has the same numbers in its own scales.
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from controllers.law import GainField
@@ -36,16 +38,26 @@ def by_hand(nominal: NominalModel, units: str, first: float, *others: float) -> 
     return along(numbers, nominal.modules, nominal.coordinates) * unit(units, nominal)
 
 
+@dataclasses.dataclass(frozen=True, init=False)
 class HandSet:
-    """Values set by hand, see `by_hand`, as what a `GainField` recommends."""
+    """Values set by hand, see `by_hand`, as what a `GainField` recommends.
+
+    Attributes:
+        units: those of a `GainField`.
+        values: one for all coordinates, two for slides and bends, or one for each.
+    """
+
+    units: str
+    values: tuple[float, ...]
 
     def __init__(self, units: str, *values: float) -> None:
-        """Values in units of a `GainField`."""
-        self._units, self._values = units, values
+        """Values in these units."""
+        object.__setattr__(self, "units", units)
+        object.__setattr__(self, "values", values)
 
     def __call__(self, nominal: NominalModel) -> np.ndarray:
         """What they are for a nominal model, broadcasts to (..., 2N), in their units."""
-        return by_hand(nominal, self._units, *self._values)
+        return by_hand(nominal, self.units, *self.values)
 
 
 def by_unit(nominal: NominalModel, m: float, rad: float) -> np.ndarray:
