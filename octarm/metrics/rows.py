@@ -14,9 +14,14 @@ import numpy.typing as npt
 
 from octarm.errors import OctarmError
 
+_FEW = 30  # numbers of a row; calls for every row would cost more than the arithmetic
+
 
 def add_rows(total: np.ndarray, rows: np.ndarray) -> None:
     """Adds rows, shape (k, ...), to a total, shape (...), one after another."""
+    if len(rows) > 1 and total.size <= _FEW:
+        total[...] = np.add.accumulate(np.concatenate([total[None], rows]))[-1]
+        return
     for row in rows:
         total += row
 
@@ -110,13 +115,14 @@ class Count:
 
     def update(self, rows: np.ndarray) -> None:
         """Takes rows of bool, shape (k, ...)."""
-        for row in rows.view(np.uint8):
-            self._recent += row
-            self._pending += 1
-            if self._pending == 255:
+        for start in range(0, len(rows), 255):
+            part = rows[start : start + 255].view(np.uint8)
+            self._pending += len(part)
+            if self._pending > 255:
                 self._total += self._recent
                 self._recent[...] = 0
-                self._pending = 0
+                self._pending = len(part)
+            self._recent += np.add.reduce(part, axis=0, dtype=np.uint8)
 
     def result(self) -> np.ndarray:
         """The number so far, shape of a row."""
