@@ -29,7 +29,7 @@ import numpy as np
 from octarm.arm.kinematics import jacobian, jacobian_rate, plate_axes
 from octarm.arm.kinematics import positions as positions
 from octarm.arm.parameters import ArmParameters
-from octarm.arm.recursion import OutRow, Recursion, Row
+from octarm.arm.recursion import OutRow, Recursion, Row, check_coordinates
 from octarm.arrays import Entry, split
 from octarm.errors import OctarmError
 
@@ -46,9 +46,7 @@ def inverse_dynamics(
 
     All have shape (..., 2N), the force in [N], [N m]; v_r is v when not given.
     """
-    v_r = v if v_r is None else v_r
-    _modules(p, "q v a v_r", q, v, a, v_r)
-    return _DYNAMICS(p.rows, q, v, a, v_r)
+    return _DYNAMICS(p.rows, q, v, a, v if v_r is None else v_r)
 
 
 def _dynamics(
@@ -190,7 +188,6 @@ def energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, 
 
 def kinetic_energy(p: ArmParameters, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """1/2 v^T D(q) v, shape (...) [J], in O(N) by recursion along the arm."""
-    _modules(p, "q v", q, v)
     return _KINETIC(p.inertial, q, v)[..., 0]
 
 
@@ -265,15 +262,9 @@ def _from_the_tip(x: np.ndarray) -> np.ndarray:
 
 
 def _modules(p: ArmParameters, names: str, *arrays: np.ndarray) -> int:
-    n = p.modules
-    for array in arrays:
-        if array.shape[-1:] != (2 * n,):
-            name = names.split()[[array is other for other in arrays].index(True)]
-            raise OctarmError(
-                f"{name} has shape {array.shape}; its last axis must hold "
-                f"{2 * n} coordinates for {n} modules"
-            )
-    return n
+    for name, array in zip(names.split(), arrays, strict=True):
+        check_coordinates(name, array, p.coordinates)
+    return p.modules
 
 
 def column_forces(

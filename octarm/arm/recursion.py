@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from octarm.arrays import Entry, cos_sin, split
+from octarm.errors import OctarmError
 
 Row = Sequence[Entry]
 OutRow = Any  # a list of entries, or an array in compiled code
@@ -35,8 +36,9 @@ class Constants:
     """Rows of what does not change: arrays of shape (..., k), and for one arm lists of numbers."""
 
     def __init__(self, *arrays: np.ndarray) -> None:
-        """Rows of one arm, or of a batch of arms."""
+        """Rows of one arm, or of a batch of arms, the first of which has N entries."""
         self.arrays = arrays
+        self.coordinates = 2 * arrays[0].shape[-1]
         one = all(x.ndim == 1 for x in arrays)
         self.numbers = [x.tolist() for x in arrays] if one else None
 
@@ -57,17 +59,22 @@ class Recursion:
         letters = "".join(_LENGTHS.get(name, "n") for name in names)
         count = [function.__annotations__[name] for name in names].count("OutRow")
         self._function, self._bent = function, "cos" in names
+        self._names = [name for name in names if name not in ("cos", "sin")]
         self._inputs, self._outputs = letters[:-count], letters[-count:]
         self._like = [self._inputs.index(letter) for letter in self._outputs]
 
     def __call__(self, constants: Constants, q: np.ndarray, *others: np.ndarray) -> np.ndarray:
-        """The first result, shape (..., k), in the memory order of q."""
-        if q.ndim == 1 and constants.numbers is not None:
-            for x in others:
-                if x.ndim > 1:
-                    break
-            else:
-                return self._of_one(constants.numbers, q, others)
+        """The first result, shape (..., k), in the memory order of q.
+
+        The inputs have shape (..., 2N). Raises OctarmError if the last axis of one has not.
+        """
+        shape, one = (constants.coordinates,), True
+        for i, x in enumerate((q, *others)):
+            if x.shape != shape:
+                check_coordinates(self._names[i], x, constants.coordinates)
+                one = False
+        if one and constants.numbers is not None:
+            return self._of_one(constants.numbers, q, others)
         arrays = (q, *(plate_rows(q) if self._bent else ()), *others, *constants.arrays)
         batch = np.broadcast_shapes(*{x.shape[:-1] for x in arrays})
         kind = np.result_type(*{x.dtype for x in arrays})
@@ -87,7 +94,8 @@ class Recursion:
         self, constants: list[list[float]], q: np.ndarray, others: Sequence[np.ndarray]
     ) -> np.ndarray:
         x = q.tolist()
-        inputs = [x, *(_plates(x) if self._bent else ()), *[y.tolist() for y in others], *constants]
+        plates = _plates(*x[len(x) // 2 : -1]) if self._bent else ()
+        inputs = [x, *plates, *[y.tolist() for y in others], *constants]
         results = [[0.0] * len(inputs[i]) for i in self._like]
         self._function(*inputs, *results)
         return np.array(results[0])
@@ -112,6 +120,15 @@ class Recursion:
         return kept(compiler, function).ufunc
 
 
+def check_coordinates(name: str, array: np.ndarray, coordinates: int) -> None:
+    """Raises OctarmError unless the last axis of an array holds so many coordinates."""
+    if array.shape[-1:] != (coordinates,):
+        raise OctarmError(
+            f"{name} has shape {array.shape}; its last axis must hold {coordinates} coordinates "
+            f"for {coordinates // 2} modules"
+        )
+
+
 def kept(compiler: Callable[..., Any], function: Callable[..., Any]) -> Any:
     """A function as one of numba's compilers has it, kept on disk where that can be written."""
     try:
@@ -125,19 +142,22 @@ def plate_rows(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Those of a batch are read-only.
     """
+    bends = q[..., q.shape[-1] // 2 : -1]
     if q.ndim == 1:
-        cos, sin = _plates(q.tolist())
+        cos, sin = _plates(*bends.tolist())
         return np.array(cos), np.array(sin)
-    bends = q[..., q.shape[-1] // 2 : -1].T
+    bends = bends.T
     return _kept_rows(bends.tobytes(), bends.dtype, bends.shape)
 
 
-def _plates(q: list[float]) -> tuple[list[Entry], list[Entry]]:
-    """The same for one arm."""
+# A control period asks for the same ones several times.
+@functools.lru_cache(maxsize=4)
+def _plates(*bends: float) -> tuple[list[Entry], list[Entry]]:
+    """Those of one arm, whose modules are bent so much but the last one [rad]; not to be changed."""
     cos: list[Entry] = [1.0]
     sin: list[Entry] = [0.0]
     angle = 0.0
-    for theta in q[len(q) // 2 : -1]:
+    for theta in bends:
         angle = angle + theta
         c, s = cos_sin(angle)
         cos.append(c)
@@ -145,7 +165,7 @@ def _plates(q: list[float]) -> tuple[list[Entry], list[Entry]]:
     return cos, sin
 
 
-@functools.lru_cache(maxsize=4)  # a control period asks for the same ones several times
+@functools.lru_cache(maxsize=4)
 def _kept_rows(
     bends: bytes, kind: np.dtype[Any], shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
