@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from tqdm.auto import tqdm
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 
 def bar(iterable: Iterable[Any] | None = None, **options: Any) -> tqdm[Any]:
     """A bar of tqdm, with its options; it goes when it is closed, or where it cannot be seen."""
+    from tqdm.auto import tqdm  # which loads asyncio
+
     return tqdm(iterable, disable=not visible(), leave=False, **options)
 
 

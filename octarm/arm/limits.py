@@ -43,6 +43,13 @@ class Limits:
             speed=(*split(40.0 * rest), *(50.0,) * n),
         )
 
+    def reordered(self, places: np.ndarray) -> Limits:
+        """Those of arrays in which the coordinates stand in these places, shape (2N,)."""
+        order = np.argsort(places).tolist()
+        return Limits(
+            *(tuple(bound[i] for i in order) for bound in (self.low, self.high, self.speed))
+        )
+
     def hold(self, q: np.ndarray, v: np.ndarray) -> bool:
         """Whether one arm's state, q and v of shape (2N,), is within the limits; NaN never is."""
         place, speed = q.tolist(), map(abs, v.tolist())

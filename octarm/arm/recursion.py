@@ -121,7 +121,7 @@ class Recursion:
 
 
 def check_coordinates(name: str, array: np.ndarray, coordinates: int) -> None:
-    """Raises OctarmError unless the last axis of an array holds so many coordinates."""
+    """Raises OctarmError unless an array has the shape (..., coordinates)."""
     if array.shape[-1:] != (coordinates,):
         raise OctarmError(
             f"{name} has shape {array.shape}; its last axis must hold {coordinates} coordinates "
@@ -153,7 +153,7 @@ def plate_rows(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 # A control period asks for the same ones several times.
 @functools.lru_cache(maxsize=4)
 def _plates(*bends: float) -> tuple[list[Entry], list[Entry]]:
-    """Those of one arm, whose modules are bent so much but the last one [rad]; not to be changed."""
+    """Those of one arm, not to be changed; the bends are of all modules but the last [rad]."""
     cos: list[Entry] = [1.0]
     sin: list[Entry] = [0.0]
     angle = 0.0

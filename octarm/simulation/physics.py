@@ -33,9 +33,9 @@ with warnings.catch_warnings():  # without a display, glfw complains although no
 logging.getLogger("absl").addFilter(lambda record: record.funcName != "_warning_callback")
 
 _INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION.value
-_EPISODE = ("actuation", "active", "limits", "plant_limits", "groups", "coordinates",
-            "_undisturbed", "_input_range", "_zero", "_tau", "_possible", "_received",
-            "_disturbance", "_steps", "_intact", "_diverged_at", "_all_intact")  # fmt: skip
+_EPISODE = ("actuation", "active", "limits", "plant_limits", "_model_limits", "groups",
+            "coordinates", "_undisturbed", "_input_range", "_zero", "_tau", "_possible",
+            "_received", "_disturbance", "_steps", "_intact", "_diverged_at", "_all_intact")  # fmt: skip
 
 
 class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
@@ -60,6 +60,7 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
             lambda name: operator.attrgetter(name)(model),
             read_parameters(model),
         )
+        self._model_limits = self.plant_limits.reordered(self._qpos_index)  # as MuJoCo orders them
         tip = model.sensor("tip_position").adr[0]
         self._state_size = mujoco.mj_stateSize(model, _INTEGRATION)
         self._tip = data.ptr.sensordata[tip : tip + 3]
@@ -110,7 +111,7 @@ class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
         mujoco.mj_step(self.model.ptr, self.data.ptr)
 
     def _check_limits(self) -> None:
-        if not self.plant_limits.hold(self.plant_q(), self.plant_v()):
+        if not self._model_limits.hold(self._qpos, self._qvel):
             self.freeze(True)
 
     def _follow_inertias(self) -> None:
