@@ -35,7 +35,8 @@ logging.getLogger("absl").addFilter(lambda record: record.funcName != "_warning_
 _INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION.value
 _EPISODE = ("actuation", "active", "limits", "plant_limits", "_model_limits", "groups",
             "coordinates", "_undisturbed", "_input_range", "_zero", "_tau", "_possible",
-            "_received", "_disturbance", "_steps", "_intact", "_diverged_at", "_all_intact")  # fmt: skip
+            "_received", "_disturbance", "_steps", "_intact", "_diverged_at",
+            "_all_intact")  # fmt: skip
 
 
 class ArmPhysics(AnyPhysics, dm_mujoco.Physics):
