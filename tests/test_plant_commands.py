@@ -263,7 +263,7 @@ def test_tuning_tries_the_plant():
     trial = Examination(begin=0.01, duration=0.02)
     gains = {"K": np.array([[1.0], [3.0]])}
     factory = functools.partial(make_controller, "smc", gain_set="recommended")
-    tried = [costs(trial, factory, gains, rig=Rig("lagrange", n)) for n in (None, 3, 9)]
+    tried = [costs([trial], factory, gains, rig=Rig("lagrange", n))[0] for n in (None, 3, 9)]
     assert tried[0].shape == (2, len(SCENARIOS))
     others = [not scenario.plant_modules for scenario in SCENARIOS]
     assert np.all((tried[2] != tried[0])[:, others])

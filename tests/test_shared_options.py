@@ -69,7 +69,7 @@ def test_a_rig_has_what_all_scenarios_shall_have():
 
     def cost(scenario: Scenario, rig: Rig) -> float:
         trial = Examination(scenarios=(scenario,), begin=0.02, duration=0.1)
-        return costs(trial, factory, {"lambda": np.full((1, 1), 12.0)}, rig=rig).item()
+        return costs([trial], factory, {"lambda": np.full((1, 1), 12.0)}, rig=rig)[0].item()
 
     plain, more = Rig("mujoco"), Rig("mujoco", reference="sine", mismatch=-0.2)
     assert cost(Scenario(reference="fast-sine"), more) == pytest.approx(

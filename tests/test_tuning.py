@@ -101,7 +101,7 @@ class Watched:
 def test_arms_lie_side_by_side_in_memory():
     seen: list[bool] = []
     costs(
-        TINY,
+        [TINY],
         lambda nominal, gains: Watched(by_hand("afsmc")(nominal, gains), seen),
         {"K_v": np.tile([1.0, 3.0], (2 * N, 1)).T},
     )
@@ -112,7 +112,7 @@ def test_arms_lie_side_by_side_in_memory():
 def test_the_cost_is_the_declared_formula(scenario: Scenario):
     trial = Examination(begin=0.1, duration=0.2, scenarios=(SCENARIOS[3], scenario))
     K = np.array([[1.0], [3.0]])
-    both = costs(trial, by_hand("smc"), {"K": K})
+    (both,) = costs([trial], by_hand("smc"), {"K": K})
     assert both.shape == (2, 2)
     acting = {
         f"mismatch:0,damping={scenario.damping}": scenario.damping != 1.0,
@@ -224,10 +224,10 @@ def test_lost_arms_cost_the_more_the_earlier_and_touch_nobody():
     storm = Scenario(reference="sine", mismatch=0.0, noise=3.0)
     trial = Examination(begin=0.02, duration=0.1, scenarios=(storm,))
     gains = np.array([[1000.0], [50.0], [10.0], [1e300]])  # K_d; the last asks beyond all numbers
-    cost = costs(trial, by_hand("computed-torque"), {"K_d": gains})[:, 0]
+    cost = costs([trial], by_hand("computed-torque"), {"K_d": gains})[0][:, 0]
     assert cost[0] < 1.0
     assert 10.0 < cost[1] < cost[2] < cost[3] <= 20.0
-    alone = costs(trial, by_hand("computed-torque"), {"K_d": gains[:1]})[:, 0]
+    alone = costs([trial], by_hand("computed-torque"), {"K_d": gains[:1]})[0][:, 0]
     assert alone[0] == cost[0]
 
 
@@ -235,13 +235,14 @@ def test_no_candidate_gets_more_force_than_the_actuators_have():
     trial = Examination(
         begin=0.02, duration=0.1, scenarios=(Scenario(reference="sine", mismatch=0.0, noise=0.0),)
     )
-    mad = costs(trial, by_hand("computed-torque"), {"K_d": np.array([[1e5], [1e8]])})[:, 0]
+    (mad,) = costs([trial], by_hand("computed-torque"), {"K_d": np.array([[1e5], [1e8]])})
     assert np.all(mad == 10.0)  # both rattle between the same limits: as bad as it gets, not lost
 
 
 def test_when_all_arms_are_lost_the_bar_still_gets_to_its_end():
     seconds: list[float] = []
-    cost = costs(TINY, by_hand("computed-torque"), {"K_d": np.array([[1e300]])}, seconds.append)
+    gains = {"K_d": np.array([[1e300]])}
+    (cost,) = costs([TINY], by_hand("computed-torque"), gains, seconds.append)
     assert np.all(cost >= 10.0)
     assert sum(seconds) == pytest.approx(TINY.seconds)
 
@@ -378,7 +379,7 @@ def test_it_is_at_least_as_good_as_the_hand_set_gains(uninterrupted):
     for examination, found in (
         (TINY, tuned.short), (BUDGET.long, tuned.long), (BUDGET.unseen, tuned.unseen),
     ):  # fmt: skip
-        again = costs(examination, make, rows, rig=OF_RECORD)[0]
+        again = costs([examination], make, rows, rig=OF_RECORD)[0][0]
         np.testing.assert_array_equal(again, found.tuned)
 
 
@@ -474,7 +475,7 @@ def test_the_command_writes_gains_and_how_they_were_found(capsys):
         assert table["cost"] == pytest.approx(np.mean([row["cost"] for row in rows]))
         assert table["recommended"] == pytest.approx(np.mean([r["recommended"] for r in rows]))
         own = {k: np.broadcast_to(x, (1, 6)) for k, x in content["gains"].items()}
-        found = costs(trial, scaled("smc"), own, rig=OF_RECORD)[0]  # the file alone suffices
+        found = costs([trial], scaled("smc"), own, rig=OF_RECORD)[0][0]  # the file alone suffices
         np.testing.assert_array_equal(found, [row["cost"] for row in rows])
     controller = make_controller("smc", P, gain_set="my.toml")
     for name, gain in gains_of(controller).items():

@@ -38,9 +38,9 @@ class Constants:
     def __init__(self, *arrays: np.ndarray) -> None:
         """Rows of one arm, or of a batch of arms, the first of which has N entries."""
         self.arrays = arrays
+        self.batch_shape = np.broadcast_shapes(*(x.shape[:-1] for x in arrays))
         self.coordinates = 2 * arrays[0].shape[-1]
-        one = all(x.ndim == 1 for x in arrays)
-        self.numbers = [x.tolist() for x in arrays] if one else None
+        self.numbers = None if self.batch_shape else [x.tolist() for x in arrays]
 
 
 class Recursion:
@@ -76,8 +76,10 @@ class Recursion:
         if one and constants.numbers is not None:
             return self._of_one(constants.numbers, q, others)
         arrays = (q, *(plate_rows(q) if self._bent else ()), *others, *constants.arrays)
-        batch = np.broadcast_shapes(*{x.shape[:-1] for x in arrays})
-        kind = np.result_type(*{x.dtype for x in arrays})
+        batch, *more = {constants.batch_shape, *(x.shape[:-1] for x in (q, *others))}
+        if more:
+            batch = np.broadcast_shapes(batch, *more)
+        kind = np.result_type(1.0, *{x.dtype for x in (q, *others)})
         results = [
             np.empty_like(q, shape=(*batch, arrays[i].shape[-1]), dtype=kind) for i in self._like
         ]

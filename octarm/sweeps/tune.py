@@ -191,11 +191,11 @@ def tune(
     make = functools.partial(_made, factory, space.fixed())
     of_record = dataclasses.replace(rig, engine=MUJOCO)
 
-    def tried(examination: Examination, candidates: np.ndarray, rig: Rig) -> np.ndarray:
-        return costs(examination, make, space.turned(candidates), progress, rig, workers)
+    def tried(candidates: np.ndarray, rig: Rig, *examinations: Examination) -> list[np.ndarray]:
+        return costs(examinations, make, space.turned(candidates), progress, rig, workers)
 
     def cost(candidates: np.ndarray) -> np.ndarray:
-        return budget.short.mean(tried(budget.short, candidates, rig))
+        return budget.short.mean(*tried(candidates, rig, budget.short))
 
     if state is None:
         population = initial_population(space.bounds, budget.population, _random(seed, 0))
@@ -214,10 +214,10 @@ def tune(
         keep(state)
     best = state.population[np.argsort(state.costs, kind="stable")[: budget.finalists]]
     finalists = np.concatenate([best, np.zeros_like(best[:1])])
-    long = tried(budget.long, finalists, of_record)
+    (long,) = tried(finalists, of_record, budget.long)
     winner = int(np.argmin(budget.long.mean(long)))
     both = finalists[[winner, -1]]
-    short, unseen = (Costs(*tried(x, both, of_record)) for x in (budget.short, budget.unseen))
+    short, unseen = (Costs(*x) for x in tried(both, of_record, budget.short, budget.unseen))
     turned = {name: rows[winner] for name, rows in space.turned(finalists).items()}
     return Tuned(
         gains={name: turned.get(name, gain) for name, gain in space.gains.items()},

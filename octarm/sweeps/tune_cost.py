@@ -27,6 +27,7 @@ same noise.
 from __future__ import annotations
 
 import dataclasses
+import heapq
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -48,7 +49,7 @@ from octarm.metrics.forces import Chattering
 from octarm.metrics.metric import Settings
 from octarm.metrics.tracking import TrackingError
 from octarm.references import named_reference
-from octarm.simulation.engines import check_engine, usual_engine
+from octarm.simulation.engines import LAGRANGE, MUJOCO, check_engine, usual_engine
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import simulate
 from octarm.simulation.stepping import AnyPhysics
@@ -61,6 +62,10 @@ SLIDE_SCALE = 0.0175  # A [m]
 BEND_SCALE = 0.3  # A [rad]
 CHATTERING_WEIGHT = 0.1  # w [1]
 _MOST_SECONDS = 1e8  # of simulated time
+# Measured: the time in which Python gets through a control period, in that of so many more arms; an
+# arm takes longer by this power of its number of modules.
+_ARMS_OF_A_PERIOD = {MUJOCO: 50, LAGRANGE: 250}
+_POWER = 1.5
 LARGEST = 10.0  # cost of an arm that stays within its limits; one that does not costs up to twice
 
 FORMULA = (
@@ -204,40 +209,68 @@ class Rig:
 
 
 def costs(
-    examination: Examination,
+    examinations: Sequence[Examination],
     factory: ControllerFactory,
     candidates: Mapping[str, np.ndarray],
     progress: Callable[[float], object] = lambda seconds: None,
     rig: Rig | None = None,
     workers: WorkerProcesses | None = None,
-) -> np.ndarray:
-    """The cost of each candidate in each scenario, shape (n, scenarios) [1].
+) -> list[np.ndarray]:
+    """The cost of each candidate in each scenario of each examination, shapes (n, scenarios) [1].
 
     J is its `Examination.mean`. A cost does not depend on the other candidates, nor on workers.
     Candidates are gains by name with a row for each, shapes (n, 1) or (n, 2N); the factory makes
     the controller of its nominal model and gains, hand-set where not given. The progress is called
-    with the seconds that were simulated since the last call, all arms counted. Workers take
-    scenarios of one control period and plant at a time, at most a worker's share of all; for them
-    it must be possible to pickle the factory.
+    with the seconds that were simulated since the last call, all arms counted. For workers it must
+    be possible to pickle the factory.
     """
     rig, n = rig or Rig(), len(next(iter(candidates.values())))
-    table = np.empty((n, len(examination.scenarios)))
-    kinds = [(scenario.period, scenario.plant_modules) for scenario in examination.scenarios]
-    parts = [[i for i, other in enumerate(kinds) if other == kind] for kind in dict.fromkeys(kinds)]
+    tables = [np.empty((n, len(examination.scenarios))) for examination in examinations]
+    parts = _parts(examinations, n, rig, 1 if workers is None else workers.count)
     if workers is None:
-        for places in parts:
-            table[:, places] = _costs((examination, places), factory, candidates, rig, progress)
-        return table
-    share = math.ceil(len(kinds) / workers.count)
-    parts = [part[i : i + share] for part in parts for i in range(0, len(part), share)]
-    parts.sort(key=len, reverse=True)
+        for number, places in parts:
+            trial = examinations[number], places
+            tables[number][:, places] = _costs(trial, factory, candidates, rig, progress)
+        return tables
     calls = [
-        workers.submit(_costs, (examination, places), factory, candidates, rig) for places in parts
+        workers.submit(_costs, (examinations[number], places), factory, candidates, rig)
+        for number, places in parts
     ]
-    for places, call in zip(parts, calls, strict=True):
-        table[:, places] = call.result()
-        progress(n * len(places) * examination.duration)
-    return table
+    for (number, places), call in zip(parts, calls, strict=True):
+        tables[number][:, places] = call.result()
+        progress(n * len(places) * examinations[number].duration)
+    return tables
+
+
+def _parts(
+    examinations: Sequence[Examination], candidates: int, rig: Rig, workers: int
+) -> list[tuple[int, list[int]]]:
+    """What is tried together: numbers of an examination and of scenarios, the longest trial first.
+
+    These have one control period and one plant. More parts keep all workers busy, but each costs
+    the calls of every period: they are as many as let the last worker end earliest.
+    """
+    kinds: dict[tuple[int, float, int], list[int]] = {}
+    for number, examination in enumerate(examinations):
+        for place, scenario in enumerate(examination.scenarios):
+            kind = number, scenario.period, scenario.plant_modules or rig.arm().modules
+            kinds.setdefault(kind, []).append(place)
+
+    def within(most: int) -> tuple[float, list[tuple[int, list[int]]]]:
+        """When the last worker ends, and the parts, if none has more than so many scenarios."""
+        parts: list[tuple[float, int, list[int]]] = []
+        for (number, _, modules), places in kinds.items():
+            for piece in np.array_split(places, math.ceil(len(places) / most)):
+                arms = candidates * len(piece) * (modules / rig.arm().modules) ** _POWER
+                taken = examinations[number].duration * (_ARMS_OF_A_PERIOD[rig.engine] + arms)
+                parts.append((taken, number, piece.tolist()))
+        parts.sort(key=lambda part: part[0], reverse=True)
+        busy = [0.0] * workers
+        for taken, *_ in parts:
+            heapq.heapreplace(busy, busy[0] + taken)
+        return max(busy), [(number, places) for _, number, places in parts]
+
+    return min(map(within, range(max(map(len, kinds.values())), 0, -1)), key=lambda x: x[0])[1]
 
 
 def _costs(

@@ -125,7 +125,7 @@ def against_operations(name: str, cost: float, operations: int, c_program: float
 def tuning(settings: Settings) -> list[Row]:
     """A generation of `octarm tune`, of which its budget is made, by one process and by all."""
     check_installed()
-    factory = functools.partial(make_controller, TUNED, gain_set="recommended")
+    factory = functools.partial(make_controller, TUNED)
     budget, nominal = Budget(generations=1), octarm.nominal_parameters()
     space = Space(factory(nominal, {}), nominal.modules)
     candidates = space.turned(np.zeros((budget.population, len(space.unknowns))))
@@ -133,12 +133,12 @@ def tuning(settings: Settings) -> list[Row]:
     examination = Examination(begin=whole, duration=3.0 * whole)
 
     def evaluation(engine: str, workers: WorkerProcesses | None = None) -> Callable[[], object]:
-        return lambda: costs(examination, factory, candidates, rig=Rig(engine), workers=workers)
+        return lambda: costs([examination], factory, candidates, rig=Rig(engine), workers=workers)
 
     compiling = Examination(begin=1e-3, duration=2e-3)
-    costs(compiling, factory, candidates, rig=Rig(LAGRANGE))
+    costs([compiling], factory, candidates, rig=Rig(LAGRANGE))
     with WorkerProcesses(cores()) as workers:
-        costs(compiling, factory, candidates, rig=Rig(LAGRANGE), workers=workers)
+        costs([compiling], factory, candidates, rig=Rig(LAGRANGE), workers=workers)
         ways = [*map(evaluation, ENGINES), evaluation(LAGRANGE, workers)]
         times = [[duration_of(way) for way in ways] for _ in range(_TIMES)]
     (*wall, by_all), computed = np.min(times, axis=0).T
