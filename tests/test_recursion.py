@@ -1,7 +1,9 @@
 """A recursion gives the same bits for one arm, for a batch, and compiled."""
 # pyright: reportAttributeAccessIssue=false
 
+import contextlib
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
@@ -83,4 +85,25 @@ def test_without_a_place_for_it_compiled_code_is_not_kept():
             raise RuntimeError("no locator available")
         return lambda function: (function, "compiled")
 
-    assert kept(compiler, abs) == (abs, "compiled")
+    assert kept(compiler, arm) == (arm, "compiled")
+
+
+def test_who_compiles_what_is_kept_waits_for_the_others(monkeypatch: pytest.MonkeyPatch, tmp_path):
+    """Or files of one process would stand beside those of another, which they do not fit."""
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
+    both, together = threading.Barrier(2), list[bool]()
+
+    def compiler(*, cache: bool = False) -> Callable[[Any], Any]:
+        assert cache
+        with contextlib.suppress(threading.BrokenBarrierError):
+            both.wait(0.3)
+            together.append(True)
+        return lambda function: function
+
+    threads = [threading.Thread(target=kept, args=(compiler, arm)) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not together
+    assert list(tmp_path.rglob("*.lock"))

@@ -45,10 +45,11 @@ class Limits:
 
     def reordered(self, places: np.ndarray) -> Limits:
         """Those of arrays in which the coordinates stand in these places, shape (2N,)."""
-        order = np.argsort(places).tolist()
-        return Limits(
-            *(tuple(bound[i] for i in order) for bound in (self.low, self.high, self.speed))
+        order: list[int] = np.argsort(places).tolist()
+        low, high, speed = (
+            tuple(bound[i] for i in order) for bound in (self.low, self.high, self.speed)
         )
+        return Limits(low, high, speed)
 
     def hold(self, q: np.ndarray, v: np.ndarray) -> bool:
         """Whether one arm's state, q and v of shape (2N,), is within the limits; NaN never is."""

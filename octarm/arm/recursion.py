@@ -14,9 +14,11 @@ import importlib
 import sys
 import types
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from filelock import FileLock
 
 from octarm.arrays import Entry, cos_sin, split
 from octarm.errors import OctarmError
@@ -118,8 +120,14 @@ class Recursion:
             ",".join(f"({x})" for x in rows) for rows in (self._inputs, self._outputs)
         )
         signature = f"void({', '.join(['f8[:]'] * len(self._inputs + self._outputs))})"
-        compiler = functools.partial(numba.guvectorize, [signature], f"{inputs}->{outputs}")
-        return kept(compiler, function).ufunc
+        layout = f"{inputs}->{outputs}"
+
+        def compiler(**options: bool) -> Callable[[Any], Any]:
+            return lambda function: (
+                numba.guvectorize([signature], layout, **options)(function).ufunc
+            )
+
+        return kept(compiler, function)
 
 
 def check_coordinates(name: str, array: np.ndarray, coordinates: int) -> None:
@@ -132,10 +140,18 @@ def check_coordinates(name: str, array: np.ndarray, coordinates: int) -> None:
 
 
 def kept(compiler: Callable[..., Any], function: Callable[..., Any]) -> Any:
-    """A function as one of numba's compilers has it, kept on disk where that can be written."""
+    """A function as one of numba's compilers has it, kept on disk where that can be written.
+
+    What numba keeps of one function may be two files, which only fit together if the same process
+    has written both: a call that does not find its other half ends the process. So processes that
+    have to compile wait for each other.
+    """
+    caching: Any = importlib.import_module("numba.core.caching")
     try:
-        return compiler(cache=True)(function)
-    except RuntimeError:  # neither this folder nor a home can be written
+        folder = caching.FunctionCache(function).cache_path
+        with FileLock(Path(folder) / "octarm.lock"):
+            return compiler(cache=True)(function)
+    except (RuntimeError, OSError, NotImplementedError):  # it cannot be written, or has no locks
         return compiler()(function)
 
 

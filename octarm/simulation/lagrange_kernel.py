@@ -62,7 +62,9 @@ _C2, _C4, _C6, _C8, _C10, _C12, _C14, _C16 = (
 )
 
 
-_compiled = functools.partial(kept, functools.partial(numba.njit, nogil=True))
+# What `rk4_step` calls is kept on disk with it alone: files of their own, which two processes that
+# compile at once write in turns, would not fit together.
+_inner = numba.njit(nogil=True)
 
 
 def work_space(modules: int) -> np.ndarray:
@@ -89,7 +91,7 @@ def cos_sin(x):
     return cos, sin
 
 
-@_compiled
+@_inner
 def _accelerate(w, n):
     """AS and AT of all modules at the state of the stage."""
     for i in range(_ONE, n):
@@ -146,7 +148,7 @@ def _accelerate(w, n):
             w[at + ALPHA + k], w[at + AT + k] = turn, turn - alpha
 
 
-@_compiled
+@_inner
 def _add(w, n, share):
     """Adds a share of the derivative at the stage to the mean one."""
     for i in range(_ONE, n + _ONE):
@@ -158,7 +160,7 @@ def _add(w, n, share):
             w[at + DVT + k] += share * w[at + AT + k]
 
 
-@_compiled
+@_inner
 def _move(w, n, h):
     """Goes to the next stage: from the start for h [s], with the derivative at this stage."""
     for i in range(_ONE, n + _ONE):
@@ -170,7 +172,7 @@ def _move(w, n, h):
             w[at + VT + k] = w[at + VT0 + k] + h * w[at + AT + k]
 
 
-@_compiled
+@_inner
 def _rk4(w, n, h):
     """One step of the lanes of a block; the new state is where that of a stage was."""
     _accelerate(w, n)
@@ -197,7 +199,7 @@ def _rk4(w, n, h):
             w[at + VT + k] = w[at + VT0 + k] + h * w[at + DVT + k]
 
 
-@_compiled
+@_inner
 def _check(w, n):
     """Writes 1 to the base's INSIDE for arms whose new state is within the limits, else 0."""
     for k in range(_LANES):
@@ -213,7 +215,7 @@ def _check(w, n):
             w[INSIDE + k] = w[INSIDE + k] if good else 0.0
 
 
-@_compiled
+@_inner
 def _fetch(w, at, row, start, count):
     """Copies a row's arms to the lanes; lanes without an arm get the last one."""
     if len(row) == 1:
@@ -227,7 +229,7 @@ def _fetch(w, at, row, start, count):
             w[at + np.uint64(k)] = row[start + np.uint64(min(k, count - 1))]
 
 
-@_compiled
+@_inner
 def _load_plant(w, plant, gravity, start, count):
     """Fills a block with the plants of the arms from `start` on."""
     _fetch(w, AX, gravity[0], start, count)
@@ -240,7 +242,7 @@ def _load_plant(w, plant, gravity, start, count):
             w[at + C + k], w[at + SN + k] = 1.0, 0.0  # of the last plate nothing depends
 
 
-@_compiled
+@_inner
 def _load(w, q, v, ctrl, added, start, count):
     """Fills a block with the states of the arms from `start` on, and with what acts on them."""
     n = len(q) // 2
@@ -267,7 +269,7 @@ def _load(w, q, v, ctrl, added, start, count):
             w[at + RS + k], w[at + RT + k] = left + right, half * (left - right)
 
 
-@_compiled
+@_inner
 def _store(w, q, v, alive, outside, start, count):
     """Takes the new states of the arms that are alive; the number that left their limits."""
     n = len(q) // 2
@@ -290,7 +292,7 @@ def _store(w, q, v, alive, outside, start, count):
     return lost
 
 
-@_compiled
+@functools.partial(kept, functools.partial(numba.njit, nogil=True))
 def rk4_step(q, v, ctrl, added, plant, gravity, alive, outside, h, w, first, last):
     """Steps the arms first to last - 1 of n, of which those that are not alive stay.
 
