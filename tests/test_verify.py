@@ -451,7 +451,7 @@ def test_what_cannot_be_verified_of_a_sweep_is_said_in_a_sentence(sweep, capsys)
         (line,) = err.splitlines()
         return line
 
-    assert "is a sweep; --episode ID says which of its 16" in sentence()
+    assert "is a sweep; --episode N says which of its 16" in sentence()
     assert "there is no episode 16; they are numbered 0 .. 15" in sentence("--episode", "16")
     assert "episode is -1; it must be at least 0" in sentence("--episode", "-1")
     assert "sample is 0; it must be at least 1" in sentence("--sample", "0")

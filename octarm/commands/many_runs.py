@@ -25,7 +25,7 @@ class SweepOptions:
     """With what a sweep is run.
 
     Attributes:
-        out: folder to write
+        out: folder to write; needed, but for --dry-run
         workers: processes, one thread each; one a core when not given
         resume: go on with the sweep that was begun in the folder
         force: replace a sweep that is there
@@ -61,7 +61,7 @@ def sweep(
     controller by tip_rms_error, or by their numbers, are then run again into DIR/recorded/.
 
     Args:
-        spec: TOML file; scripts/disturbance_sweep.toml is one
+        spec: TOML file; scripts/disturbance_sweep.toml is one, and octarm new experiment writes one
         options: see `SweepOptions`
 
     Examples:

@@ -56,10 +56,10 @@ def _run(folder: Path) -> bool:
 def _sweep(folder: Path, named: Sequence[int], sample: int | None) -> bool:
     """Whether a sweep's files are as written, and episodes come out again alone; says so."""
     sweep = FinishedSweep(folder)
-    announce(folder, sweep.plan.spec.code)
     episodes = _selected(sweep, named, sample)
     for episode in episodes:
         sweep.row(episode)  # raises before the work rather than after
+    announce(folder, sweep.plan.spec.code)
     changed = sweep_differences(sweep, make_controller)
     if changed:
         _print_lines(folder, ["the files are not those of this sweep", *listed(changed, "entry")])
@@ -97,7 +97,7 @@ def _selected(sweep: FinishedSweep, named: Sequence[int], sample: int | None) ->
     if sample is None:
         if not episodes:
             raise OctarmError(
-                f"{sweep.path} is a sweep; --episode ID says which of its "
+                f"{sweep.path} is a sweep; --episode N says which of its "
                 f"{sweep.plan.episodes} episodes to verify, or --sample N takes some"
             )
         return episodes

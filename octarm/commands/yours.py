@@ -68,6 +68,13 @@ class LoopOptions:
     plant_modules: Annotated[int | None, kinds.COUNT, kinds.LOOP] = None
     model: Annotated[str | None, kinds.ARM, kinds.LOOP] = None
 
+    def check(self) -> None:
+        """Raises OctarmError for what is given of a loop without its controller."""
+        given = [name for name, value in vars(self).items() if value not in (None, ())]
+        if given and not self.controller:
+            option = given[0].replace("_", "-")
+            raise OctarmError(f"--{option} is given without --controller, whose loop it is for")
+
 
 def arm(
     *arms: Annotated[str, kinds.FILE_OR_ARM],
@@ -106,11 +113,13 @@ def arm(
     from octarm.arm.file import read_arm
 
     kinds.check_free(force, write, out)
+    loop.check()
     for word in arms:
         read_arm(word)  # raises, before anything that takes longer is imported
     from octarm.commands import arm as work
 
-    return surviving_output(work.arm, arms, source, loop, write, out)
+    job = partial(work.arm, arms, source, loop, write, out)
+    return surviving_output(job) if write or out else job
 
 
 def new(
