@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from filelock import FileLock
 
 from octarm.arrays import Entry, cos_sin, split
 from octarm.errors import OctarmError
@@ -146,6 +145,8 @@ def kept(compiler: Callable[..., Any], function: Callable[..., Any]) -> Any:
     has written both: a call that does not find its other half ends the process. So processes that
     have to compile wait for each other.
     """
+    from filelock import FileLock  # which loads asyncio
+
     caching: Any = importlib.import_module("numba.core.caching")
     try:
         folder = caching.FunctionCache(function).cache_path

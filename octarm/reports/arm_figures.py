@@ -52,8 +52,8 @@ def _draw_rest(ax: Axes, summary: ArmSummary) -> None:
     for side, most in zip((-1.0, 1.0), np.abs(summary.reach.alike), strict=True):
         bend = min(_BEND / n, most)
         _, pose = hold(p, np.full(n, side * bend))
-        of = f" (at most {most * n:.2g})" if bend < most < 2.0 * np.pi else ""
-        label = None if side < 0.0 else f"held, bent by {bend * n:.2g} rad{of}"
+        of = f" (at most {most:.3g})" if bend < most < 2.0 * np.pi else ""
+        label = None if side < 0.0 else f"held, {bend:.2g} rad each{of}"
         _draw_arm(ax, p, pose, COLORS[0], label)
     _draw_arm(ax, p, summary.rest, INK, "hanging", plates=True)
     _finish(ax, "at rest, and bent alike")

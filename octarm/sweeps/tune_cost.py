@@ -248,29 +248,38 @@ def _parts(
     """What is tried together: numbers of an examination and of scenarios, the longest trial first.
 
     These have one control period and one plant. More parts keep all workers busy, but each costs
-    the calls of every period: they are as many as let the last worker end earliest.
+    the calls of all periods: there are as many as let the last worker end earliest.
     """
     kinds: dict[tuple[int, float, int], list[int]] = {}
     for number, examination in enumerate(examinations):
         for place, scenario in enumerate(examination.scenarios):
-            kind = number, scenario.period, scenario.plant_modules or rig.arm().modules
+            kind = number, scenario.period, scenario.plant_modules
             kinds.setdefault(kind, []).append(place)
+    usual = rig.arm().modules
 
-    def within(most: int) -> tuple[float, list[tuple[int, list[int]]]]:
-        """When the last worker ends, and the parts, if none has more than so many scenarios."""
-        parts: list[tuple[float, int, list[int]]] = []
-        for (number, _, modules), places in kinds.items():
-            for piece in np.array_split(places, math.ceil(len(places) / most)):
-                arms = candidates * len(piece) * (modules / rig.arm().modules) ** _POWER
-                taken = examinations[number].duration * (_ARMS_OF_A_PERIOD[rig.engine] + arms)
-                parts.append((taken, number, piece.tolist()))
-        parts.sort(key=lambda part: part[0], reverse=True)
-        busy = [0.0] * workers
-        for taken, *_ in parts:
-            heapq.heapreplace(busy, busy[0] + taken)
-        return max(busy), [(number, places) for _, number, places in parts]
+    def time_of(part: tuple[int, list[int]]) -> float:
+        """How long a trial takes, in what a second of an arm of the usual size takes."""
+        number, places = part
+        modules = examinations[number].scenarios[places[0]].plant_modules or usual
+        arms = candidates * len(places) * (modules / usual) ** _POWER
+        return examinations[number].duration * (_ARMS_OF_A_PERIOD[rig.engine] + arms)
 
-    return min(map(within, range(max(map(len, kinds.values())), 0, -1)), key=lambda x: x[0])[1]
+    def cut(most: int) -> list[tuple[int, list[int]]]:
+        """Parts of so many scenarios at most."""
+        parts = [
+            (number, piece.tolist())
+            for (number, *_), places in kinds.items()
+            for piece in np.array_split(places, math.ceil(len(places) / most))
+        ]
+        return sorted(parts, key=time_of, reverse=True)
+
+    def end(parts: list[tuple[int, list[int]]]) -> float:
+        busy = [0.0] * workers  # until when; the next part goes to the first that is free
+        for part in parts:
+            heapq.heapreplace(busy, busy[0] + time_of(part))
+        return max(busy)
+
+    return min(map(cut, range(max(map(len, kinds.values())), 0, -1)), key=end)
 
 
 def _costs(
