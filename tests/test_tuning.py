@@ -34,6 +34,7 @@ from octarm.interfaces import Controller, Knob, Measurement, Reference
 from octarm.metrics.forces import Chattering
 from octarm.metrics.metric import Settings
 from octarm.references import named_reference
+from octarm.simulation.engines import ENGINES
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout, simulate
 from octarm.sweeps.scenarios import EVALUATION, SCENARIOS, Scenario, disturbances
@@ -53,6 +54,7 @@ from octarm.sweeps.tune_cost import (
     UNSEEN,
     Examination,
     Rig,
+    _parts,  # pyright: ignore[reportPrivateUsage]
     costs,
     each_its_own,
 )
@@ -402,6 +404,22 @@ def test_it_may_stop_anywhere_and_go_on_with_the_same_bits(uninterrupted, tmp_pa
     )
     assert_same(again, tuned)
     assert sum(seconds) == pytest.approx(BUDGET.seconds)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("workers", [1, 2, 8])
+def test_parts_hold_each_scenario_once_and_the_longest_ones_begin(engine: str, workers: int):
+    trials = (SHORT, LONG, UNSEEN)
+    parts = _parts(trials, 24, Rig(engine), workers)
+    assert sorted((k, i) for k, places in parts for i in places) == [
+        (k, i) for k, trial in enumerate(trials) for i in range(len(trial.scenarios))
+    ]
+    for k, places in parts:
+        those = [trials[k].scenarios[i] for i in places]
+        assert len({(x.period, x.plant_modules) for x in those}) == 1
+    assert trials[parts[0][0]] is LONG
+    kinds = {(k, x.period, x.plant_modules) for k, t in enumerate(trials) for x in t.scenarios}
+    assert (len(parts) == len(kinds)) if workers == 1 else (len(parts) >= len(kinds))
 
 
 @pytest.mark.slow
