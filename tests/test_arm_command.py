@@ -200,6 +200,7 @@ def test_it_says_so_of_a_finer_plant_and_of_a_roll_off():
     assert "roll_off holds 0" in said("arm", *words, "--roll-off", "0", code=2)
     assert "must be a multiple" in said("arm", *words, "--plant-modules", "10", code=2)
     assert "--roll-off is given without --controller" in said("arm", "--roll-off", "60", code=2)
+    assert "--layout is given without" in said("arm", "--layout", "centred", code=2)
 
 
 # Arms in other commands

@@ -79,6 +79,16 @@ def test_other_kinds_of_numbers_are_not_compiled():
         np.testing.assert_allclose(slope, (ends[0] - ends[1]) / 2e-6, atol=1e-8)
 
 
+def test_the_kind_of_numbers_is_that_of_the_call():
+    """Not that of an earlier one at the same place."""
+    p, q = arm("3"), np.linspace(0.05, 0.3, 6)
+    for x in (q + 0j, q, q + 0j):
+        assert inverse_dynamics(p, x, x, x).dtype == x.dtype
+    single = q.astype(np.float32)
+    for x in (single, np.stack([single, single])):
+        assert inverse_dynamics(p, x, x, x).dtype == np.float64
+
+
 def test_without_a_place_for_it_compiled_code_is_not_kept():
     def compiler(*, cache: bool = False) -> Callable[[Any], Any]:
         if cache:

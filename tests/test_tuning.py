@@ -30,6 +30,7 @@ from octarm.commands.kinds import GENERATION
 from octarm.disturbances.actuators import ActuationDelay, Lag
 from octarm.disturbances.spelling import parse_disturbance
 from octarm.disturbances.streams import stream
+from octarm.errors import OctarmError
 from octarm.interfaces import Controller, Knob, Measurement, Reference
 from octarm.metrics.forces import Chattering
 from octarm.metrics.metric import Settings
@@ -420,6 +421,14 @@ def test_parts_hold_each_scenario_once_and_the_longest_ones_begin(engine: str, w
     assert trials[parts[0][0]] is LONG
     kinds = {(k, x.period, x.plant_modules) for k, t in enumerate(trials) for x in t.scenarios}
     assert (len(parts) == len(kinds)) if workers == 1 else (len(parts) >= len(kinds))
+    assert len(_parts(trials, 24, Rig(engine, 30), 64)) >= len(parts)  # larger plants, more parts
+
+
+def test_an_unknown_engine_is_refused_and_nothing_costs_nothing():
+    with pytest.raises(OctarmError, match="unknown engine 'lagrang'"):
+        costs([SHORT], by_hand("pd"), {"K_d": np.ones((1, 1))}, rig=Rig("lagrang"))
+    (cost,) = costs([Examination(scenarios=())], by_hand("pd"), {"K_d": np.ones((3, 1))})
+    assert cost.shape == (3, 0)
 
 
 @pytest.mark.slow

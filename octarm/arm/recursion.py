@@ -23,6 +23,7 @@ from octarm.arrays import Entry, cos_sin, split
 from octarm.errors import OctarmError
 
 Row = Sequence[Entry]
+_PATIENCE = 60.0  # [s] that another process may take to compile
 OutRow = Any  # a list of entries, or an array in compiled code
 
 # How many entries a row has, by its name: m is 2N, g is 1, b is N or 0. Others have N.
@@ -37,7 +38,7 @@ class Constants:
     """Rows of what does not change: arrays of shape (..., k), and for one arm lists of numbers."""
 
     def __init__(self, *arrays: np.ndarray) -> None:
-        """Rows of one arm, or of a batch of arms, the first of which has N entries."""
+        """Rows of one arm, or of a batch of arms; the first row has N entries."""
         self.arrays = arrays
         self.batch_shape = np.broadcast_shapes(*(x.shape[:-1] for x in arrays))
         self.coordinates = 2 * arrays[0].shape[-1]
@@ -80,7 +81,7 @@ class Recursion:
         batch, *more = {constants.batch_shape, *(x.shape[:-1] for x in (q, *others))}
         if more:
             batch = np.broadcast_shapes(batch, *more)
-        kind = np.result_type(1.0, *{x.dtype for x in (q, *others)})
+        kind = np.result_type(np.float64, *{x.dtype for x in (q, *others)})
         results = [
             np.empty_like(q, shape=(*batch, arrays[i].shape[-1]), dtype=kind) for i in self._like
         ]
@@ -141,18 +142,20 @@ def check_coordinates(name: str, array: np.ndarray, coordinates: int) -> None:
 def kept(compiler: Callable[..., Any], function: Callable[..., Any]) -> Any:
     """A function as one of numba's compilers has it, kept on disk where that can be written.
 
-    What numba keeps of one function may be two files, which only fit together if the same process
-    has written both: a call that does not find its other half ends the process. So processes that
-    have to compile wait for each other.
+    What a compiler keeps may be two files, which only fit together if the same process has written
+    both: a call that does not find its other half ends the process. So processes wait for each
+    other here, which helps with compilers that compile at once, such as `guvectorize`.
     """
     from filelock import FileLock  # which loads asyncio
 
     caching: Any = importlib.import_module("numba.core.caching")
+    registry: Any = importlib.import_module("numba.core.registry")
+    registry.cpu_target.target_context.refresh()  # it takes longest, and nobody has to wait for it
     try:
         folder = caching.FunctionCache(function).cache_path
-        with FileLock(Path(folder) / "octarm.lock"):
+        with FileLock(Path(folder) / "octarm.lock", timeout=_PATIENCE, mode=0o666):
             return compiler(cache=True)(function)
-    except (RuntimeError, OSError, NotImplementedError):  # it cannot be written, or has no locks
+    except (RuntimeError, OSError):  # it cannot be written or locked
         return compiler()(function)
 
 
@@ -170,7 +173,7 @@ def plate_rows(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 # A control period asks for the same ones several times.
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=4, typed=True)
 def _plates(*bends: float) -> tuple[list[Entry], list[Entry]]:
     """Those of one arm, not to be changed; the bends are of all modules but the last [rad]."""
     cos: list[Entry] = [1.0]

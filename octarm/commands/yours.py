@@ -114,6 +114,8 @@ def arm(
 
     kinds.check_free(force, write, out)
     loop.check()
+    if source.layout != "paper" and source.fit_modules is None and loop.plant_modules is None:
+        raise OctarmError("--layout is given without --fit-modules or --plant-modules")
     for word in arms:
         read_arm(word)  # raises, before anything that takes longer is imported
     from octarm.commands import arm as work

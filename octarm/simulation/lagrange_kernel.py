@@ -62,8 +62,8 @@ _C2, _C4, _C6, _C8, _C10, _C12, _C14, _C16 = (
 )
 
 
-# What `rk4_step` calls is kept on disk with it alone: files of their own, which two processes that
-# compile at once write in turns, would not fit together.
+# The inner functions have no files of their own: two processes that compile at once could leave a
+# mix of files that do not fit together. That of `rk4_step` holds all.
 _inner = numba.njit(nogil=True)
 
 
