@@ -329,18 +329,6 @@ def test_without_numba_it_says_what_to_install(monkeypatch):
     assert load().physics.steps() == 0
 
 
-def test_it_compiles_where_nothing_can_be_kept(monkeypatch):
-    compiled = numba.njit
-
-    def read_only(*args: Any, cache: bool = False, **options: Any) -> Any:
-        if cache:
-            raise RuntimeError("cannot cache function: no locator available")
-        return compiled(*args, **options)
-
-    monkeypatch.setattr(numba, "njit", read_only)
-    assert lagrange_kernel._compiled(lambda x: x + 1.0)(2.0) == 3.0
-
-
 def test_seeds_of_arms_are_those_of_mujocos_arms():
     noise = [parse_disturbance("noise:0.4")]
     controller = make_controller("pd", P)

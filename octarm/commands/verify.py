@@ -57,9 +57,9 @@ def _sweep(folder: Path, named: Sequence[int], sample: int | None) -> bool:
     """Whether a sweep's files are as written, and episodes come out again alone; says so."""
     sweep = FinishedSweep(folder)
     episodes = _selected(sweep, named, sample)
+    announce(folder, sweep.plan.spec.code)
     for episode in episodes:
         sweep.row(episode)  # raises before the work rather than after
-    announce(folder, sweep.plan.spec.code)
     changed = sweep_differences(sweep, make_controller)
     if changed:
         _print_lines(folder, ["the files are not those of this sweep", *listed(changed, "entry")])
