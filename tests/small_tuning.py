@@ -1,8 +1,7 @@
 """A search for gains that takes half a second, in two control periods."""
 
-from octarm.sweeps.scenarios import EVALUATION, SCENARIOS
+from octarm.sweeps.scenarios import EVALUATION, SCENARIOS, Examination
 from octarm.sweeps.tune import Budget
-from octarm.sweeps.tune_cost import Examination
 
 FEW = (SCENARIOS[3], SCENARIOS[8], SCENARIOS[12])
 TINY = Examination(scenarios=FEW, begin=0.02, duration=0.06)

@@ -23,10 +23,11 @@ from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout
 from octarm.sweeps.margin import MarginRuns
 from octarm.sweeps.plan import Plan, with_step
+from octarm.sweeps.scenarios import SCENARIOS, Examination
 from octarm.sweeps.shards import run_arms, run_shard
 from octarm.sweeps.spec_file import parse_spec
 from octarm.sweeps.tune import Budget
-from octarm.sweeps.tune_cost import SCENARIOS, Examination, Rig, costs
+from octarm.sweeps.tune_cost import Rig, costs
 
 ARM = nominal_parameters()
 SHORT = [

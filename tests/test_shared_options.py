@@ -14,11 +14,11 @@ from octarm.commands.cli import main
 from octarm.commands.options import ArmOptions, GainOptions, spelt
 from octarm.disturbances.plant import Payload
 from octarm.metrics.table import METRICS
-from octarm.sweeps.scenarios import Scenario
+from octarm.sweeps.scenarios import Examination, Scenario
 from octarm.sweeps.shards import schema
 from octarm.sweeps.spec_file import parse_spec
 from octarm.sweeps.tune import Budget
-from octarm.sweeps.tune_cost import Examination, Rig, costs
+from octarm.sweeps.tune_cost import Rig, costs
 
 P = nominal_parameters()
 OPTIONS = ["--parameter=mass:0.4,0.3,0.2", "--nominal=stiffness:0.8", "--mismatch=-10%"]

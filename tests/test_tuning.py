@@ -38,7 +38,16 @@ from octarm.references import named_reference
 from octarm.simulation.engines import ENGINES
 from octarm.simulation.environment import load
 from octarm.simulation.rollout import rollout, simulate
-from octarm.sweeps.scenarios import EVALUATION, SCENARIOS, Scenario, disturbances
+from octarm.sweeps.scenarios import (
+    EVALUATION,
+    LONG,
+    SCENARIOS,
+    SHORT,
+    UNSEEN,
+    Examination,
+    Scenario,
+    disturbances,
+)
 from octarm.sweeps.tune import (
     Budget,
     SearchState,
@@ -50,10 +59,6 @@ from octarm.sweeps.tune import (
     tune,
 )
 from octarm.sweeps.tune_cost import (
-    LONG,
-    SHORT,
-    UNSEEN,
-    Examination,
     Rig,
     _parts,  # pyright: ignore[reportPrivateUsage]
     costs,

@@ -23,7 +23,7 @@ from octarm.errors import OctarmError, printable
 from octarm.files import write_text
 from octarm.interfaces import Tunable
 from octarm.simulation.engines import MUJOCO, usual_engine
-from octarm.sweeps.scenarios import Scenario
+from octarm.sweeps.scenarios import Examination, Scenario
 from octarm.sweeps.tune import (
     Budget,
     Costs,
@@ -35,7 +35,7 @@ from octarm.sweeps.tune import (
     versions,
 )
 from octarm.sweeps.tune import tune as tune_gains
-from octarm.sweeps.tune_cost import FORMULA, LARGEST, Examination, Rig
+from octarm.sweeps.tune_cost import FORMULA, LARGEST, Rig
 from octarm.sweeps.workers import WorkerProcesses, cores
 
 

@@ -1,7 +1,8 @@
 """What controllers are tuned on, and what they are evaluated on afterwards; two lists, as data.
 
 No reference, size of mismatch, kind of noise or other disturbance of the second list is in the
-first one. A scenario more is a line more; its weight says what it counts beside the others.
+first one. A scenario more is a line more; its weight says what it counts beside the others. An
+`Examination` says for how long they are tried, and under which noise.
 """
 
 from __future__ import annotations
@@ -90,6 +91,44 @@ EVALUATION = (
     Scenario(reference="smooth-step", period=0.001, delay=0.001, noise=0.2, correlation_time=0.05),
     Scenario(reference="sine-slides", dead_zone=0.5, lag=0.003),
 )
+
+
+# "tuning" in ASCII. Runs and sweeps have the seed that the user gives, 0 in the experiments.
+_ENTROPY = int.from_bytes(b"tuning", "big")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Examination:
+    """The scenarios, from when on and for how long [s] they last, and with which noise."""
+
+    scenarios: tuple[Scenario, ...] = SCENARIOS
+    begin: float = 1.0
+    duration: float = 3.0
+    noise: int = 0
+
+    @property
+    def seconds(self) -> float:
+        """What a candidate is simulated for, all scenarios counted [s]."""
+        return len(self.scenarios) * self.duration
+
+    def mean(self, costs: np.ndarray) -> np.ndarray:
+        """The weighted mean J of costs of shape (..., scenarios), shape (...) [1]."""
+        weights = np.array([scenario.weight for scenario in self.scenarios])
+        return np.sum(costs * weights, axis=-1) / np.sum(weights)
+
+    def seeds(self) -> list[np.random.SeedSequence]:
+        """One seed a scenario."""
+        return [
+            np.random.SeedSequence(_ENTROPY, spawn_key=(self.noise, i))
+            for i in range(len(self.scenarios))
+        ]
+
+
+SHORT = Examination()
+# Tells gains that drift, and those that suit one realisation of the noise only.
+LONG = Examination(begin=2.0, duration=10.0, noise=1)
+# What the gains are judged by afterwards.
+UNSEEN = Examination(scenarios=EVALUATION, noise=2)
 
 
 def disturbances(scenarios: Sequence[Scenario]) -> list[Disturbance]:

@@ -30,7 +30,8 @@ from octarm.interfaces import Controller, Knob, Tunable
 from octarm.roll_off import fields_of
 from octarm.runs import versions as origin
 from octarm.simulation.engines import MUJOCO
-from octarm.sweeps.tune_cost import FORMULA, Budget, Examination, Rig, costs
+from octarm.sweeps.scenarios import Examination
+from octarm.sweeps.tune_cost import FORMULA, Budget, Rig, costs
 from octarm.sweeps.workers import WorkerProcesses
 
 _PACKAGES = ("python", "octarm", "mujoco", "dm-control", "numpy", "scipy")

@@ -55,18 +55,18 @@ from octarm.simulation.rollout import simulate
 from octarm.simulation.stepping import AnyPhysics
 from octarm.simulation.steps import AUTO
 from octarm.sweeps.progress import arm_seconds
-from octarm.sweeps.scenarios import EVALUATION, SCENARIOS, Scenario, disturbances
+from octarm.sweeps.scenarios import LONG, SHORT, UNSEEN, Examination, disturbances
 from octarm.sweeps.workers import WorkerProcesses
 
 SLIDE_SCALE = 0.0175  # A [m]
 BEND_SCALE = 0.3  # A [rad]
 CHATTERING_WEIGHT = 0.1  # w [1]
+LARGEST = 10.0  # cost of an arm that stays within its limits; one that does not costs up to twice
 _MOST_SECONDS = 1e8  # of simulated time
 # Measured: what Python does in a control period of 0.5 ms takes as long as steps of so many arms,
 # and a step grows with this power of the number of modules.
 _ARMS_OF_A_PERIOD = {MUJOCO: 50, LAGRANGE: 250}
 _POWER = 1.5
-LARGEST = 10.0  # cost of an arm that stays within its limits; one that does not costs up to twice
 
 FORMULA = (
     f"J = weighted mean over scenarios of sqrt(mean_j (rms_j / A_j)^2) + {CHATTERING_WEIGHT:g} "
@@ -75,43 +75,6 @@ FORMULA = (
     "tau within the actuators' range; "
     f"{LARGEST:g} to {2.0 * LARGEST:g} for an arm that is lost"
 )
-
-# "tuning" in ASCII. Runs and sweeps have the seed that the user gives, 0 in the experiments.
-_ENTROPY = int.from_bytes(b"tuning", "big")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Examination:
-    """The scenarios, from when on and for how long [s] they last, and with which noise."""
-
-    scenarios: tuple[Scenario, ...] = SCENARIOS
-    begin: float = 1.0
-    duration: float = 3.0
-    noise: int = 0
-
-    @property
-    def seconds(self) -> float:
-        """What a candidate is simulated for, all scenarios counted [s]."""
-        return len(self.scenarios) * self.duration
-
-    def mean(self, costs: np.ndarray) -> np.ndarray:
-        """The weighted mean J of costs of shape (..., scenarios), shape (...) [1]."""
-        weights = np.array([scenario.weight for scenario in self.scenarios])
-        return np.sum(costs * weights, axis=-1) / np.sum(weights)
-
-    def seeds(self) -> list[np.random.SeedSequence]:
-        """One seed a scenario."""
-        return [
-            np.random.SeedSequence(_ENTROPY, spawn_key=(self.noise, i))
-            for i in range(len(self.scenarios))
-        ]
-
-
-SHORT = Examination()
-# Tells gains that drift, and those that suit one realisation of the noise only.
-LONG = Examination(begin=2.0, duration=10.0, noise=1)
-# What the gains are judged by afterwards.
-UNSEEN = Examination(scenarios=EVALUATION, noise=2)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

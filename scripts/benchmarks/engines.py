@@ -41,8 +41,9 @@ from octarm.arm.parameters import ArmParameters
 from octarm.arm.rod import Rod, arm_from_rod
 from octarm.checks.rod_study import installed, peer
 from octarm.simulation.engines import ENGINES, LAGRANGE, usual_engine
+from octarm.sweeps.scenarios import Examination
 from octarm.sweeps.tune import Budget, Space
-from octarm.sweeps.tune_cost import Examination, Rig, costs
+from octarm.sweeps.tune_cost import Rig, costs
 from octarm.sweeps.workers import WorkerProcesses, cores
 
 MODULES = {3: None, 10: None, 15: 10.0, 30: None}  # and how much faster the engine shall be
