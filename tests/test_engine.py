@@ -28,6 +28,7 @@ from octarm.arm.mjcf import (
     read_parameters,
 )
 from octarm.arm.parameters import ArmParameters
+from octarm.arm.recursion import kept
 from octarm.checks import free_motion
 from octarm.checks.mechanics import (
     lagrange_mechanics,
@@ -327,6 +328,18 @@ def test_without_numba_it_says_what_to_install(monkeypatch):
     with pytest.raises(ValueError, match=r"needs the package numba: pip install 'octarm\[fast\]'"):
         load(engine="lagrange")
     assert load().physics.steps() == 0
+
+
+def test_it_compiles_where_nothing_can_be_kept(monkeypatch):
+    compiled = numba.njit
+
+    def read_only(*args: Any, cache: bool = False, **options: Any) -> Any:
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available")
+        return compiled(*args, **options)
+
+    monkeypatch.setattr(numba, "njit", read_only)
+    assert kept(numba.njit, lambda x: x + 1.0)(2.0) == 3.0
 
 
 def test_seeds_of_arms_are_those_of_mujocos_arms():
